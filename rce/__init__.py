@@ -1,0 +1,1 @@
+"""Kernel of RCE: what every process and every client shares. Imports none of the other top-level packages."""
