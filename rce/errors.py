@@ -1,8 +1,8 @@
 """Errors that people and programs can act on.
 
-Every error has a `code` that programs test, a sentence that says what is wrong, where, and what to do, and `fields` with
-the particulars. They cross process boundaries as `ErrorInfo` and come out as the same class on the other side; a code
-that this version does not know comes out as plain `RceError` with the code kept.
+Every error has a `code` that programs test, a sentence that says what is wrong, where, and what to do, and `fields`
+with the particulars. They cross process boundaries as `ErrorInfo` and come out as the same class on the other side; a
+code that this version does not know comes out as plain `RceError` with the code kept.
 """
 
 from __future__ import annotations

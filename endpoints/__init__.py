@@ -1,0 +1,1 @@
+"""Endpoints: the two ends of every data path, at robots (`robot`) and in environments (`environment`)."""

@@ -1,0 +1,155 @@
+"""Frames of a data link: how messages between interfaces cross between two endpoints.
+
+    flags 1 | length of message id 1 | stream 4 | payload bytes in this frame 4 | payload bytes in all 4  (big-endian)
+    first frame of a message only: source 16 | destination 16 if DESTINATION | message id
+    payload
+
+A message over `PART` bytes travels in several frames of the same stream number, between which frames of other messages
+may go. The receiver reads large payloads straight into their final buffer.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from rce.errors import LimitExceeded
+
+HEAD = struct.Struct("!BBIII")
+FIRST, DESTINATION, ERROR = 1, 2, 4
+PART = 256 * 1024
+MAX_MESSAGE = 80 * 1024 * 1024  # a 64 MB WebSocket message grows a little as CDR
+MAX_UNFINISHED = 4 * MAX_MESSAGE
+SCRATCH = 256 * 1024
+
+Buffer = bytes | bytearray | memoryview
+
+
+@dataclass(slots=True)
+class Message:
+    """What one interface sends to its peers, or, with `destination`, to one of them.
+
+    `payload` is a serialized ROS message (CDR with its encapsulation header); with `error` it is an ErrorInfo as
+    msgpack, the answer to a service request that failed.
+    """
+
+    source: bytes
+    msg_id: str
+    payload: Buffer
+    destination: bytes | None = None
+    error: bool = False
+
+
+def pieces(message: Message, stream: int) -> Iterator[list[Buffer]]:
+    """The frames of a message, each as the buffers to write one after the other."""
+    payload = memoryview(message.payload)
+    total = len(payload)
+    name = message.msg_id.encode()
+    flags = FIRST | (ERROR if message.error else 0) | (DESTINATION if message.destination else 0)
+    first = min(total, PART)
+    head = HEAD.pack(flags, len(name), stream, first, total) + message.source + (message.destination or b"") + name
+    if total <= 16 * 1024:
+        yield [head + message.payload]  # one small buffer: one system call
+        return
+    yield [head, payload[:first]]
+    for start in range(first, total, PART):
+        part = payload[start : start + PART]
+        yield [HEAD.pack(0, 0, stream, len(part), total), part]
+
+
+def _head(buffer: bytearray, start: int) -> tuple[int, int, int, int, int]:
+    return HEAD.unpack_from(buffer, start)
+
+
+@dataclass(slots=True)
+class _Unfinished:
+    message: Message
+    buffer: bytearray
+    filled: int = 0
+
+
+class FrameReader:
+    """Turns received bytes into messages: ask for a `buffer`, fill it, say how much was `filled`."""
+
+    def __init__(self) -> None:
+        self._scratch = bytearray(SCRATCH)
+        self._view = memoryview(self._scratch)
+        self._have = 0
+        self._streams: dict[int, _Unfinished] = {}
+        self._direct: _Unfinished | None = None  # a payload that is being read straight into its buffer
+        self._direct_end = 0
+
+    def buffer(self) -> memoryview:
+        if self._direct is not None:
+            return memoryview(self._direct.buffer)[self._direct.filled : self._direct_end]
+        return self._view[self._have :]
+
+    def filled(self, count: int) -> list[Message]:
+        """The messages that these `count` bytes complete. LimitExceeded if the other side sends too much."""
+        done: list[Message] = []
+        if self._direct is not None:
+            self._direct.filled += count
+            if self._direct.filled == self._direct_end:
+                self._finish(self._direct, done)
+                self._direct = None
+            return done
+        self._have += count
+        position = 0
+        while True:
+            used = self._parse(position, done)
+            if used == 0:
+                break
+            position += used
+        self._view[: self._have - position] = self._view[position : self._have]
+        self._have -= position
+        return done
+
+    def _parse(self, start: int, done: list[Message]) -> int:
+        """Take one frame, or what there is of its payload, from the scratch buffer; returns the bytes used."""
+        have = self._have - start
+        if have < HEAD.size or self._direct is not None:
+            return 0
+        flags, name_length, stream, size, total = _head(self._scratch, start)
+        body = start + HEAD.size
+        if flags & FIRST:
+            ids = 32 if flags & DESTINATION else 16
+            if have < HEAD.size + ids + name_length:
+                return 0
+            if total > MAX_MESSAGE or size > total:
+                raise LimitExceeded(f"a message of {total} bytes exceeds {MAX_MESSAGE} on a data link")
+            ends = body + ids
+            source = bytes(self._view[body : body + 16])
+            destination = bytes(self._view[body + 16 : ends]) if flags & DESTINATION else None
+            name = str(self._view[ends : ends + name_length], "utf-8")
+            body = ends + name_length
+            message = Message(source, name, b"", destination, bool(flags & ERROR))
+            if size == total and self._have - body >= size:
+                message.payload = bytes(self._view[body : body + size])
+                done.append(message)
+                return body + size - start
+            unfinished = _Unfinished(message, bytearray(total))
+            if sum(len(other.buffer) for other in self._streams.values()) + total > MAX_UNFINISHED:
+                raise LimitExceeded(f"unfinished messages of more than {MAX_UNFINISHED} bytes on a data link")
+            self._streams[stream] = unfinished
+        else:
+            found = self._streams.get(stream)
+            if found is None or found.filled + size > len(found.buffer):
+                raise LimitExceeded("a data link sent a part that belongs to no message")
+            unfinished = found
+        take = min(size, self._have - body)
+        end = unfinished.filled + take
+        unfinished.buffer[unfinished.filled : end] = self._view[body : body + take]
+        unfinished.filled = end
+        if take < size:
+            self._direct, self._direct_end = unfinished, end + size - take
+        else:
+            self._finish(unfinished, done)
+        return body + take - start
+
+    def _finish(self, unfinished: _Unfinished, done: list[Message]) -> None:
+        if unfinished.filled < len(unfinished.buffer):
+            return
+        unfinished.message.payload = unfinished.buffer
+        done.append(unfinished.message)
+        self._streams = {key: value for key, value in self._streams.items() if value is not unfinished}

@@ -1,0 +1,344 @@
+"""The control calls between the processes: what each may ask of which, with its arguments and its result.
+
+Sets of names cross, never counters, and every call may be made twice: what is there already stays as it is. After each
+(re)connection a process says what it really has (`Join.report`), and the Master answers with what is wanted (`Sync`).
+Times are seconds, sizes bytes.
+"""
+
+from __future__ import annotations
+
+from typing import Generic, TypeVar, get_args
+
+from msgspec import Struct
+
+from rce.errors import ErrorInfo
+from rce.messages import Command, ContainerData, ParameterValue, Qos, StatusData
+
+R = TypeVar("R")
+
+
+class Call(Struct, Generic[R], frozen=True):
+    """A question from one process to another; `R` is the type of the answer."""
+
+
+def result_type(call: type[Call[R]]) -> type[R]:
+    """The type that the answer to `call` has."""
+    kind: type[R] = get_args(call.__orig_bases__[0])[0]  # type: ignore[attr-defined]  # every generic subclass has it
+    return kind
+
+
+class Nothing(Struct, frozen=True):
+    """The answer of calls that only do something."""
+
+
+class Settled(Struct, frozen=True):
+    """The answer of calls about several things by name: what went wrong, nothing said of what is well."""
+
+    failed: dict[str, ErrorInfo] = {}
+
+
+# --- what exists in endpoints -----------------------------------------------------------------------------------------
+
+
+class InterfaceSpec(Struct, frozen=True):
+    """An interface as an endpoint sees it.
+
+    `id` (32 hex) names it in data frames; `owner` is the robot or environment, as `userID/tag`.
+    """
+
+    id: str
+    owner: str
+    tag: str
+    kind: str  # e.g. PublisherConverter
+    type: str  # className, in the spelling given at addInterfaces
+    addr: str = ""
+    qos: Qos = Qos()
+    format: str = "png"
+
+
+class Route(Struct, frozen=True):
+    """`interface` of this endpoint exchanges messages with the remote interface `peer` over `link`."""
+
+    interface: str
+    peer: str
+    link: str
+
+
+class LinkSpec(Struct, frozen=True):
+    """A data link to another endpoint. The side with `dial` connects to the first address that answers."""
+
+    name: str
+    key: str  # 32 hex, known to both ends, good for one opening
+    dial: list[str] = []  # "unix:/path", "tcp:host:port"; empty: wait for the other side
+
+
+class NodeSpec(Struct, frozen=True):
+    """A ROS 2 node that runs in an environment."""
+
+    tag: str
+    pkg: str
+    exe: str
+    args: str = ""
+    name: str = ""
+    namespace: str = ""
+
+
+class ParameterSpec(Struct, frozen=True):
+    """A ROS 2 parameter: of every node of the environment, or of one node."""
+
+    name: str
+    value: ParameterValue
+    node: str = ""
+
+    @property
+    def key(self) -> str:
+        return f"{self.node}:{self.name}"
+
+
+# --- Master to endpoints ----------------------------------------------------------------------------------------------
+
+
+class Sync(Call[Settled], frozen=True):
+    """All that this endpoint shall have: it removes what is not named here and makes what it lacks.
+
+    Failures are keyed by interface id, `node:TAG`, `parameter:KEY`, `link:NAME`.
+    """
+
+    interfaces: list[InterfaceSpec] = []
+    links: list[LinkSpec] = []
+    routes: list[Route] = []
+    nodes: list[NodeSpec] = []
+    parameters: list[ParameterSpec] = []
+    robots: list[str] = []  # userID/robotID of those with a session here
+
+
+class Bind(Call[Nothing], frozen=True):
+    """Make an interface."""
+
+    interface: InterfaceSpec
+
+
+class Unbind(Call[Nothing], frozen=True):
+    """Remove an interface and its routes."""
+
+    interface: str
+
+
+class OpenLink(Call[Nothing], frozen=True):
+    """Open a data link, or expect the other side to; answered when the spec is taken, not when the link is up."""
+
+    link: LinkSpec
+
+
+class CloseLink(Call[Nothing], frozen=True):
+    """Close a data link."""
+
+    link: str
+
+
+class AddRoute(Call[Nothing], frozen=True):
+    """Let a pair of interfaces exchange messages; the first route of an interface starts it."""
+
+    route: Route
+
+
+class RemoveRoute(Call[Nothing], frozen=True):
+    """Part a pair of interfaces; losing its last route stops an interface."""
+
+    interface: str
+    peer: str
+
+
+class StartNode(Call[Nothing], frozen=True):
+    """Start a node; answered when the process runs. StartFailed, NotFound (package, executable)."""
+
+    node: NodeSpec
+
+
+class StopNode(Call[Nothing], frozen=True):
+    """Stop a node: SIGINT, then SIGTERM, then SIGKILL; answered when its process group is gone."""
+
+    node: str
+
+
+class PutParameter(Call[Nothing], frozen=True):
+    """Set a parameter for later nodes, and live where a running node declares it."""
+
+    parameter: ParameterSpec
+
+
+class DropParameter(Call[Nothing], frozen=True):
+    """Forget a parameter."""
+
+    key: str
+
+
+class Log(Struct, frozen=True):
+    """Lines of a node's or an environment's output."""
+
+    lines: list[str]
+
+
+class ReadLog(Call[Log], frozen=True):
+    """The last lines of a node's output."""
+
+    node: str
+    lines: int = 100
+
+
+class Tell(Call[Nothing], frozen=True):
+    """Send a status to a robot (Robot endpoint only); `error` goes as an ER."""
+
+    robot: str
+    status: StatusData | None = None
+    error: ErrorInfo | None = None
+
+
+class DropRobot(Call[Nothing], frozen=True):
+    """End a robot's session and close its socket with the reason."""
+
+    robot: str
+    reason: str
+
+
+# --- Master to task sets ----------------------------------------------------------------------------------------------
+
+
+class EnvironmentSpec(Struct, frozen=True):
+    """An environment to run. `name` is `userID/containerTag`; `run` (32 hex) tells its lives apart."""
+
+    name: str
+    run: str
+    token: str  # one-time join token of its Environment endpoint
+    options: ContainerData
+
+
+class StartEnvironment(Call[Nothing], frozen=True):
+    """Start an environment; answered when its process or container runs. Its endpoint joins the Master by itself."""
+
+    environment: EnvironmentSpec
+
+
+class StopEnvironment(Call[Nothing], frozen=True):
+    """Stop an environment and remove all that it left; answered when nothing of it remains."""
+
+    name: str
+
+
+class KeepEnvironments(Call[Nothing], frozen=True):
+    """Stop and remove every environment whose run is not among these."""
+
+    runs: list[str]
+
+
+# --- to the Master ----------------------------------------------------------------------------------------------------
+
+
+class Hello(Struct, frozen=True):
+    """First words of every process to the Master.
+
+    `token` is a one-time join token, or the credential that the Master gave in exchange for one.
+    """
+
+    role: str  # robot | container | environment
+    name: str
+    token: str
+    version: str
+    host: str = ""  # identity of the machine: endpoints on one host link over UNIX sockets
+    addresses: list[str] = []  # where the other endpoints reach this one's data port
+    url: str = ""  # Robot endpoint: where robots connect (ws://…)
+    capacity: int = 0  # task set: slots
+    features: list[str] = []  # task set: special features of the machine
+    robots: list[str] = []  # Robot endpoint: those with a session, connected or in their grace time
+    environments: dict[str, str] = {}  # task set: run of each environment that really runs, by name
+
+
+class Welcome(Struct, frozen=True):
+    """The Master's answer: the credential for later (re)connections."""
+
+    credential: str
+
+
+class LoggedIn(Struct, frozen=True):
+    """The session; what a resumed one has is bound and routed by the time of this answer. `token` resumes it."""
+
+    token: str
+    resumed: bool
+
+
+class Login(Call[LoggedIn], frozen=True):
+    """A robot asks for a session at this Robot endpoint. Unauthorized, InvalidName, AlreadyExists (robotID in use)."""
+
+    user: str
+    robot: str
+    secret: str  # API key, or SHA-256 hex of the password
+    resume: str = ""  # token of the session to take over
+    features: list[str] = []
+    address: str = ""
+
+
+class Leave(Call[Nothing], frozen=True):
+    """A robot's grace time is over: its interfaces and connections go."""
+
+    robot: str
+
+
+class Execute(Call[Nothing], frozen=True):
+    """A robot's command; answered on completion, or with its error.
+
+    `again` marks one that was under way when the Master was lost: what it made already is then not an error.
+    """
+
+    robot: str
+    command: Command
+    again: bool = False
+
+
+class Definitions(Struct, frozen=True):
+    """Type definitions, text of `.msg` and `.srv` files by `pkg/msg/Name` and `pkg/srv/Name`, dependencies included."""
+
+    texts: dict[str, str]
+
+
+class Describe(Call[Definitions], frozen=True):
+    """The definition of a type: a Robot endpoint asks the Master, the Master that user's environments. UnknownType."""
+
+    user: str
+    type: str
+    service: bool
+
+
+class NodeDied(Call[Nothing], frozen=True):
+    """A node of this environment ended by itself."""
+
+    node: str
+    status: int
+    lines: list[str]
+
+
+class LinkLost(Call[Nothing], frozen=True):
+    """A data link broke or did not open; the Master gives both ends a new key."""
+
+    link: str
+    reason: str
+
+
+class EnvironmentDied(Call[Nothing], frozen=True):
+    """An environment of this task set ended by itself or did not come up."""
+
+    name: str
+    run: str
+    reason: str
+
+
+class Report(Call[Nothing], frozen=True):
+    """Something that the owner of an interface should know: a failure (its message) or drops."""
+
+    owner: str
+    interface: str
+    error: ErrorInfo | None = None
+    drops: int = 0
+
+
+class Ping(Call[Nothing], frozen=True):
+    """Are you there?"""

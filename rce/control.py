@@ -1,0 +1,249 @@
+"""Control connections between processes: typed two-way calls carried by Twisted's Perspective Broker.
+
+One Referenceable per process and direction, no object graph: a call is the name of its type and its fields as msgpack,
+in pages because PB refuses strings over 640 KiB. Errors cross as `ErrorInfo`. Both sides ping, so that a connection
+which died silently is noticed by both.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from typing import Any, Protocol, TypeVar, cast
+
+import msgspec
+from msgspec import Struct
+from twisted.internet import endpoints
+from twisted.internet.base import ReactorBase
+from twisted.internet.defer import Deferred
+from twisted.internet.interfaces import IListeningPort
+from twisted.logger import Logger
+from twisted.spread import pb
+
+from rce import calls
+from rce.calls import Call, Hello, Nothing, Ping, Welcome
+from rce.errors import ErrorInfo, InternalError, InvalidRequest, RceError, Unavailable
+
+PAGE = 500_000
+PING_EVERY = 5.0
+PING_TIMEOUT = 10.0
+BACKOFF_FIRST = 0.05
+BACKOFF_MOST = 1.0  # a Master that is back is found again within this time
+
+log = Logger()
+R = TypeVar("R")
+C = TypeVar("C", bound=Call[Any])
+Pages = list[bytes]
+call_types: dict[str, type[Call[Any]]] = {
+    kind.__name__: kind for kind in vars(calls).values() if isinstance(kind, type) and issubclass(kind, Call)
+}
+
+
+def _pages(value: Struct) -> Pages:
+    data = msgspec.msgpack.encode(value)
+    return [data[start : start + PAGE] for start in range(0, len(data), PAGE)]
+
+
+def _value(pages: Pages, kind: type[R]) -> R:
+    return msgspec.msgpack.decode(b"".join(pages), type=kind)
+
+
+class Handlers:
+    """What this process answers: one coroutine function for each type of call."""
+
+    def __init__(self) -> None:
+        self._handlers: dict[str, Callable[[Any], Awaitable[Struct]]] = {"Ping": _pong}
+
+    def on(self, kind: type[Call[R]], handler: Callable[[Any], Awaitable[R]]) -> None:
+        self._handlers[kind.__name__] = cast(Callable[[Any], Awaitable[Struct]], handler)
+
+    async def answer(self, name: str, pages: Pages) -> tuple[bool, Pages]:
+        """Whether it went well, and the result or the ErrorInfo."""
+        try:
+            handler = self._handlers.get(name)
+            if handler is None:
+                raise InvalidRequest(f"this process does not answer {name}")
+            try:
+                call = _value(pages, call_types[name])
+            except (msgspec.DecodeError, TypeError) as error:
+                raise InvalidRequest(f"{name}: {error}") from None
+            return True, _pages(await handler(call))
+        except RceError as error:
+            return False, _pages(error.info)
+        except Exception:  # noqa: BLE001  # the caller must hear of a defect here; the traceback stays in this process's log
+            log.failure("defect while answering {name}", name=name)
+            return False, _pages(InternalError(f"a defect while answering {name}; see the server's log").info)
+
+
+async def _pong(_: Ping) -> Nothing:
+    return Nothing()
+
+
+class _Door(pb.Referenceable):
+    """Our side's only remote object: takes the other side's calls."""
+
+    def __init__(self, handlers: Handlers) -> None:
+        self.handlers = handlers
+
+    def remote_call(self, name: str, pages: Pages) -> Deferred[tuple[bool, Pages]]:
+        return Deferred.fromFuture(asyncio.ensure_future(self.handlers.answer(name, pages)))
+
+
+class Control:
+    """The other side of one control connection."""
+
+    def __init__(self, door: pb.RemoteReference, address: str) -> None:
+        self.address = address
+        self.lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._door = door
+        self._pinger = asyncio.create_task(self._ping())
+        door.notifyOnDisconnect(self._gone)
+
+    async def call(self, call: Call[R]) -> R:
+        """Raises what the other side raised, or Unavailable when it is gone."""
+        name = type(call).__name__
+        try:
+            deferred = self._door.callRemote("call", name, _pages(call))
+            good, pages = await deferred.asFuture(asyncio.get_running_loop())
+        except (pb.DeadReferenceError, pb.PBConnectionLost):
+            raise Unavailable(f"the control connection to {self.address} was lost during {name}") from None
+        if not good:
+            raise RceError.from_info(_value(pages, ErrorInfo))
+        return _value(pages, calls.result_type(type(call)))
+
+    def close(self) -> None:
+        self._door.broker.transport.abortConnection()
+
+    def _gone(self, _: object) -> None:
+        self._pinger.cancel()
+        if not self.lost.done():
+            self.lost.set_result(None)
+
+    async def _ping(self) -> None:
+        while True:
+            await asyncio.sleep(PING_EVERY)
+            try:
+                await asyncio.wait_for(self.call(Ping()), PING_TIMEOUT)
+            except (TimeoutError, Unavailable):
+                log.warn(
+                    "no answer from {address} for {seconds} s: closing", address=self.address, seconds=PING_TIMEOUT
+                )
+                self.close()
+                return
+
+
+class Joiner(Protocol):
+    """Decides whether a process may join; returns its credential and what this side answers it."""
+
+    async def join(self, hello: Hello, address: str) -> tuple[Welcome, Handlers, Callable[[Control], None]]: ...
+
+
+class _Root(pb.Root):
+    """What a process that is not yet known may call: `join`."""
+
+    def __init__(self, joiner: Joiner) -> None:
+        self.joiner = joiner
+        self.broker: pb.Broker | None = None
+
+    def rootObject(self, broker: pb.Broker) -> _Root:
+        entrance = _Root(self.joiner)  # one a connection: it knows who is calling
+        entrance.broker = broker
+        return entrance
+
+    def remote_join(self, pages: Pages, door: pb.RemoteReference) -> Deferred[tuple[bool, Pages, _Door | None]]:
+        return Deferred.fromFuture(asyncio.ensure_future(self._join(pages, door)))
+
+    def _address(self) -> str:
+        transport = self.broker.transport if self.broker else None
+        peer = transport.getPeer() if transport else None  # type: ignore[misc]  # zope declares it without self
+        return f"{getattr(peer, 'host', 'local')}:{getattr(peer, 'port', 0)}"
+
+    async def _join(self, pages: Pages, door: pb.RemoteReference) -> tuple[bool, Pages, _Door | None]:
+        address = self._address()
+        try:
+            try:
+                hello = _value(pages, Hello)
+            except (msgspec.DecodeError, TypeError) as error:
+                raise InvalidRequest(f"join: {error}") from None
+            welcome, handlers, joined = await self.joiner.join(hello, address)
+        except RceError as error:
+            return False, _pages(error.info), None
+        # After the answer is on its way, so that the other side knows its door before the first call comes in.
+        asyncio.get_running_loop().call_soon(lambda: joined(Control(door, address)))
+        return True, _pages(welcome), _Door(handlers)
+
+
+async def listen(reactor: ReactorBase, description: str, joiner: Joiner) -> IListeningPort:
+    """Take control connections at a Twisted server endpoint (`tcp:8080:interface=127.0.0.1`, `ssl:8080:…`)."""
+    endpoint = endpoints.serverFromString(reactor, description)
+    port: IListeningPort = await endpoint.listen(pb.PBServerFactory(_Root(joiner))).asFuture(asyncio.get_running_loop())
+    return port
+
+
+async def connect(reactor: ReactorBase, description: str, hello: Hello, handlers: Handlers) -> tuple[Control, Welcome]:
+    """Join the Master at a Twisted client endpoint (`tcp:host:8080`, `tls:host:8080:trustRoots=/etc/rce/ca`).
+
+    Raises Unavailable when it cannot be reached, and what the Master says when it refuses.
+    """
+    loop = asyncio.get_running_loop()
+    factory = pb.PBClientFactory()
+    try:
+        await endpoints.clientFromString(reactor, description).connect(factory).asFuture(loop)
+        root = await factory.getRootObject().asFuture(loop)
+        good, pages, door = await root.callRemote("join", _pages(hello), _Door(handlers)).asFuture(loop)
+    except Exception as error:  # each transport has its own classes for this
+        if isinstance(error, asyncio.CancelledError):
+            raise
+        raise Unavailable(f"the Master at {description} cannot be reached: {error}") from None
+    if not good:
+        factory.disconnect()
+        raise RceError.from_info(_value(pages, ErrorInfo))
+    return Control(door, description), _value(pages, Welcome)
+
+
+class MasterLink:
+    """A process's connection to the Master, made again whenever it is lost; calls wait while it is away."""
+
+    def __init__(
+        self,
+        reactor: ReactorBase,
+        description: str,
+        hello: Callable[[], Hello],
+        handlers: Handlers,
+        welcomed: Callable[[Welcome], None],
+    ) -> None:
+        self._reactor = reactor
+        self._description = description
+        self._hello = hello
+        self._handlers = handlers
+        self._welcomed = welcomed
+        self._control: asyncio.Future[Control] = asyncio.get_running_loop().create_future()
+
+    async def run(self) -> None:
+        """Keep the connection; returns only by the error with which the Master refuses this process."""
+        pause = BACKOFF_FIRST
+        while True:
+            try:
+                control, welcome = await connect(self._reactor, self._description, self._hello(), self._handlers)
+            except Unavailable as error:
+                log.info("{error}; next try in {pause} s", error=str(error), pause=pause)
+                await asyncio.sleep(pause)
+                pause = min(2 * pause, BACKOFF_MOST)
+                continue
+            pause = BACKOFF_FIRST
+            self._welcomed(welcome)
+            self._control.set_result(control)
+            await control.lost
+            self._control = asyncio.get_running_loop().create_future()
+
+    async def call(self, call: Call[R], wait: float = 10.0) -> R:
+        """Ask the Master; while it is away, wait for it up to `wait` seconds, then Unavailable."""
+        try:
+            control = await asyncio.wait_for(asyncio.shield(self._control), wait)
+        except TimeoutError:
+            raise Unavailable(f"the Master has been away for {wait:g} s; try again later") from None
+        return await control.call(call)
+
+    @property
+    def connected(self) -> bool:
+        return self._control.done()

@@ -1,0 +1,61 @@
+"""Poses in the plane."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Points = NDArray[np.float64]  # (n, 2), metres
+
+
+def wrap_angle(angle: float) -> float:
+    """The same angle in [-pi, pi)."""
+    return (angle + math.pi) % (2 * math.pi) - math.pi
+
+
+class Pose(NamedTuple):
+    """A pose in the plane: `x`, `y` in metres, `theta` in radians."""
+
+    x: float
+    y: float
+    theta: float
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """Composition: `other`, given in the frame of `self`, in the frame in which `self` is given."""
+        c, s = math.cos(self.theta), math.sin(self.theta)
+        return Pose(
+            self.x + c * other.x - s * other.y, self.y + s * other.x + c * other.y, wrap_angle(self.theta + other.theta)
+        )
+
+    def inverse(self) -> Pose:
+        c, s = math.cos(self.theta), math.sin(self.theta)
+        return Pose(-c * self.x - s * self.y, s * self.x - c * self.y, wrap_angle(-self.theta))
+
+    def to(self, other: Pose) -> Pose:
+        """The motion from `self` to `other`, in the frame of `self`."""
+        return self.inverse() @ other
+
+    def transform(self, points: Points) -> Points:
+        """Points (n, 2) of the frame of `self` in the frame in which `self` is given."""
+        c, s = math.cos(self.theta), math.sin(self.theta)
+        return points @ np.array([[c, s], [-s, c]]) + (self.x, self.y)
+
+    def moved(self, distance: float, angle: float) -> bool:
+        """Whether a motion (see `to`) is longer than `distance` or turns by more than `angle`."""
+        return math.hypot(self.x, self.y) > distance or abs(self.theta) > angle
+
+
+ORIGIN = Pose(0.0, 0.0, 0.0)
+
+
+def interpolate(before: Pose, after: Pose, share: float) -> Pose:
+    """The pose at `share` (0..1) of the way between two poses, turning the shorter way."""
+    turn = wrap_angle(after.theta - before.theta)
+    return Pose(
+        before.x + share * (after.x - before.x),
+        before.y + share * (after.y - before.y),
+        wrap_angle(before.theta + share * turn),
+    )

@@ -1,0 +1,188 @@
+"""The inner loops, compiled by Numba.
+
+The signatures are given, so that importing this module compiles everything (under two seconds) and no scan waits for
+it; the machine code is cached on disk for the next process. Grids are indexed [row, column] = [y, x]. Coordinates are
+in cells: the centre of cell (row, column) is at (column, row). Callers see to it that all cells touched are inside.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TypeVar
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+F = TypeVar("F", bound=Callable[..., object])
+
+
+def compiled(signature: str) -> Callable[[F], F]:
+    """Compile now, for this signature. Without a directory that can be written there is no cache, only a slow start."""
+
+    def decorate(function: F) -> F:
+        try:
+            result: F = numba.njit(signature, cache=True)(function)
+        except RuntimeError as error:
+            if "cannot cache" not in str(error):
+                raise
+            result = numba.njit(signature)(function)
+        return result
+
+    return decorate
+
+
+@compiled("void(uint8[:,::1], float64[:,::1], float64)")
+def stamp_hits(field: NDArray[np.uint8], hits: NDArray[np.float64], sigma: float) -> None:
+    """Raise the likelihood field around each hit (n, 2) to 255 exp(-d^2 / 2 sigma^2); `sigma` and d in cells."""
+    reach = math.ceil(2.5 * sigma)
+    scale = -0.5 / (sigma * sigma)
+    for i in range(hits.shape[0]):
+        x, y = hits[i, 0], hits[i, 1]
+        column, row = math.floor(x + 0.5), math.floor(y + 0.5)
+        for r in range(row - reach, row + reach + 1):
+            for c in range(column - reach, column + reach + 1):
+                value = np.uint8(255.0 * math.exp(scale * ((c - x) ** 2 + (r - y) ** 2)) + 0.5)
+                if value > field[r, c]:
+                    field[r, c] = value
+
+
+@compiled("void(int16[:,::1], float64, float64, float64[:,::1], int64, int64, int64)")
+def trace_rays(
+    log_odds: NDArray[np.int16], x: float, y: float, hits: NDArray[np.float64], hit: int, miss: int, limit: int
+) -> None:
+    """Lower the cells between the sensor at (x, y) and each hit (n, 2) by `miss`, raise those hit by `hit`.
+
+    Cells are walked as by Amanatides and Woo, A Fast Voxel Traversal Algorithm (1987).
+    """
+    start_column, start_row = math.floor(x + 0.5), math.floor(y + 0.5)
+    for i in range(hits.shape[0]):
+        column, row = start_column, start_row
+        end_column, end_row = math.floor(hits[i, 0] + 0.5), math.floor(hits[i, 1] + 0.5)
+        dx, dy = hits[i, 0] - x, hits[i, 1] - y
+        step_x, step_y = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
+        delta_x = abs(1.0 / dx) if dx != 0.0 else 1e30
+        delta_y = abs(1.0 / dy) if dy != 0.0 else 1e30
+        next_x = (0.5 + step_x * (column - x)) * delta_x
+        next_y = (0.5 + step_y * (row - y)) * delta_y
+        for _ in range(abs(end_column - column) + abs(end_row - row)):
+            log_odds[row, column] = max(log_odds[row, column] - miss, -limit)
+            if next_x < next_y:
+                next_x += delta_x
+                column += step_x
+            else:
+                next_y += delta_y
+                row += step_y
+        log_odds[end_row, end_column] = min(log_odds[end_row, end_column] + hit, limit)
+
+
+@compiled(
+    "Tuple((float64, float64, float64, float64))(uint8[:,::1], float64[:,::1], "
+    "float64, float64, float64, int64, int64, int64, float64, float64, float64)"
+)
+def correlate(
+    field: NDArray[np.uint8],
+    points: NDArray[np.float64],
+    x: float,
+    y: float,
+    theta: float,
+    stride: int,
+    steps: int,
+    turns: int,
+    turn: float,
+    move_cost: float,
+    turn_cost: float,
+) -> tuple[float, float, float, float]:
+    """The best pose on a lattice around (x, y, theta), by exhaustive search (Olson, Real-Time Correlative Scan
+    Matching, 2009), and its score: the mean likelihood (0..1) of the points less the cost of leaving the centre.
+
+    The lattice has 2 steps + 1 places `stride` cells apart along x and y and 2 turns + 1 angles `turn` radians apart.
+    `points`: (n, 2), cells, frame of the robot. Costs: per square cell, per square radian.
+    """
+    height, width = field.shape
+    flat = field.ravel()
+    count = points.shape[0]
+    cells = np.empty(count, np.int64)
+    margin = stride * steps
+    best, best_x, best_y, best_theta = -1e30, x, y, theta
+    for a in range(-turns, turns + 1):
+        angle = theta + a * turn
+        c, s = math.cos(angle), math.sin(angle)
+        used = 0
+        for i in range(count):
+            column = math.floor(x + c * points[i, 0] - s * points[i, 1] + 0.5)
+            row = math.floor(y + s * points[i, 0] + c * points[i, 1] + 0.5)
+            if margin <= column < width - margin and margin <= row < height - margin:
+                cells[used] = row * width + column
+                used += 1
+        for v in range(-steps, steps + 1):
+            for u in range(-steps, steps + 1):
+                offset = stride * (v * width + u)
+                total = 0
+                for i in range(used):
+                    total += flat[cells[i] + offset]
+                cost = move_cost * stride * stride * (u * u + v * v) + turn_cost * (a * turn) ** 2
+                score = total / (255.0 * count) - cost
+                if score > best:
+                    best, best_x, best_y, best_theta = score, x + stride * u, y + stride * v, angle
+    return best_x, best_y, best_theta, best
+
+
+@compiled("float64[::1](uint8[:,::1], float64[:,::1], float64, float64, float64, int64)")
+def refine(
+    field: NDArray[np.uint8], points: NDArray[np.float64], x: float, y: float, theta: float, iterations: int
+) -> NDArray[np.float64]:
+    """Climb to the pose where the points are likeliest, by Gauss-Newton on the field interpolated between its cells
+    (Kohlbrecher et al., A Flexible and Scalable SLAM System with Full 3D Motion Estimation, 2011).
+
+    Returns x, y, theta, the mean likelihood there (0..1) and the upper triangle of the information matrix
+    (xx, xy, xt, yy, yt, tt; cells and radians, not scaled by the noise).
+    """
+    height, width = field.shape
+    count = points.shape[0]
+    likelihood = 0.0
+    xx = xy = xt = yy = yt = tt = 0.0
+    for _ in range(iterations):
+        c, s = math.cos(theta), math.sin(theta)
+        xx = yy = tt = 1e-3
+        xy = xt = yt = gx = gy = gt = likelihood = 0.0
+        for i in range(count):
+            rx = c * points[i, 0] - s * points[i, 1]
+            ry = s * points[i, 0] + c * points[i, 1]
+            column, row = math.floor(x + rx), math.floor(y + ry)
+            if not (0 <= column < width - 1 and 0 <= row < height - 1):
+                continue
+            u, v = x + rx - column, y + ry - row
+            m00, m10 = field[row, column] / 255.0, field[row, column + 1] / 255.0
+            m01, m11 = field[row + 1, column] / 255.0, field[row + 1, column + 1] / 255.0
+            dx = (1 - v) * (m10 - m00) + v * (m11 - m01)
+            dy = (1 - u) * (m01 - m00) + u * (m11 - m10)
+            dt = dy * rx - dx * ry
+            value = (1 - v) * ((1 - u) * m00 + u * m10) + v * ((1 - u) * m01 + u * m11)
+            likelihood += value
+            residual = 1.0 - value
+            xx += dx * dx
+            xy += dx * dy
+            xt += dx * dt
+            yy += dy * dy
+            yt += dy * dt
+            tt += dt * dt
+            gx += dx * residual
+            gy += dy * residual
+            gt += dt * residual
+        a, b, d = yy * tt - yt * yt, xt * yt - xy * tt, xy * yt - xt * yy
+        e, f, g = xx * tt - xt * xt, xy * xt - xx * yt, xx * yy - xy * xy
+        determinant = xx * a + xy * b + xt * d
+        if determinant <= 0.0:
+            break
+        step_x = (a * gx + b * gy + d * gt) / determinant
+        step_y = (b * gx + e * gy + f * gt) / determinant
+        step_t = min(max((d * gx + f * gy + g * gt) / determinant, -0.05), 0.05)
+        length = math.hypot(step_x, step_y)
+        if length > 2.0:  # the gradient says nothing about places further away than the field is wide
+            step_x, step_y = 2.0 * step_x / length, 2.0 * step_y / length
+        x, y, theta = x + step_x, y + step_y, theta + step_t
+        if length < 2e-3 and abs(step_t) < 1e-5:
+            break
+    return np.array([x, y, theta, likelihood / max(count, 1), xx, xy, xt, yy, yt, tt])

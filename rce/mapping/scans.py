@@ -1,0 +1,43 @@
+"""The record that every recording, the simulation and the ROS node give and every mapper takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rce.mapping.geometry import Points, Pose
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """One sweep of a planar laser, with the fields of `sensor_msgs/LaserScan`.
+
+    `ranges`: (n,) float32, metres; beam i points to `angle_min + i * angle_increment` in the frame of the robot. NaN,
+    infinite, not positive and anything from `range_max` on means that nothing was measured.
+    `odometry`: pose of the robot by its wheels at `stamp`, in a frame of its own that drifts; None where there is none.
+    """
+
+    stamp: float
+    ranges: NDArray[np.float32]
+    angle_min: float
+    angle_increment: float
+    range_max: float
+    odometry: Pose | None = None
+
+    def points(self, limit: float) -> Points:
+        """Where the beams ended that measured something nearer than `limit` metres: (m, 2), frame of the robot."""
+        bound = min(limit, self.range_max)
+        with np.errstate(invalid="ignore"):
+            good = (self.ranges > 0) & (self.ranges < bound)  # False for NaN
+        directions = beam_directions(len(self.ranges), self.angle_min, self.angle_increment)
+        return directions[good] * self.ranges[good, None].astype(np.float64)
+
+
+@lru_cache(maxsize=8)
+def beam_directions(count: int, angle_min: float, angle_increment: float) -> Points:
+    """Unit vectors (count, 2) of the beams in the frame of the robot."""
+    angles = angle_min + angle_increment * np.arange(count)
+    return np.stack([np.cos(angles), np.sin(angles)], axis=1)

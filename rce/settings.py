@@ -1,0 +1,90 @@
+"""Settings of a process: a struct of typed fields, filled from the command line, the environment and a TOML file.
+
+`ws_port` is `--ws-port` on the command line, `RCE_WS_PORT` in the environment and `ws_port = 9010` in the file that
+`--config` names; what stands earlier in this sentence wins. A wrong key or value is refused with its name and source.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from rce.errors import InvalidRequest
+
+S = TypeVar("S", bound=msgspec.Struct)
+PREFIX = "RCE_"
+
+
+def load(kind: type[S], program: str, arguments: Sequence[str], environment: Mapping[str, str] = os.environ) -> S:
+    """The settings of `program`; InvalidRequest says which value is wrong, where it stands and what it must be."""
+    described = {field.name: _described(field.type) for field in msgspec.structs.fields(kind)}
+    parser = argparse.ArgumentParser(prog=program, description=(kind.__doc__ or "").strip(), allow_abbrev=False)
+    parser.add_argument("--config", type=Path, metavar="FILE", help="TOML file with any of the settings below")
+    for field in msgspec.structs.fields(kind):
+        option = "--" + field.name.replace("_", "-")
+        sort, text = described[field.name]
+        text += "" if field.required else f" (default: {field.default})"
+        if isinstance(sort, msgspec.inspect.BoolType):
+            parser.add_argument(
+                option, action=argparse.BooleanOptionalAction, default=None, help=text.replace("%", "%%")
+            )
+        else:
+            parser.add_argument(option, metavar="VALUE", default=None, help=text.replace("%", "%%"))
+    given = vars(parser.parse_args(arguments))
+    config: Path | None = given.pop("config")
+    values: dict[str, Any] = {}
+    if config is not None:
+        _merge(kind, values, _read(config), str(config))
+    from_environment = {field: environment.get(PREFIX + field.upper()) for field in described}
+    _merge(kind, values, {key: value for key, value in from_environment.items() if value is not None}, "environment")
+    _merge(kind, values, {key: value for key, value in given.items() if value is not None}, "command line")
+    try:
+        return msgspec.convert(values, kind, strict=False)
+    except msgspec.ValidationError as error:
+        raise InvalidRequest(f"{program}: {error}") from None
+
+
+def load_or_exit(kind: type[S], program: str, arguments: Sequence[str] | None = None) -> S:
+    """`load` for a program's main: prints the error and ends with status 2, as argparse does."""
+    try:
+        return load(kind, program, sys.argv[1:] if arguments is None else arguments)
+    except InvalidRequest as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+
+
+def _described(annotation: Any) -> tuple[msgspec.inspect.Type, str]:
+    """The bare type of a field, and what its `Meta(description=…)` says."""
+    kind = msgspec.inspect.type_info(annotation)
+    description = ""
+    while isinstance(kind, msgspec.inspect.Metadata):
+        description = str((kind.extra_json_schema or {}).get("description", description))
+        kind = kind.type
+    return kind, description
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text())
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InvalidRequest(f"settings file {path}: {error}") from None
+
+
+def _merge(kind: type[msgspec.Struct], into: dict[str, Any], values: Mapping[str, Any], source: str) -> None:
+    fields = {field.name: field.type for field in msgspec.structs.fields(kind)}
+    for key, value in values.items():
+        if key not in fields:
+            raise InvalidRequest(f"{source}: unknown setting {key!r}; known are {', '.join(sorted(fields))}")
+        if isinstance(value, str) and isinstance(_described(fields[key])[0], msgspec.inspect.ListType):
+            value = [part for part in value.split(",") if part]
+        try:
+            into[key] = msgspec.convert(value, fields[key], strict=False)
+        except msgspec.ValidationError as error:
+            raise InvalidRequest(f"{source}: setting {key} = {value!r}: {error}", field=key) from None
