@@ -1,0 +1,71 @@
+"""Logging of a process: everything goes through `twisted.logger` to one stream, a line an event.
+
+On a terminal a line is for people; elsewhere it is a JSON object with `time`, `level`, `from`, `message`, the event's
+own fields and, with a failure, its `traceback`. What libraries send to Python's `logging` comes out the same way.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from datetime import datetime
+from typing import IO
+
+import msgspec
+from twisted.logger import (
+    FileLogObserver,
+    FilteringLogObserver,
+    LogEvent,
+    Logger,
+    LogLevel,
+    LogLevelFilterPredicate,
+    formatEvent,
+    globalLogBeginner,
+)
+
+_OWN = frozenset({"format", "time", "isError", "message"})  # keys that Twisted adds beside those that begin with log_
+
+
+def begin(stream: IO[str] = sys.stderr) -> None:
+    """Log to `stream` from now on; once a process."""
+    lines = FileLogObserver(stream, _for_people if stream.isatty() else _for_programs)
+    level = LogLevelFilterPredicate(LogLevel.info)
+    # mypy does not see that classes provide zope interfaces
+    from_info = FilteringLogObserver(lines, [level])  # type: ignore[arg-type,list-item]
+    globalLogBeginner.beginLoggingTo([from_info], redirectStandardIO=False)  # type: ignore[list-item]
+    logging.basicConfig(level=logging.INFO, handlers=[_FromLogging()], force=True)
+
+
+class _FromLogging(logging.Handler):
+    """Hands the records of Python's `logging` to Twisted's."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        level = LogLevel.lookupByName(record.levelname.lower().replace("warning", "warn"))
+        text = record.getMessage()
+        if record.exc_info:
+            text += "\n" + logging.Formatter().formatException(record.exc_info)
+        Logger(namespace=record.name).emit(level, "{text}", text=text)
+
+
+def _for_people(event: LogEvent) -> str:
+    time = datetime.fromtimestamp(event["log_time"]).strftime("%H:%M:%S.%f")[:-3]
+    line = f"{time} {event['log_level'].name:5} {event.get('log_namespace', '-')}: {formatEvent(event)}"
+    return f"{line}\n{_traceback(event)}\n" if "log_failure" in event else line + "\n"
+
+
+def _for_programs(event: LogEvent) -> str:
+    line = {
+        "time": datetime.fromtimestamp(event["log_time"]).astimezone().isoformat(timespec="milliseconds"),
+        "level": event["log_level"].name,
+        "from": event.get("log_namespace", ""),
+        "message": formatEvent(event),
+    }
+    line |= {key: value for key, value in event.items() if not key.startswith("log_") and key not in _OWN}
+    if "log_failure" in event:
+        line["traceback"] = _traceback(event)
+    return msgspec.json.encode(line, enc_hook=str).decode() + "\n"
+
+
+def _traceback(event: LogEvent) -> str:
+    text: str = event["log_failure"].getTraceback()
+    return text.rstrip()

@@ -1,0 +1,87 @@
+"""The event loop of a server process: uvloop, which asyncio and Twisted's reactor share.
+
+Twisted keeps one reactor a process and takes whichever is there when `twisted.internet.reactor` is first imported.
+So nothing imports that name: what needs the reactor is handed it by its main function.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+from collections.abc import Callable, Coroutine
+
+import uvloop
+from twisted.internet import asyncioreactor
+from twisted.internet.base import ReactorBase
+from twisted.logger import Logger
+
+from rce import logs
+from rce.errors import RceError
+
+log = Logger()
+Main = Callable[[ReactorBase], Coroutine[None, None, None]]
+
+
+def install(loop: asyncio.AbstractEventLoop) -> ReactorBase:
+    """Make Twisted's reactor run on `loop`; ReactorAlreadyInstalledError if something imported a reactor before."""
+    asyncioreactor.install(loop)
+    from twisted.internet import reactor
+
+    assert isinstance(reactor, ReactorBase)
+    return reactor
+
+
+def run(main: Main) -> int:
+    """Run `main` to its end and return the exit status of the process; logs go to standard error.
+
+    The first SIGINT or SIGTERM cancels `main`, which cleans up in its `finally`; later ones change nothing, because a
+    terminal's Ctrl-C and the parent's SIGTERM often arrive both. 0 when `main` returned or was stopped by a signal, 1
+    when it raised: an RceError is logged as its sentence, anything else with its traceback.
+    """
+    logs.begin()
+    loop = uvloop.new_event_loop()
+    asyncio.set_event_loop(loop)
+    reactor = install(loop)
+    outcome: list[int] = []
+
+    async def whole() -> None:
+        task = loop.create_task(main(reactor))
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, _stop, task, number)
+        outcome.append(await _status(task))
+        reactor.stop()
+
+    whole_task = loop.create_task(whole())
+    reactor.run(installSignalHandlers=False)
+    loop.run_until_complete(whole_task)
+    loop.run_until_complete(_end_tasks())
+    loop.run_until_complete(loop.shutdown_asyncgens())
+    loop.close()
+    return outcome[0]
+
+
+def _stop(task: asyncio.Task[None], number: int) -> None:
+    if not task.cancelling():
+        log.info("stopping on {signal}", signal=signal.Signals(number).name)
+        task.cancel()
+
+
+async def _status(task: asyncio.Task[None]) -> int:
+    try:
+        await task
+    except asyncio.CancelledError:
+        return 0
+    except RceError as error:
+        log.error("{error}", error=str(error), code=error.info.code)
+        return 1
+    except Exception:  # noqa: BLE001  # the last one who can tell: the process ends with status 1
+        log.failure("the process ends by a defect")
+        return 1
+    return 0
+
+
+async def _end_tasks() -> None:
+    left = asyncio.all_tasks() - {asyncio.current_task()}
+    for task in left:
+        task.cancel()
+    await asyncio.gather(*left, return_exceptions=True)

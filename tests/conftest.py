@@ -1,0 +1,52 @@
+"""One event loop for all tests, uvloop with Twisted's reactor on it, as in the server processes.
+
+A test that needs control connections, WebSockets or anything else of Twisted's asks for the fixture `reactor`. It fails
+when it leaves a delayed call of the reactor behind or when a failure was logged that it did not take from `failures`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Iterator
+
+import pytest
+import uvloop
+from twisted.internet.base import ReactorBase
+from twisted.logger import LogEvent, globalLogPublisher
+
+from rce import loop
+
+asyncio.set_event_loop_policy(uvloop.EventLoopPolicy())
+
+
+@pytest.fixture(scope="session", autouse=True)
+async def running_reactor() -> AsyncIterator[ReactorBase]:
+    """For all tests, so that it is there before anything imports `twisted.internet.reactor` and gets another one."""
+    reactor = loop.install(asyncio.get_running_loop())
+    reactor.startRunning(installSignalHandlers=False)
+    yield reactor
+    reactor.getThreadPool().stop()  # a real end of the reactor would stop the loop under pytest-asyncio
+
+
+@pytest.fixture
+def failures() -> Iterator[list[LogEvent]]:
+    """The failures that were logged during the test; a test that provokes one asserts on it and clears the list."""
+    seen: list[LogEvent] = []
+
+    def observe(event: LogEvent) -> None:
+        if "log_failure" in event:
+            seen.append(event)
+
+    globalLogPublisher.addObserver(observe)  # type: ignore[arg-type]  # mypy does not know zope's interfaces
+    yield seen
+    globalLogPublisher.removeObserver(observe)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def reactor(running_reactor: ReactorBase, failures: list[LogEvent]) -> Iterator[ReactorBase]:
+    """Twisted's reactor, running on the loop of the tests."""
+    before = set(running_reactor.getDelayedCalls())
+    yield running_reactor
+    left = set(running_reactor.getDelayedCalls()) - before
+    assert not left, f"delayed calls left over: {left}"
+    assert not failures, "logged: " + "\n".join(event["log_failure"].getTraceback() for event in failures)

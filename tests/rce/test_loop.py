@@ -1,0 +1,84 @@
+"""The loop of server processes, each time in a process of its own: a process has one reactor."""
+
+import asyncio
+import json
+import signal
+import subprocess
+import sys
+
+from twisted.internet.base import ReactorBase
+
+PROGRAM = """
+import asyncio, sys
+from rce import loop
+from rce.errors import Unavailable
+from twisted.internet.threads import deferToThreadPool
+
+async def main(reactor):
+    {body}
+
+sys.exit(loop.run(main))
+"""
+
+
+def run(body: str) -> subprocess.CompletedProcess[str]:
+    program = [sys.executable, "-P", "-c", PROGRAM.format(body=body)]
+    return subprocess.run(program, capture_output=True, text=True, timeout=30)
+
+
+def test_reactor_and_loop_are_one() -> None:
+    ended = run(
+        "called = deferToThreadPool(reactor, reactor.getThreadPool(), lambda: 42);"
+        "print(await called.asFuture(asyncio.get_running_loop()))"
+    )
+    assert (ended.returncode, ended.stdout) == (0, "42\n"), ended.stderr
+
+
+def test_an_error_is_logged_as_its_sentence() -> None:
+    ended = run("raise Unavailable('nobody there')")
+    event = json.loads(ended.stderr)
+    assert ended.returncode == 1
+    assert (event["level"], event["message"], event["code"]) == ("error", "nobody there", "unavailable")
+
+
+def test_a_defect_is_logged_with_its_traceback() -> None:
+    ended = run("1 / 0")
+    event = json.loads(ended.stderr)
+    assert ended.returncode == 1
+    assert "ZeroDivisionError" in event["traceback"]
+
+
+def test_records_of_python_logging_come_out_alike() -> None:
+    ended = run("import logging; logging.getLogger('lib').warning('odd %d', 7); logging.getLogger('lib').debug('no')")
+    event = json.loads(ended.stderr)
+    assert (event["level"], event["from"], event["message"]) == ("warn", "lib", "odd 7")
+
+
+async def test_a_signal_lets_main_clean_up() -> None:
+    body = """
+    try:
+        print('up', flush=True)
+        await asyncio.get_running_loop().create_future()
+    finally:
+        await asyncio.sleep(0.01)
+        print('down')
+    """
+    program = await asyncio.create_subprocess_exec(
+        sys.executable, "-P", "-c", PROGRAM.format(body=body), stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert program.stdout is not None
+    assert await program.stdout.readline() == b"up\n"
+    program.send_signal(signal.SIGINT)
+    program.send_signal(signal.SIGTERM)
+    out, _ = await asyncio.wait_for(program.communicate(), 30)
+    assert (program.returncode, out) == (0, b"down\n")
+
+
+async def test_tests_have_the_same_loop(reactor: ReactorBase) -> None:
+    loop = asyncio.get_running_loop()
+    from_thread = loop.create_future()
+    reactor.callInThread(reactor.callFromThread, from_thread.set_result, 42)
+    assert await from_thread == 42
+    called = loop.create_future()
+    reactor.callLater(0, called.set_result, True)
+    assert await called
