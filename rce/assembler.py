@@ -1,0 +1,189 @@
+"""The buffer of one connection in which text frames and the blobs that they refer to meet. No I/O, no waiting."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from rce.blobs import ID_SIZE, POSITION, Buffer, references
+from rce.errors import InvalidRequest, LimitExceeded, RceError, TimedOut
+from rce.messages import Frame
+
+_id = re.compile(rb"[0-9a-fA-F]{32}")
+
+
+class Limits(NamedTuple):
+    """What one connection may leave unfinished: ids awaited or held, bytes in all and of one message, seconds."""
+
+    blobs: int = 64
+    memory: int = 256 * 1024 * 1024
+    message: int = 64 * 1024 * 1024
+    age: float = 60.0
+
+
+class Assembled(NamedTuple):
+    """A frame whose blobs are all there."""
+
+    frame: Frame
+    blobs: Mapping[str, Buffer]
+
+
+class Dropped(NamedTuple):
+    """A frame that never got its blobs, or (`frame` is None) a blob that no frame asked for, and why it was dropped."""
+
+    frame: Frame | None
+    error: RceError
+
+
+class Outcome(NamedTuple):
+    """What a frame led to: the frame that it completed, and what was dropped because of it."""
+
+    complete: Assembled | None = None
+    dropped: Sequence[Dropped] = ()
+
+
+@dataclass(slots=True)
+class _Blob:
+    buffer: Buffer
+    filled: int
+
+    @property
+    def complete(self) -> bool:
+        return self.filled == len(self.buffer)
+
+
+@dataclass(slots=True, eq=False)
+class _Group:
+    """A frame with its blobs so far (None: nothing has come), or one blob whose frame has not come."""
+
+    frame: Frame | None
+    blobs: dict[str, _Blob | None]
+    size: int
+    touched: float = 0.0
+
+    def assembled(self) -> Assembled | None:
+        blobs = {name: blob.buffer for name, blob in self.blobs.items() if blob is not None and blob.complete}
+        return Assembled(self.frame, blobs) if self.frame is not None and len(blobs) == len(self.blobs) else None
+
+
+def _filled(blob: _Blob | None, offset: int, total: int, part: memoryview) -> _Blob:
+    """The blob with this part; a part at 0 begins it anew, and one that is all of it is not copied."""
+    if offset == 0:
+        blob = _Blob(part if len(part) == total else bytearray(total), 0)
+    assert blob is not None
+    if isinstance(blob.buffer, bytearray):
+        blob.buffer[offset : offset + len(part)] = part
+    blob.filled = offset + len(part)
+    return blob
+
+
+class Assembler:
+    """Joins the text and binary frames of one connection, whichever come first.
+
+    Too much or too old: what was touched least recently is dropped. Each arriving blob renews the time of its frame.
+    """
+
+    def __init__(self, time: Callable[[], float], *, parts: bool = False, limits: Limits | None = None) -> None:
+        self._time = time
+        self._parts = parts
+        self._limits = limits or Limits()
+        self._groups: dict[_Group, None] = {}  # least recently touched first
+        self._group_of: dict[str, _Group] = {}
+        self._memory = 0
+        self._ignored: dict[str, None] = {}  # ids of dropped blobs that may still be on their way
+
+    def frame(self, frame: Frame) -> Outcome:
+        """Take a text frame; one without references is complete at once. Raises InvalidRequest."""
+        try:
+            ids = references(frame.data, self._limits.blobs)
+        except LimitExceeded as error:
+            return Outcome(None, (Dropped(frame, error),))
+        if not ids:
+            return Outcome(Assembled(frame, {}))
+        group = _Group(frame, {}, len(memoryview(frame.data)))
+        lone = [self._group_of[name] for name in ids if name in self._group_of]
+        if any(other.frame is not None for other in lone):
+            raise InvalidRequest("the frame refers to a blob for which an earlier frame waits: use fresh ids")
+        for other in lone:
+            self._remove(other)
+            group.blobs.update(other.blobs)
+            group.size += other.size
+        group.blobs.update({name: None for name in ids if name not in group.blobs})
+        for name in ids:
+            self._ignored.pop(name, None)
+        return self._settle(group)
+
+    def blob(self, payload: Buffer) -> Outcome:
+        """Take a binary frame. Raises InvalidRequest when it is malformed or a part out of order."""
+        name, offset, total, part = self._split(payload)
+        group = self._group_of.get(name)
+        if group is None and name in self._ignored:
+            if offset + len(part) == total:
+                del self._ignored[name]
+            return Outcome()
+        before = group.blobs[name] if group is not None else None
+        if offset and (before is None or before.filled != offset or len(before.buffer) != total):
+            raise InvalidRequest(f"blob {name}: the part at {offset} does not continue what has come")
+        if group is None:
+            group = _Group(None, {name: None}, 0)
+        else:
+            self._remove(group)
+        if offset == 0:
+            group.size += total - (len(before.buffer) if before is not None else 0)
+        if group.size <= self._limits.message:
+            group.blobs[name] = _filled(before, offset, total, part)
+        return self._settle(group)
+
+    def sweep(self) -> Sequence[Dropped]:
+        """Drop what is too old; to be called every few seconds."""
+        oldest = self._time() - self._limits.age
+        old = [group for group in self._groups if group.touched <= oldest]
+        return [self._drop(group, TimedOut(f"unfinished for {self._limits.age:g} s")) for group in old]
+
+    def _split(self, payload: Buffer) -> tuple[str, int, int, memoryview]:
+        view = memoryview(payload)
+        head = ID_SIZE + (POSITION.size if self._parts else 0)
+        if len(view) < head or not _id.fullmatch(view[:ID_SIZE]):
+            raise InvalidRequest(f"a binary frame begins with an id of 32 hex digits ({head} bytes of head)")
+        name, part = str(view[:ID_SIZE], "ascii"), view[head:]
+        if not self._parts:
+            return name, 0, len(part), part
+        offset, total = POSITION.unpack_from(view, ID_SIZE)
+        if offset + len(part) > total or (total and not len(part)):
+            raise InvalidRequest(f"blob {name}: a part of {len(part)} bytes at {offset} of {total} cannot be")
+        return name, offset, total, part
+
+    def _settle(self, group: _Group) -> Outcome:
+        """Hand out a complete frame, or keep the group as the newest and make room for it."""
+        limits = self._limits
+        if group.size > limits.message:
+            why = f"a message of {group.size} bytes with its blobs exceeds {limits.message}"
+            return Outcome(None, (self._drop(group, LimitExceeded(why, bytes=limits.message)),))
+        complete = group.assembled()
+        if complete is not None:
+            return Outcome(complete)
+        group.touched = self._time()
+        self._groups[group] = None
+        self._group_of.update(dict.fromkeys(group.blobs, group))
+        self._memory += group.size
+        dropped: tuple[Dropped, ...] = ()
+        while len(self._group_of) > limits.blobs or self._memory > max(limits.memory, limits.message):
+            why = f"too much is unfinished: more than {limits.blobs} blobs or {limits.memory} bytes"
+            dropped += (self._drop(next(iter(self._groups)), LimitExceeded(why)),)
+        return Outcome(None, dropped)
+
+    def _drop(self, group: _Group, error: RceError) -> Dropped:
+        self._remove(group)
+        self._ignored.update((name, None) for name, blob in group.blobs.items() if blob is None or not blob.complete)
+        while len(self._ignored) > 4 * self._limits.blobs:
+            del self._ignored[next(iter(self._ignored))]
+        return Dropped(group.frame, error)
+
+    def _remove(self, group: _Group) -> None:
+        if group in self._groups:
+            del self._groups[group]
+            self._memory -= group.size
+            for name in group.blobs:
+                del self._group_of[name]
