@@ -244,9 +244,10 @@ class Hello(Struct, frozen=True):
     name: str
     token: str
     version: str
+    incarnation: str = ""  # made at the process's start: tells a restarted process from the one before
     host: str = ""  # identity of the machine: endpoints on one host link over UNIX sockets
     addresses: list[str] = []  # where the other endpoints reach this one's data port
-    url: str = ""  # Robot endpoint: where robots connect (ws://…)
+    url: str = ""  # Robot endpoint: where robots connect (ws://host:port/); an empty host is that of their request
     capacity: int = 0  # task set: slots
     features: list[str] = []  # task set: special features of the machine
     robots: list[str] = []  # Robot endpoint: those with a session, connected or in their grace time
@@ -309,11 +310,12 @@ class Describe(Call[Definitions], frozen=True):
 
 
 class NodeDied(Call[Nothing], frozen=True):
-    """A node of this environment ended by itself."""
+    """A node of this environment ended by itself, `seconds` after its start."""
 
     node: str
     status: int
     lines: list[str]
+    seconds: float = 0
 
 
 class LinkLost(Call[Nothing], frozen=True):

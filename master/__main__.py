@@ -1,0 +1,96 @@
+"""`python -P -m master`: the Master."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import secrets
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from msgspec import Meta, Struct
+from twisted.internet import endpoints
+from twisted.internet.base import ReactorBase
+from twisted.logger import Logger
+from twisted.web.server import Site
+
+from master.entry import Entry
+from master.records import Role
+from master.service import Master
+from master.store import Store
+from master.users import Users
+from rce import control, loop, settings
+from rce.errors import InvalidRequest
+
+log = Logger()
+
+
+class Settings(Struct):
+    """The Master: users, command graph, placement, the robots' HTTP entry."""
+
+    data_dir: Annotated[Path, Meta(description="directory for the database")]
+    http: Annotated[str, Meta(description="Twisted server endpoint of the entry; ssl:… for https")] = "tcp:9000"
+    control: Annotated[str, Meta(description="Twisted server endpoint for the platform's processes")] = (
+        "tcp:8080:interface=127.0.0.1"
+    )
+    database: Annotated[str, Meta(description="SQLAlchemy URL; a SQLite file in the data directory if empty")] = ""
+    grace: Annotated[float, Meta(ge=0, description="seconds for which a robot without a socket keeps its session")] = 10
+    dev: Annotated[bool, Meta(description="create the users admin/admin and testUser/testUser")] = False
+    tokens: Annotated[list[str], Meta(description="one-time join tokens role:process:token of processes to come")] = []
+
+
+async def serve(reactor: ReactorBase, options: Settings) -> None:
+    """Run until cancelled."""
+    options.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+    store = Store(options.database or f"sqlite:///{options.data_dir / 'master.db'}")
+    await store.open()
+    master = Master(store, options.grace)
+    await first_users(master.users, options.dev)
+    for entry in options.tokens:
+        role, process, token = _token(entry)
+        await master.processes.allow(process, role, token)
+    await master.start()
+    ports = [await control.listen(reactor, options.control, master)]
+    try:
+        site = Site(Entry(master.state))
+        endpoint = endpoints.serverFromString(reactor, options.http)
+        ports.append(await endpoint.listen(site).asFuture(asyncio.get_running_loop()))
+        log.info("Master listens at {http} and {control}", http=options.http, control=options.control)
+        await asyncio.Event().wait()
+    finally:
+        for port in ports:
+            port.stopListening()  # type: ignore[misc]  # zope declares it without self
+        await master.stop()
+        await store.close()
+
+
+async def first_users(users: Users, dev: bool) -> None:
+    """At the very first start: the development users, or an administrator with a password that is shown once."""
+    if await users.names():
+        return
+    if dev:
+        await users.add("admin", "admin", "admin")
+        await users.add("testUser", "testUser")
+        log.warn("development mode: users admin/admin and testUser/testUser exist; do not let others reach this Master")
+        return
+    password = secrets.token_urlsafe(15)
+    await users.add("admin", password, "admin")
+    print(f"The administrator is 'admin' with password '{password}'. It is not shown again.", flush=True)
+
+
+def _token(entry: str) -> tuple[Role, str, str]:
+    match entry.split(":"):
+        case ["robot" | "container" as role, process, token] if process and token:
+            return role, process, token
+    raise InvalidRequest("setting tokens: write each as role:process:token, role being robot or container")
+
+
+def main() -> int:
+    options = settings.load_or_exit(Settings, "rce master")
+    os.environ.pop("RCE_TOKENS", None)
+    return loop.run(lambda reactor: serve(reactor, options))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,172 @@
+"""Processes and robots come, go and come back: what is wanted is compared with what they say is there."""
+
+from __future__ import annotations
+
+from msgspec.structs import replace
+
+from master.effects import Outcome, Plan, Send
+from master.graph import remove_environment, remove_interfaces, start
+from master.placement import place
+from master.records import Environment, Process, Robot, State, at, user_of
+from master.wiring import Ids, bring_up, connections_of, deactivate, link_spec, routes_of, take_down
+from rce.calls import Bind, DropRobot, Hello, KeepEnvironments, Sync
+from rce.errors import AlreadyExists, NoCapacity
+from rce.names import check_tag
+
+
+def joined(state: State, process: Process, hello: Hello, ids: Ids) -> Plan:
+    """A process has connected: bring what it has in line with what is wanted."""
+    plan: Plan = []
+    before = state.processes.get(process.name)
+    if before is not None and before.incarnation != process.incarnation:
+        plan += take_down(state, process.name)
+    state.processes.put(process)
+    state.joined.add(process.name)
+    if process.role == "container":
+        return plan + _machine_joined(state, process, hello, ids)
+    if process.role == "robot":
+        plan += _settle_robots(state, process, hello)
+    owners = owners_at(state, process)
+    # First what it shall have, then the routes that were waiting for it: their sequences begin with links.
+    plan.append([Send(process.name, _sync(state, process, owners), "")])
+    return plan + bring_up(state, owners, ids)
+
+
+def owners_at(state: State, process: Process) -> list[str]:
+    """The robots or the environment that this endpoint process has."""
+    if process.role == "robot":
+        return [robot.name for robot in state.robots.by(at(process.name))]
+    return [process.name] if process.name in state.environments else []
+
+
+def _sync(state: State, process: Process, owners: list[str]) -> Sync:
+    interfaces = [interface for owner in owners for interface in state.interfaces.by(owner)]
+    return Sync(
+        interfaces=[interface.spec for interface in interfaces],
+        links=[link_spec(state, link, process.name) for link in state.links.by(process.name)],
+        routes=[route for interface in interfaces for route in routes_of(state, interface)],
+        nodes=[node.spec for owner in owners for node in state.nodes.by(owner)],
+        parameters=[parameter.spec for owner in owners for parameter in state.parameters.by(owner)],
+        robots=owners if process.role == "robot" else [],
+    )
+
+
+def left(state: State, process: str) -> None:
+    """A control connection is lost. Data goes on flowing: nothing is taken down until more is known."""
+    state.joined.discard(process)
+
+
+# --- environments -----------------------------------------------------------------------------------------------------
+
+
+def _machine_joined(state: State, process: Process, hello: Hello, ids: Ids) -> Plan:
+    wanted = {environment.name: environment for environment in state.environments.by(at(process.name))}
+    keep = [run for name, run in hello.environments.items() if name in wanted and wanted[name].run == run]
+    plan: Plan = [[Send(process.name, KeepEnvironments(keep), "")]]
+    for environment in wanted.values():
+        if environment.run not in keep:
+            plan += environment_down(state, environment)
+            if environment.name in state.environments:
+                plan += restart(state, environment, ids)
+    return plan
+
+
+def environment_down(state: State, environment: Environment) -> Plan:
+    """An environment died: its connections are down until it is started again, or it goes if `restart` is `no`."""
+    plan = take_down(state, environment.name)
+    state.joined.discard(environment.name)
+    state.processes.drop(environment.name)
+    if environment.options.restart == "no":
+        plan += remove_environment(state, environment)
+    return plan
+
+
+def restart(state: State, environment: Environment, ids: Ids) -> Plan:
+    """A new life on the best machine; without one it waits where it was, for that machine to come back."""
+    user = user_of(environment.name)
+    state.environments.drop(environment.name)  # its own slots count as free
+    try:
+        machine = place(state, user, environment.options)
+    except NoCapacity:
+        machine = environment.machine
+    again = replace(environment, run=ids(), machine=machine)
+    state.environments.put(again)
+    return [[start(again)]] if machine in state.joined else []
+
+
+# --- robots -----------------------------------------------------------------------------------------------------------
+
+
+def robot_arrived(
+    state: State, user: str, tag: str, endpoint: str, session: str, resume: str, ids: Ids
+) -> tuple[Outcome, bool]:
+    """A robot's socket at `endpoint`; `session` and `resume` are digests of its new and its presented token.
+
+    Returns what to do before the robot may go on, and whether it took its earlier session over.
+    Raises AlreadyExists if the robotID is in use: by an environment, or by a session that was not resumed.
+    """
+    check_tag(tag, "robotID")
+    name = f"{user}/{tag}"
+    if name in state.environments:
+        raise AlreadyExists(f"robotID {tag} is in use by an environment of yours", field="robotID")
+    present = state.robots.get(name)
+    if present is None:
+        state.robots.put(Robot(name, endpoint, session))
+        return Outcome([]), False
+    if not resume or resume != present.session:
+        raise AlreadyExists(
+            f"robotID {tag} is in use: by another socket, or until its grace time ends; a session token resumes it",
+            field="robotID",
+        )
+    moved = present.endpoint != endpoint
+    plan = _leave_endpoint(state, present) if moved else []
+    state.robots.put(Robot(name, endpoint, session))
+    if moved:
+        plan += [[Send(endpoint, Bind(interface.spec), interface.spec.id)] for interface in state.interfaces.by(name)]
+        plan += bring_up(state, [name], ids)
+    return Outcome(plan), True
+
+
+def _leave_endpoint(state: State, robot: Robot) -> Plan:
+    plan: Plan = []
+    for connection in connections_of(state, robot.name):
+        plan += deactivate(state, connection)
+    if robot.endpoint in state.joined:
+        plan.append([Send(robot.endpoint, DropRobot(robot.name, "resumed elsewhere"), robot.name)])
+    return plan
+
+
+def robot_left(state: State, name: str) -> Plan:
+    """A robot's grace time is over: its interfaces and connections go; its user's environments stay."""
+    if name not in state.robots:
+        return []
+    plan = remove_interfaces(state, name)
+    state.robots.drop(name)
+    return plan
+
+
+def endpoint_gone(state: State, process: str) -> tuple[Plan, list[str]]:
+    """A Robot endpoint does not come back: its robots have the grace time to appear elsewhere. Returns their names."""
+    plan = take_down(state, process)
+    stranded = [robot.name for robot in state.robots.by(at(process))]
+    for name in stranded:
+        state.robots.put(replace(state.robots[name], endpoint=""))
+    state.processes.drop(process)
+    return plan, stranded
+
+
+def _settle_robots(state: State, process: Process, hello: Hello) -> Plan:
+    """Robots that this endpoint should have but has not are stranded; those it has but should not are dropped."""
+    present = set(hello.robots)
+    plan: Plan = []
+    for robot in state.robots.by(at(process.name)):
+        if robot.name not in present:
+            for connection in connections_of(state, robot.name):
+                plan += deactivate(state, connection)
+            state.robots.put(replace(robot, endpoint=""))
+    return plan
+
+
+def stranded(state: State) -> list[str]:
+    """Robots without an endpoint: their grace time runs."""
+    return [robot.name for robot in state.robots.by(at(""))]

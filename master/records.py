@@ -1,0 +1,247 @@
+"""The command graph as records: everything that users asked for and that must outlive the Master.
+
+    User 1─* Environment, Robot      (one name space of tags per user)
+    Environment 1─* Node, Parameter
+    Environment, Robot 1─* Interface
+    Connection: two Interfaces of one user
+    Process: Robot endpoint, Environment endpoint, task set, as it last joined
+    Link: two Processes that share connections
+
+Keys are paths (`user/env/node`). Invariants stand at the records; the functions in `graph`, `wiring` and `presence`
+keep them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, Generic, Literal, Protocol, TypeVar
+
+from msgspec import Struct
+
+from rce.calls import InterfaceSpec, NodeSpec, ParameterSpec
+from rce.messages import ContainerData
+
+Role = Literal["robot", "container", "environment"]
+
+
+class Environment(Struct, frozen=True):
+    """An environment that is wanted. `run` names its present life; `machine` is the task set that has it."""
+
+    name: str  # user/tag
+    options: ContainerData
+    run: str
+    machine: str
+    address: str = ""  # in its network group
+
+    @property
+    def key(self) -> str:
+        return self.name
+
+
+class Robot(Struct, frozen=True):
+    """A robot with a session. `endpoint` is empty while it has lost its socket and its Robot endpoint too."""
+
+    name: str  # user/robotID
+    endpoint: str
+    session: str  # SHA-256 of the token that resumes the session
+
+    @property
+    def key(self) -> str:
+        return self.name
+
+
+class Node(Struct, frozen=True):
+    """A node that shall run in an environment."""
+
+    owner: str
+    spec: NodeSpec
+
+    @property
+    def key(self) -> str:
+        return f"{self.owner}/{self.spec.tag}"
+
+
+class Parameter(Struct, frozen=True):
+    """A parameter of an environment, or of one of its nodes."""
+
+    owner: str
+    spec: ParameterSpec
+
+    @property
+    def key(self) -> str:
+        return f"{self.owner}/{self.spec.key}"
+
+
+class Interface(Struct, frozen=True):
+    """An interface of a robot or an environment; its `owner` exists."""
+
+    spec: InterfaceSpec
+
+    @property
+    def key(self) -> str:
+        return f"{self.spec.owner}/{self.spec.tag}"
+
+
+class Connection(Struct, frozen=True):
+    """Two interfaces of one user that shall exchange messages; both exist.
+
+    `sender` and `receiver` are keys of interfaces, by the direction of topics and of service requests. `link` is the
+    data link that carries it, empty while one of the two sides is not there.
+    """
+
+    sender: str
+    receiver: str
+    link: str = ""
+
+    @property
+    def key(self) -> str:
+        return f"{self.sender} {self.receiver}"
+
+
+class Process(Struct, frozen=True):
+    """A process of the platform, as it last joined; `incarnation` tells a restarted one from the one before."""
+
+    name: str
+    role: Role
+    incarnation: str
+    host: str = ""
+    addresses: list[str] = []
+    url: str = ""
+    capacity: int = 0
+    features: list[str] = []
+
+    @property
+    def key(self) -> str:
+        return self.name
+
+
+class Link(Struct, frozen=True):
+    """A data link between two processes (or within one: `listener == dialler`, no key).
+
+    `alone_for` is the key of the connection that has it for itself because it must not drop (keep_all).
+    """
+
+    name: str
+    listener: str
+    dialler: str
+    incarnations: tuple[str, str]
+    key_hex: str
+    alone_for: str = ""
+
+    @property
+    def key(self) -> str:
+        return self.name
+
+
+class Record(Protocol):
+    """What a table holds."""
+
+    @property
+    def key(self) -> str: ...
+
+
+T = TypeVar("T", bound=Record)
+
+
+class Table(Generic[T]):
+    """Records of one kind by key, and by the terms that `terms` gives; notes what changed for the store."""
+
+    def __init__(self, kind: type[T], terms: Callable[[T], Iterable[str]]) -> None:
+        self.kind = kind
+        self.changed: set[str] = set()
+        self._records: dict[str, T] = {}
+        self._terms = terms
+        self._index: dict[str, dict[str, None]] = {}  # a dict as an ordered set: effects come out in a fixed order
+
+    def get(self, key: str) -> T | None:
+        return self._records.get(key)
+
+    def __getitem__(self, key: str) -> T:
+        return self._records[key]
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._records
+
+    def __iter__(self) -> Iterator[T]:
+        return iter(list(self._records.values()))
+
+    def __len__(self) -> int:
+        return len(self._records)
+
+    def by(self, term: str) -> list[T]:
+        """The records that have this term: their owner, user, side or process."""
+        return [self._records[key] for key in self._index.get(term, ())]
+
+    def put(self, record: T) -> None:
+        self.load(record)
+        self.changed.add(record.key)
+
+    def load(self, record: T) -> None:
+        """Put without noting a change: it comes from the store."""
+        self._forget(record.key)
+        self._records[record.key] = record
+        for term in self._terms(record):
+            self._index.setdefault(term, {})[record.key] = None
+
+    def drop(self, key: str) -> T | None:
+        record = self._forget(key)
+        if record is not None:
+            self.changed.add(key)
+        return record
+
+    def _forget(self, key: str) -> T | None:
+        record = self._records.pop(key, None)
+        if record is not None:
+            for term in self._terms(record):
+                self._index[term].pop(key)
+                if not self._index[term]:
+                    del self._index[term]
+        return record
+
+
+def user_of(name: str) -> str:
+    """The user part of `user/tag`."""
+    return name.partition("/")[0]
+
+
+def at(process: str) -> str:
+    """The term of what is at a process; no user's name begins so."""
+    return f"@{process}"
+
+
+def what(record: Record) -> str:
+    """Names a record among all kinds: what effects settle and what commands wait for."""
+    return f"{type(record).__name__} {record.key}"
+
+
+class State:
+    """All records, and which processes are there right now."""
+
+    def __init__(self) -> None:
+        self.environments = Table(Environment, lambda record: {user_of(record.name), at(record.machine)})
+        self.robots = Table(Robot, lambda record: {user_of(record.name), at(record.endpoint)})
+        self.nodes = Table(Node, lambda record: (record.owner,))
+        self.parameters = Table(Parameter, lambda record: (record.owner,))
+        self.interfaces = Table(Interface, lambda record: (record.spec.owner,))
+        self.connections = Table(Connection, lambda record: {record.sender, record.receiver, record.link} - {""})
+        self.processes = Table(Process, lambda record: (record.role,))
+        self.links = Table(Link, lambda record: {record.listener, record.dialler})
+        self.joined: set[str] = set()  # processes with a control connection
+
+    def tables(self) -> list[Table[Any]]:
+        return [
+            self.environments,
+            self.robots,
+            self.nodes,
+            self.parameters,
+            self.interfaces,
+            self.connections,
+            self.processes,
+            self.links,
+        ]
+
+    def host(self, owner: str) -> str:
+        """The endpoint process of a robot or environment if it is joined, else an empty string."""
+        robot = self.robots.get(owner)
+        process = robot.endpoint if robot else owner
+        return process if process in self.joined else ""

@@ -1,0 +1,146 @@
+"""What outlives the Master, in SQLite or PostgreSQL through SQLAlchemy: the graph's records, users, keys, tokens.
+
+One worker thread owns the database, so writes keep their order and the event loop never waits for a disk. Records
+changed while a write is under way go together in the next one.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
+
+import msgspec
+import sqlalchemy as sa
+from sqlalchemy.pool import StaticPool
+
+from master.records import State
+from rce.errors import InvalidRequest
+
+R = TypeVar("R")
+tables = sa.MetaData()
+
+records = sa.Table(
+    "records",
+    tables,
+    sa.Column("kind", sa.String(32), primary_key=True),
+    sa.Column("key", sa.String(1100), primary_key=True),
+    sa.Column("value", sa.Text, nullable=False),
+)
+users = sa.Table(
+    "users",
+    tables,
+    sa.Column("name", sa.String(255), primary_key=True),
+    sa.Column("password", sa.Text, nullable=False),  # argon2 of the SHA-256 hex
+    sa.Column("role", sa.String(16), nullable=False),
+    sa.Column("created", sa.Float, nullable=False),
+)
+api_keys = sa.Table(
+    "api_keys",
+    tables,
+    sa.Column("digest", sa.String(64), primary_key=True),  # SHA-256 of the key
+    sa.Column("id", sa.String(32), unique=True, nullable=False),
+    sa.Column("user", sa.String(255), sa.ForeignKey("users.name", ondelete="CASCADE"), index=True, nullable=False),
+    sa.Column("role", sa.String(16), nullable=False),
+    sa.Column("label", sa.Text, nullable=False),
+    sa.Column("created", sa.Float, nullable=False),
+    sa.Column("expires", sa.Float),
+)
+credentials = sa.Table(  # of processes: what they got for their join token
+    "credentials",
+    tables,
+    sa.Column("process", sa.String(600), primary_key=True),
+    sa.Column("role", sa.String(16), nullable=False),
+    sa.Column("digest", sa.String(64), nullable=False),
+)
+tokens = sa.Table(  # one-time join tokens; a used one stays, so that it is not taken for a new one
+    "tokens",
+    tables,
+    sa.Column("digest", sa.String(64), primary_key=True),
+    sa.Column("process", sa.String(600), nullable=False),
+    sa.Column("role", sa.String(16), nullable=False),
+    sa.Column("used", sa.Boolean, nullable=False),
+)
+
+
+class Store:
+    """`url` is SQLAlchemy's (`sqlite:////var/lib/rce/master.db`, `postgresql+psycopg://…`)."""
+
+    def __init__(self, url: str) -> None:
+        try:
+            parsed = sa.make_url(url)
+            memory = parsed.get_backend_name() == "sqlite" and parsed.database in (None, "", ":memory:")
+            self._engine = sa.create_engine(parsed, **({"poolclass": StaticPool} if memory else {}))
+        except (sa.exc.ArgumentError, sa.exc.NoSuchModuleError, ModuleNotFoundError) as error:
+            raise InvalidRequest(f"database {url!r} cannot be used: {error}", field="database") from None
+        if parsed.get_backend_name() == "sqlite":
+            sa.event.listen(self._engine, "connect", _tune_sqlite)
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="store")
+        self._waiting: dict[tuple[str, str], str | None] = {}
+        self._flush: asyncio.Task[None] | None = None
+
+    async def open(self) -> None:
+        """Make the tables that are missing."""
+        try:
+            await self._do(lambda: tables.create_all(self._engine))
+        except sa.exc.SQLAlchemyError as error:
+            raise InvalidRequest(f"database {self._engine.url!r} cannot be opened: {error}", field="database") from None
+
+    async def run(self, work: Callable[[sa.Connection], R]) -> R:
+        """`work` in a transaction of its own, in the database's thread."""
+
+        def transact() -> R:
+            with self._engine.begin() as connection:
+                return work(connection)
+
+        return await self._do(transact)
+
+    async def _do(self, work: Callable[[], R]) -> R:
+        return await asyncio.get_running_loop().run_in_executor(self._thread, work)
+
+    async def load(self, state: State) -> None:
+        """Fill an empty state."""
+        kinds = {table.kind.__name__: table for table in state.tables()}
+        for kind, value in await self.run(lambda db: list(db.execute(sa.select(records.c.kind, records.c.value)))):
+            table = kinds[kind]
+            table.load(msgspec.json.decode(value, type=table.kind))
+
+    async def save(self, state: State) -> None:
+        """Write what changed in `state`; returns once it is safe."""
+        for table in state.tables():
+            for key in table.changed:
+                record = table.get(key)
+                value = None if record is None else msgspec.json.encode(record).decode()
+                self._waiting[table.kind.__name__, key] = value
+            table.changed.clear()
+        if self._flush is None or self._flush.done():
+            self._flush = asyncio.create_task(self._write())
+        await asyncio.shield(self._flush)
+
+    async def _write(self) -> None:
+        while self._waiting:
+            rows, self._waiting = self._waiting, {}
+            await self.run(lambda db, rows=rows: _put(db, rows))  # type: ignore[misc]  # mypy: default of a lambda
+
+    async def close(self) -> None:
+        if self._flush is not None:
+            await self._flush
+        await self._do(self._engine.dispose)
+        self._thread.shutdown()
+
+
+def _put(connection: sa.Connection, rows: dict[tuple[str, str], str | None]) -> None:
+    keys = [{"k": kind, "n": key} for kind, key in rows]
+    connection.execute(
+        records.delete().where(records.c.kind == sa.bindparam("k"), records.c.key == sa.bindparam("n")), keys
+    )
+    fresh = [{"kind": kind, "key": key, "value": value} for (kind, key), value in rows.items() if value is not None]
+    if fresh:
+        connection.execute(records.insert(), fresh)
+
+
+def _tune_sqlite(connection: Any, _: object) -> None:
+    connection.execute("PRAGMA journal_mode=WAL")
+    connection.execute("PRAGMA synchronous=NORMAL")  # survives the death of the process; a power cut costs the last ms
+    connection.execute("PRAGMA foreign_keys=ON")
