@@ -18,8 +18,8 @@ from typing import NamedTuple, Protocol, cast
 from twisted.logger import Logger
 
 from endpoints.frames import Buffer, FrameReader, Message, pieces
-from endpoints.outbox import Outbox
 from rce.errors import LimitExceeded, Unavailable
+from rce.outbox import Outbox
 
 MAGIC = b"RCE1"
 GREETING = len(MAGIC) + 16
