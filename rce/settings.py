@@ -46,7 +46,7 @@ def load(kind: type[S], program: str, arguments: Sequence[str], environment: Map
     _merge(kind, values, {key: value for key, value in from_environment.items() if value is not None}, "environment")
     _merge(kind, values, {key: value for key, value in given.items() if value is not None}, "command line")
     try:
-        return msgspec.convert(values, kind, strict=False)
+        return msgspec.convert(values, kind, strict=False, dec_hook=_path)
     except msgspec.ValidationError as error:
         raise InvalidRequest(f"{program}: {error}") from None
 
@@ -70,6 +70,12 @@ def _described(annotation: Any) -> tuple[msgspec.inspect.Type, str]:
     return kind, description
 
 
+def _path(kind: type[Any], value: object) -> Path:
+    if kind is Path and isinstance(value, str | Path):
+        return Path(value).expanduser()
+    raise NotImplementedError(f"settings of type {kind} are not supported")
+
+
 def _read(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text())
@@ -85,6 +91,6 @@ def _merge(kind: type[msgspec.Struct], into: dict[str, Any], values: Mapping[str
         if isinstance(value, str) and isinstance(_described(fields[key])[0], msgspec.inspect.ListType):
             value = [part for part in value.split(",") if part]
         try:
-            into[key] = msgspec.convert(value, fields[key], strict=False)
+            into[key] = msgspec.convert(value, fields[key], strict=False, dec_hook=_path)
         except msgspec.ValidationError as error:
             raise InvalidRequest(f"{source}: setting {key} = {value!r}: {error}", field=key) from None
