@@ -1,0 +1,133 @@
+"""Generates the C, C++ and Python code of an interface package with the generators of rosidl.
+
+The generators come with the ROS 2 wheels. CMake and ament only carry arguments to them, so they are called directly.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import rosidl_generator_c  # type: ignore[import-untyped]
+import rosidl_generator_py  # type: ignore[import-untyped]
+import rosidl_generator_type_description  # type: ignore[import-untyped]
+import rosidl_typesupport_c  # type: ignore[import-untyped]
+import rosidl_typesupport_fastrtps_c  # type: ignore[import-untyped]
+import rosidl_typesupport_introspection_c  # type: ignore[import-untyped]
+from rosidl_adapter.msg import convert_msg_to_idl
+from rosidl_adapter.srv import convert_srv_to_idl
+from rosidl_cli.command.helpers import generate_visibility_control_file  # type: ignore[import-untyped]
+
+from provisioning import rosinstall
+from provisioning.definitions import Package
+from rce.errors import InternalError
+
+FASTRTPS = "rosidl_typesupport_fastrtps_c"
+INTROSPECTION = "rosidl_typesupport_introspection_c"
+CODE = ("rosidl_generator_c", FASTRTPS, INTROSPECTION, "rosidl_typesupport_c")
+PACKAGES = ("rosidl_generator_type_description", *CODE, "rosidl_generator_py")
+"""What the generated code depends on, beside the definitions."""
+
+
+@dataclass(frozen=True)
+class Code:
+    """Sources by the library that they become: messages and their serialization, their description, Python's side."""
+
+    messages: list[Path]
+    introspection: list[Path]
+    python: list[Path]
+
+
+def generate(package: Package, python: Path, share: Path, work: Path) -> Code:
+    """Write Python code to `python`/NAME, definitions to `share`/NAME, the rest to `work`/GENERATOR/NAME.
+
+    `share` must hold the definitions of those of its dependencies that are not installed. Raises InternalError: the
+    definitions were checked before, so a generator that fails is a defect.
+    """
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
+        try:
+            write_definitions(package, share / package.name)
+            write_code(package, python / package.name, share, work)
+        except Exception as error:  # the generators have no error class of their own
+            raise InternalError(f"code generation for {package.root} failed: {error}\n{output.getvalue()}") from error
+    return Code(
+        [source for name in CODE if name != INTROSPECTION for source in sources(work / name / package.name)],
+        sources(work / INTROSPECTION / package.name),
+        sources(python / package.name),
+    )
+
+
+def sources(directory: Path) -> list[Path]:
+    return sorted(path for path in directory.rglob("*") if path.suffix in (".c", ".cpp"))
+
+
+def write_definitions(package: Package, share: Path) -> None:
+    share.mkdir(parents=True)
+    shutil.copy(package.root / "package.xml", share)
+    for interface in package.interfaces:
+        target = share / interface.path
+        target.parent.mkdir(exist_ok=True)
+        shutil.copy(package.root / interface.path, target)
+        convert = convert_msg_to_idl if target.suffix == ".msg" else convert_srv_to_idl
+        convert(share.absolute(), package.name, interface.path, target.parent)
+
+
+def write_code(package: Package, python: Path, share: Path, work: Path) -> None:
+    python.mkdir(parents=True)
+    (python / "__init__.py").touch()
+    outputs = {name: work / name / package.name for name in CODE}
+    for name, output in outputs.items():
+        prepare(name, package.name, output)
+    outputs |= {"rosidl_generator_type_description": share / package.name, "rosidl_generator_py": python}
+    run_generators(generator_arguments(package, share), outputs)
+
+
+def prepare(generator: str, package: str, output: Path) -> None:
+    """Make the directory of a generator, with the header for symbols' visibility, which no generator writes."""
+    output.mkdir(parents=True)
+    if package.lower() != package:  # the generated code includes its headers in lower case
+        output.with_name(package.lower()).symlink_to(package)
+    header = f"{generator}__visibility_control.h"
+    template = rosinstall.required(generator) / "resource" / f"{header}.in"
+    if template.exists():
+        target = output / "msg" / header
+        generate_visibility_control_file(package_name=package, template_path=template, output_path=target)
+
+
+def generator_arguments(package: Package, share: Path) -> dict[str, str | list[str]]:
+    """What the generators are told, each the same (they take what they need), but for where to read and write."""
+    own = share / package.name
+    known = rosinstall.interface_packages() | {path.name: path for path in share.iterdir()}
+    idls = [interface.path.with_suffix(".idl") for interface in package.interfaces]
+    return {
+        "package_name": package.name,
+        "idl_tuples": [f"{own}:{idl}" for idl in idls],
+        "include_paths": [f"{name}:{path}" for name, path in known.items()],
+        "type_description_tuples": [f"{idl}:{own / idl.with_suffix('.json')}" for idl in idls],
+        "ros_interface_files": [str(own / interface.path) for interface in package.interfaces],
+        "target_dependencies": [],
+    }
+
+
+def run_generators(arguments: dict[str, str | list[str]], outputs: dict[str, Path]) -> None:
+    def run(package: str, generator: Callable[..., object], *more: list[str]) -> None:
+        output = outputs[package]
+        own = {"template_dir": str(rosinstall.required(package) / "resource"), "output_dir": str(output)}
+        with tempfile.NamedTemporaryFile("w", suffix=".json") as file:
+            json.dump(arguments | own, file)
+            file.flush()
+            generator(file.name, *more)
+
+    run("rosidl_generator_type_description", rosidl_generator_type_description.generate_type_hash)
+    run("rosidl_generator_c", rosidl_generator_c.generate_c)
+    run(FASTRTPS, rosidl_typesupport_fastrtps_c.generate_typesupport_fastrtps_c)
+    run(INTROSPECTION, rosidl_typesupport_introspection_c.generate_c)
+    run("rosidl_typesupport_c", rosidl_typesupport_c.generate_c, [FASTRTPS, INTROSPECTION])
+    run("rosidl_generator_py", rosidl_generator_py.generate_py, ["rosidl_typesupport_c"])

@@ -1,0 +1,202 @@
+"""Type support for ROS 2 messages and services that the installed packages lack, built once for each set of them.
+
+`python -m provisioning.typesupport [DIR…]` builds the packages that ship with RCE (tf2_msgs, map_msgs) and those in
+DIR, prints the prefix that holds the result, and lets the link `current` in the cache point to it. It knows messages
+and services; actions are left out, and named.
+"""
+
+from __future__ import annotations
+
+import argparse
+import fcntl
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+from provisioning import compiler, definitions, generate, rosinstall
+from provisioning.definitions import Package
+from rce.errors import InternalError, RceError
+
+FORMAT = 1  # raise it when the same input gives another result than before
+DEFAULT_CACHE = Path(sys.prefix) / "typesupport"
+RUNTIME = (
+    *generate.CODE[1:],
+    *("rosidl_typesupport_fastrtps_cpp", "rosidl_runtime_c", "rcutils", "rmw", "fastcdr"),
+)
+"""Libraries of ROS 2 that generated code calls."""
+SERVICES_USE = ("service_msgs", "builtin_interfaces")
+
+
+@dataclass(frozen=True)
+class TypeSupport:
+    """A prefix like those of installed ROS 2 packages; add it to `AMENT_PREFIX_PATH` to find definitions and nodes.
+
+    `python_path` is all that `PYTHONPATH` needs. `left_out` are files that are not supported: actions and IDL.
+    """
+
+    prefix: Path
+    left_out: tuple[Path, ...] = ()
+
+    @property
+    def python_path(self) -> Path:
+        return self.prefix / "python"
+
+
+def shipped() -> list[Path]:
+    """The interface packages that come with RCE, without those that are installed already."""
+    found = Path(__file__).with_name("interfaces").iterdir()
+    return sorted(path for path in found if path.is_dir() and rosinstall.share(path.name) is None)
+
+
+def build(roots: Sequence[Path], cache: Path = DEFAULT_CACHE) -> TypeSupport:
+    """Type support for the interface packages in the directories `roots`, from `cache` if nothing has changed.
+
+    Safe for several callers at once: one builds, the others wait. Raises InvalidRequest, InvalidName, UnknownType or
+    AlreadyExists for packages that are wrong (with file and line), NotFound without a compiler.
+    """
+    packages = definitions.read_packages(path.absolute() for path in roots)
+    prefix = cache.absolute() / cache_key(packages)
+    result = TypeSupport(prefix, tuple(path for package in packages for path in package.left_out))
+    if not prefix.exists():
+        with only_builder(cache) as workshop:
+            if not prefix.exists():
+                build_packages(packages, workshop)
+                workshop.rename(prefix)
+    return result
+
+
+def cache_key(packages: Sequence[Package]) -> str:
+    """A hash of all that the result depends on: these packages, what they use, the generators and Python."""
+    used = {reference for package in packages for reference in package.uses}
+    files = [path for package in packages for path in package.files]
+    files += [rosinstall.required(name) / "package.xml" for name in (*generate.PACKAGES, *SERVICES_USE)]
+    files += [
+        directory / "msg" / f"{name}.json" for package, name in sorted(used) if (directory := rosinstall.share(package))
+    ]
+    names = [package.name for package in packages]
+    digest = hashlib.sha256(repr((FORMAT, sys.version, platform.machine(), version("numpy"), names)).encode())
+    for path in files:
+        content = path.read_bytes()
+        digest.update(f"\0{path.parent.name}/{path.name}\0{len(content)}\0".encode() + content)
+    return digest.hexdigest()[:16]
+
+
+@contextmanager
+def only_builder(cache: Path) -> Iterator[Path]:
+    """Hold the cache's lock; gives an empty directory to build in. A builder that was killed leaves no lock behind."""
+    cache.mkdir(parents=True, exist_ok=True)
+    with (cache / ".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        workshop = cache.absolute() / ".building"
+        shutil.rmtree(workshop, ignore_errors=True)
+        workshop.mkdir()
+        try:
+            yield workshop
+        finally:
+            shutil.rmtree(workshop, ignore_errors=True)
+
+
+def build_packages(packages: Sequence[Package], prefix: Path) -> None:
+    """Build `packages`, each after those that it uses, into the empty directory `prefix`."""
+    (prefix / rosinstall.MARKER).touch()
+    work, python = prefix / "work", prefix / "python"
+    tools = compiler.Compiler(work / name for name in generate.CODE)
+    for package in packages:
+        code = generate.generate(package, python, prefix / "share", work)
+        link(package, code, tools, python)
+        register(package, prefix)
+    shutil.rmtree(work)
+    for path in (*python.rglob("*.c"), *python.rglob("*.o")):
+        path.unlink()
+    check_loadable(packages, python)
+
+
+def libraries(package: str, python: Path) -> list[Path]:
+    """Messages, introspection, Python's module. The first two have the names that the dispatching layer of ROS 2 asks
+    the loader for; it gets them wherever they are, because Python's module has them loaded before.
+    """
+    names = (f"lib{package}__{generate.FASTRTPS}", f"lib{package}__{generate.INTROSPECTION}", module_name(package))
+    return [python / package / f"{name}.so" for name in names]
+
+
+def module_name(package: str) -> str:
+    return f"{package}_s__rosidl_typesupport_c"
+
+
+def link(package: Package, code: generate.Code, tools: compiler.Compiler, python: Path) -> None:
+    """Compile and link the three libraries of a package."""
+    used: list[str | Path] = []
+    for name in sorted({reference.package for reference in package.uses}.union(SERVICES_USE)):
+        built = libraries(name, python)
+        used += built if built[0].exists() else [f"{name}__{kind}" for kind in (*generate.CODE, "rosidl_generator_py")]
+    used += RUNTIME
+    own: list[Path] = []
+    for target, sources in zip(
+        libraries(package.name, python), (code.messages, code.introspection, code.python), strict=True
+    ):
+        tools.link(target, tools.compile(sources), own, used)
+        own.append(target)
+
+
+def register(package: Package, prefix: Path) -> None:
+    """Enter the package in the ament index, and install its nodes where `ros2 run` and RCE look for them."""
+    index = prefix / "share" / "ament_index" / "resource_index"
+    for kind in ("packages", "rosidl_interfaces"):
+        (index / kind).mkdir(parents=True, exist_ok=True)
+        (index / kind / package.name).write_text("\n".join(str(item.path) for item in package.interfaces))
+    for script in package.scripts:
+        target = prefix / "lib" / package.name / script.name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(script, target)
+
+
+def check_loadable(packages: Sequence[Package], python: Path) -> None:
+    """Load every module with all its symbols, so that what is in the cache is known to work."""
+    modules = [f"{package.name}.{module_name(package.name)}" for package in packages]
+    kinds = sorted({f"{package.name}.{item.path.parent.name}" for package in packages for item in package.interfaces})
+    path = os.pathsep.join(filter(None, (str(python), os.environ.get("PYTHONPATH"))))
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", f"import {', '.join(modules + kinds)}"],
+        env={**os.environ, "PYTHONPATH": path, "LD_BIND_NOW": "1", "PYTHONDONTWRITEBYTECODE": "1"},
+        stderr=subprocess.PIPE,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        raise InternalError(f"the type support that was built cannot be loaded:\n{done.stderr}")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    options = argparse.ArgumentParser(prog="python -m provisioning.typesupport", description=__doc__)
+    options.add_argument("package", nargs="*", type=Path, metavar="DIR", help="directory of an interface package")
+    options.add_argument("--cache", type=Path, default=DEFAULT_CACHE, help="where results are kept (%(default)s)")
+    given = options.parse_args(arguments)
+    try:
+        result = build([*shipped(), *given.package], given.cache)
+    except RceError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    for path in result.left_out:
+        print(f"left out: {path}: only messages and services (.msg, .srv) are supported", file=sys.stderr)
+    point(given.cache / "current", result.prefix)
+    print(result.prefix)
+    return 0
+
+
+def point(link: Path, target: Path) -> None:
+    """Let the symbolic link `link` point to `target` from now on; a reader sees the one or the other."""
+    new = link.with_name(f".{link.name}-{os.getpid()}")
+    new.symlink_to(target.name)
+    new.rename(link)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,127 @@
+"""The script `provision`: its plan, its steps, what it says when one fails."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from importlib.machinery import SourceFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SCRIPT = ROOT / "provisioning" / "provision"
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """As much of a fresh checkout as the script looks at."""
+    (tmp_path / "provisioning").mkdir()
+    shutil.copy(SCRIPT, tmp_path / "provisioning")
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def script(checkout: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The script of the checkout as a module."""
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    loader = SourceFileLoader("provision", str(checkout / "provisioning" / "provision"))
+    spec = spec_from_loader("provision", loader)
+    assert spec is not None
+    module = module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, "provision", module)  # dataclasses look their module up
+    loader.exec_module(module)
+    module.begin_log()
+    return module
+
+
+def plan(checkout: Path, *arguments: str) -> str:
+    before = sorted(checkout.rglob("*"))
+    command = [sys.executable, str(checkout / "provisioning" / "provision"), *arguments]
+    done = subprocess.run(command, cwd=checkout, capture_output=True, text=True, check=True)
+    assert sorted(checkout.rglob("*")) == before
+    return done.stdout
+
+
+def test_dry_run_of_test_prints_the_plan_and_touches_nothing(checkout: Path) -> None:
+    lines = plan(checkout, "test", "--dry-run", "-k", "some thing", "tests/rce").splitlines()
+    names = ["system packages", "virtual env", "python packages", "type support"]
+    checks = ["ruff check", "ruff format", "mypy", "mypy provision", "run"]
+    assert [line[:16].strip() for line in lines] == names + checks
+    assert lines[-1].endswith("-m pytest -k 'some thing' tests/rce")
+    assert f"make {checkout}/.venv" in lines[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ((), "map --simulate --out {0}/rce-demo"),
+        (("--log", "a.clf", "--out", "maps"), "map {0}/a.clf --out {0}/maps"),
+        (("--seed", "3"), "map --simulate --out {0}/rce-demo --seed 3"),
+    ],
+)
+def test_dry_run_of_demo(checkout: Path, arguments: tuple[str, ...], expected: str) -> None:
+    assert plan(checkout, "demo", "--dry-run", *arguments).splitlines()[-1].endswith(expected.format(checkout))
+
+
+def test_steps_that_are_done_are_not_done_again(script: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    done: list[str] = []
+
+    def act() -> str:
+        done.append("second")
+        return "with a remark"
+
+    script.perform([script.Step("first", lambda: "", act), script.Step("second", lambda: "do it", act)])
+    assert done == ["second"]
+    first, second = capsys.readouterr().out.splitlines()
+    assert first.split() == ["first", "already", "done"]
+    assert second.startswith("second           with a remark (")
+
+
+def test_a_failed_step_shows_its_last_lines_and_the_log(script: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    program = "import sys; print(*range(1000), sep='\\n'); sys.exit(3)"
+    steps = [script.check_step("doomed", sys.executable, "-c", program), script.check_step("never", "true")]
+    with pytest.raises(script.Failed) as caught:
+        script.perform(steps)
+    assert capsys.readouterr().out.split() == ["doomed", "failed"]
+    text = str(caught.value)
+    assert text.startswith("970\n971\n")
+    assert "ended with status 3" in text
+    assert str(script.LOG) in text
+    assert "500" in script.LOG.read_text().splitlines()
+
+
+def test_a_program_that_is_not_there(script: ModuleType) -> None:
+    with pytest.raises(script.Failed, match="no-such-program cannot be run"):
+        script.run("no-such-program")
+
+
+def test_installed_until_pyproject_changes(script: ModuleType, checkout: Path) -> None:
+    script.PYTHON.parent.mkdir(parents=True)
+    script.PYTHON.touch()
+    assert not script.is_installed(["ros"])
+    script.STAMP.write_text(script.json.dumps(script.wanted_stamp(["ros", "server"])))
+    assert script.is_installed(["ros"])
+    assert not script.is_installed(["ros", "dev"])
+    with (checkout / "pyproject.toml").open("a") as file:
+        file.write("# changed\n")
+    assert not script.is_installed(["ros"])
+
+
+def test_without_root_it_says_what_is_missing(script: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(script, "IS_ROOT", False)
+    monkeypatch.setattr(script, "missing_debian", lambda tests: ["g++", "postgresql"])
+    assert "apt-get install g++ postgresql" in script.install_debian(tests=True)
+    monkeypatch.setattr(script, "missing_debian", lambda tests: ["python3.11-venv"])
+    with pytest.raises(script.Failed, match=r"as root: apt-get install python3\.11-venv"):
+        script.install_debian(tests=True)
+
+
+def test_an_old_python_is_refused(script: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "version_info", (3, 10, 2))
+    with pytest.raises(script.Failed, match=r"RCE runs on 3\.11 to 3\.13"):
+        script.check_python()
