@@ -96,6 +96,7 @@ class StreamLink(asyncio.BufferedProtocol):
     ) -> None:
         self.name = name
         self.opened: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self.broken = ""  # why, once it is
         self._deliver = deliver
         self._lost = lost
         self._reader = FrameReader()
@@ -165,7 +166,7 @@ class StreamLink(asyncio.BufferedProtocol):
     def connection_lost(self, exc: Exception | None) -> None:
         self._transport = None
         self._outbox.pause()
-        reason = str(exc) if exc else "closed by the other side"
+        self.broken = reason = str(exc) if exc else "closed by the other side"
         if not self.opened.done():
             self.opened.set_exception(Unavailable(f"link {self.name} was refused: {reason}"))
         self._lost(self, reason)

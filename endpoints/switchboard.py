@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import asyncio
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 
 import msgspec
 from twisted.logger import Logger
 
 from endpoints.frames import Message
 from endpoints.link import DataPort, Link, LoopLink, StreamLink
-from rce.calls import InterfaceSpec, LinkSpec, Route
+from rce.calls import InterfaceSpec, LinkSpec, Route, Sync
 from rce.errors import ErrorInfo, LimitExceeded, NotConnected, NotFound, RceError, Unavailable
 
 MAX_REQUESTS = 1000  # service messages of one interface that may wait for a link
@@ -106,16 +106,15 @@ class Switchboard:
 
     # interfaces
 
-    def bind(self, spec: InterfaceSpec, make: Callable[[InterfaceSpec], Interface]) -> Interface:
-        """The interface of this spec; one that is there with another spec is replaced."""
+    async def bind(self, spec: InterfaceSpec, make: Callable[[InterfaceSpec], Awaitable[Interface]]) -> None:
+        """Have the interface of this spec; one that is there with another spec is replaced."""
         key = bytes.fromhex(spec.id)
         present = self.interfaces.get(key)
-        if present is not None:
-            if present.spec == spec:
-                return present
-            self.unbind(spec.id)
-        interface = self.interfaces[key] = make(spec)
-        return interface
+        if present is not None and present.spec == spec:
+            return
+        interface = await make(spec)
+        self.unbind(spec.id)
+        self.interfaces[key] = interface
 
     def unbind(self, id: str) -> None:
         interface = self.interfaces.get(bytes.fromhex(id))
@@ -138,14 +137,16 @@ class Switchboard:
         if interface is None:
             raise NotFound(f"interface {route.interface} is not bound here")
         peer = bytes.fromhex(route.peer)
-        if peer in interface.peers:
+        if interface.peers.get(peer) is link:
             return
         first = not interface.peers
+        known = peer in interface.peers  # its link was replaced by this one
         interface.peers[peer] = link
         self._listeners.setdefault(peer, {})[interface] = route.link
         if first:
             interface.started()
-        interface.joined(peer)
+        if not known:
+            interface.joined(peer)
 
     def remove_route(self, interface: str, peer: str) -> None:
         found = self.interfaces.get(bytes.fromhex(interface))
@@ -171,12 +172,39 @@ class Switchboard:
             if name == link.name and (message.destination is None or message.destination == interface.id):
                 interface.receive(message, link)
 
+    async def sync(self, call: Sync, make: Callable[[InterfaceSpec], Awaitable[Interface]]) -> dict[str, ErrorInfo]:
+        """Have the interfaces, links and routes of this call and no others; returns what failed, by its name."""
+        failed: dict[str, ErrorInfo] = {}
+        for id in {interface.spec.id for interface in self.interfaces.values()} - {i.id for i in call.interfaces}:
+            self.unbind(id)
+        for name in set(self.links) - {link.name for link in call.links}:
+            self.close_link(name)
+        for link in call.links:
+            self.open_link(link)
+        for spec in call.interfaces:
+            try:
+                await self.bind(spec, make)
+            except RceError as error:
+                failed[spec.id] = error.info
+        wanted = {(route.interface, route.peer) for route in call.routes}
+        for interface in self.interfaces.values():
+            for peer in [peer for peer in interface.peers if (interface.spec.id, peer.hex()) not in wanted]:
+                self._part(interface, peer)
+        for route in call.routes:
+            try:
+                await self.add_route(route)
+            except RceError as error:  # the link or the interface failed: that has been said
+                log.info("route not restored: {error}", error=str(error))
+        return failed
+
     # links
 
     def open_link(self, spec: LinkSpec) -> None:
-        """Open or expect a link; an older one of the same name goes, and its routes pass to the new one."""
-        old = self.links.get(spec.name)
-        if isinstance(old, LoopLink):
+        """Open or expect a link; one that is there stays, and one that has broken is reported (again)."""
+        present = self.links.get(spec.name)
+        if isinstance(present, StreamLink) and present.broken:
+            self._link_lost(spec.name, present.broken)
+        if present is not None:
             return
         if not spec.key:
             self.links[spec.name] = LoopLink(spec.name, self.deliver)
@@ -184,9 +212,6 @@ class Switchboard:
         link = StreamLink(spec.name, self.deliver, self._lost)
         link.opened.add_done_callback(lambda opened: opened.exception())  # said by `dial` or by `_lost`
         self.links[spec.name] = link
-        if old is not None:
-            old.close()
-            self._move_routes(old, link)
         key = bytes.fromhex(spec.key)
         if spec.dial:
             task = asyncio.create_task(self._dial(link, key, spec.dial))
@@ -199,12 +224,6 @@ class Switchboard:
         link = self.links.pop(name, None)
         if link is not None:
             link.close()
-
-    def _move_routes(self, old: Link, new: Link) -> None:
-        for interface in self.interfaces.values():
-            for peer, link in interface.peers.items():
-                if link is old:
-                    interface.peers[peer] = new
 
     async def _dial(self, link: StreamLink, key: bytes, addresses: list[str]) -> None:
         try:

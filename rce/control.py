@@ -22,7 +22,7 @@ from twisted.spread import pb
 
 from rce import calls
 from rce.calls import Call, Hello, Nothing, Ping, Welcome
-from rce.errors import ErrorInfo, InternalError, InvalidRequest, RceError, Unavailable
+from rce.errors import ErrorInfo, InternalError, InvalidRequest, Lost, RceError, Unavailable
 
 PAGE = 500_000
 PING_EVERY = 5.0
@@ -100,13 +100,13 @@ class Control:
         door.notifyOnDisconnect(self._gone)
 
     async def call(self, call: Call[R]) -> R:
-        """Raises what the other side raised, or Unavailable when it is gone."""
+        """Raises what the other side raised, or Lost when it is gone."""
         name = type(call).__name__
         try:
             deferred = self._door.callRemote("call", name, _pages(call))
             good, pages = await deferred.asFuture(asyncio.get_running_loop())
         except (pb.DeadReferenceError, pb.PBConnectionLost):
-            raise Unavailable(f"the control connection to {self.address} was lost during {name}") from None
+            raise Lost(f"the control connection to {self.address} was lost during {name}") from None
         if not good:
             raise RceError.from_info(_value(pages, ErrorInfo))
         return _value(pages, calls.result_type(type(call)))
@@ -236,13 +236,20 @@ class MasterLink:
             await control.lost
             self._control = asyncio.get_running_loop().create_future()
 
+    async def issue(self, call: Call[R], wait: float = 10.0) -> asyncio.Task[R]:
+        """Send a call to the Master and return its coming answer; calls arrive in the order of their issue.
+
+        While the Master is away, wait for it up to `wait` seconds, then Unavailable.
+        """
+        if not self._control.done():
+            await asyncio.wait([self._control], timeout=wait)
+            if not self._control.done():
+                raise Unavailable(f"the Master has been away for {wait:g} s; try again later")
+        return asyncio.create_task(self._control.result().call(call))
+
     async def call(self, call: Call[R], wait: float = 10.0) -> R:
         """Ask the Master; while it is away, wait for it up to `wait` seconds, then Unavailable."""
-        try:
-            control = await asyncio.wait_for(asyncio.shield(self._control), wait)
-        except TimeoutError:
-            raise Unavailable(f"the Master has been away for {wait:g} s; try again later") from None
-        return await control.call(call)
+        return await (await self.issue(call, wait))
 
     @property
     def connected(self) -> bool:

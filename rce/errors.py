@@ -151,6 +151,12 @@ class Unavailable(RceError):
     code = "unavailable"
 
 
+class Lost(Unavailable):
+    """The connection broke before the answer came: it is not known whether the call was carried out."""
+
+    code = "lost"
+
+
 class TimedOut(RceError):
     """No answer in time."""
 

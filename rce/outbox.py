@@ -72,6 +72,11 @@ class Outbox(Generic[P]):
             queue.waiting.clear()
             self._release(queue)
 
+    def abandon(self) -> None:
+        """The stream broke: what had begun to leave is not begun again."""
+        for queue in self._queues.values():
+            queue.current = None
+
     def pause(self) -> None:
         self._open = False
 
