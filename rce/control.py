@@ -27,6 +27,7 @@ from rce.errors import ErrorInfo, InternalError, InvalidRequest, Lost, RceError,
 PAGE = 500_000
 PING_EVERY = 5.0
 PING_TIMEOUT = 10.0
+JOIN_TIMEOUT = 10.0
 BACKOFF_FIRST = 0.05
 BACKOFF_MOST = 1.0  # a Master that is back is found again within this time
 
@@ -188,13 +189,16 @@ async def connect(reactor: ReactorBase, description: str, hello: Hello, handlers
     loop = asyncio.get_running_loop()
     factory = pb.PBClientFactory()
     try:
-        await endpoints.clientFromString(reactor, description).connect(factory).asFuture(loop)
-        root = await factory.getRootObject().asFuture(loop)
-        good, pages, door = await root.callRemote("join", _pages(hello), _Door(handlers)).asFuture(loop)
-    except Exception as error:  # each transport has its own classes for this
-        if isinstance(error, asyncio.CancelledError):
+        async with asyncio.timeout(JOIN_TIMEOUT):
+            await endpoints.clientFromString(reactor, description).connect(factory).asFuture(loop)
+            root = await factory.getRootObject().asFuture(loop)
+            good, pages, door = await root.callRemote("join", _pages(hello), _Door(handlers)).asFuture(loop)
+    except BaseException as error:  # each transport has its own classes for this
+        factory.disconnect()
+        if not isinstance(error, Exception):
             raise
-        raise Unavailable(f"the Master at {description} cannot be reached: {error}") from None
+        reason = f"no answer within {JOIN_TIMEOUT:g} s" if isinstance(error, TimeoutError) else str(error)
+        raise Unavailable(f"the Master at {description} cannot be reached: {reason}") from None
     if not good:
         factory.disconnect()
         raise RceError.from_info(_value(pages, ErrorInfo))
@@ -231,9 +235,12 @@ class MasterLink:
                 pause = min(2 * pause, BACKOFF_MOST)
                 continue
             pause = BACKOFF_FIRST
-            self._welcomed(welcome)
-            self._control.set_result(control)
-            await control.lost
+            try:
+                self._welcomed(welcome)
+                self._control.set_result(control)
+                await control.lost
+            finally:
+                control.close()
             self._control = asyncio.get_running_loop().create_future()
 
     async def issue(self, call: Call[R], wait: float = 10.0) -> asyncio.Task[R]:
