@@ -1,0 +1,78 @@
+"""`python -P -m containers`: the Container task set of one machine."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from twisted.internet.base import ReactorBase
+
+from containers.engine import Ended, Engine
+from containers.process import ProcessEngine
+from containers.settings import Settings, check_isolation
+from containers.taskset import TaskSet
+from rce import loop
+from rce.credential import Credential
+from rce.errors import AlreadyExists, InvalidRequest
+from rce.settings import load_or_exit
+
+PROGRAM = "rce container"
+
+
+def main() -> int:
+    settings = load_or_exit(Settings, PROGRAM)
+    os.environ.pop("RCE_TOKEN", None)
+    try:
+        check_isolation(settings)
+    except InvalidRequest as error:
+        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        return 2
+    return loop.run(lambda reactor: serve(reactor, settings))
+
+
+async def serve(reactor: ReactorBase, settings: Settings) -> None:
+    """Run the task set that `settings` describe."""
+    directory = settings.data_dir.absolute()
+    with _sole_user(directory):
+        credential = Credential(directory / "container.credential", settings.token)
+        task_set = TaskSet(
+            reactor, settings.master, settings.own_name, credential, lambda ended: make_engine(settings, ended)
+        )
+        await task_set.run(stop_environments=settings.stop_environments)
+
+
+def make_engine(settings: Settings, ended: Callable[[Ended], None]) -> Engine:
+    """The engine that `settings` name."""
+    return ProcessEngine(
+        settings.size,
+        settings.features,
+        ended,
+        root=settings.data_dir.absolute() / "environments",
+        settings={
+            "master": settings.master,
+            "package_path": ",".join(settings.package_path),
+            "typesupport": settings.typesupport,
+        },
+    )
+
+
+@contextmanager
+def _sole_user(directory: Path) -> Iterator[None]:
+    """Two task sets with one directory would take each other's environments for leftovers."""
+    directory.mkdir(parents=True, exist_ok=True, mode=0o700)
+    with (directory / "container.lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise AlreadyExists(
+                f"another task set works in {directory}; give this one a directory of its own"
+            ) from None
+        yield
+
+
+if __name__ == "__main__":
+    sys.exit(main())

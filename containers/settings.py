@@ -1,0 +1,63 @@
+"""Settings of the Container task set."""
+
+from __future__ import annotations
+
+import re
+import socket
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+from rce.errors import InvalidRequest
+
+_HOST = re.compile(r"(?:tcp|ssl|tls):(?:host=)?((?:[^:\\]|\\.)*)")
+
+
+class Settings(Struct, frozen=True):
+    """RCE Container task set: starts and stops the environments of one machine."""
+
+    data_dir: Annotated[Path, Meta(description="directory for all that this task set keeps")]
+    master: Annotated[str, Meta(description="control address of the Master, a Twisted client endpoint")] = (
+        "tcp:127.0.0.1:8080"
+    )
+    name: Annotated[str, Meta(description="name of this task set, unique on the platform; empty: the host's name")] = ""
+    token: Annotated[str, Meta(description="one-time join token; better by the environment than on a command line")] = (
+        ""
+    )
+    engine: Annotated[Literal["process"], Meta(description="what runs the environments: process")] = "process"
+    size: Annotated[int, Meta(ge=1, description="slots for environments on this machine")] = 10
+    features: Annotated[list[str], Meta(description="special features of this machine, comma-separated")] = []
+    package_path: Annotated[list[str], Meta(description="directories with ROS 2 packages, comma-separated")] = []
+    typesupport: Annotated[str, Meta(description="directory with built type support of messages and services")] = ""
+    allow_unisolated: Annotated[bool, Meta(description="process engine: serve a Master on another machine too")] = False
+    stop_environments: Annotated[
+        bool, Meta(description="stop the environments at exit, else the next start adopts them")
+    ] = False
+
+    @property
+    def own_name(self) -> str:
+        return self.name or socket.gethostname()
+
+
+def check_isolation(settings: Settings) -> None:
+    """InvalidRequest if the process engine would let users from elsewhere run programs as this user."""
+    if settings.engine == "process" and not settings.allow_unisolated and not is_local(settings.master):
+        raise InvalidRequest(
+            f"the process engine runs users' programs as this user, so it serves a Master on this machine only, and "
+            f"{settings.master} is not on a loopback address: use another engine, or --allow-unisolated",
+            field="master",
+        )
+
+
+def is_local(description: str) -> bool:
+    """Whether a Twisted client endpoint leads to this machine for certain."""
+    if description.startswith("unix:"):
+        return True
+    match = _HOST.match(description)
+    host = re.sub(r"\\(.)", r"\1", match[1]) if match else ""
+    try:
+        return host == "localhost" or ip_address(host).is_loopback
+    except ValueError:
+        return False

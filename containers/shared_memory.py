@@ -1,0 +1,49 @@
+"""Shared memory that Fast DDS leaves behind when a participant is killed.
+
+A participant holds an exclusive lock on `fastdds_<16 hex>_el` as long as it lives; its segment `fastdds_<16 hex>` may
+have hundreds of megabytes. What `fastdds shm clean` does for the whole host is done here whenever an environment goes.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+import time
+from pathlib import Path
+
+SHARED_MEMORY = Path("/dev/shm")
+LOCK = re.compile(r"(fastdds_[0-9a-f]{16})_el")
+PORT = re.compile(r"(?:sem\.)?fastdds_port(\d+)(?:_el|_sl|_mutex)?")
+YOUNG = 1.0  # a participant that starts has made its lock file, but has not locked it yet
+
+
+def clean(directory: Path = SHARED_MEMORY) -> None:
+    """Remove this user's segments whose participants are dead."""
+    for path in _own(directory, LOCK):
+        if time.time() - path.stat().st_mtime > YOUNG and _is_free(path):
+            path.with_name(path.name.removesuffix("_el")).unlink(missing_ok=True)
+            path.unlink(missing_ok=True)
+
+
+def clean_ports(domain: int, directory: Path = SHARED_MEMORY) -> None:
+    """Remove the ports of a ROS domain in which nobody is any more (port numbers: RTPS 2.5, 9.6.2.3)."""
+    for path in _own(directory, PORT):
+        match = PORT.fullmatch(path.name)
+        if match and (int(match[1]) - 7400) // 250 == domain:
+            path.unlink(missing_ok=True)
+
+
+def _own(directory: Path, pattern: re.Pattern[str]) -> list[Path]:
+    with os.scandir(directory) as entries:
+        mine = [each for each in entries if pattern.fullmatch(each.name) and each.stat().st_uid == os.geteuid()]
+    return [Path(each.path) for each in mine]
+
+
+def _is_free(lock: Path) -> bool:
+    with lock.open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+    return True

@@ -1,0 +1,108 @@
+"""The Container task set towards the Master: joins it, does what it asks, reports what ends by itself."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from importlib.metadata import version
+from uuid import uuid4
+
+from twisted.internet.base import ReactorBase
+from twisted.logger import Logger
+
+from containers.engine import Ended, Engine
+from rce.calls import EnvironmentDied, Hello, KeepEnvironments, Nothing, StartEnvironment, StopEnvironment
+from rce.control import Handlers, MasterLink
+from rce.credential import Credential
+from rce.errors import RceError, Unauthorized
+
+log = Logger()
+MakeEngine = Callable[[Callable[[Ended], None]], Engine]
+
+
+class TaskSet:
+    """One machine's environments, in the Master's service."""
+
+    def __init__(
+        self, reactor: ReactorBase, master: str, name: str, credential: Credential, make_engine: MakeEngine
+    ) -> None:
+        self._name = name
+        self._credential = credential
+        self._incarnation = uuid4().hex
+        self._engine = make_engine(self._ended)
+        self._reports: set[asyncio.Task[None]] = set()
+        handlers = Handlers()
+        handlers.on(StartEnvironment, self._start)
+        handlers.on(StopEnvironment, self._stop)
+        handlers.on(KeepEnvironments, self._keep)
+        self._link = MasterLink(reactor, master, self._hello, handlers, credential.keep)
+
+    async def run(self, *, stop_environments: bool) -> None:
+        """Serve the Master until cancelled or refused (its error is raised).
+
+        At the end the environments are stopped, or run on until the next task set of this machine adopts them.
+        """
+        await self._engine.open()
+        log.info("{count} environments adopted", count=len(self._engine.running()))
+        try:
+            await self._serve()
+        finally:
+            if stop_environments:
+                await self._engine.keep([])
+            for report in self._reports:
+                report.cancel()
+            await self._engine.close()
+
+    async def _serve(self) -> None:
+        try:
+            await self._link.run()
+        except Unauthorized as error:
+            if not self._credential.forget():
+                raise
+            log.warn("{error}; the stored credential is dropped and the join token tried", error=str(error))
+            await self._link.run()
+
+    def _hello(self) -> Hello:
+        return Hello(
+            role="container",
+            name=self._name,
+            token=self._credential.secret,
+            version=version("rce"),
+            incarnation=self._incarnation,
+            capacity=self._engine.capacity,
+            features=sorted(self._engine.features),
+            environments={name: life.run for name, life in self._engine.running().items()},
+        )
+
+    async def _start(self, call: StartEnvironment) -> Nothing:
+        spec = call.environment
+        try:
+            await self._engine.start(spec)
+        except RceError as error:
+            log.warn("{name} was not started: {error}", name=spec.name, run=spec.run, error=str(error))
+            raise
+        log.info("{name} is started", name=spec.name, run=spec.run)
+        return Nothing()
+
+    async def _stop(self, call: StopEnvironment) -> Nothing:
+        await self._engine.stop(call.name)
+        log.info("{name} is stopped", name=call.name)
+        return Nothing()
+
+    async def _keep(self, call: KeepEnvironments) -> Nothing:
+        await self._engine.keep(call.runs)
+        return Nothing()
+
+    def _ended(self, ended: Ended) -> None:
+        reason = "\n".join([ended.reason, *ended.lines])
+        log.warn("{name}: {reason}", name=ended.name, run=ended.run, reason=reason)
+        report = asyncio.create_task(self._report(EnvironmentDied(ended.name, ended.run, reason)))
+        self._reports.add(report)
+        report.add_done_callback(self._reports.discard)
+
+    async def _report(self, died: EnvironmentDied) -> None:
+        try:
+            await self._link.call(died)
+        except RceError as error:
+            # It learns of it when this task set joins again: the run is not among those that its Hello names.
+            log.info("the Master was not told of the end of {name}: {error}", name=died.name, error=str(error))

@@ -1,0 +1,88 @@
+"""The fakes: the well-behaved one keeps the contract, the others break it as their names say."""
+
+import asyncio
+from collections.abc import Callable
+
+import pytest
+from engine_contract import CAPACITY, FEATURES, Endings, EngineContract, World, spec
+
+from containers.engine import Ended, Engine
+from containers.fake import DyingEngine, FailingEngine, FakeEngine, FakeMachine, NeverEngine, SlowEngine
+from rce.calls import EnvironmentSpec
+from rce.errors import StartFailed
+
+
+class FakeWorld(World):
+    def __init__(self) -> None:
+        self.machine = FakeMachine()
+
+    def engine(self, ended: Callable[[Ended], None]) -> Engine:
+        return FakeEngine(CAPACITY, FEATURES, ended, self.machine)
+
+    def break_start(self, engine: Engine) -> None:
+        async def launch(spec: EnvironmentSpec) -> None:
+            self.machine.leftovers[spec.name] = spec.run
+            raise StartFailed(f"environment {spec.name} did not start")
+
+        engine.launch = launch  # type: ignore[method-assign]
+
+    async def end(self, name: str) -> None:
+        self.machine.end(name, 3)
+
+    def there(self) -> set[str]:
+        return {*self.machine.running, *self.machine.leftovers}
+
+    def alive(self) -> dict[str, str]:
+        return {name: life.run for name, life in self.machine.running.items()}
+
+
+class TestFakeEngine(EngineContract):
+    @pytest.fixture
+    def world(self) -> World:
+        return FakeWorld()
+
+    async def test_a_half_started_one_is_removed(self, world: FakeWorld) -> None:
+        world.machine.leftovers["ann/map"] = spec().run
+        engine = world.engine(Endings())
+        await engine.open()
+        assert world.there() == set()
+        await engine.close()
+
+
+async def test_slow_starts_when_told() -> None:
+    engine = SlowEngine(1, (), Endings())
+    await engine.open()
+    start = asyncio.create_task(engine.start(spec()))
+    await asyncio.sleep(0)
+    assert engine.running() == {}
+    engine.go.set()
+    await start
+    assert set(engine.running()) == {"ann/map"}
+
+
+async def test_never_can_be_stopped() -> None:
+    engine = NeverEngine(1, (), Endings())
+    await engine.open()
+    start = asyncio.create_task(engine.start(spec()))
+    await asyncio.sleep(0)
+    await engine.stop("ann/map")
+    with pytest.raises(StartFailed):
+        await start
+    assert engine.machine.leftovers == {}
+
+
+async def test_failing_leaves_nothing() -> None:
+    engine = FailingEngine(1, (), Endings())
+    await engine.open()
+    with pytest.raises(StartFailed, match="no such image"):
+        await engine.start(spec())
+    assert engine.machine.leftovers == {}
+
+
+async def test_dying_starts_and_ends() -> None:
+    endings = Endings()
+    engine = DyingEngine(1, (), endings)
+    await engine.open()
+    await engine.start(spec())
+    assert (await endings.next()).status == 1
+    assert engine.running() == {}
