@@ -1,0 +1,110 @@
+"""Where a message's values lie in CDR (XCDR version 1, OMG DDS-XTypes 1.3, 7.4.1): each primitive on a multiple of its
+size, counted from the end of the 4-byte encapsulation header; structures have no alignment of their own.
+
+Neighbouring scalars, also of nested structures, form one `Run`: a single `struct` format with its padding. A run ends
+where the padding depends on the data before it. All else is an `Item`. An empty structure is one byte (rosidl puts a
+filler into it, for C has no empty structures).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple, TypeAlias
+
+from converters.definition import CODES, STRINGS, Shape
+from converters.fitting import join
+from converters.model import Member, Message
+
+
+class Leaf(NamedTuple):
+    """One scalar: the attributes that lead to it from the message, its path in ROS names, its format character."""
+
+    attrs: tuple[str, ...]
+    path: str
+    code: str
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """`mask` + 1 is the alignment of the first byte, 1 where the layout itself guarantees it."""
+
+    mask: int
+    struct: struct.Struct
+    leaves: tuple[Leaf, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """A string, an array, a sequence or a structure that is not inlined."""
+
+    attrs: tuple[str, ...]
+    path: str
+    member: Member
+
+
+Step: TypeAlias = Run | Item
+
+
+@dataclass(slots=True)
+class _Layout:
+    """What is known of the position: it is `offset` modulo `modulus`."""
+
+    modulus: int
+    offset: int = 0
+    steps: list[Step] = field(default_factory=list)
+    mask: int = 0
+    format: str = ""
+    leaves: list[Leaf] = field(default_factory=list)
+
+    def scalar(self, leaf: Leaf) -> None:
+        size = struct.calcsize(leaf.code)
+        if size > self.modulus:
+            self.close()
+            self.mask, self.modulus, self.offset = size - 1, size, 0
+        padding = -self.offset % size
+        self.format += f"{padding}x{leaf.code}" if padding else leaf.code
+        self.leaves.append(leaf)
+        self.offset += padding + size
+
+    def filler(self) -> None:
+        self.format += "x"
+        self.offset += 1
+
+    def item(self, item: Item) -> None:
+        self.close()
+        self.steps.append(item)
+        self.modulus, self.offset = 1, 0
+
+    def close(self) -> None:
+        if self.format:
+            self.steps.append(Run(self.mask, struct.Struct("<" + self.format), tuple(self.leaves)))
+        self.mask, self.format, self.leaves = 0, "", []
+
+
+def layout(message: Message, *, top: bool) -> tuple[Step, ...]:
+    """The steps of `message`; `top`: it starts at the beginning of the buffer, so its alignment is known."""
+    state = _Layout(8 if top else 1)
+    for found in _leaves(message, (), ""):
+        if isinstance(found, Leaf):
+            state.scalar(found)
+        elif isinstance(found, Item):
+            state.item(found)
+        else:
+            state.filler()
+    state.close()
+    return tuple(state.steps)
+
+
+def _leaves(message: Message, attrs: tuple[str, ...], path: str) -> Iterator[Leaf | Item | None]:
+    if not message.members:
+        yield None
+    for member in message.members:
+        here, name = (*attrs, member.attr), join(path, member.field.name)
+        if nested := member.inlined:
+            yield from _leaves(nested, here, name)
+        elif member.type.shape is Shape.SINGLE and not member.type.nested and member.type.base not in STRINGS:
+            yield Leaf(here, name, CODES[member.type.base])
+        else:
+            yield Item(here, name, member)

@@ -1,0 +1,245 @@
+"""From CDR to structures that msgspec encodes as JSON: each type is compiled once into a chain of closures.
+
+The steps of a type (`layout`) append its scalars and items to one flat list in the order of the fields; `_builder` then
+makes the nested structures of it. Byte arrays stay views of the CDR until msgspec writes them as base64.
+Arrays of numbers are read in the machine's byte order, which is little endian wherever ROS 2 runs.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from itertools import islice
+from math import isfinite
+from typing import TypeAlias
+
+import msgspec
+
+from converters.definition import CODES, Shape
+from converters.fitting import Misfit, spell
+from converters.images import ImageFormat, Picture, PictureFormat, write_picture
+from converters.layout import Item, Run, layout
+from converters.model import IMAGE, Member, Message
+from converters.wire import Outgoing
+
+Step: TypeAlias = Callable[[memoryview, int, list[object], Outgoing], int]
+Read: TypeAlias = Callable[[memoryview, int, Outgoing], tuple[object, int]]
+Build: TypeAlias = Callable[[Iterator[object]], object]
+Element: TypeAlias = Callable[[memoryview, int], tuple[object, int]]
+
+_LENGTH = struct.Struct("<I").unpack_from
+
+
+class Readers:
+    """The compiled readers of one set of messages, giving images in one format."""
+
+    def __init__(self, image_format: ImageFormat) -> None:
+        self._format = image_format
+        self._structs: dict[str, type[msgspec.Struct]] = {}
+        self._nested: dict[str, Read] = {}
+
+    def top(self, message: Message) -> Read:
+        return self._read(message, top=True)
+
+    def nested(self, message: Message) -> Read:
+        if message.name not in self._nested:
+            read = self._read(message, top=False)
+            if message.name == IMAGE and self._format != "json":
+                read = image_reader(read, self._format)
+            self._nested[message.name] = read
+        return self._nested[message.name]
+
+    def _read(self, message: Message, *, top: bool) -> Read:
+        steps = [(step.path if isinstance(step, Item) else "", self._step(step)) for step in layout(message, top=top)]
+        build = self._builder(message)
+
+        def read(data: memoryview, pos: int, blobs: Outgoing) -> tuple[object, int]:
+            values: list[object] = []
+            path = ""
+            try:
+                for path, step in steps:  # noqa: B007
+                    pos = step(data, pos, values, blobs)
+            except struct.error:
+                raise Misfit("the data end within the message", path) from None
+            except Misfit as error:
+                raise error.inside(path) from None
+            return build(iter(values)), pos
+
+        return read
+
+    def _step(self, step: Run | Item) -> Step:
+        if isinstance(step, Run):
+            return _run(step)
+        member = step.member
+        if member.message is None:
+            return _primitive(member)
+        return _nested(member, self.nested(member.message))
+
+    def _builder(self, message: Message) -> Build:
+        new = self._struct(message)
+        builders = [self._builder(m.inlined) if m.inlined else None for m in message.members]
+        count = len(builders)
+        if not any(builders):
+            return lambda values: new(*islice(values, count))
+        return lambda values: new(*[build(values) if build else next(values) for build in builders])
+
+    def _struct(self, message: Message) -> type[msgspec.Struct]:
+        if message.name not in self._structs:
+            as_blob = IMAGE if self._format != "json" else ""
+            keys = {m.attr: m.field.name + ("*" if m.type.base == as_blob else "") for m in message.members}
+            fields = [(m.attr, object) for m in message.members]
+            new = msgspec.defstruct(message.name.rpartition("/")[2], fields, rename=keys, gc=False)
+            self._structs[message.name] = new
+        return self._structs[message.name]
+
+
+def image_reader(read: Read, image_format: PictureFormat) -> Read:
+    """Reads a sensor_msgs/Image into a blob and gives its id."""
+
+    def read_blob(data: memoryview, pos: int, blobs: Outgoing) -> tuple[object, int]:
+        image, pos = read(data, pos, blobs)
+        header, height, width, encoding, is_bigendian, step, pixels = msgspec.structs.astuple(image)  # type: ignore[arg-type]
+        stamp, frame_id = msgspec.structs.astuple(header)
+        origin = msgspec.structs.astuple(stamp), frame_id
+        picture = Picture(height, width, encoding, is_bigendian, step, pixels, *origin)
+        return blobs.add(write_picture(picture, image_format)), pos
+
+    return read_blob
+
+
+def _run(run: Run) -> Step:
+    mask, unpack, size = run.mask, run.struct.unpack_from, run.struct.size
+    has_floats = any(leaf.code in "fd" for leaf in run.leaves)
+
+    def step(data: memoryview, pos: int, values: list[object], blobs: Outgoing) -> int:
+        pos += -pos & mask
+        found = unpack(data, pos)
+        values += found if not has_floats or isfinite(sum(found)) else map(spell, found)
+        return pos + size
+
+    return step
+
+
+def _length(data: memoryview, pos: int, smallest: int) -> tuple[int, int]:
+    """A length and the position after it; refused if the data cannot hold that many elements."""
+    pos += -pos & 3
+    (count,) = _LENGTH(data, pos)
+    pos += 4
+    if count * smallest > len(data) - pos:
+        raise Misfit(f"its length {count} is more than the data hold")
+    return count, pos
+
+
+def _counted(member: Member, smallest: int) -> Callable[[memoryview, int], tuple[int, int]]:
+    """The number of elements of an array or sequence and the position of the first."""
+    size = member.type.size
+    if member.type.shape is Shape.ARRAY:
+        return lambda data, pos: (size, pos)
+
+    def counted(data: memoryview, pos: int) -> tuple[int, int]:
+        count, pos = _length(data, pos, smallest)
+        if size and count > size:
+            raise Misfit(f"its length {count} is more than its bound {size}")
+        return count, pos
+
+    return counted
+
+
+def _primitive(member: Member) -> Step:
+    kind = member.type
+    if kind.base in CODES:
+        return _bytes(member) if kind.is_bytes else _numbers(member)
+    element: Element = _wide_text if kind.base == "wstring" else _text
+    if kind.shape is not Shape.SINGLE:
+        return _elements(member, 4, lambda data, pos, blobs: element(data, pos))
+
+    def single(data: memoryview, pos: int, values: list[object], blobs: Outgoing) -> int:
+        value, pos = element(data, pos)
+        values.append(value)
+        return pos
+
+    return single
+
+
+def _nested(member: Member, read: Read) -> Step:
+    if member.type.shape is not Shape.SINGLE and member.message:
+        return _elements(member, member.message.smallest, read)
+
+    def single(data: memoryview, pos: int, values: list[object], blobs: Outgoing) -> int:
+        value, pos = read(data, pos, blobs)
+        values.append(value)
+        return pos
+
+    return single
+
+
+def _elements(member: Member, smallest: int, read: Read) -> Step:
+    counted = _counted(member, smallest)
+
+    def step(data: memoryview, pos: int, values: list[object], blobs: Outgoing) -> int:
+        count, pos = counted(data, pos)
+        elements: list[object] = []
+        try:
+            for _ in range(count):
+                value, pos = read(data, pos, blobs)
+                elements.append(value)
+        except Misfit as error:
+            raise error.inside(f"[{len(elements)}]") from None
+        values.append(elements)
+        return pos
+
+    return step
+
+
+def _text(data: memoryview, pos: int) -> tuple[str, int]:
+    size, pos = _length(data, pos, 1)
+    end = pos + size
+    terminated = size and data[end - 1] == 0
+    return _decoded(data[pos : end - 1 if terminated else end], "utf-8"), end
+
+
+def _wide_text(data: memoryview, pos: int) -> tuple[str, int]:
+    count, pos = _length(data, pos, 2)
+    return _decoded(data[pos : pos + 2 * count], "utf-16-le"), pos + 2 * count
+
+
+def _decoded(data: memoryview, encoding: str) -> str:
+    try:
+        return str(data, encoding)
+    except UnicodeDecodeError as error:
+        raise Misfit(f"the string is not {encoding}: {error.reason}") from None
+
+
+def _bytes(member: Member) -> Step:
+    counted = _counted(member, 1)
+
+    def step(data: memoryview, pos: int, values: list[object], blobs: Outgoing) -> int:
+        count, pos = counted(data, pos)
+        values.append(_slice(data, pos, count))
+        return pos + count
+
+    return step
+
+
+def _numbers(member: Member) -> Step:
+    code = CODES[member.type.base]
+    size = struct.calcsize(code)
+    counted = _counted(member, size)
+
+    def step(data: memoryview, pos: int, values: list[object], blobs: Outgoing) -> int:
+        count, pos = counted(data, pos)
+        if not count:
+            values.append([])
+            return pos
+        pos += -pos & (size - 1)
+        found = _slice(data, pos, count * size).cast(code).tolist()  # type: ignore[call-overload]
+        values.append(found if code not in "fd" or isfinite(sum(found)) else list(map(spell, found)))
+        return pos + count * size
+
+    return step
+
+
+def _slice(data: memoryview, pos: int, size: int) -> memoryview:
+    if pos + size > len(data):
+        raise Misfit("the data end within it")
+    return data[pos : pos + size]
