@@ -41,7 +41,8 @@ class Pose(NamedTuple):
     def transform(self, points: Points) -> Points:
         """Points (n, 2) of the frame of `self` in the frame in which `self` is given."""
         c, s = math.cos(self.theta), math.sin(self.theta)
-        return points @ np.array([[c, s], [-s, c]]) + (self.x, self.y)
+        moved: Points = points @ np.array([[c, s], [-s, c]]) + np.array([self.x, self.y])
+        return moved
 
     def moved(self, distance: float, angle: float) -> bool:
         """Whether a motion (see `to`) is longer than `distance` or turns by more than `angle`."""

@@ -1,7 +1,7 @@
 """The inner loops, compiled by Numba.
 
-The signatures are given, so that importing this module compiles everything (under two seconds) and no scan waits for
-it; the machine code is cached on disk for the next process. Grids are indexed [row, column] = [y, x]. Coordinates are
+The signatures are given, so that importing compiles everything (under two seconds) and no scan waits for it; the
+machine code is cached on disk for the next process. Grids are indexed [row, column] = [y, x]. Coordinates are
 in cells: the centre of cell (row, column) is at (column, row). Callers see to it that all cells touched are inside.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import numba
 import numpy as np
@@ -23,12 +23,11 @@ def compiled(signature: str) -> Callable[[F], F]:
 
     def decorate(function: F) -> F:
         try:
-            result: F = numba.njit(signature, cache=True)(function)
+            return cast(F, numba.njit(signature, cache=True)(function))
         except RuntimeError as error:
             if "cannot cache" not in str(error):
                 raise
-            result = numba.njit(signature)(function)
-        return result
+            return cast(F, numba.njit(signature)(function))
 
     return decorate
 
@@ -127,62 +126,3 @@ def correlate(
                 if score > best:
                     best, best_x, best_y, best_theta = score, x + stride * u, y + stride * v, angle
     return best_x, best_y, best_theta, best
-
-
-@compiled("float64[::1](uint8[:,::1], float64[:,::1], float64, float64, float64, int64)")
-def refine(
-    field: NDArray[np.uint8], points: NDArray[np.float64], x: float, y: float, theta: float, iterations: int
-) -> NDArray[np.float64]:
-    """Climb to the pose where the points are likeliest, by Gauss-Newton on the field interpolated between its cells
-    (Kohlbrecher et al., A Flexible and Scalable SLAM System with Full 3D Motion Estimation, 2011).
-
-    Returns x, y, theta, the mean likelihood there (0..1) and the upper triangle of the information matrix
-    (xx, xy, xt, yy, yt, tt; cells and radians, not scaled by the noise).
-    """
-    height, width = field.shape
-    count = points.shape[0]
-    likelihood = 0.0
-    xx = xy = xt = yy = yt = tt = 0.0
-    for _ in range(iterations):
-        c, s = math.cos(theta), math.sin(theta)
-        xx = yy = tt = 1e-3
-        xy = xt = yt = gx = gy = gt = likelihood = 0.0
-        for i in range(count):
-            rx = c * points[i, 0] - s * points[i, 1]
-            ry = s * points[i, 0] + c * points[i, 1]
-            column, row = math.floor(x + rx), math.floor(y + ry)
-            if not (0 <= column < width - 1 and 0 <= row < height - 1):
-                continue
-            u, v = x + rx - column, y + ry - row
-            m00, m10 = field[row, column] / 255.0, field[row, column + 1] / 255.0
-            m01, m11 = field[row + 1, column] / 255.0, field[row + 1, column + 1] / 255.0
-            dx = (1 - v) * (m10 - m00) + v * (m11 - m01)
-            dy = (1 - u) * (m01 - m00) + u * (m11 - m10)
-            dt = dy * rx - dx * ry
-            value = (1 - v) * ((1 - u) * m00 + u * m10) + v * ((1 - u) * m01 + u * m11)
-            likelihood += value
-            residual = 1.0 - value
-            xx += dx * dx
-            xy += dx * dy
-            xt += dx * dt
-            yy += dy * dy
-            yt += dy * dt
-            tt += dt * dt
-            gx += dx * residual
-            gy += dy * residual
-            gt += dt * residual
-        a, b, d = yy * tt - yt * yt, xt * yt - xy * tt, xy * yt - xt * yy
-        e, f, g = xx * tt - xt * xt, xy * xt - xx * yt, xx * yy - xy * xy
-        determinant = xx * a + xy * b + xt * d
-        if determinant <= 0.0:
-            break
-        step_x = (a * gx + b * gy + d * gt) / determinant
-        step_y = (b * gx + e * gy + f * gt) / determinant
-        step_t = min(max((d * gx + f * gy + g * gt) / determinant, -0.05), 0.05)
-        length = math.hypot(step_x, step_y)
-        if length > 2.0:  # the gradient says nothing about places further away than the field is wide
-            step_x, step_y = 2.0 * step_x / length, 2.0 * step_y / length
-        x, y, theta = x + step_x, y + step_y, theta + step_t
-        if length < 2e-3 and abs(step_t) < 1e-5:
-            break
-    return np.array([x, y, theta, likelihood / max(count, 1), xx, xy, xt, yy, yt, tt])

@@ -16,7 +16,10 @@ from rce.mapping.scans import Scan
 
 SIGMA = 0.1  # metres; reach of the likelihood around walls, see matching.STRIDE
 NEAR, FAR = Window(0.5, math.radians(30)), Window(1.5, math.radians(60))
-DOUBT = 0.75  # a score under this makes the search go far
+DOUBT = 0.65  # a score under this makes the search go far
+UNCERTAIN = np.diag([1.0, 1.0, 0.5])  # covariance of a pose that was not matched; square metres and radians
+RESET = 10.0  # metres; if odometry moves this far between two scans, it was set anew
+STEADY = 0.5  # seconds for which a robot may be supposed to go on as it did
 FEWEST_POINTS = 10  # with fewer, nothing can be said about the pose
 
 
@@ -51,8 +54,8 @@ class MapperSettings:
 
     resolution: float = 0.05
     max_range: float = 30.0
-    move: float = 0.1
-    turn: float = 0.05
+    move: float = 0.2
+    turn: float = 0.1
 
 
 class ScanMatcher:
@@ -68,7 +71,7 @@ class ScanMatcher:
         self._poses: list[tuple[float, float, float, float]] = []
         self._pose = ORIGIN
         self._motion = ORIGIN  # from the scan before the last to the last
-        self._odometry: Pose | None = None
+        self._wheels: tuple[Pose, Pose] | None = None  # last odometry, and the pose of the robot then
         self._entered: Pose | None = None  # where the robot was when the last scan entered the map
 
     def add(self, scan: Scan) -> Estimate:
@@ -79,7 +82,9 @@ class ScanMatcher:
         if len(points) >= FEWEST_POINTS:
             self._enter(pose, points)
         self._motion = self._pose.to(pose) if self._poses else ORIGIN
-        self._pose, self._odometry = pose, scan.odometry
+        self._pose = pose
+        if scan.odometry is not None:
+            self._wheels = scan.odometry, pose
         self._poses.append((scan.stamp, *pose))
         return Estimate(scan.stamp, pose, found.covariance if found else UNCERTAIN, found is not None)
 
@@ -94,9 +99,15 @@ class ScanMatcher:
         if not self._poses:
             return [ORIGIN]
         repeated = self._pose @ self._motion
-        if scan.odometry is None or self._odometry is None:
+        if scan.odometry is None or self._wheels is None:
             return [repeated]
-        return [self._pose @ self._odometry.to(scan.odometry), repeated]
+        odometry, pose = self._wheels
+        motion = odometry.to(scan.odometry)
+        plausible = math.hypot(motion.x, motion.y) < RESET  # False for NaN
+        if not plausible:
+            return [repeated]
+        steady = scan.stamp - self._poses[-1][0] < STEADY
+        return [pose @ motion, repeated] if steady else [pose @ motion]
 
     def _match(self, points: NDArray[np.float64], predictions: list[Pose]) -> Match:
         found = match(self._map, points, predictions, NEAR)
@@ -109,6 +120,3 @@ class ScanMatcher:
         if self._entered is None or self._entered.to(pose).moved(self.settings.move, self.settings.turn):
             self._map.insert(pose, points)
             self._entered = pose
-
-
-UNCERTAIN = np.diag([1.0, 1.0, 0.5])

@@ -1,4 +1,4 @@
-"""Finding the pose at which a scan fits the map: exhaustive search, coarse, then climbing on the likelihood field."""
+"""Finding the pose at which a scan fits the map: exhaustive search on a coarse lattice, then fitting."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rce.mapping import kernels
+from rce.mapping import kernels, ndt
 from rce.mapping.geometry import Points, Pose, wrap_angle
 from rce.mapping.grid import GridMap
 
@@ -16,6 +16,8 @@ STRIDE = 0.1  # metres between places of the search: the likelihood reaches from
 TURN = math.radians(1.5)
 SEARCH_POINTS = 150  # more make the search slower, not better
 MOVE_COST, TURN_COST = 0.3, 0.3  # of leaving the prediction, per square metre and square radian, in mean likelihood
+DISTRUST = 0.05  # by how much a place around a later prediction must be likelier than one around an earlier one
+NOISE = 0.04  # metres; of a single measured point, with what the motion during the sweep adds
 ITERATIONS = 20
 
 
@@ -29,8 +31,8 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """`pose` of the robot in the map frame, `score`: mean likelihood of the points there (0..1), `covariance`: (3, 3)
-    of x, y, theta in square metres and radians."""
+    """`pose` of the robot in the map frame, `score`: mean likelihood of the points (0..1) in the search,
+    `covariance`: (3, 3) of x, y, theta in square metres and radians, as if the points were independent."""
 
     pose: Pose
     score: float
@@ -38,35 +40,40 @@ class Match:
 
 
 def match(grid: GridMap, points: Points, predictions: list[Pose], window: Window) -> Match:
-    """The pose around one of the predictions at which the points (n, 2), metres, frame of the robot, fit best."""
-    resolution = grid.resolution
-    cells = points / resolution
-    thinned = np.ascontiguousarray(cells[:: max(1, len(cells) // SEARCH_POINTS)])
-    stride = max(1, round(STRIDE / resolution))
-    steps, turns = round(window.reach / (stride * resolution)), round(window.turn / TURN)
-    best, start = -math.inf, predictions[0]
-    for prediction in predictions:
-        x, y, theta, score = kernels.correlate(
-            grid.likelihood,
-            thinned,
-            *grid.pose_to_cells(prediction),
-            stride,
-            steps,
-            turns,
-            TURN,
-            MOVE_COST * resolution**2,
-            TURN_COST,
-        )
-        if score > best:
-            best, start = score, Pose(x, y, theta)
-    x, y, theta, score, *information = kernels.refine(grid.likelihood, cells, *start, ITERATIONS).tolist()
+    """The pose around one of the predictions at which the points (n, 2), metres, frame of the robot, fit best.
+
+    The predictions come with the most trusted first.
+    """
+    cells = points / grid.resolution
+    start, score = _search(grid, cells, predictions, window)
+    variance = (NOISE / grid.resolution) ** 2
+    fitted = ndt.align(grid.normals, cells, *start, grid.ratio, variance, ITERATIONS).tolist()
+    x, y, theta, *information = fitted
     pose = grid.pose_from_cells(Pose(x, y, wrap_angle(theta)))
-    return Match(pose, score, _covariance(information, score, resolution))
+    return Match(pose, score, _covariance(information, grid.resolution))
 
 
-def _covariance(information: list[float], score: float, resolution: float) -> NDArray[np.float64]:
-    """Inverse of the information matrix, scaled by the mean residual of the match, in metres and radians."""
+def _search(grid: GridMap, cells: Points, predictions: list[Pose], window: Window) -> tuple[Pose, float]:
+    """The best pose of the lattices around the predictions, in cells, and its score."""
+    thinned = np.ascontiguousarray(cells[:: max(1, len(cells) // SEARCH_POINTS)])
+    stride = max(1, round(STRIDE / grid.resolution))
+    steps, turns = round(window.reach / (stride * grid.resolution)), round(window.turn / TURN)
+    move_cost = MOVE_COST * grid.resolution**2
+    found = [
+        kernels.correlate(
+            grid.likelihood, thinned, *grid.pose_to_cells(prediction), stride, steps, turns, TURN, move_cost, TURN_COST
+        )
+        for prediction in predictions
+    ]
+    best = max(range(len(found)), key=lambda i: found[i][3] - DISTRUST * i)
+    x, y, theta, score = found[best]
+    return Pose(x, y, theta), score
+
+
+def _covariance(information: list[float], resolution: float) -> NDArray[np.float64]:
+    """Inverse of the information matrix (upper triangle, cells), in metres and radians."""
     xx, xy, xt, yy, yt, tt = information
     matrix = np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
     scale = np.array([resolution, resolution, 1.0])
-    return np.linalg.inv(matrix) * (1.0 - score) * np.outer(scale, scale)
+    covariance: NDArray[np.float64] = np.linalg.inv(matrix) * np.outer(scale, scale)
+    return covariance

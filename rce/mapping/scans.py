@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -29,6 +30,8 @@ class Scan:
 
     def points(self, limit: float) -> Points:
         """Where the beams ended that measured something nearer than `limit` metres: (m, 2), frame of the robot."""
+        if not math.isfinite(self.angle_min + self.angle_increment):
+            return np.empty((0, 2))
         bound = min(limit, self.range_max)
         with np.errstate(invalid="ignore"):
             good = (self.ranges > 0) & (self.ranges < bound)  # False for NaN

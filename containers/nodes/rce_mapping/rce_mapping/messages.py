@@ -1,0 +1,81 @@
+"""ROS messages from and to the types of `rce.mapping`. Arrays are viewed or copied as a whole, never item by item."""
+
+from __future__ import annotations
+
+import math
+from array import array
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Pose as PoseMessage
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid as GridMessage
+from nav_msgs.msg import Odometry, Path
+from numpy.typing import NDArray
+from sensor_msgs.msg import LaserScan
+
+from rce.mapping.geometry import Pose
+from rce.mapping.grid import OccupancyGrid
+from rce.mapping.mapper import Estimate
+from rce.mapping.scans import Scan
+
+PLANAR = (0, 1, 5)  # x, y and yaw among the six dimensions of a ROS covariance
+
+
+def seconds(stamp: Time) -> float:
+    return float(stamp.sec + stamp.nanosec * 1e-9)
+
+
+def scan_from(message: LaserScan) -> Scan:
+    """The ranges are a view of those of the message."""
+    ranges = np.frombuffer(message.ranges, np.float32)
+    stamp = seconds(message.header.stamp)
+    return Scan(stamp, ranges, message.angle_min, message.angle_increment, message.range_max)
+
+
+def pose_from(message: Odometry) -> Pose:
+    position, q = message.pose.pose.position, message.pose.pose.orientation
+    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    return Pose(position.x, position.y, yaw)
+
+
+def fill_pose(message: PoseMessage, x: float, y: float, theta: float) -> None:
+    message.position.x, message.position.y = x, y
+    message.orientation.z, message.orientation.w = math.sin(theta / 2), math.cos(theta / 2)
+
+
+def pose_message(estimate: Estimate, stamp: Time, frame: str) -> PoseWithCovarianceStamped:
+    message = PoseWithCovarianceStamped()
+    message.header.stamp, message.header.frame_id = stamp, frame
+    fill_pose(message.pose.pose, *estimate.pose)
+    covariance = np.zeros((6, 6))
+    covariance[np.ix_(PLANAR, PLANAR)] = estimate.covariance
+    message.pose.covariance = covariance.ravel()
+    return message
+
+
+def grid_message(grid: OccupancyGrid, stamp: Time, frame: str) -> GridMessage:
+    message = GridMessage()
+    message.header.stamp, message.header.frame_id = stamp, frame
+    message.info.map_load_time = stamp
+    message.info.resolution = grid.resolution
+    message.info.height, message.info.width = grid.cells.shape
+    fill_pose(message.info.origin, grid.x, grid.y, 0.0)
+    message.data = array("b", grid.cells.tobytes())
+    return message
+
+
+def path_message(trajectory: NDArray[np.float64], stamps: list[Time], frame: str) -> Path:
+    """`trajectory`: (n, 4) stamp, x, y, theta; `stamps`: the same stamps as they came."""
+    message = Path()
+    message.header.frame_id = frame
+    poses = []
+    for stamp, (_, x, y, theta) in zip(stamps, trajectory.tolist(), strict=True):
+        pose = PoseStamped()
+        pose.header.stamp, pose.header.frame_id = stamp, frame
+        fill_pose(pose.pose, x, y, theta)
+        poses.append(pose)
+    message.poses = poses
+    if stamps:
+        message.header.stamp = stamps[-1]
+    return message

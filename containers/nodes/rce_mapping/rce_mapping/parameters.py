@@ -1,0 +1,46 @@
+"""The parameters of the node, with what `ros2 param describe` says of them."""
+
+from __future__ import annotations
+
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rclpy.node import Node
+
+INTERVAL = "map_update_interval"
+
+
+def declare(node: Node) -> None:
+    """Declare all parameters; all but the interval are fixed once the node runs."""
+    _number(node, "resolution", 0.05, (0.01, 0.5), "Size of a cell of the map, m.")
+    _number(node, "max_range", 30.0, (1.0, 200.0), "Beams longer than this are not used, m.")
+    _number(node, INTERVAL, 5.0, (0.1, 3600.0), "Wall time between two publications of map and path, s.", fixed=False)
+    _number(
+        node, "odom_timeout", 0.5, (0.0, 60.0), "How long a scan waits for the odometry of its stamp, wall time, s."
+    )
+    node.declare_parameter(
+        "use_odometry", True, ParameterDescriptor(description="Use odometry where there is any.", read_only=True)
+    )
+    _text(node, "map_frame", "map", "Frame of the map, the poses and the path.")
+    _text(node, "odom_frame", "odom", "Frame of the odometry, for tf.")
+    _text(node, "base_frame", "base_link", "Frame of the robot, for tf where there is no odometry.")
+
+
+def _number(
+    node: Node, name: str, default: float, bounds: tuple[float, float], description: str, fixed: bool = True
+) -> None:
+    low, high = bounds
+    limits = [FloatingPointRange(from_value=low, to_value=high, step=0.0)]
+    node.declare_parameter(
+        name, default, ParameterDescriptor(description=description, floating_point_range=limits, read_only=fixed)
+    )
+
+
+def _text(node: Node, name: str, default: str, description: str) -> None:
+    node.declare_parameter(name, default, ParameterDescriptor(description=description, read_only=True))
+
+
+def number(node: Node, name: str) -> float:
+    return float(node.get_parameter(name).value)
+
+
+def text(node: Node, name: str) -> str:
+    return str(node.get_parameter(name).value)

@@ -1,0 +1,112 @@
+"""Normal distributions of the points that were measured, and fitting scans to them.
+
+Biber and Strasser, The Normal Distributions Transform: A New Approach to Laser Scan Matching (2003). The map is cut in
+coarse cells; each holds mean and covariance of the hits in it. Since they average over all scans, a wall stays as sharp
+as the sensor sees it, however often it is seen.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rce.mapping.kernels import compiled
+
+FIELDS = 6  # of a cell: count, mean x, mean y (from its centre), covariance xx, xy, yy; in fine cells
+FEWEST_HITS = 3.0  # a cell with fewer says nothing
+MOST_HITS = 100.0  # that a cell remembers, so that it can follow changes
+PULL, TURN_PULL = 1e-4, 1e-2  # of the start on the pose, per point: decides where the walls leave a direction open
+
+
+@compiled("void(float32[:,:,::1], float64[:,::1], int64)")
+def learn(normals: NDArray[np.float32], hits: NDArray[np.float64], ratio: int) -> None:
+    """Enter hits (n, 2), fine cells, in `normals` (rows, columns, FIELDS), whose cells are `ratio` fine cells wide."""
+    for i in range(hits.shape[0]):
+        x, y = (hits[i, 0] + 0.5) / ratio - 0.5, (hits[i, 1] + 0.5) / ratio - 0.5
+        column, row = math.floor(x + 0.5), math.floor(y + 0.5)
+        cell = normals[row, column]
+        count = min(cell[0] + 1.0, MOST_HITS)
+        dx, dy = (x - column) * ratio - cell[1], (y - row) * ratio - cell[2]
+        rest = 1.0 - 1.0 / count
+        cell[0] = count
+        cell[1] += dx / count
+        cell[2] += dy / count
+        cell[3] = rest * (cell[3] + dx * dx / count)
+        cell[4] = rest * (cell[4] + dx * dy / count)
+        cell[5] = rest * (cell[5] + dy * dy / count)
+
+
+@compiled("float64[::1](float32[:,:,::1], float64[:,::1], float64, float64, float64, int64, float64, int64)")
+def align(
+    normals: NDArray[np.float32],
+    points: NDArray[np.float64],
+    x: float,
+    y: float,
+    theta: float,
+    ratio: int,
+    variance: float,
+    iterations: int,
+) -> NDArray[np.float64]:
+    """Move from (x, y, theta) to where the points (n, 2), frame of the robot, are likeliest, by Gauss-Newton.
+
+    A point counts for the four cells around it by its distance to their centres (the four overlapping grids of the
+    paper, blended). `variance` of a single measurement, in square fine cells, is added to that of the cells.
+    Returns x, y, theta and the upper triangle of the information matrix: xx, xy, xt, yy, yt, tt. Unit: fine cells.
+    """
+    height, width, _ = normals.shape
+    count = points.shape[0]
+    start_x, start_y, start_theta = x, y, theta
+    xx = xy = xt = yy = yt = tt = 0.0
+    for _ in range(iterations):
+        c, s = math.cos(theta), math.sin(theta)
+        xx = yy = PULL * count
+        tt = TURN_PULL * count
+        xy = xt = yt = 0.0
+        gx, gy, gt = xx * (start_x - x), yy * (start_y - y), tt * (start_theta - theta)
+        for i in range(count):
+            rx = c * points[i, 0] - s * points[i, 1]
+            ry = s * points[i, 0] + c * points[i, 1]
+            u, v = (x + rx + 0.5) / ratio - 0.5, (y + ry + 0.5) / ratio - 0.5
+            left, low = math.floor(u), math.floor(v)
+            if not (0 <= left < width - 1 and 0 <= low < height - 1):
+                continue
+            u -= left
+            v -= low
+            for corner in range(4):
+                column, row = corner & 1, corner >> 1
+                cell = normals[low + row, left + column]
+                if cell[0] < FEWEST_HITS:
+                    continue
+                ex, ey = cell[1] - (u - column) * ratio, cell[2] - (v - row) * ratio
+                vxx, vxy, vyy = cell[3] + variance, cell[4], cell[5] + variance
+                determinant = vxx * vyy - vxy * vxy
+                ixx, ixy, iyy = vyy / determinant, -vxy / determinant, vxx / determinant
+                px, py = ixx * ex + ixy * ey, ixy * ex + iyy * ey
+                share = (u if column else 1.0 - u) * (v if row else 1.0 - v)
+                weight = share * math.exp(-0.5 * (px * ex + py * ey))
+                tx, ty = ixy * rx - ixx * ry, iyy * rx - ixy * ry
+                xx += weight * ixx
+                xy += weight * ixy
+                yy += weight * iyy
+                xt += weight * tx
+                yt += weight * ty
+                tt += weight * (rx * ty - ry * tx)
+                gx += weight * px
+                gy += weight * py
+                gt += weight * (rx * py - ry * px)
+        a, b, d = yy * tt - yt * yt, xt * yt - xy * tt, xy * yt - xt * yy
+        e, f, g = xx * tt - xt * xt, xy * xt - xx * yt, xx * yy - xy * xy
+        determinant = xx * a + xy * b + xt * d
+        if determinant <= 0.0:
+            break
+        step_x = (a * gx + b * gy + d * gt) / determinant
+        step_y = (b * gx + e * gy + f * gt) / determinant
+        step_t = min(max((d * gx + f * gy + g * gt) / determinant, -0.05), 0.05)
+        length = math.hypot(step_x, step_y)
+        shrink = min(1.0, 0.5 * ratio / max(length, 1e-9))  # a cell says nothing about what is further off
+        x, y, theta = x + shrink * step_x, y + shrink * step_y, theta + step_t
+        if length < 2e-3 and abs(step_t) < 1e-5:
+            break
+    return np.array([x, y, theta, xx, xy, xt, yy, yt, tt])

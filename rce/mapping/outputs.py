@@ -1,0 +1,72 @@
+"""The files of a finished map. Each appears whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rce.mapping.grid import OccupancyGrid
+from rce.mapping.picture import draw
+
+OCCUPIED, FREE = 0.65, 0.196  # thresholds of map_server; its grey 205 is p = 0.19608, so unknown stays unknown
+BLACK, GREY, WHITE = 0, 205, 254
+
+
+def write_outputs(directory: Path, grid: OccupancyGrid, trajectory: NDArray[np.float64]) -> list[Path]:
+    """Write map.pgm, map.yaml, map.png and trajectory.txt in `directory`, made if need be; return their paths.
+
+    `trajectory`: (n, 4) stamp, x, y, theta of each scan, map frame.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    contents = {
+        "map.pgm": pgm(grid),
+        "map.yaml": map_yaml(grid, "map.pgm"),
+        "map.png": draw(grid, trajectory),
+        "trajectory.txt": trajectory_text(trajectory),
+    }
+    for name, content in contents.items():
+        write_atomically(directory / name, content)
+    return [directory / name for name in contents]
+
+
+def pgm(grid: OccupancyGrid) -> bytes:
+    """The grid as map_server stores it in trinary mode: highest y first, black occupied, white free, grey unknown."""
+    pixels = np.full_like(grid.cells, GREY, dtype=np.uint8)
+    pixels[grid.cells >= 100 * OCCUPIED] = BLACK
+    pixels[(grid.cells >= 0) & (grid.cells < 100 * FREE)] = WHITE
+    header = f"P5\n# {grid.resolution:.6g} m/cell\n{pixels.shape[1]} {pixels.shape[0]}\n255\n"
+    return header.encode() + pixels[::-1].tobytes()
+
+
+def map_yaml(grid: OccupancyGrid, image: str) -> bytes:
+    return (
+        f"image: {image}\n"
+        "mode: trinary\n"
+        f"resolution: {grid.resolution:.9g}\n"
+        f"origin: [{grid.x:.9g}, {grid.y:.9g}, 0.0]\n"
+        "negate: 0\n"
+        f"occupied_thresh: {OCCUPIED}\n"
+        f"free_thresh: {FREE}\n"
+    ).encode()
+
+
+def trajectory_text(trajectory: NDArray[np.float64]) -> bytes:
+    """Lines `timestamp x y theta`: seconds, metres, radians."""
+    return "".join(f"{t:.6f} {x:.6f} {y:.6f} {theta:.6f}\n" for t, x, y, theta in trajectory.tolist()).encode()
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Replace `path` by a file with `content`; a reader sees the old or the new one, never a part."""
+    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+        Path(temporary).chmod(0o644)
+        Path(temporary).replace(path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
