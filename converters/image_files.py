@@ -19,7 +19,8 @@ MAX_SCANS = 64  # of a progressive JPEG; each costs a pass over all pixels and n
 MAX_CHUNKS = 100_000
 
 _PNG = b"\x89PNG\r\n\x1a\n"
-_PNG_CHANNELS = {0: 1, 2: 3, 3: 4, 4: 4, 6: 4}  # by colour type; palettes and gray with alpha are decoded to colour
+# By colour type: samples a pixel in the file, channels after decoding (palettes and gray with alpha become colour).
+_PNG_COLOURS = {0: (1, 1), 2: (3, 3), 3: (1, 4), 4: (2, 4), 6: (4, 4)}
 _PNG_NEEDED = frozenset({b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND"})
 _KEYWORD = b"ros2"
 _FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # JPEG's start of frame markers
@@ -62,11 +63,11 @@ def with_note(data: bytes, note: Note) -> bytes:
 def _checked_png(view: memoryview) -> tuple[Buffer, Note]:
     """Only the chunks that make the pixels are kept: decoders allocate what the others (and animations) ask for."""
     first, width, height, bits, colour = struct.unpack_from(">4sIIBB", view, 12)
-    if first != b"IHDR":
-        raise Misfit("the PNG does not begin with its header")
-    channels = _PNG_CHANNELS.get(colour, 4)
+    if first != b"IHDR" or colour not in _PNG_COLOURS:
+        raise Misfit("the PNG does not begin with a valid header")
+    samples, channels = _PNG_COLOURS[colour]
     _check_size(width, height, channels * (2 if bits == 16 else 1))
-    _check_share(height * (width * (1 if colour == 3 else channels) * bits // 8), view)
+    _check_share(height * (width * samples * bits // 8), view)
     note, kept = Note(), [view[:8]]
     for kind, start, end in _png_chunks(view):
         if kind in _PNG_NEEDED and (kind != b"IHDR" or start == 8):

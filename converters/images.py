@@ -86,14 +86,16 @@ def read_picture(blob: Buffer) -> Picture:
 
 
 def write_picture(image: Picture, image_format: PictureFormat) -> bytes:
-    """A PNG or JPEG file; Misfit if it cannot hold the encoding or `data` is shorter than the image."""
+    """A PNG or JPEG file; Misfit if it cannot hold the encoding or the size, or `data` is shorter than the image."""
     pixels = _file_pixels(image)
     if image_format == "jpeg" and (pixels.dtype != np.uint8 or (pixels.ndim == 3 and pixels.shape[2] == 4)):
         raise Misfit(f"a JPEG cannot hold the encoding {image.encoding[:40]!r}: use format png or json, or a Forwarder")
     try:  # OpenCV's own settings: any other for PNG took two to five times as long for files of nearly the same size
-        _, data = cv2.imencode("." + image_format, pixels)
-    except cv2.error as error:
-        raise Misfit(f"an image of {image.width} x {image.height} cannot become a picture: use format json") from error
+        written, data = cv2.imencode("." + image_format, pixels)
+    except cv2.error:
+        written, data = False, np.empty(0, np.uint8)
+    if not written:
+        raise Misfit(f"an image of {image.width} x {image.height} cannot become a {image_format}: use format json")
     return with_note(data.tobytes(), Note(image.stamp, image.frame_id, image.encoding))
 
 

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import pytest
-from support import CodecOf
+from conversions import CodecOf
 
 from converters import TypeRegistry
 from rce.names import parse_type

@@ -6,10 +6,10 @@ import json
 import random
 
 import pytest
+from conversions import CodecOf
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from samples import sample
-from support import CodecOf
+from random_json import sample
 
 from converters import TypeRegistry, Wire
 from converters.model import Models

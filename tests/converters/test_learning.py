@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from support import back, text
+from conversions import back, text
 
 from converters import Codec, TypeRegistry
 from rce.errors import AlreadyExists, InvalidRequest, UnknownType

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from support import CodecOf, back, refused
+from conversions import CodecOf, back, refused
 
 
 @pytest.mark.parametrize(

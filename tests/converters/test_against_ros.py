@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from samples import Json, sample
+from random_json import Json, sample
 
 from converters import Codec, TypeRegistry, Wire
 from converters.model import Models

@@ -7,7 +7,7 @@ import struct
 
 import msgspec
 import pytest
-from support import CodecOf, back, refused, text
+from conversions import CodecOf, back, refused, text
 
 from converters import Wire
 from rce.errors import ConversionError, RceError
