@@ -11,7 +11,9 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 from twisted.internet import endpoints
+from twisted.internet.address import IPv4Address, IPv6Address
 from twisted.internet.base import ReactorBase
+from twisted.internet.interfaces import IListeningPort
 from twisted.logger import Logger
 from twisted.web.server import Site
 
@@ -22,6 +24,7 @@ from master.store import Store
 from master.users import Users
 from rce import control, loop, settings
 from rce.errors import InvalidRequest
+from rce.ready import Ready, announce
 
 log = Logger()
 
@@ -53,16 +56,23 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     await master.start()
     ports = [await control.listen(reactor, options.control, master)]
     try:
-        site = Site(Entry(master.state))
         endpoint = endpoints.serverFromString(reactor, options.http)
-        ports.append(await endpoint.listen(site).asFuture(asyncio.get_running_loop()))
-        log.info("Master listens at {http} and {control}", http=options.http, control=options.control)
+        ports.append(await endpoint.listen(Site(Entry(master.state))).asFuture(asyncio.get_running_loop()))
+        scheme = "https" if options.http.startswith("ssl") else "http"
+        inside, http = (f"{address.host}:{address.port}" for address in map(_address, ports))
+        log.info("Master serves robots at {http}, its processes at {control}", http=http, control=inside)
+        announce(Ready("master", f"{scheme}://{http}/", f"tcp:{inside}"))
         await asyncio.Event().wait()
     finally:
         for port in ports:
-            port.stopListening()  # type: ignore[misc]  # zope declares it without self
+            port.stopListening()  # type: ignore[misc]  # zope declares its methods without self
         await master.stop()
         await store.close()
+
+
+def _address(port: IListeningPort) -> IPv4Address | IPv6Address:
+    address: IPv4Address | IPv6Address = port.getHost()  # type: ignore[misc]  # zope, as above
+    return address
 
 
 async def first_users(users: Users, dev: bool) -> None:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Coroutine
 import uvloop
 from twisted.internet import asyncioreactor
 from twisted.internet.base import ReactorBase
+from twisted.internet.protocol import Factory
 from twisted.logger import Logger
 
 from rce import logs
@@ -39,6 +40,7 @@ def run(main: Main) -> int:
     when it raised: an RceError is logged as its sentence, anything else with its traceback.
     """
     logs.begin()
+    Factory.noisy = False
     loop = uvloop.new_event_loop()
     asyncio.set_event_loop(loop)
     reactor = install(loop)

@@ -1,0 +1,133 @@
+"""`python -P -m endpoints.robot`: a Robot endpoint."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import socket
+import ssl
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from msgspec import Meta, Struct
+from twisted.internet.base import ReactorBase
+from twisted.logger import Logger
+
+import rce
+from endpoints.host import host_identity
+from endpoints.link import DataPort
+from endpoints.robot.endpoint import Options, RobotEndpoint
+from endpoints.robot.server import ServerLimits, listen
+from rce import loop, settings
+from rce.calls import Hello, Welcome
+from rce.control import MasterLink
+from rce.credential import Credential
+from rce.errors import InvalidRequest
+from rce.ready import Ready, announce
+
+MEGABYTE = 1024 * 1024
+UNIX_PATH_MAX = 108
+
+log = Logger()
+
+
+class Settings(Struct):
+    """A Robot endpoint: WebSockets of robots on one side, data links on the other."""
+
+    data_dir: Annotated[Path, Meta(description="directory for the credential and the data socket")]
+    name: Annotated[str, Meta(description="name of this Robot endpoint, unique in the platform")] = "robot-1"
+    master: Annotated[str, Meta(description="Twisted client endpoint of the Master's control port")] = (
+        "tcp:127.0.0.1:8080"
+    )
+    token: Annotated[str, Meta(description="one-time join token; better given as RCE_TOKEN")] = ""
+    ws_host: Annotated[str, Meta(description="address on which robots are served")] = "127.0.0.1"
+    ws_port: Annotated[int, Meta(ge=0, le=65535, description="port for robots; 0 takes a free one")] = 9010
+    public_url: Annotated[str, Meta(description="what robots are told, wss://host:port/; else from their request")] = ""
+    certificate: Annotated[str, Meta(description="PEM file for wss")] = ""
+    private_key: Annotated[str, Meta(description="PEM file of its key")] = ""
+    data_host: Annotated[str, Meta(description="address for data links from other machines; empty: none")] = ""
+    data_port: Annotated[int, Meta(ge=0, le=65535, description="port for them; 0 takes a free one")] = 0
+    grace: Annotated[float, Meta(ge=0, description="seconds for which a robot without a socket keeps its session")] = 10
+    service_timeout: Annotated[float, Meta(gt=0, description="seconds until a service call fails")] = 30
+    message_size: Annotated[int, Meta(ge=1, le=1024, description="largest message in MB")] = 64
+    bad_messages: Annotated[int, Meta(ge=0, description="bad messages a minute that close a socket; 0: never")] = 100
+    unfinished_blobs: Annotated[int, Meta(ge=1, description="blobs of a robot that may be unfinished")] = 64
+    unfinished_size: Annotated[int, Meta(ge=1, description="their size in MB")] = 256
+
+
+async def serve(reactor: ReactorBase, options: Settings) -> None:
+    """Run until cancelled, or until the Master refuses this endpoint."""
+    options.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+    credential = Credential(options.data_dir / "credential", options.token)
+    port = DataPort()
+    addresses = await _data_addresses(port, options)
+    limits = ServerLimits(
+        options.message_size * MEGABYTE,
+        options.bad_messages,
+        options.unfinished_blobs,
+        options.unfinished_size * MEGABYTE,
+    )
+    endpoint = RobotEndpoint(port, Options(limits, options.grace, options.service_timeout))
+    server = await listen(endpoint, options.ws_host, options.ws_port, _tls(options))
+    url = options.public_url or f"{'wss' if options.certificate else 'ws'}://:{server.sockets[0].getsockname()[1]}/"
+    incarnation = secrets.token_hex(16)
+
+    def hello() -> Hello:
+        return Hello(
+            "robot",
+            options.name,
+            credential.secret,
+            rce.__version__,
+            incarnation,
+            host_identity(),
+            addresses,
+            url,
+            robots=list(endpoint.sessions),
+        )
+
+    def welcomed(welcome: Welcome) -> None:
+        credential.keep(welcome)
+        announce(Ready("robot", url))
+
+    endpoint.master = MasterLink(reactor, options.master, hello, endpoint.handlers(), welcomed)
+    log.info("Robot endpoint {name} serves robots at {url}", name=options.name, url=url)
+    try:
+        await endpoint.master.run()
+    finally:
+        server.close()
+        await port.close()
+
+
+async def _data_addresses(port: DataPort, options: Settings) -> list[str]:
+    path = options.data_dir.resolve() / "data.sock"
+    path.unlink(missing_ok=True)
+    addresses = []
+    if len(str(path)) < UNIX_PATH_MAX:  # else TCP does for this host too
+        await port.listen_unix(str(path))
+        addresses.append(f"unix:{path}")
+    host = options.data_host or "127.0.0.1"
+    taken = await port.listen_tcp(host, options.data_port)
+    public = socket.gethostname() if host in ("0.0.0.0", "::") else host  # compared, not bound
+    return [*addresses, f"tcp:{public}:{taken}"]
+
+
+def _tls(options: Settings) -> ssl.SSLContext | None:
+    if not options.certificate:
+        return None
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    try:
+        context.load_cert_chain(options.certificate, options.private_key or None)
+    except (OSError, ssl.SSLError) as error:
+        raise InvalidRequest(f"certificate {options.certificate}: {error}", field="certificate") from None
+    return context
+
+
+def main() -> int:
+    options = settings.load_or_exit(Settings, "rce robot")
+    os.environ.pop("RCE_TOKEN", None)
+    return loop.run(lambda reactor: serve(reactor, options))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,202 @@
+"""The Robot endpoint: the sessions of its robots, and the Master's calls about their interfaces."""
+
+from __future__ import annotations
+
+import asyncio
+
+from msgspec import Struct
+from twisted.logger import Logger
+
+from converters.types import TypeRegistry
+from endpoints.link import DataPort
+from endpoints.robot.interfaces import make
+from endpoints.robot.server import Admitted, Greeting, ServerLimits
+from endpoints.robot.session import Session
+from endpoints.switchboard import Interface, Switchboard
+from rce import calls as c
+from rce.blobs import Buffer
+from rce.control import Handlers, MasterLink
+from rce.errors import NotFound, RceError, Unavailable, UnknownType
+from rce.messages import DataMessage
+from rce.names import parse_type
+
+LEAVE_RETRY = 1.0
+
+log = Logger()
+
+
+class Options(Struct, frozen=True):
+    """Times in seconds."""
+
+    limits: ServerLimits
+    grace: float
+    service_timeout: float
+
+
+class RobotEndpoint:
+    """See `endpoints.robot`. `master` is set before robots are let in."""
+
+    master: MasterLink
+
+    def __init__(self, port: DataPort, options: Options) -> None:
+        self.limits = options.limits
+        self.grace = options.grace
+        self._timeout = options.service_timeout
+        self.switchboard = Switchboard(port, self._link_lost)
+        self.sessions: dict[str, Session] = {}
+        self._types: dict[str, TypeRegistry] = {}  # by user: one user's types are no business of another's
+        self._away: dict[str, asyncio.TimerHandle] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    def handlers(self) -> Handlers:
+        handlers = Handlers()
+        handlers.on(c.Sync, self._sync)
+        handlers.on(c.Bind, self._bind)
+        handlers.on(c.Unbind, self._unbind)
+        handlers.on(c.OpenLink, self._open_link)
+        handlers.on(c.CloseLink, self._close_link)
+        handlers.on(c.AddRoute, self._add_route)
+        handlers.on(c.RemoveRoute, self._remove_route)
+        handlers.on(c.Tell, self._tell)
+        handlers.on(c.DropRobot, self._drop_robot)
+        return handlers
+
+    # --- robots -------------------------------------------------------------------------------------------------------
+
+    async def login(self, greeting: Greeting) -> Admitted:
+        name = f"{greeting.user}/{greeting.robot}"
+        answer = await self.master.call(
+            c.Login(
+                greeting.user,
+                greeting.robot,
+                greeting.secret,
+                greeting.resume,
+                sorted(greeting.features),
+                greeting.address,
+            )
+        )
+        session = self.sessions.get(name)
+        if session is None or (session.token and not answer.resumed):
+            session = self._begin(name)
+        session.features = greeting.features
+        timer = self._away.pop(name, None)
+        if timer is not None:
+            timer.cancel()
+        how = "resumes" if answer.resumed else "comes"
+        log.info("robot {robot} {how} from {address}", robot=name, how=how, address=greeting.address)
+        return Admitted(session, answer.token, answer.resumed)
+
+    def _begin(self, name: str) -> Session:
+        old = self.sessions.pop(name, None)
+        if old is not None:
+            old.end("the session is over")
+        session = self.sessions[name] = Session(name, self.master)
+        self.disconnected(session)
+        return session
+
+    def disconnected(self, session: Session) -> None:
+        """Its grace time begins."""
+        if self.sessions.get(session.name) is session:
+            loop = asyncio.get_running_loop()
+            self._away[session.name] = loop.call_later(self.grace, self._grace_over, session)
+
+    def _grace_over(self, session: Session) -> None:
+        self._away.pop(session.name, None)
+        if self.sessions.get(session.name) is session and session.socket is None:
+            task = asyncio.create_task(self._leave(session))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+
+    async def _leave(self, session: Session) -> None:
+        while self.sessions.get(session.name) is session and session.socket is None:
+            try:
+                await self.master.call(c.Leave(session.name))
+            except Unavailable:
+                await asyncio.sleep(LEAVE_RETRY)
+                continue
+            if session.socket is None:
+                del self.sessions[session.name]
+                session.end("")
+            return
+
+    def data(self, session: Session, message: DataMessage, blobs: dict[str, Buffer]) -> None:
+        interface = session.interfaces.get(message.iTag)
+        if interface is None:
+            raise NotFound(f"this robot has no interface {message.iTag[:80]!r}: add it first", field="iTag")
+        interface.from_robot(message, blobs)
+
+    # --- the Master's calls -------------------------------------------------------------------------------------------
+
+    async def _sync(self, call: c.Sync) -> c.Settled:
+        for name in set(self.sessions) - set(call.robots):
+            self.sessions.pop(name).end("the session is over")
+        return c.Settled(await self.switchboard.sync(call, self._make))
+
+    async def _bind(self, call: c.Bind) -> c.Nothing:
+        await self.switchboard.bind(call.interface, self._make)
+        return c.Nothing()
+
+    async def _make(self, spec: c.InterfaceSpec) -> Interface:
+        # Without a session the robot's login is under way: the Master binds what it has before it answers.
+        session = self.sessions.get(spec.owner) or self._begin(spec.owner)
+        types = self._types.setdefault(spec.owner.partition("/")[0], TypeRegistry())
+        try:
+            return make(spec, self.switchboard, session, types, self._timeout)
+        except UnknownType:
+            await self._learn(spec, types)
+            return make(spec, self.switchboard, session, types, self._timeout)
+
+    async def _learn(self, spec: c.InterfaceSpec, types: TypeRegistry) -> None:
+        name = parse_type(spec.type)
+        service = spec.kind.startswith("Service")
+        user = spec.owner.partition("/")[0]
+        found = await self.master.call(c.Describe(user, name.srv if service else name.msg, service))
+        types.learn(found.texts)
+
+    async def _unbind(self, call: c.Unbind) -> c.Nothing:
+        self.switchboard.unbind(call.interface)
+        return c.Nothing()
+
+    async def _open_link(self, call: c.OpenLink) -> c.Nothing:
+        self.switchboard.open_link(call.link)
+        return c.Nothing()
+
+    async def _close_link(self, call: c.CloseLink) -> c.Nothing:
+        self.switchboard.close_link(call.link)
+        return c.Nothing()
+
+    async def _add_route(self, call: c.AddRoute) -> c.Nothing:
+        await self.switchboard.add_route(call.route)
+        return c.Nothing()
+
+    async def _remove_route(self, call: c.RemoveRoute) -> c.Nothing:
+        self.switchboard.remove_route(call.interface, call.peer)
+        return c.Nothing()
+
+    async def _tell(self, call: c.Tell) -> c.Nothing:
+        session = self.sessions.get(call.robot)
+        if session is not None:
+            if call.status is not None:
+                session.status(call.status)
+            if call.error is not None and "events" in session.features:
+                session.error(RceError.from_info(call.error))
+        return c.Nothing()
+
+    async def _drop_robot(self, call: c.DropRobot) -> c.Nothing:
+        session = self.sessions.pop(call.robot, None)
+        if session is not None:
+            session.end(call.reason)
+            for interface in list(session.interfaces.values()):
+                self.switchboard.unbind(interface.spec.id)
+        return c.Nothing()
+
+    def _link_lost(self, link: str, reason: str) -> None:
+        task = asyncio.create_task(self._report_link(link, reason))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _report_link(self, link: str, reason: str) -> None:
+        try:
+            await self.master.call(c.LinkLost(link, reason))
+        except RceError as error:  # when it joins again, its Sync makes this endpoint report the link again
+            log.info("link {link} could not be reported: {error}", link=link, error=str(error))

@@ -1,0 +1,285 @@
+"""Interfaces on a robot: Publisher, Subscriber, ServiceClient, ServiceProvider, each as Converter or Forwarder.
+
+Names are from the cloud's point of view: to a `Publisher` of the robot the cloud's messages come in and go out to the
+robot; a `ServiceClient` asks the robot. A Converter turns JSON into CDR and back, a Forwarder carries CDR bytes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import uuid
+from collections.abc import Iterator
+from typing import Literal, Protocol, cast
+
+import msgspec
+from msgspec import UNSET
+
+from converters.types import TypeRegistry
+from converters.wire import Wire
+from endpoints.frames import Message
+from endpoints.link import Link
+from endpoints.robot.session import Piece, Session
+from endpoints.switchboard import Interface, Switchboard, error_of
+from rce.blobs import Buffer, binary_frames
+from rce.calls import InterfaceSpec
+from rce.errors import InvalidRequest, LimitExceeded, NotConnected, RceError, TimedOut
+from rce.messages import MAX_MSG_ID, DataMessage
+from rce.names import parse_type
+
+MAX_PENDING = 1000  # service calls of one interface that wait for an answer
+
+
+class Codec(Protocol):
+    """Between what a robot sends and CDR."""
+
+    def encode(self, wire: Wire) -> Buffer: ...
+
+    def decode(self, cdr: Buffer) -> Wire: ...
+
+
+class Untouched:
+    """The codec of Forwarders: the blob is the CDR."""
+
+    def encode(self, wire: Wire) -> Buffer:
+        if not wire.whole or len(wire.blobs) != 1:
+            raise InvalidRequest(
+                "a Forwarder takes its message as one blob: write msg* with the blob's id", field="msg"
+            )
+        return next(iter(wire.blobs.values()))
+
+    def decode(self, cdr: Buffer) -> Wire:
+        name = uuid.uuid4().hex
+        return Wire(True, b'"%b"' % name.encode(), {name: cdr})
+
+
+class RobotInterface(Interface):
+    """What the four kinds share: the robot's session and the form of its data messages."""
+
+    def __init__(self, spec: InterfaceSpec, switchboard: Switchboard, session: Session) -> None:
+        super().__init__(spec, switchboard)
+        self.session = session
+        self._type = parse_type(spec.type)
+        quoted = msgspec.json.encode({"iTag": spec.tag, "type": spec.type})[:-1]
+        self._head = b'{"type":"DM","data":' + quoted + b',"msgID":'
+        session.interfaces[spec.tag] = self
+
+    def from_robot(self, message: DataMessage, blobs: dict[str, Buffer]) -> None:
+        """Take a data message that the robot sent. Raises what the robot shall hear."""
+        raise NotImplementedError
+
+    def started(self) -> None:
+        self.session.interface_status(self.spec.tag, True)
+
+    def stopped(self) -> None:
+        self.session.interface_status(self.spec.tag, False)
+
+    def close(self) -> None:
+        self.session.outbox.forget(self.id)
+        if self.session.interfaces.get(self.spec.tag) is self:  # a later one may have its tag already
+            del self.session.interfaces[self.spec.tag]
+
+    def wire(self, message: DataMessage, blobs: dict[str, Buffer]) -> Wire:
+        """The payload of a data message, its type and id checked."""
+        if message.type != self.spec.type and parse_type(message.type) != self._type:
+            raise InvalidRequest(f"{self.spec.tag} has type {self.spec.type}, not {message.type[:80]}", field="type")
+        if len(message.msgID.encode()) > MAX_MSG_ID:
+            raise InvalidRequest(f"msgID is longer than {MAX_MSG_ID} bytes", field="msgID")
+        if message.blob is not UNSET:
+            return Wire(True, message.blob, blobs)
+        if message.msg is UNSET:
+            raise InvalidRequest("a data message needs msg or msg*", field="msg")
+        return Wire(False, message.msg, blobs)
+
+    def to_robot(self, codec: Codec, msg_id: str, cdr: Buffer, keep: int | None) -> None:
+        """Queue a data message for the robot; it is converted when it leaves, so what is dropped costs nothing."""
+        dropped = self.session.outbox.put(self.id, self._pieces(codec, msg_id, cdr), keep)
+        if dropped:
+            self.dropped += dropped
+            self.session.dropped(self.spec.tag, self.dropped, "on the way to the robot")
+
+    def _pieces(self, codec: Codec, msg_id: str, cdr: Buffer) -> Iterator[Piece]:
+        try:
+            wire = codec.decode(cdr)
+        except RceError as error:
+            yield self.session.error_piece(error.at(self.spec.tag))
+            return
+        key = b',"msg*":' if wire.whole else b',"msg":'
+        text = b"".join((self._head, msgspec.json.encode(msg_id), key, cast(bytes, wire.raw), b"}}"))
+        parts = self.session.parts
+        frames = ((frame, True) for frame in binary_frames(wire.blobs, parts))
+        if parts:
+            yield [(text, False)]
+            yield from ([frame] for frame in frames)
+        else:  # one after the other, as old clients expect
+            yield [(text, False), *frames]
+
+    def count_drops(self) -> None:
+        """Tell the robot if the link dropped messages of this interface since last time."""
+        if self.dropped:
+            self.session.dropped(self.spec.tag, self.dropped, "on the way from the robot")
+
+
+class Publisher(RobotInterface):
+    """Messages of a topic to the robot."""
+
+    def __init__(self, spec: InterfaceSpec, switchboard: Switchboard, session: Session, codec: Codec) -> None:
+        super().__init__(spec, switchboard, session)
+        self._codec = codec
+
+    def receive(self, message: Message, link: Link) -> None:
+        self.to_robot(self._codec, message.msg_id, message.payload, self.keep)
+        if self.keep is None and (room := self.session.outbox.room(self.id)) is not None:
+            link.pause(room)
+
+    def from_robot(self, message: DataMessage, blobs: dict[str, Buffer]) -> None:
+        raise InvalidRequest(
+            f"{self.spec.tag} is a {self.spec.kind}: messages come out of it, none go in", field="iTag"
+        )
+
+
+class Subscriber(RobotInterface):
+    """Messages of a topic from the robot."""
+
+    def __init__(self, spec: InterfaceSpec, switchboard: Switchboard, session: Session, codec: Codec) -> None:
+        super().__init__(spec, switchboard, session)
+        self._codec = codec
+
+    def receive(self, message: Message, link: Link) -> None:
+        """Nothing comes this way."""
+
+    def from_robot(self, message: DataMessage, blobs: dict[str, Buffer]) -> None:
+        payload = self._codec.encode(self.wire(message, blobs))
+        before = self.dropped
+        self.send(Message(self.id, message.msgID, payload))
+        if self.dropped != before:
+            self.count_drops()
+        if (room := self.room()) is not None:
+            self.session.hold(room)
+
+
+class ServiceClient(RobotInterface):
+    """The cloud asks, the robot answers."""
+
+    def __init__(
+        self,
+        spec: InterfaceSpec,
+        switchboard: Switchboard,
+        session: Session,
+        request: Codec,
+        response: Codec,
+        timeout: float,
+    ) -> None:
+        super().__init__(spec, switchboard, session)
+        self._request = request
+        self._response = response
+        self._timeout = timeout
+        self._pending: dict[str, tuple[Message, asyncio.TimerHandle]] = {}
+
+    def receive(self, message: Message, link: Link) -> None:
+        if len(self._pending) >= MAX_PENDING:
+            self.fail(message, LimitExceeded(f"{self.spec.tag}: {MAX_PENDING} calls wait for the robot already"))
+            return
+        name = uuid.uuid4().hex
+        timer = asyncio.get_running_loop().call_later(self._timeout, self._late, name)
+        self._pending[name] = (message, timer)
+        self.to_robot(self._request, name, message.payload, None)
+
+    def from_robot(self, message: DataMessage, blobs: dict[str, Buffer]) -> None:
+        request = self._take(message.msgID)
+        if request is None:
+            raise InvalidRequest(f"{self.spec.tag}: no call with msgID {message.msgID[:64]!r} waits", field="msgID")
+        if message.error:
+            self.fail(request, RceError(f"{self.spec.owner}/{self.spec.tag}: {message.error}"))
+            return
+        try:
+            payload = self._response.encode(self.wire(message, blobs))
+        except RceError as error:
+            self.fail(request, error)
+            raise
+        self.request(Message(self.id, request.msg_id, payload, destination=request.source))
+
+    def _take(self, name: str) -> Message | None:
+        request, timer = self._pending.pop(name, (None, None))
+        if timer is not None:
+            timer.cancel()
+        return request
+
+    def _late(self, name: str) -> None:
+        request = self._take(name)
+        if request is not None:
+            self.fail(request, TimedOut(f"robot {self.spec.owner} did not answer within {self._timeout:g} s"))
+
+    def stopped(self) -> None:
+        super().stopped()
+        for name in list(self._pending):
+            self._take(name)
+
+
+class ServiceProvider(RobotInterface):
+    """The robot asks, the cloud answers."""
+
+    def __init__(
+        self,
+        spec: InterfaceSpec,
+        switchboard: Switchboard,
+        session: Session,
+        request: Codec,
+        response: Codec,
+        timeout: float,
+    ) -> None:
+        super().__init__(spec, switchboard, session)
+        self._request = request
+        self._response = response
+        self._timeout = timeout
+        self._pending: dict[str, asyncio.TimerHandle] = {}
+
+    def from_robot(self, message: DataMessage, blobs: dict[str, Buffer]) -> None:
+        if message.msgID in self._pending:
+            raise InvalidRequest(f"{self.spec.tag}: a call with this msgID waits already", field="msgID")
+        if len(self._pending) >= MAX_PENDING:
+            raise LimitExceeded(f"{self.spec.tag}: {MAX_PENDING} calls wait already")
+        payload = self._request.encode(self.wire(message, blobs))
+        self.request(Message(self.id, message.msgID, payload))
+        loop = asyncio.get_running_loop()
+        self._pending[message.msgID] = loop.call_later(self._timeout, self._late, message.msgID)
+
+    def receive(self, message: Message, link: Link) -> None:
+        timer = self._pending.pop(message.msg_id, None)
+        if timer is None:
+            return  # it came too late: the robot has been told
+        timer.cancel()
+        if message.error:
+            self._fail(message.msg_id, error_of(message))
+        else:
+            self.to_robot(self._response, message.msg_id, message.payload, None)
+
+    def _late(self, msg_id: str) -> None:
+        del self._pending[msg_id]
+        self._fail(msg_id, TimedOut(f"no answer from the service within {self._timeout:g} s"))
+
+    def _fail(self, msg_id: str, error: RceError) -> None:
+        self.session.call_failed(self.spec.tag, msg_id, error)
+
+    def stopped(self) -> None:
+        super().stopped()
+        for msg_id, timer in list(self._pending.items()):
+            timer.cancel()
+            self._fail(msg_id, NotConnected(f"{self.spec.tag} lost its connection before the answer came"))
+        self._pending.clear()
+
+
+def make(
+    spec: InterfaceSpec, switchboard: Switchboard, session: Session, types: TypeRegistry, timeout: float
+) -> RobotInterface:
+    """The interface of this kind. UnknownType if a Converter's type is not known."""
+    prefix = spec.kind.removesuffix("Converter").removesuffix("Forwarder")
+    forward = spec.kind.endswith("Forwarder")
+    name = parse_type(spec.type)
+    if prefix in ("Publisher", "Subscriber"):
+        image = cast(Literal["png", "jpeg", "json"], spec.format)
+        codec: Codec = Untouched() if forward else types.message(name, image)
+        return (Publisher if prefix == "Publisher" else Subscriber)(spec, switchboard, session, codec)
+    request, response = itertools.repeat(Untouched(), 2) if forward else types.service(name)
+    kind = ServiceClient if prefix == "ServiceClient" else ServiceProvider
+    return kind(spec, switchboard, session, request, response, timeout)

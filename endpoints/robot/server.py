@@ -1,0 +1,299 @@
+"""The WebSocket server for robots: handshake, limits, and the way from a frame to its session.
+
+Autobahn is known in this file only.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from typing import Annotated, Any, Protocol
+
+import txaio
+from msgspec import UNSET, Meta, Struct
+from twisted.logger import Logger
+
+from endpoints.link import tune
+from endpoints.robot.session import Piece, Session
+from rce import messages as m
+from rce.assembler import Assembler, Limits, Outcome
+from rce.blobs import Buffer
+from rce.errors import Forbidden, InvalidRequest, RceError, TimedOut, Unauthorized, Unavailable
+
+txaio.use_asyncio()  # before Autobahn is imported: it asks once which of the two it runs on
+from autobahn.asyncio.websocket import WebSocketServerFactory, WebSocketServerProtocol  # noqa: E402
+from autobahn.websocket.types import ConnectionDeny, ConnectionRequest  # noqa: E402
+
+HIGH_WATER = 256 * 1024  # bytes in the transport at which the outbox keeps what follows, where it can be overtaken
+SWEEP = 15.0
+BAD_WINDOW = 60.0
+
+log = Logger()
+
+
+class ServerLimits(Struct, frozen=True):
+    """What one robot may send."""
+
+    message: Annotated[int, Meta(ge=1024)] = 64 * 1024 * 1024
+    bad_messages: Annotated[int, Meta(ge=0)] = 100  # a minute; 0: no limit
+    blobs: Annotated[int, Meta(ge=1)] = 64
+    blob_memory: Annotated[int, Meta(ge=1024)] = 256 * 1024 * 1024
+    blob_age: Annotated[float, Meta(gt=0)] = 60.0
+
+
+class Door(Protocol):
+    """What the server needs of the endpoint."""
+
+    limits: ServerLimits
+    grace: float
+
+    async def login(self, greeting: Greeting) -> Admitted:
+        """A session for a robot that has proved who it is; raises why not."""
+
+    def data(self, session: Session, message: m.DataMessage, blobs: dict[str, Buffer]) -> None:
+        """Take a data message of the robot; raises what the robot shall hear."""
+
+    def disconnected(self, session: Session) -> None:
+        """The session has lost its socket: its grace time begins."""
+
+
+class Greeting(Struct, frozen=True):
+    """What a robot says in the request that opens its WebSocket."""
+
+    user: str
+    robot: str
+    secret: str
+    features: frozenset[str]
+    resume: str
+    address: str
+
+
+class Admitted(Struct, frozen=True):
+    """The answer to it."""
+
+    session: Session
+    token: str
+    resumed: bool
+
+
+def read_request(request: ConnectionRequest) -> Greeting:
+    """InvalidRequest if a parameter is missing or repeated."""
+    header = str(request.headers.get("authorization", ""))
+    scheme, _, bearer = header.partition(" ")
+    secret = bearer.strip() if scheme.lower() == "bearer" else _one(request, "password", "key")
+    offered = _optional(request, "features").split(",")
+    return Greeting(
+        user=_one(request, "userID"),
+        robot=_one(request, "robotID"),
+        secret=secret,
+        features=m.FEATURES & frozenset(offered),
+        resume=_optional(request, "resume"),
+        address=str(request.peer),
+    )
+
+
+def _one(request: ConnectionRequest, *names: str) -> str:
+    values = [value for name in names for value in request.params.get(name, [])]
+    if len(values) != 1:
+        raise InvalidRequest(f"parameter {' or '.join(names)} must be given exactly once, not {len(values)} times")
+    return str(values[0])
+
+
+def _optional(request: ConnectionRequest, name: str) -> str:
+    values = request.params.get(name, [""])
+    if len(values) != 1:
+        raise InvalidRequest(f"parameter {name} must be given at most once, not {len(values)} times")
+    return str(values[0])
+
+
+def _denial(error: RceError) -> ConnectionDeny:
+    if isinstance(error, Unauthorized):
+        return ConnectionDeny(401, str(error))
+    if isinstance(error, Forbidden):
+        return ConnectionDeny(403, str(error))
+    if isinstance(error, Unavailable | TimedOut):
+        return ConnectionDeny(503, str(error))
+    return ConnectionDeny(400, str(error))
+
+
+class RobotSocket(WebSocketServerProtocol):
+    """One robot's WebSocket."""
+
+    def __init__(self, door: Door) -> None:
+        super().__init__()
+        self._door = door
+        self._admitted: Admitted | None = None
+        self._session: Session | None = None
+        self._full = False
+        self._bad: deque[float] = deque()
+        self._reason = ""
+        self._sweeper: asyncio.TimerHandle | None = None
+
+    # --- handshake ----------------------------------------------------------------------------------------------------
+
+    async def onConnect(  # type: ignore[override]  # a coroutine may stand for the value
+        self, request: ConnectionRequest
+    ) -> tuple[None, dict[str, str]]:
+        try:
+            self._admitted = await self._door.login(read_request(request))
+        except RceError as error:
+            raise _denial(error) from None
+        session = self._admitted.session
+        if self.transport is None:  # it hung up while we looked it up
+            self._door.disconnected(session)
+        features = sorted(session.features)
+        return None, {"RCE-Features": ",".join(features)} if features else {}
+
+    def onOpen(self) -> None:
+        assert self._admitted is not None
+        session = self._session = self._admitted.session
+        limits = self._door.limits
+        loop = asyncio.get_running_loop()
+        self._assembler = Assembler(
+            loop.time,
+            parts=session.parts,
+            limits=Limits(limits.blobs, limits.blob_memory, limits.message, limits.blob_age),
+        )
+        self._sweeper = loop.call_later(SWEEP, self._sweep)
+        self.transport.set_write_buffer_limits(high=HIGH_WATER)
+        tune(self.transport)
+        previous = session.socket
+        if previous is not None:
+            previous.end("the robot has another connection now")
+        session.attach(self, self._admitted.token, self._admitted.resumed, self._door.grace)
+
+    def onClose(self, wasClean: bool, code: int | None, reason: str | None) -> None:
+        if self._sweeper is not None:
+            self._sweeper.cancel()
+        session = self._session
+        if session is None and self._admitted is not None:
+            session = self._admitted.session  # admitted, but never open
+            if session.socket is None:
+                self._door.disconnected(session)
+        elif session is not None and session.detach(self):
+            log.info("robot {robot} lost its socket: {reason}", robot=session.name, reason=self._reason or reason)
+            self._door.disconnected(session)
+
+    # --- from the robot -----------------------------------------------------------------------------------------------
+
+    def data_received(self, data: bytes) -> None:
+        """Straight to Autobahn's parser, past the queue and future that its asyncio adapter puts in between."""
+        try:
+            self._dataReceived(data)
+        except Exception:  # noqa: BLE001  # as its adapter does: a defect closes this socket and no other
+            log.failure("defect while reading from {peer}", peer=self.peer)
+            self._closeConnection(abort=True)
+
+    def onMessage(self, payload: bytes, isBinary: bool) -> None:
+        session = self._session
+        if session is None or self._reason:
+            return
+        frame: m.Frame | None = None
+        try:
+            if isBinary:
+                self._take(session, self._assembler.blob(payload))
+                return
+            frame = m.decode_frame(payload)
+            if frame.type != "DM":
+                session.command(frame)
+            elif b'*"' in payload:
+                self._take(session, self._assembler.frame(frame))
+            else:
+                self._data(session, frame, {})
+        except RceError as error:
+            self._refuse(session, error, frame)
+        except RecursionError:
+            self._refuse(session, InvalidRequest("the message is nested too deeply"), frame)
+
+    def _take(self, session: Session, outcome: Outcome) -> None:
+        for dropped in outcome.dropped:
+            self._refuse(session, dropped.error, dropped.frame)
+        if outcome.complete is not None:
+            try:
+                self._data(session, outcome.complete.frame, dict(outcome.complete.blobs))
+            except RceError as error:
+                self._refuse(session, error, outcome.complete.frame)
+
+    def _data(self, session: Session, frame: m.Frame, blobs: dict[str, Buffer]) -> None:
+        message = m.decode_as(m.DataMessage, frame.data, "data")
+        self._door.data(session, message, blobs)
+        if frame.id is not UNSET and "ack" in session.features:
+            session.status(m.Ack(), frame.id)
+
+    def _refuse(self, session: Session, error: RceError, frame: m.Frame | None) -> None:
+        """Tell the robot what was wrong; too many of these within a minute close the socket."""
+        session.error(error, frame.id if frame is not None and "ack" in session.features else UNSET)
+        most = self._door.limits.bad_messages
+        if not most:
+            return
+        now = asyncio.get_running_loop().time()
+        self._bad.append(now)
+        while self._bad[0] < now - BAD_WINDOW:
+            self._bad.popleft()
+        if len(self._bad) > most:
+            self.end(f"more than {most} bad messages within a minute; the last: {error}")
+
+    def _sweep(self) -> None:
+        self._sweeper = asyncio.get_running_loop().call_later(SWEEP, self._sweep)
+        session = self._session
+        if session is not None:
+            for dropped in self._assembler.sweep():
+                self._refuse(session, dropped.error, dropped.frame)
+
+    # --- Socket -------------------------------------------------------------------------------------------------------
+
+    def write(self, piece: Piece) -> bool:
+        for payload, binary in piece:
+            if self.state != self.STATE_OPEN:
+                return False
+            self.sendMessage(payload, binary)
+        return not self._full
+
+    def hold(self, until: asyncio.Future[None]) -> None:
+        transport = self.transport
+        if transport is not None and transport.is_reading():
+            transport.pause_reading()
+            until.add_done_callback(lambda _: None if transport.is_closing() else transport.resume_reading())
+
+    def end(self, reason: str) -> None:
+        self._reason = reason
+        if self.state == self.STATE_OPEN:
+            self.sendClose(1008, reason.encode()[:120].decode(errors="ignore"))
+
+    def pause_writing(self) -> None:
+        self._full = True
+        if self._session is not None and self._session.socket is self:
+            self._session.outbox.pause()
+
+    def resume_writing(self) -> None:
+        self._full = False
+        if self._session is not None and self._session.socket is self:
+            self._session.outbox.resume()
+
+
+class _Factory(WebSocketServerFactory):
+    def __init__(self, door: Door, loop: asyncio.AbstractEventLoop) -> None:
+        super().__init__(server="RCE", loop=loop)
+        self._door = door
+
+    def __call__(self) -> RobotSocket:
+        made = RobotSocket(self._door)
+        made.factory = self  # type: ignore[attr-defined]  # as its base class does
+        return made
+
+
+async def listen(door: Door, host: str, port: int, tls: Any) -> asyncio.Server:
+    """Take robots at `host:port`; `tls` is an SSLContext, or None for plain ws."""
+    loop = asyncio.get_running_loop()
+    txaio.config.loop = loop  # type: ignore[attr-defined]  # Autobahn's ping and handshake timers run on it
+    factory = _Factory(door, loop)
+    factory.setProtocolOptions(
+        maxMessagePayloadSize=door.limits.message,
+        maxFramePayloadSize=door.limits.message,
+        openHandshakeTimeout=30,
+        closeHandshakeTimeout=2,
+        autoPingInterval=10,
+        autoPingTimeout=10,
+        autoPingRestartOnAnyTraffic=True,
+    )
+    return await loop.create_server(factory, host, port, ssl=tls)

@@ -1,0 +1,223 @@
+"""A robot's session: it outlives its socket by the grace time, and keeps the order of the robot's commands."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from typing import Protocol
+
+import msgspec
+from msgspec import UNSET, Raw, UnsetType
+from twisted.logger import Logger
+
+from rce import messages as m
+from rce.blobs import Buffer
+from rce.calls import Execute, InterfaceSpec, Nothing
+from rce.control import MasterLink
+from rce.errors import InvalidRequest, LimitExceeded, Lost, RceError
+from rce.outbox import Outbox
+
+Piece = list[tuple[bytes, bool]]
+"""WebSocket messages that go out together, each with whether it is binary."""
+
+CONTROL = b""  # the outbox's source for statuses and errors
+MAX_COMMANDS = 1000  # of one robot, under way
+MAX_TRIES = 3
+
+log = Logger()
+
+
+class Socket(Protocol):
+    """The robot's socket as the session sees it."""
+
+    def write(self, piece: Piece) -> bool:
+        """Send; returns whether there is room for more."""
+
+    def hold(self, until: asyncio.Future[None]) -> None:
+        """Take nothing from the robot until then."""
+
+    def end(self, reason: str) -> None:
+        """Close with this reason."""
+
+
+class Sink(Protocol):
+    """An interface of the robot, as far as its session is concerned."""
+
+    spec: InterfaceSpec
+
+    def from_robot(self, message: m.DataMessage, blobs: dict[str, Buffer]) -> None:
+        """Take a data message that the robot sent. Raises what the robot shall hear."""
+
+
+class Session:
+    """`name` is `userID/robotID`; `features` are those that robot and server both know."""
+
+    def __init__(self, name: str, master: MasterLink) -> None:
+        self.name = name
+        self.features: frozenset[str] = frozenset()
+        self.interfaces: dict[str, Sink] = {}  # by tag
+        self.socket: Socket | None = None
+        self.token = ""
+        self.outbox: Outbox[Piece] = Outbox(self._write)
+        self.outbox.pause()
+        self._master = master
+        self._order = asyncio.Lock()
+        self._commands: set[asyncio.Task[None]] = set()
+        self._drops: dict[tuple[str, str], int] = {}
+        self._drop_timer: asyncio.TimerHandle | None = None
+
+    # --- socket -------------------------------------------------------------------------------------------------------
+
+    @property
+    def parts(self) -> bool:
+        return "parts" in self.features
+
+    def attach(self, socket: Socket, token: str, resumed: bool, grace: float) -> None:
+        """The robot is here; what waited for it leaves now."""
+        self.socket, self.token = socket, token
+        if self.features:
+            resumable = "resume" in self.features
+            greeting = m.Session(sorted(self.features), token if resumable else "", grace if resumable else 0, resumed)
+            socket.write(_piece(m.Status(greeting)))
+        self.outbox.resume()
+
+    def detach(self, socket: Socket) -> bool:
+        """The socket is closed; False if the session has another one already."""
+        if self.socket is not socket:
+            return False
+        self.socket = None
+        self.outbox.pause()
+        self.outbox.abandon()
+        return True
+
+    def hold(self, until: asyncio.Future[None]) -> None:
+        if self.socket is not None:
+            self.socket.hold(until)
+
+    def end(self, reason: str) -> None:
+        """The session is over."""
+        for task in self._commands:
+            task.cancel()
+        if self._drop_timer is not None:
+            self._drop_timer.cancel()
+        if self.socket is not None:
+            self.socket.end(reason)
+
+    def _write(self, piece: Piece) -> bool:
+        return self.socket is not None and self.socket.write(piece)
+
+    # --- to the robot -------------------------------------------------------------------------------------------------
+
+    def interface_status(self, tag: str, status: bool) -> None:
+        self.status(m.InterfaceStatus(tag, status))
+
+    def status(self, data: m.StatusData, id: m.FrameId | UnsetType = UNSET) -> None:
+        """Send an ST; topics beyond `iu` and acknowledgements go to robots with the feature `events` only."""
+        if isinstance(data, m.InterfaceStatus | m.Ack) or "events" in self.features:
+            self.outbox.put(CONTROL, iter([_piece(m.Status(data, id))]), None)
+
+    def error(self, error: RceError, id: m.FrameId | UnsetType = UNSET) -> None:
+        """Send an ER."""
+        self.outbox.put(CONTROL, iter([self.error_piece(error, id)]), None)
+
+    def error_piece(self, error: RceError, id: m.FrameId | UnsetType = UNSET) -> Piece:
+        text = f"Invalid Request: {error}" if isinstance(error, InvalidRequest) else str(error)
+        if not self.features:
+            return _piece(m.Failure(text))
+        return _piece(m.Failure(text, id, error.info))
+
+    def call_failed(self, tag: str, msg_id: str, error: RceError) -> None:
+        """A service call of the robot failed."""
+        fields = error.info.fields | {"iTag": tag, "msgID": msg_id}
+        self.error(RceError.from_info(msgspec.structs.replace(error.info, fields=fields)))
+
+    def dropped(self, tag: str, count: int, where: str) -> None:
+        """Messages were dropped, `count` in all; told once a second at most."""
+        self._drops[tag, where] = count
+        if self._drop_timer is None:
+            self._drop_timer = asyncio.get_running_loop().call_later(1.0, self._tell_drops)
+
+    def _tell_drops(self) -> None:
+        self._drop_timer = None
+        for (tag, where), count in self._drops.items():
+            self.status(m.DropEvent(tag, count, where))
+        self._drops.clear()
+
+    # --- commands -----------------------------------------------------------------------------------------------------
+
+    def command(self, frame: m.Frame) -> None:
+        """Carry out a CC, DC, CN or CX; its items are sent to the Master in order, errors and the ack follow."""
+        if len(self._commands) >= MAX_COMMANDS:
+            raise LimitExceeded(f"{MAX_COMMANDS} commands are under way already: wait for some to complete")
+        task = asyncio.create_task(self._run(frame))
+        self._commands.add(task)
+        task.add_done_callback(self._commands.discard)
+
+    async def _run(self, frame: m.Frame) -> None:
+        answers: list[asyncio.Task[None]] = []
+        good = True
+        async with self._order:
+            try:
+                for item, command in _items(frame):
+                    answers.append(await self._issue(item, command))
+            except RceError as error:
+                good = False
+                self._report(error, frame)
+        for answer in answers:
+            try:
+                await answer
+            except RceError as error:
+                good = False
+                self._report(error, frame)
+        if good and frame.id is not UNSET and "ack" in self.features:
+            self.status(m.Ack(), frame.id)
+
+    def _report(self, error: RceError, frame: m.Frame) -> None:
+        self.error(error, frame.id if "ack" in self.features else UNSET)
+
+    async def _issue(self, item: str, command: m.Command) -> asyncio.Task[None]:
+        answer = await self._master.issue(Execute(self.name, command))
+        return asyncio.create_task(self._finish(item, command, answer))
+
+    async def _finish(self, item: str, command: m.Command, answer: asyncio.Task[Nothing]) -> None:
+        """Await the answer to a command; if the Master was lost meanwhile, ask the next one what became of it."""
+        for tries_left in reversed(range(MAX_TRIES)):
+            try:
+                await answer
+                return
+            except Lost:
+                if not tries_left:
+                    raise
+                answer = await self._master.issue(Execute(self.name, command, again=True))
+            except RceError as error:
+                raise error.at(item) from None
+
+
+def _piece(message: m.Status | m.Failure) -> Piece:
+    return [(msgspec.json.encode(message), False)]
+
+
+def _items(frame: m.Frame) -> Iterator[tuple[str, m.Command]]:
+    """The commands of a frame in their order, each with its place in it; raises InvalidRequest at the first bad one."""
+    if frame.type == "CC":
+        yield "", m.decode_as(m.CreateContainer, frame.data, "data")
+    elif frame.type == "DC":
+        yield "", m.decode_as(m.DestroyContainer, frame.data, "data")
+    elif frame.type == "CN":
+        lists = m.decode_as(m.ConfigureComponents, frame.data, "data")
+        yield from _listed(m.CN_ITEMS, {name: getattr(lists, name) for name in m.CN_ITEMS})
+    elif frame.type == "CX":
+        pairs = m.decode_as(m.ConfigureConnections, frame.data, "data")
+        yield from _listed(m.CX_ITEMS, {name: getattr(pairs, name) for name in m.CX_ITEMS})
+    else:
+        raise InvalidRequest(f"message type {frame.type[:40]!r} is not supported: it is CC, DC, CN, CX or DM")
+
+
+def _listed(kinds: dict[str, type[m.Command]], lists: dict[str, list[Raw]]) -> Iterator[tuple[str, m.Command]]:
+    for name, kind in kinds.items():
+        for index, raw in enumerate(lists[name]):
+            item = f"{name}[{index}]"
+            try:
+                yield item, m.decode_as(kind, raw, item)
+            except InvalidRequest as error:
+                raise error.at(item) from None

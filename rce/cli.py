@@ -1,0 +1,71 @@
+"""The command `rce`."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import Callable
+
+import rce
+from rce import programs, settings
+from rce.errors import RceError
+
+PROGRAMS = {
+    "master": "run a Master",
+    "robot": "run a Robot endpoint",
+    "container": "run a Container task set",
+    "environment": "run an Environment endpoint (the task set does this)",
+    "user": "users and API keys of a Master on this machine",
+}
+
+
+def up(arguments: list[str]) -> int:
+    from rce import up as platform
+
+    asyncio.run(platform.serve(settings.load_or_exit(platform.Settings, "rce up", arguments)))
+    return 0
+
+
+COMMANDS: dict[str, tuple[str, Callable[[list[str]], int]]] = {
+    "up": ("run the whole platform on this machine", up),
+}
+
+
+def usage() -> str:
+    lines = ["usage: rce COMMAND …; rce COMMAND --help tells more", ""]
+    for name, text in {**{name: text for name, (text, _) in COMMANDS.items()}, **PROGRAMS}.items():
+        lines.append(f"  {name:12} {text}")
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Status 0: done; 1: it failed, and the reason is on standard error; 2: the command line is wrong."""
+    match sys.argv[1:]:
+        case [] | ["-h" | "--help" | "help"]:
+            print(usage())
+            return 0
+        case ["--version"]:
+            print(f"rce {rce.__version__}")
+            return 0
+        case [name, *arguments] if name in COMMANDS:
+            return _run(COMMANDS[name][1], arguments)
+        case [name, *arguments] if name in PROGRAMS:
+            return _run(lambda words: programs.become(name, words), arguments)
+        case [name, *_]:
+            print(f"rce: there is no command {name!r}\n\n{usage()}", file=sys.stderr)
+            return 2
+    raise AssertionError("every list of words is one of these")
+
+
+def _run(command: Callable[[list[str]], int], arguments: list[str]) -> int:
+    try:
+        return command(arguments)
+    except RceError as error:
+        print(f"rce: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

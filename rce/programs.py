@@ -1,0 +1,29 @@
+"""The server programs, which this package does not import: found by entry points, run as processes of their own."""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib.metadata import entry_points
+from typing import NoReturn
+
+from rce.errors import NotFound
+
+GROUP = "rce.programs"
+
+
+def command(name: str) -> list[str]:
+    """The command line that starts a program. `-P` keeps the current directory off its import path."""
+    for entry in entry_points(group=GROUP, name=name):
+        return [sys.executable, "-P", "-m", entry.value.removesuffix(".__main__")]
+    raise NotFound(f"the program {name} is not installed: pip install 'rce[server]'")
+
+
+def become(name: str, arguments: list[str]) -> NoReturn:
+    """Go on as this program."""
+    words = command(name) + arguments
+    os.execv(words[0], words)
+
+
+def known() -> list[str]:
+    return sorted(entry.name for entry in entry_points(group=GROUP))
