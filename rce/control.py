@@ -188,13 +188,15 @@ async def connect(reactor: ReactorBase, description: str, hello: Hello, handlers
     """
     loop = asyncio.get_running_loop()
     factory = pb.PBClientFactory()
+    broker: pb.Broker | None = None
     try:
         async with asyncio.timeout(JOIN_TIMEOUT):
-            await endpoints.clientFromString(reactor, description).connect(factory).asFuture(loop)
+            broker = await endpoints.clientFromString(reactor, description).connect(factory).asFuture(loop)
             root = await factory.getRootObject().asFuture(loop)
             good, pages, door = await root.callRemote("join", _pages(hello), _Door(handlers)).asFuture(loop)
     except BaseException as error:  # each transport has its own classes for this
-        factory.disconnect()
+        if broker is not None and broker.transport is not None:
+            broker.transport.abortConnection()
         if not isinstance(error, Exception):
             raise
         reason = f"no answer within {JOIN_TIMEOUT:g} s" if isinstance(error, TimeoutError) else str(error)
