@@ -23,13 +23,13 @@ from twisted.logger import Logger
 from containers import logfile, shared_memory
 from containers.domains import Domains
 from containers.engine import LAST_LINES, Ended, Engine, Life
-from containers.processes import MARKER, Watch, describe_end, has_marker, kill_marked
+from containers.processes import KILL_TIMEOUT, MARKER, Watch, describe_end, has_marker, kill_marked
 from rce.calls import EnvironmentSpec
-from rce.errors import InvalidRequest, LimitExceeded, StartFailed
+from rce.errors import InvalidRequest, LimitExceeded, StartFailed, TimedOut
 from rce.messages import ContainerData
 
 log = Logger()
-COMMAND = (sys.executable, "-P", "-m", "endpoints.environment")
+COMMAND: Sequence[str] = (sys.executable, "-P", "-m", "endpoints.environment")
 STOP_TIMEOUT = 10.0  # the endpoint stops its nodes by SIGINT, SIGTERM, SIGKILL in this time
 TRIM_EVERY = 5.0
 # What a process needs of the machine, its network and a system ROS 2; everything else may be a secret.
@@ -73,21 +73,21 @@ class ProcessEngine(Engine):
         *,
         root: Path,
         settings: Mapping[str, str],
-        command: Sequence[str] = COMMAND,
+        command: Sequence[str] | None = None,
         domains: Domains | None = None,
     ) -> None:
         super().__init__(capacity, features, ended)
         self._root = root
         self._settings = settings
-        self._command = command
+        self._command = command or COMMAND
         self._domains = domains or Domains()
         self._environments: dict[str, _Environment] = {}
         self._trimmer: asyncio.Task[None] | None = None
 
     async def launch(self, spec: EnvironmentSpec) -> None:
         _check_options(spec)
-        domain, lock = self._domains.take()
         try:
+            domain, lock = self._domains.take()
             state = self._start_process(spec, domain, lock)
             _write(self._environments[spec.name].directory / "state.json", msgspec.json.encode(state))
         except OSError as error:
@@ -95,7 +95,7 @@ class ProcessEngine(Engine):
 
     async def remove(self, name: str) -> None:
         environment = self._environments.get(name)
-        if environment is not None:
+        if environment is not None and not environment.watch.ended.is_set():
             await self._terminate(environment)
         for directory in _directories(self._root / name):
             await kill_marked(directory.name)
@@ -200,18 +200,15 @@ class ProcessEngine(Engine):
         self.died(name, environment.state.run, describe_end(status), status)
 
     async def _terminate(self, environment: _Environment) -> None:
-        if environment.watch.ended.is_set():
-            return
-        environment.watch.send(signal.SIGTERM)
-        try:
-            async with asyncio.timeout(STOP_TIMEOUT):
-                await environment.watch.ended.wait()
-        except TimeoutError:
-            log.warn(
-                "{name} does not stop within {seconds} s: killing it",
-                name=environment.state.name,
-                seconds=STOP_TIMEOUT,
-            )
+        name, watch = environment.state.name, environment.watch
+        for number, patience in ((signal.SIGTERM, STOP_TIMEOUT), (signal.SIGKILL, KILL_TIMEOUT)):
+            watch.send(number)
+            try:
+                await asyncio.wait_for(watch.ended.wait(), patience)
+                return
+            except TimeoutError:
+                log.warn("{name} lives {seconds} s after {signal}", name=name, seconds=patience, signal=number.name)
+        raise TimedOut(f"the process of environment {name} lives {KILL_TIMEOUT:g} s after it was killed")
 
     def _remove_empty(self, parent: Path) -> None:
         """Remove the directories of tag and user when nothing is in them."""

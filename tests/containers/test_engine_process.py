@@ -211,8 +211,11 @@ async def test_one_that_ignores_sigterm_is_killed(
     await engine.open()
     await engine.start(spec())
     await world.seen("ann/map")
+    ((pid, _),) = world._processes()
     await engine.stop("ann/map")
     assert world.there() == set()
+    with pytest.raises(ProcessLookupError):  # not even a zombie
+        os.kill(pid, 0)
     await engine.close()
 
 
