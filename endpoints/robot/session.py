@@ -146,21 +146,29 @@ class Session:
     # --- commands -----------------------------------------------------------------------------------------------------
 
     def command(self, frame: m.Frame) -> None:
-        """Carry out a CC, DC, CN or CX; its items are sent to the Master in order, errors and the ack follow."""
+        """Carry out a CC, DC, CN or CX: its items go to the Master in order, errors and the ack follow.
+
+        Raises InvalidRequest where an item is malformed; those before it are carried out.
+        """
         if len(self._commands) >= MAX_COMMANDS:
             raise LimitExceeded(f"{MAX_COMMANDS} commands are under way already: wait for some to complete")
-        task = asyncio.create_task(self._run(frame))
-        self._commands.add(task)
-        task.add_done_callback(self._commands.discard)
+        items: list[tuple[str, m.Command]] = []
+        complete = False
+        try:
+            items.extend(_items(frame))  # keeps what came before the error
+            complete = True
+        finally:
+            task = asyncio.create_task(self._run(frame, items, complete))
+            self._commands.add(task)
+            task.add_done_callback(self._commands.discard)
 
-    async def _run(self, frame: m.Frame) -> None:
+    async def _run(self, frame: m.Frame, items: list[tuple[str, m.Command]], good: bool) -> None:
         answers: list[asyncio.Task[None]] = []
-        good = True
         async with self._order:
             try:
-                for item, command in _items(frame):
+                for item, command in items:
                     answers.append(await self._issue(item, command))
-            except RceError as error:
+            except RceError as error:  # the Master is away
                 good = False
                 self._report(error, frame)
         for answer in answers:
@@ -176,7 +184,7 @@ class Session:
         self.error(error, frame.id if "ack" in self.features else UNSET)
 
     async def _issue(self, item: str, command: m.Command) -> asyncio.Task[None]:
-        answer = await self._master.issue(Execute(self.name, command))
+        answer = await self._master.issue(Execute.of(self.name, command))
         return asyncio.create_task(self._finish(item, command, answer))
 
     async def _finish(self, item: str, command: m.Command, answer: asyncio.Task[Nothing]) -> None:
@@ -188,7 +196,7 @@ class Session:
             except Lost:
                 if not tries_left:
                     raise
-                answer = await self._master.issue(Execute(self.name, command, again=True))
+                answer = await self._master.issue(Execute.of(self.name, command, again=True))
             except RceError as error:
                 raise error.at(item) from None
 

@@ -1,0 +1,107 @@
+"""`rce user`: users and API keys, straight in the database of a Master on this machine, running or not."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import getpass
+import sys
+import time
+from pathlib import Path
+from typing import get_args
+
+import msgspec
+
+from master.store import Store
+from master.users import UserRole, Users
+from rce.errors import RceError
+
+DAY = 86_400.0
+
+
+def parser() -> argparse.ArgumentParser:
+    whole = argparse.ArgumentParser(prog="rce user", description="Users and API keys of a Master on this machine.")
+    whole.add_argument(
+        "--data-dir", type=Path, default=Path("~/.local/share/rce/master"), help="the Master's data directory"
+    )
+    whole.add_argument("--database", default="", help="SQLAlchemy URL, if the Master does not use its data directory")
+    commands = whole.add_subparsers(dest="command", required=True)
+    add = commands.add_parser("add", help="add a user; the password is asked for, or read from standard input")
+    add.add_argument("user")
+    add.add_argument("--role", choices=get_args(UserRole), default="user")
+    remove = commands.add_parser("remove", help="remove a user with all API keys")
+    remove.add_argument("user")
+    listing = commands.add_parser("list", help="list the users")
+    listing.add_argument("--json", action="store_true")
+    key_add = commands.add_parser("key-add", help="make an API key and print it; it is shown this once")
+    key_add.add_argument("user")
+    key_add.add_argument("--role", choices=get_args(UserRole), default="robot")
+    key_add.add_argument("--label", default="")
+    key_add.add_argument("--days", type=float, help="days until it expires")
+    key_list = commands.add_parser("key-list", help="list a user's API keys")
+    key_list.add_argument("user")
+    key_list.add_argument("--json", action="store_true")
+    key_revoke = commands.add_parser("key-revoke", help="revoke an API key")
+    key_revoke.add_argument("user")
+    key_revoke.add_argument("key", help="its id, as `key-list` shows it")
+    return whole
+
+
+def _password() -> str:
+    if not sys.stdin.isatty():
+        return sys.stdin.readline().rstrip("\n")
+    first = getpass.getpass("Password: ")
+    if getpass.getpass("Again: ") != first:
+        raise RceError("the two passwords differ")
+    return first
+
+
+async def run(words: argparse.Namespace) -> None:
+    directory = words.data_dir.expanduser()
+    if not words.database and not directory.is_dir():
+        raise RceError(f"there is no directory {directory}: give the Master's with --data-dir")
+    store = Store(words.database or f"sqlite:///{directory / 'master.db'}")
+    await store.open()
+    try:
+        await _act(Users(store), words)
+    finally:
+        await store.close()
+
+
+async def _act(users: Users, words: argparse.Namespace) -> None:
+    match words.command:
+        case "add":
+            await users.add(words.user, _password(), words.role)
+        case "remove":
+            await users.remove(words.user)
+        case "list":
+            names = await users.names()
+            print(msgspec.json.encode(names).decode() if words.json else "\n".join(names))
+        case "key-add":
+            expires = time.time() + words.days * DAY if words.days else None
+            secret, _ = await users.add_key(words.user, words.role, words.label, expires)
+            print(secret)
+        case "key-list":
+            keys = await users.keys(words.user)
+            if words.json:
+                print(msgspec.json.encode(keys).decode())
+            else:
+                for key in keys:
+                    until = time.strftime("%Y-%m-%d", time.gmtime(key.expires)) if key.expires else "never expires"
+                    print(f"{key.id}  {key.role:8}  {until:13}  {key.label}")
+        case "key-revoke":
+            await users.revoke_key(words.user, words.key)
+
+
+def main() -> int:
+    words = parser().parse_args()
+    try:
+        asyncio.run(run(words))
+    except RceError as error:
+        print(f"rce user: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
