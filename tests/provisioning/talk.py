@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import signal
 import sys
 from array import array
 from typing import Any
@@ -73,5 +74,7 @@ def main(check: str) -> None:
 
 
 if __name__ == "__main__":
+    for number in (signal.SIGINT, signal.SIGTERM):  # rclpy's own handlers now and then leave `spin` waiting
+        signal.signal(number, signal.default_int_handler)
     with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
         main(sys.argv[1])

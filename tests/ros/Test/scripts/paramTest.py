@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import signal
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
@@ -34,8 +35,10 @@ def plain(parameter: Parameter) -> object:
 
 
 if __name__ == "__main__":
+    for number in (signal.SIGINT, signal.SIGTERM):  # rclpy's own handlers now and then leave `spin` waiting
+        signal.signal(number, signal.default_int_handler)
     try:
         with rclpy.init():
             rclpy.spin(ParameterTestNode())
     except (KeyboardInterrupt, ExternalShutdownException):
-        pass  # SIGINT and SIGTERM are how a node is stopped
+        pass  # how a node is stopped

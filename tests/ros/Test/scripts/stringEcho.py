@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import signal
+
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
@@ -23,8 +25,10 @@ class StringEchoNode(Node):
 
 
 if __name__ == "__main__":
+    for number in (signal.SIGINT, signal.SIGTERM):  # rclpy's own handlers now and then leave `spin` waiting
+        signal.signal(number, signal.default_int_handler)
     try:
         with rclpy.init():
             rclpy.spin(StringEchoNode())
     except (KeyboardInterrupt, ExternalShutdownException):
-        pass  # SIGINT and SIGTERM are how a node is stopped
+        pass  # how a node is stopped

@@ -7,6 +7,7 @@ it is empty for another `testType`.
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable
 from threading import Event
 from time import perf_counter
@@ -74,8 +75,10 @@ def milliseconds(trip: Callable[[str], None], text: str) -> float:
 
 
 if __name__ == "__main__":
+    for number in (signal.SIGINT, signal.SIGTERM):  # rclpy's own handlers now and then leave `spin` waiting
+        signal.signal(number, signal.default_int_handler)
     try:
         with rclpy.init():
             rclpy.spin(StringTesterNode(), MultiThreadedExecutor(2))
     except (KeyboardInterrupt, ExternalShutdownException):
-        pass  # SIGINT and SIGTERM are how a node is stopped
+        pass  # how a node is stopped
