@@ -51,6 +51,11 @@ class Outbox(Generic[P]):
                 dropped += 1
         return dropped
 
+    @property
+    def empty(self) -> bool:
+        """Whether all has left."""
+        return not self._turns
+
     def backlog(self, source: bytes) -> int:
         """How many messages of this source have not begun to leave."""
         queue = self._queues.get(source)
@@ -76,6 +81,14 @@ class Outbox(Generic[P]):
         """The stream broke: what had begun to leave is not begun again."""
         for queue in self._queues.values():
             queue.current = None
+
+    def clear(self) -> None:
+        """Drop everything: the stream is gone."""
+        for queue in self._queues.values():
+            self._release(queue)
+        self._queues.clear()
+        self._turns.clear()
+        self._open = False
 
     def pause(self) -> None:
         self._open = False
