@@ -66,12 +66,14 @@ class Engine(ABC):
         self._starts: list[_Start] = []
         self._locks: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
         self._tasks: set[asyncio.Task[None]] = set()
+        self._opened = asyncio.Event()
 
     # --- for the task set ---------------------------------------------------------------------------------------------
 
     async def open(self) -> None:
         """Adopt what runs, and remove what an earlier task set left half-started or dead; once, before all else."""
         self._lives = await self.recover()
+        self._opened.set()
 
     def running(self) -> dict[str, Life]:
         """What really runs, by name, as far as the engine has heard: neither what starts nor what has ended."""
@@ -177,6 +179,7 @@ class Engine(ABC):
                 del self._lives[name]
 
     async def _bury(self, name: str, run: str, reason: str, status: int | None) -> None:
+        await self._opened.wait()  # what ends while others are still being recovered is on the list by then
         async with self._lock(name):
             life = self._lives.get(name)
             if life is None or life.run != run:

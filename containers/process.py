@@ -1,7 +1,7 @@
 """The engine `process`: an environment is a process with its children, a directory and a ROS domain of its own.
 
 For development and for a single robot. What runs in an environment runs as this user: it can read what this user can
-read, and `cpu`, `memory` and `bandwidth` are not enforced (`cpu` and `memory` beyond what the machine has are refused).
+read, no limit is enforced on it (limits.py), and if it wants to hide from its end (by a changed environment) it can.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from twisted.logger import Logger
 from containers import logfile, shared_memory
 from containers.domains import Domains
 from containers.engine import LAST_LINES, Ended, Engine, Life
+from containers.limits import check_limits
 from containers.processes import KILL_TIMEOUT, MARKER, Watch, describe_end, has_marker, kill_marked
 from rce.calls import EnvironmentSpec
-from rce.errors import InvalidRequest, LimitExceeded, StartFailed, TimedOut
-from rce.messages import ContainerData
+from rce.errors import StartFailed, TimedOut
 
 log = Logger()
 COMMAND: Sequence[str] = (sys.executable, "-P", "-m", "endpoints.environment")
@@ -85,7 +85,7 @@ class ProcessEngine(Engine):
         self._trimmer: asyncio.Task[None] | None = None
 
     async def launch(self, spec: EnvironmentSpec) -> None:
-        _check_options(spec)
+        check_limits(spec)
         try:
             domain, lock = self._domains.take()
             state = self._start_process(spec, domain, lock)
@@ -219,29 +219,11 @@ class ProcessEngine(Engine):
     async def _trim(self) -> None:
         while True:
             await asyncio.sleep(TRIM_EVERY)
-            for environment in list(self._environments.values()):
-                logfile.trim(_log_file(environment.directory))
-
-
-def _check_options(spec: EnvironmentSpec) -> None:
-    options: ContainerData = spec.options
-    machine = {"cpu": float(os.cpu_count() or 1), "memory": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")}
-    for field, limit in machine.items():
-        asked = getattr(options, field)
-        if asked > limit:
-            raise LimitExceeded(
-                f"environment {spec.name} asks for {field} {asked:g}, this machine has {limit:g}",
-                field=f"containerData.{field}",
-                asked=asked,
-                limit=limit,
-            )
-    if options.group:
-        raise InvalidRequest(
-            f"environment {spec.name}: the process engine has no network groups; use docker or swarm",
-            field="containerData.group",
-        )
-    if options.cpu or options.memory or options.bandwidth:
-        log.warn("{name}: the process engine does not enforce cpu, memory and bandwidth", name=spec.name)
+            for name, environment in self._environments.items():
+                try:
+                    logfile.trim(_log_file(environment.directory))
+                except OSError as error:  # a full disk most likely; the next turn may succeed
+                    log.error("the log of {name} cannot be cut: {error}", name=name, error=str(error))
 
 
 def _clean_shared_memory(domain: int) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -14,6 +15,8 @@ from rce.errors import TimedOut
 MARKER = "RCE_RUN"
 KILL_TIMEOUT = 10.0
 RESCAN = 0.01
+EXEC_TIME = 0.0005
+EXEC_TRIES = 1000
 
 
 class Watch:
@@ -45,13 +48,30 @@ class Watch:
         self._callback()
 
 
-def has_marker(pid: int, run: str) -> bool:
-    """Whether the process lives and inherited this run's marker; one that we may not look into is not ours."""
+def environ(pid: int) -> list[bytes]:
+    """`NAME=value` of what the process was started with; nothing for one that is gone or that we may not look into."""
+    process = Path(f"/proc/{pid}")
     try:
-        environ = Path(f"/proc/{pid}/environ").read_bytes()
+        for _ in range(EXEC_TRIES):
+            text = (process / "environ").read_bytes()
+            if text or not _in_exec(process):
+                break
+            time.sleep(EXEC_TIME)
     except (FileNotFoundError, ProcessLookupError, PermissionError):
-        return False
-    return f"{MARKER}={run}".encode() in environ.split(b"\0")
+        return []
+    return text.split(b"\0")
+
+
+def _in_exec(process: Path) -> bool:
+    """Whether it is amid execve(2): it has memory already, but the environment is not yet in it (proc_pid_stat(5))."""
+    stat = (process / "stat").read_text().rpartition(")")[2].split()
+    virtual_size, end_of_environment = int(stat[20]), int(stat[48])
+    return virtual_size > 0 and end_of_environment == 0
+
+
+def has_marker(pid: int, run: str) -> bool:
+    """Whether the process lives and inherited this run's marker."""
+    return f"{MARKER}={run}".encode() in environ(pid)
 
 
 def marked(run: str) -> list[int]:

@@ -27,10 +27,13 @@ def clean(directory: Path = SHARED_MEMORY) -> None:
 
 
 def clean_ports(domain: int, directory: Path = SHARED_MEMORY) -> None:
-    """Remove the ports of a ROS domain in which nobody is any more (port numbers: RTPS 2.5, 9.6.2.3)."""
+    """Remove the ports of a ROS domain in which nobody is any more.
+
+    Unicast ports are numbered as in RTPS 2.5, 9.6.2.3; the port to all participants of a domain is 7000 + domain.
+    """
     for path in _own(directory, PORT):
         match = PORT.fullmatch(path.name)
-        if match and (int(match[1]) - 7400) // 250 == domain:
+        if match and ((number := int(match[1])) == 7000 + domain or (number - 7400) // 250 == domain):
             path.unlink(missing_ok=True)
 
 

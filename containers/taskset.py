@@ -47,11 +47,13 @@ class TaskSet:
         try:
             await self._serve()
         finally:
-            if stop_environments:
-                await self._engine.keep([])
-            for report in self._reports:
-                report.cancel()
-            await self._engine.close()
+            try:
+                if stop_environments:
+                    await self._engine.keep([])
+            finally:
+                for report in self._reports:
+                    report.cancel()
+                await self._engine.close()
 
     async def _serve(self) -> None:
         try:

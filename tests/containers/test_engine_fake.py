@@ -6,7 +6,7 @@ from collections.abc import Callable
 import pytest
 from engine_contract import CAPACITY, FEATURES, Endings, EngineContract, World, spec
 
-from containers.engine import Ended, Engine
+from containers.engine import Ended, Engine, Life
 from containers.fake import DyingEngine, FailingEngine, FakeEngine, FakeMachine, NeverEngine, SlowEngine
 from rce.calls import EnvironmentSpec
 from rce.errors import StartFailed
@@ -47,6 +47,22 @@ class TestFakeEngine(EngineContract):
         await engine.open()
         assert world.there() == set()
         await engine.close()
+
+
+async def test_what_ends_while_others_are_adopted_is_reported() -> None:
+    class Dying(FakeEngine):
+        async def recover(self) -> dict[str, Life]:
+            lives = await super().recover()
+            self.machine.end("ann/map", 3)
+            await asyncio.sleep(0)
+            return lives
+
+    machine, endings = FakeMachine(), Endings()
+    machine.running["ann/map"] = Life(spec().run)
+    engine = Dying(1, (), endings, machine)
+    await engine.open()
+    assert (await endings.next()).run == spec().run
+    assert engine.running() == {}
 
 
 async def test_slow_starts_when_told() -> None:

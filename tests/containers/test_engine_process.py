@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from engine_contract import CAPACITY, FEATURES, Endings, EngineContract, World, spec
 
-from containers import process
+from containers import process, processes
 from containers.domains import Domains
 from containers.engine import Ended, Engine, Life
 from containers.process import ProcessEngine
@@ -75,14 +75,10 @@ class ProcessWorld(World):
 
     def _processes(self) -> list[tuple[int, dict[str, str]]]:
         found = []
-        for entry in Path("/proc").iterdir():
-            try:
-                text = (entry / "environ").read_text() if entry.name.isdigit() else ""
-            except OSError:
-                continue
-            environ = dict(line.split("=", 1) for line in text.split("\0") if "=" in line)
+        for pid in [int(entry.name) for entry in Path("/proc").iterdir() if entry.name.isdigit()]:
+            environ = dict(line.decode().split("=", 1) for line in processes.environ(pid) if b"=" in line)
             if environ.get("RCE_DATA_DIR", "").startswith(str(self.root)):
-                found.append((int(entry.name), environ))
+                found.append((pid, environ))
         return found
 
 

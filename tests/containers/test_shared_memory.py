@@ -31,8 +31,8 @@ def test_only_segments_of_the_dead_are_removed(tmp_path: Path) -> None:
 
 
 def test_ports_of_one_domain(tmp_path: Path) -> None:
-    ours = [f"fastdds_port{7400 + 250 * 3 + 11}", "sem.fastdds_port8161_mutex", "fastdds_port8161_el"]
-    others = ["fastdds_port7411", f"fastdds_port{7400 + 250 * 4}", "fastdds_port7000", "fastdds_portal"]
+    ours = ["fastdds_port8161", "sem.fastdds_port8161_mutex", "fastdds_port8161_el", "fastdds_port7003"]
+    others = ["fastdds_port7411", "fastdds_port8400", "fastdds_port7000", "fastdds_portal"]
     for name in ours + others:
         (tmp_path / name).touch()
     shared_memory.clean_ports(3, tmp_path)
