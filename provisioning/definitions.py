@@ -30,7 +30,11 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 # ROS 1 allowed capital letters in the names of packages and fields, and its messages are still on the wire
 # (`Test/StringEcho`, `testType`). The code made from them is as good, so the adapter's own rule is widened.
 parser.VALID_PACKAGE_NAME_PATTERN = parser.VALID_FIELD_NAME_PATTERN = NAME  # type: ignore[misc]
-parser_errors = (parser.InvalidSpecification, parser.InvalidValue, ValueError, TypeError, NotImplementedError)
+# What the adapter was seen to raise for lines that make no sense.
+parser_errors = (
+    *(parser.InvalidSpecification, parser.InvalidValue),
+    *(ValueError, TypeError, NameError, IndexError, NotImplementedError),
+)
 
 
 class Reference(NamedTuple):
@@ -131,7 +135,7 @@ def check_package_name(package: Package, others: dict[str, Package]) -> None:
 
 
 def check_file_names(paths: Sequence[Path]) -> None:
-    """Refuse names that are no type names, and those that make one name in snake case."""
+    """Refuse names that are no type names, and those that are one name in the lower case of the generated files."""
     seen: dict[tuple[str, str], Path] = {}
     for path in paths:
         if not parser.is_valid_message_name(path.stem):

@@ -120,8 +120,10 @@ def build_packages(packages: Sequence[Package], prefix: Path) -> None:
 
 
 def libraries(package: str, python: Path) -> list[Path]:
-    """Messages, introspection, Python's module. The first two have the names that the dispatching layer of ROS 2 asks
-    the loader for; it gets them wherever they are, because Python's module has them loaded before.
+    """A package's libraries: messages, introspection, Python's module.
+
+    The dispatching layer of ROS 2 asks the loader for the first two by these names. It gets them wherever they are,
+    because Python's module is linked to them and so had them loaded before.
     """
     names = (f"lib{package}__{generate.FASTRTPS}", f"lib{package}__{generate.INTROSPECTION}", module_name(package))
     return [python / package / f"{name}.so" for name in names]

@@ -125,3 +125,8 @@ def test_an_old_python_is_refused(script: ModuleType, monkeypatch: pytest.Monkey
     monkeypatch.setattr(sys, "version_info", (3, 10, 2))
     with pytest.raises(script.Failed, match=r"RCE runs on 3\.11 to 3\.13"):
         script.check_python()
+
+
+def test_the_status_is_that_of_the_last_program(script: ModuleType) -> None:
+    program = "import os, sys; sys.exit(int(os.environ['STATUS']))"
+    assert script.hand_over([sys.executable, "-c", program], environment={"STATUS": "7"}) == 7
