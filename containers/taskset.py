@@ -11,10 +11,11 @@ from twisted.internet.base import ReactorBase
 from twisted.logger import Logger
 
 from containers.engine import Ended, Engine
-from rce.calls import EnvironmentDied, Hello, KeepEnvironments, Nothing, StartEnvironment, StopEnvironment
+from rce.calls import EnvironmentDied, Hello, KeepEnvironments, Nothing, StartEnvironment, StopEnvironment, Welcome
 from rce.control import Handlers, MasterLink
 from rce.credential import Credential
 from rce.errors import RceError, Unauthorized
+from rce.ready import Ready, announce
 
 log = Logger()
 MakeEngine = Callable[[Callable[[Ended], None]], Engine]
@@ -35,7 +36,7 @@ class TaskSet:
         handlers.on(StartEnvironment, self._start)
         handlers.on(StopEnvironment, self._stop)
         handlers.on(KeepEnvironments, self._keep)
-        self._link = MasterLink(reactor, master, self._hello, handlers, credential.keep)
+        self._link = MasterLink(reactor, master, self._hello, handlers, self._welcomed)
 
     async def run(self, *, stop_environments: bool) -> None:
         """Serve the Master until cancelled or refused (its error is raised).
@@ -63,6 +64,10 @@ class TaskSet:
                 raise
             log.warn("{error}; the stored credential is dropped and the join token tried", error=str(error))
             await self._link.run()
+
+    def _welcomed(self, welcome: Welcome) -> None:
+        self._credential.keep(welcome)
+        announce(Ready("container"))
 
     def _hello(self) -> Hello:
         return Hello(

@@ -26,8 +26,15 @@ def up(arguments: list[str]) -> int:
     return 0
 
 
+def map_recordings(arguments: list[str]) -> int:
+    from rce.commands import map as command
+
+    return command.main(arguments)
+
+
 COMMANDS: dict[str, tuple[str, Callable[[list[str]], int]]] = {
     "up": ("run the whole platform on this machine", up),
+    "map": ("make a map of recorded laser scans", map_recordings),
 }
 
 

@@ -30,6 +30,12 @@ STEADY = 10.0  # a part that ran this long had started well
 PR_SET_PDEATHSIG = 1
 
 
+def default_typesupport() -> str:
+    """What provisioning has built beside this Python, if anything."""
+    built = Path(sys.prefix) / "typesupport" / "current"
+    return str(built.resolve()) if built.exists() else ""
+
+
 class Settings(Struct):
     """Run the whole platform on this machine: one command, one process tree."""
 
@@ -48,7 +54,9 @@ class Settings(Struct):
     certificate: Annotated[str, Meta(description="PEM file for https and wss")] = ""
     private_key: Annotated[str, Meta(description="PEM file of its key")] = ""
     package_path: Annotated[list[str], Meta(description="directories with ROS 2 packages, comma-separated")] = []
-    typesupport: Annotated[str, Meta(description="directory with built type support of messages and services")] = ""
+    typesupport: Annotated[str, Meta(description="directory with built type support of messages and services")] = (
+        default_typesupport()
+    )
 
 
 class Part:

@@ -1,0 +1,1 @@
+"""The commands that `rce` carries out itself, each imported when it is called."""

@@ -1,0 +1,112 @@
+"""`rce map`: recorded data through a platform and its mapping node, and the map back."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import secrets
+import sys
+import time
+from pathlib import Path
+
+from rce.client import Robot
+from rce.commands.platform import Access, add_arguments, platform
+from rce.errors import InvalidRequest
+from rce.mapping.outputs import write_outputs
+from rce.mapping.recordings import Recording, open_recording
+from rce.mapping.robot import MappingRobot, Result
+from rce.mapping.simulation import Simulation, evaluate, simulate
+
+LINE_EVERY = 5.0  # seconds between lines of progress where there is no terminal
+TICK = 0.2
+
+
+def parser() -> argparse.ArgumentParser:
+    whole = argparse.ArgumentParser(
+        prog="rce map",
+        description="Send recorded laser scans through a platform and write the map that its mapping node makes.",
+    )
+    whole.add_argument("recordings", nargs="*", type=Path, metavar="FILE", help="CARMEN log, ROS 1 or ROS 2 bag")
+    whole.add_argument("--simulate", action="store_true", help="a robot simulated in a floor plan instead")
+    whole.add_argument("--out", type=Path, default=Path("map"), metavar="DIR", help="(default: %(default)s)")
+    whole.add_argument("--resolution", type=float, default=0.05, help="metres a cell (default: %(default)s)")
+    whole.add_argument("--scan-topic", default="", help="of a bag with several topics of laser scans")
+    whole.add_argument("--odometry-topic", default="", help="of a bag with several topics of odometry")
+    add_arguments(whole)
+    return whole
+
+
+def main(arguments: list[str]) -> int:
+    words = parser().parse_args(arguments)
+    if bool(words.recordings) == words.simulate:
+        raise InvalidRequest("rce map: give recordings, or --simulate")
+    # Before anything is started: what cannot be read is said at once.
+    sources: list[Recording] = [
+        open_recording(path, words.scan_topic, words.odometry_topic) for path in words.recordings
+    ]
+    asyncio.run(run(words, [simulate()] if words.simulate else sources))
+    return 0
+
+
+async def run(words: argparse.Namespace, sources: list[Recording]) -> None:
+    async with platform(words) as access:
+        for source in sources:
+            directory = words.out if len(sources) == 1 else words.out / source.name
+            result = await build(access, source, words.resolution)
+            written = write_outputs(directory, result.grid, result.trajectory)
+            print(f"{result.scans} scans mapped; map in {directory}: {', '.join(path.name for path in written)}")
+            if isinstance(source, Simulation):
+                print(evaluate(result.grid, result.trajectory, source))
+
+
+async def build(access: Access, source: Recording, resolution: float) -> Result:
+    """Map one recording in an environment of its own, which is gone afterwards."""
+    name = f"mapper_{secrets.token_hex(4)}"
+    progress = Progress(source)
+    async with (
+        Robot(access.url, user=access.user, robot=name, password=access.password, key=access.key) as robot,
+        robot.environment(f"env_{name}", restart="no") as environment,
+        MappingRobot(robot, environment) as mapping,
+    ):
+        await mapping.prepare({"resolution": resolution})
+        progress.begin()
+        result = await mapping.drive(source, progress.done)
+        progress.end()
+        return result
+
+
+class Progress:
+    """Scans, how many times real time, and the time to go, on standard error."""
+
+    def __init__(self, source: Recording) -> None:
+        self._source = source
+        self._began = 0.0
+        self._shown = 0.0
+        self._count = 0
+        self._terminal = sys.stderr.isatty()
+
+    def begin(self) -> None:
+        self._began = self._shown = time.monotonic()
+
+    def done(self, count: int) -> None:
+        self._count = count
+        now = time.monotonic()
+        if now - self._shown >= (TICK if self._terminal else LINE_EVERY):
+            self._shown = now
+            self._show("\r" if self._terminal else "", "" if self._terminal else "\n")
+
+    def end(self) -> None:
+        self._show("\r" if self._terminal else "", "\n")
+
+    def _show(self, start: str, end: str) -> None:
+        passed = max(time.monotonic() - self._began, 1e-9)
+        text = f"{self._source.name}: {self._count} scans"
+        total, duration = self._source.scans, self._source.duration
+        if total:
+            share = self._count / total
+            text = f"{self._source.name}: {self._count}/{total} scans"
+            if duration:
+                text += f", {share * duration / passed:.1f} times real time"
+            if 0 < share < 1:
+                text += f", {passed / share - passed:.0f} s to go"
+        print(f"{start}{text}, {passed:.1f} s", end=end.ljust(4) if start else end, file=sys.stderr, flush=True)

@@ -1,0 +1,64 @@
+"""Where a command finds its platform: one that runs already, or one that it starts for itself."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import os
+import tempfile
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import NamedTuple
+
+from rce import up
+from rce.ready import Ready
+
+DEV_USER = "testUser"
+
+
+class Access(NamedTuple):
+    """The entry of a platform and the credentials to use there."""
+
+    url: str
+    user: str
+    password: str | None
+    key: str | None
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("platform", "without --url, one is started for this command alone")
+    group.add_argument("--url", default="", help="entry of a running platform, http://host:9000/")
+    group.add_argument("--user", default=DEV_USER, help="(default: %(default)s)")
+    group.add_argument("--password", default=None, help="better: RCE_PASSWORD or RCE_KEY in the environment")
+    group.add_argument("--engine", choices=["process"], default="process", help="of the platform that is started")
+
+
+@contextlib.asynccontextmanager
+async def platform(words: argparse.Namespace) -> AsyncIterator[Access]:
+    """The running platform of `--url`, or a fresh one that ends with the context."""
+    if words.url:
+        password = words.password or os.environ.get("RCE_PASSWORD")
+        key = None if password else os.environ.get("RCE_KEY")
+        if password is None and key is None and words.user == DEV_USER:
+            password = DEV_USER  # the user of development platforms
+        yield Access(words.url, words.user, password, key)
+        return
+    with tempfile.TemporaryDirectory(prefix="rce-") as directory:
+        settings = up.Settings(data_dir=Path(directory), http_port=0, dev=True, engine=words.engine)
+        entry: asyncio.Future[Ready] = asyncio.get_running_loop().create_future()
+
+        async def started(ready: Ready) -> None:
+            entry.set_result(ready)
+            await asyncio.Event().wait()
+
+        running = asyncio.create_task(up.run(settings, started))
+        try:
+            await asyncio.wait({running, entry}, return_when=asyncio.FIRST_COMPLETED)
+            if not entry.done():
+                await running  # raises why it did not start
+            yield Access(entry.result().url, DEV_USER, DEV_USER, None)
+        finally:
+            running.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await running
