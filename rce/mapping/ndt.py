@@ -52,7 +52,9 @@ def align(
     """Move from (x, y, theta) to where the points (n, 2), frame of the robot, are likeliest, by Gauss-Newton.
 
     A point counts for the four cells around it by its distance to their centres (the four overlapping grids of the
-    paper, blended). `variance` of a single measurement, in square fine cells, is added to that of the cells.
+    paper, blended). With V the covariance of a cell, its weight is adj V / (det V + `variance` tr V): for a wall that
+    is 1 / (`variance` + its thickness squared) across and nothing along it, where the inverse of V, which the paper
+    takes, would pull towards the centre of the cell. `variance`: of a single measurement, in square fine cells.
     Returns x, y, theta and the upper triangle of the information matrix: xx, xy, xt, yy, yt, tt. Unit: fine cells.
     """
     height, width, _ = normals.shape
@@ -80,9 +82,9 @@ def align(
                 if cell[0] < FEWEST_HITS:
                     continue
                 ex, ey = cell[1] - (u - column) * ratio, cell[2] - (v - row) * ratio
-                vxx, vxy, vyy = cell[3] + variance, cell[4], cell[5] + variance
-                determinant = vxx * vyy - vxy * vxy
-                ixx, ixy, iyy = vyy / determinant, -vxy / determinant, vxx / determinant
+                vxx, vxy, vyy = cell[3], cell[4], cell[5]
+                scale = 1.0 / (vxx * vyy - vxy * vxy + variance * (vxx + vyy) + 1e-6)
+                ixx, ixy, iyy = scale * vyy, -scale * vxy, scale * vxx
                 px, py = ixx * ex + ixy * ey, ixy * ex + iyy * ey
                 share = (u if column else 1.0 - u) * (v if row else 1.0 - v)
                 weight = share * math.exp(-0.5 * (px * ex + py * ey))

@@ -107,17 +107,14 @@ def _check_kind(path: Path) -> None:
             raise InvalidRequest(f"{path.name} is not a ROS 2 bag: it has no metadata.yaml", field="path")
         return
     with path.open("rb") as file:
-        start = file.read(len(ROS1_MAGIC))
+        start = file.readline(64)
     if not start:
         raise InvalidRequest(f"{path.name} is empty", field="path")
     if path.suffix == ".bag" and start != ROS1_MAGIC:
-        old = start.startswith((b"#ROSRECORD", b"#ROSBAG"))
-        version = start.partition(b"V")[2].strip().decode("ascii", "replace")
-        what = (
-            f"a ROS bag of format {version}, and only 2.0 is read: convert it with `rosbag fix`"
-            if old
-            else "no ROS bag"
-        )
+        what = "not a ROS bag"
+        if start.startswith((b"#ROSRECORD V", b"#ROSBAG V")):
+            version = start.partition(b"V")[2].strip().decode("ascii", "replace")
+            what = f"a ROS bag of format {version}, and only 2.0 is read: convert it with `rosbag fix`"
         raise InvalidRequest(f"{path.name} is {what}", field="path")
 
 

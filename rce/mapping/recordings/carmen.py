@@ -16,7 +16,7 @@ from rce.mapping.scans import Scan
 
 # FLASER does not tell how far the laser sees. SICK lasers give one of these where they see nothing: 8.183 m and more in
 # millimetre mode, 32.76 and 51.1 m on older models, 81.83 m and more in centimetre mode.
-NO_RETURN = ((8.18, 8.2), (32.75, 32.77), (51.1, 51.3))
+NO_RETURN = ((8.18, 8.2), (32.75, 32.78), (51.1, 51.3))
 RANGE_MAX = 80.0
 SNIFFED = 200  # scans that are read to find out which of these it is
 COUNTED_BYTES = 256_000_000  # a larger file is not read twice to know its length

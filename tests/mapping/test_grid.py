@@ -1,0 +1,53 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rce.mapping.geometry import ORIGIN, Pose
+from rce.mapping.grid import GridMap, OccupancyGrid
+
+WALL = np.stack([np.full(150, 2.003), np.linspace(-1.0, 1.0, 150)], axis=1)
+
+
+def value(grid: OccupancyGrid, x: float, y: float) -> int:
+    """The cell at a place of the map frame, metres."""
+    return int(grid.cells[int((y - grid.y) // grid.resolution), int((x - grid.x) // grid.resolution)])
+
+
+@pytest.mark.parametrize("resolution", [0.02, 0.05, 0.1])
+def test_free_before_the_wall_occupied_on_it_unknown_behind(resolution: float) -> None:
+    grid = GridMap(resolution, 0.1)
+    for _ in range(4):
+        grid.insert(ORIGIN, np.concatenate([WALL, [[2.5, 1.5]]]))
+    seen = grid.render()
+    assert value(seen, 1.0, 0.1) < 20
+    assert value(seen, 2.003, 0.1) > 65
+    assert value(seen, 2.3, -0.5) == -1
+
+
+def test_nothing_seen_is_one_unknown_cell() -> None:
+    assert GridMap(0.05, 0.1).render().cells.tolist() == [[-1]]
+
+
+def test_it_grows_without_moving_what_it_has() -> None:
+    small, large = GridMap(0.05, 0.1), GridMap(0.05, 0.1)
+    small.insert(ORIGIN, WALL)
+    large.insert(ORIGIN, WALL)
+    for x, y in ((-45.0, 3.0), (50.0, -60.0), (2.0, 70.0)):
+        large.insert(Pose(x, y, 1.0), WALL)
+    before, after = small.render(), large.render()
+    column, row = round((before.x - after.x) / 0.05), round((before.y - after.y) / 0.05)
+    height, width = before.cells.shape
+    np.testing.assert_array_equal(after.cells[row : row + height, column : column + width], before.cells)
+    assert large.normals.shape[:2] == tuple(side // large.ratio for side in large.log_odds.shape)
+    hits = large.normals[..., 0].sum()
+    assert hits == 4 * len(WALL)
+
+
+def test_a_cell_that_becomes_free_is_forgotten_as_a_wall() -> None:
+    grid = GridMap(0.05, 0.1)
+    grid.insert(ORIGIN, np.array([[1.02, 0.02]]))
+    assert value(grid.render(), 1.02, 0.02) > 65
+    for _ in range(20):
+        grid.insert(ORIGIN, np.array([[2.02, 0.02]]))
+    assert value(grid.render(), 1.02, 0.02) < 20

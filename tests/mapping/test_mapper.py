@@ -1,0 +1,101 @@
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from rce.mapping.geometry import Pose
+from rce.mapping.mapper import ScanMatcher
+from rce.mapping.scans import Scan
+from rce.mapping.simulation import Simulation, evaluate
+
+
+def mapped(scans: Iterable[Scan]) -> ScanMatcher:
+    mapper = ScanMatcher()
+    for scan in scans:
+        mapper.add(scan)
+    return mapper
+
+
+def test_walls_are_found_single_and_straight(simulation: Simulation) -> None:
+    mapper = mapped(simulation)
+    accuracy = evaluate(mapper.grid(), mapper.trajectory(), simulation)
+    assert accuracy.translation < 0.03
+    assert accuracy.rotation < math.radians(0.3)
+    assert accuracy.walls_found > 0.95
+    assert accuracy.walls_true > 0.98
+
+
+def test_odometry_is_optional(simulation: Simulation) -> None:
+    mapper = mapped(dataclasses.replace(scan, odometry=None) for scan in simulation)
+    assert evaluate(mapper.grid(), mapper.trajectory(), simulation).translation < 0.03
+
+
+def test_half_the_field_of_view_is_enough(simulation: Simulation) -> None:
+    front = slice(90, 270)
+    mapper = mapped(
+        dataclasses.replace(scan, ranges=scan.ranges[front], angle_min=scan.angle_min + 90 * scan.angle_increment)
+        for scan in simulation.records[:300]
+    )
+    part = dataclasses.replace(simulation, records=simulation.records[:300], truth=simulation.truth[:300])
+    assert evaluate(mapper.grid(), mapper.trajectory(), part).translation < 0.05
+
+
+def test_the_same_scans_give_the_same_map(simulation: Simulation) -> None:
+    first, second = mapped(simulation.records[:150]), mapped(simulation.records[:150])
+    np.testing.assert_array_equal(first.trajectory(), second.trajectory())
+    np.testing.assert_array_equal(first.grid().cells, second.grid().cells)
+
+
+def test_bad_returns_are_ignored(simulation: Simulation) -> None:
+    bad = (np.nan, np.inf, -np.inf, 0.0, -1.0, 81.91, 12.0)
+    scans = []
+    for scan in simulation.records[:150]:
+        ranges = scan.ranges.copy()
+        for i, value in enumerate(bad):
+            ranges[i::20] = value
+        scans.append(dataclasses.replace(scan, ranges=ranges))
+    part = dataclasses.replace(simulation, records=scans, truth=simulation.truth[:150])
+    mapper = mapped(scans)
+    assert evaluate(mapper.grid(), mapper.trajectory(), part).translation < 0.03
+
+
+@pytest.mark.parametrize("ranges", [[], [np.nan] * 360, [np.inf] * 360], ids=["empty", "nan", "inf"])
+def test_an_unusable_scan_moves_by_odometry(simulation: Simulation, ranges: list[float]) -> None:
+    mapper = mapped(simulation.records[:5])
+    last = simulation.records[4]
+    assert last.odometry
+    pose = Pose(*mapper.trajectory()[-1, 1:])
+    blind = dataclasses.replace(
+        last,
+        stamp=last.stamp + 0.1,
+        ranges=np.array(ranges, np.float32),
+        odometry=last.odometry @ Pose(0.3, 0.0, 0.1),
+    )
+    estimate = mapper.add(blind)
+    assert not estimate.matched
+    assert estimate.pose == pytest.approx(pose @ Pose(0.3, 0.0, 0.1))
+    assert len(mapper.trajectory()) == 6
+
+
+@pytest.mark.parametrize("odometry", [Pose(1e9, 0.0, 0.0), Pose(math.nan, 0.0, 0.0), None], ids=["reset", "nan", "gap"])
+def test_nonsense_from_the_wheels_is_survived(simulation: Simulation, odometry: Pose | None) -> None:
+    scans = list(simulation.records[:60])
+    scans[30] = dataclasses.replace(scans[30], odometry=odometry)
+    part = dataclasses.replace(simulation, records=scans, truth=simulation.truth[:60])
+    mapper = mapped(scans)
+    assert evaluate(mapper.grid(), mapper.trajectory(), part).translation < 0.03
+
+
+def test_angles_that_are_no_numbers_make_a_scan_unusable(simulation: Simulation) -> None:
+    mapper = mapped(simulation.records[:5])
+    assert not mapper.add(dataclasses.replace(simulation.records[5], angle_increment=math.nan)).matched
+
+
+def test_before_the_first_scan_there_is_an_empty_map() -> None:
+    mapper = ScanMatcher()
+    assert mapper.trajectory().shape == (0, 4)
+    assert mapper.grid().cells.max() == -1
