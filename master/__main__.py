@@ -26,7 +26,7 @@ from rce import control, loop, settings
 from rce.errors import InvalidRequest
 from rce.ready import Ready, announce
 
-log = Logger()
+log = Logger("master")
 
 
 class Settings(Struct):

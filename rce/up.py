@@ -15,7 +15,7 @@ import signal
 import sys
 from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import IO, Annotated, Literal
 
 from msgspec import Meta, Struct
 
@@ -62,30 +62,35 @@ class Settings(Struct):
 class Part:
     """One program: kept running until stopped."""
 
-    def __init__(self, name: str, arguments: Callable[[], list[str]], secret: dict[str, str]) -> None:
+    def __init__(self, name: str, arguments: Callable[[], list[str]], secret: dict[str, str], log: IO[str]) -> None:
         self.name = name
         self.ready: Ready | None = None
         self._arguments = arguments
         self._environment = os.environ | secret
+        self._log = log
         self._process: asyncio.subprocess.Process | None = None
         self._keeper: asyncio.Task[None] | None = None
         self._announced = asyncio.Event()
 
     async def start(self) -> Ready:
-        """StartFailed if it ends or says nothing; its reason stands in its log on standard error."""
+        """StartFailed if it ends or says nothing; its reason stands in its log."""
         await self._launch()
         self._keeper = asyncio.create_task(self._keep())
         announced = asyncio.create_task(self._announced.wait())
         await asyncio.wait({announced, self._keeper}, timeout=START_TIMEOUT, return_when=asyncio.FIRST_COMPLETED)
         announced.cancel()
         if self.ready is None:
-            raise StartFailed(f"rce {self.name} did not start; its log above says why")
+            raise StartFailed(f"rce {self.name} did not start; its log says why")
         return self.ready
 
     async def _launch(self) -> None:
         words = programs.command(self.name) + self._arguments()
         self._process = await asyncio.create_subprocess_exec(
-            *words, stdout=asyncio.subprocess.PIPE, env=self._environment, preexec_fn=_end_with_parent
+            *words,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=self._log,
+            env=self._environment,
+            preexec_fn=_end_with_parent,
         )
 
     async def _keep(self) -> None:
@@ -98,7 +103,7 @@ class Part:
             status = await self._process.wait()
             if self.ready is None:
                 return
-            print(f"rce up: {self.name} ended with status {status}; starting it again", file=sys.stderr, flush=True)
+            print(f"rce up: {self.name} ended with status {status}; starting it again", file=self._log, flush=True)
             pause = PAUSE_FIRST if loop.time() - began > STEADY else min(2 * pause, PAUSE_MOST)
             await asyncio.sleep(pause)
             await self._launch()
@@ -138,7 +143,7 @@ def _port(url_or_endpoint: str) -> str:
     return url_or_endpoint.rstrip("/").rpartition(":")[2]
 
 
-def make_parts(settings: Settings) -> tuple[Part, Part, Part]:
+def make_parts(settings: Settings, log: IO[str]) -> tuple[Part, Part, Part]:
     """Master, Robot endpoint and task set; the later ones take the control address from the first."""
     data = settings.data_dir.expanduser().resolve()
     host = "127.0.0.1" if settings.dev else settings.host
@@ -190,17 +195,17 @@ def make_parts(settings: Settings) -> tuple[Part, Part, Part]:
 
     names = {"robot": "robot-1", "container": "machine-1"}
     allowed = ",".join(f"{role}:{name}:{tokens[role]}" for role, name in names.items())
-    master = Part("master", master_arguments, {"RCE_TOKENS": allowed})
-    robot = Part("robot", robot_arguments, {"RCE_TOKEN": tokens["robot"]})
-    container = Part("container", container_arguments, {"RCE_TOKEN": tokens["container"]})
+    master = Part("master", master_arguments, {"RCE_TOKENS": allowed}, log)
+    robot = Part("robot", robot_arguments, {"RCE_TOKEN": tokens["robot"]}, log)
+    container = Part("container", container_arguments, {"RCE_TOKEN": tokens["container"]}, log)
     return master, robot, container
 
 
-async def run(settings: Settings, started: Callable[[Ready], Awaitable[None]]) -> None:
-    """Start everything, await `started` with the entry's address, then stop everything."""
+async def run(settings: Settings, started: Callable[[Ready], Awaitable[None]], log: IO[str] = sys.stderr) -> None:
+    """Start everything, await `started` with the entry's address, then stop everything. Logs go to `log`."""
     if settings.http_port == 0:
         settings.ws_port = 0
-    master, robot, container = make_parts(settings)
+    master, robot, container = make_parts(settings, log)
     try:
         entry = await master.start()
         await asyncio.gather(robot.start(), container.start())

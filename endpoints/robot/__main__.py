@@ -29,7 +29,7 @@ from rce.ready import Ready, announce
 MEGABYTE = 1024 * 1024
 UNIX_PATH_MAX = 108
 
-log = Logger()
+log = Logger("robot")
 
 
 class Settings(Struct):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import math
 import secrets
 import sys
 import time
@@ -15,7 +16,9 @@ from rce.errors import InvalidRequest
 from rce.mapping.outputs import write_outputs
 from rce.mapping.recordings import Recording, open_recording
 from rce.mapping.robot import MappingRobot, Result
-from rce.mapping.simulation import Simulation, evaluate, simulate
+from rce.mapping.simulation import Accuracy, Simulation, evaluate, simulate
+
+Source = Recording | Simulation
 
 LINE_EVERY = 5.0  # seconds between lines of progress where there is no terminal
 TICK = 0.2
@@ -41,14 +44,14 @@ def main(arguments: list[str]) -> int:
     if bool(words.recordings) == words.simulate:
         raise InvalidRequest("rce map: give recordings, or --simulate")
     # Before anything is started: what cannot be read is said at once.
-    sources: list[Recording] = [
+    sources: list[Source] = [
         open_recording(path, words.scan_topic, words.odometry_topic) for path in words.recordings
-    ]
-    asyncio.run(run(words, [simulate()] if words.simulate else sources))
+    ] or [simulate()]
+    asyncio.run(run(words, sources))
     return 0
 
 
-async def run(words: argparse.Namespace, sources: list[Recording]) -> None:
+async def run(words: argparse.Namespace, sources: list[Source]) -> None:
     async with platform(words) as access:
         for source in sources:
             directory = words.out if len(sources) == 1 else words.out / source.name
@@ -56,10 +59,18 @@ async def run(words: argparse.Namespace, sources: list[Recording]) -> None:
             written = write_outputs(directory, result.grid, result.trajectory)
             print(f"{result.scans} scans mapped; map in {directory}: {', '.join(path.name for path in written)}")
             if isinstance(source, Simulation):
-                print(evaluate(result.grid, result.trajectory, source))
+                print(describe(evaluate(result.grid, result.trajectory, source)))
 
 
-async def build(access: Access, source: Recording, resolution: float) -> Result:
+def describe(accuracy: Accuracy) -> str:
+    return (
+        f"against the truth of the simulation: poses {100 * accuracy.translation:.1f} cm and "
+        f"{math.degrees(accuracy.rotation):.2f}° off on average, {accuracy.walls_found:.0%} of the walls it saw are in "
+        f"the map, {accuracy.walls_true:.0%} of the map's walls are real"
+    )
+
+
+async def build(access: Access, source: Source, resolution: float) -> Result:
     """Map one recording in an environment of its own, which is gone afterwards."""
     name = f"mapper_{secrets.token_hex(4)}"
     progress = Progress(source)
@@ -78,7 +89,7 @@ async def build(access: Access, source: Recording, resolution: float) -> Result:
 class Progress:
     """Scans, how many times real time, and the time to go, on standard error."""
 
-    def __init__(self, source: Recording) -> None:
+    def __init__(self, source: Source) -> None:
         self._source = source
         self._began = 0.0
         self._shown = 0.0

@@ -6,7 +6,9 @@ import argparse
 import asyncio
 import contextlib
 import os
+import sys
 import tempfile
+from collections import deque
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import NamedTuple
@@ -15,6 +17,7 @@ from rce import up
 from rce.ready import Ready
 
 DEV_USER = "testUser"
+LOG_LINES = 20
 
 
 class Access(NamedTuple):
@@ -44,7 +47,7 @@ async def platform(words: argparse.Namespace) -> AsyncIterator[Access]:
             password = DEV_USER  # the user of development platforms
         yield Access(words.url, words.user, password, key)
         return
-    with tempfile.TemporaryDirectory(prefix="rce-") as directory:
+    with tempfile.TemporaryDirectory(prefix="rce-") as directory, tempfile.TemporaryFile("w+") as log:
         settings = up.Settings(data_dir=Path(directory), http_port=0, dev=True, engine=words.engine)
         entry: asyncio.Future[Ready] = asyncio.get_running_loop().create_future()
 
@@ -52,12 +55,16 @@ async def platform(words: argparse.Namespace) -> AsyncIterator[Access]:
             entry.set_result(ready)
             await asyncio.Event().wait()
 
-        running = asyncio.create_task(up.run(settings, started))
+        running = asyncio.create_task(up.run(settings, started, log))
         try:
-            await asyncio.wait({running, entry}, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait([running, entry], return_when=asyncio.FIRST_COMPLETED)  # type: ignore[type-var]
             if not entry.done():
                 await running  # raises why it did not start
             yield Access(entry.result().url, DEV_USER, DEV_USER, None)
+        except BaseException:
+            log.seek(0)
+            sys.stderr.writelines(deque(log, LOG_LINES))  # what the platform said before it went wrong
+            raise
         finally:
             running.cancel()
             with contextlib.suppress(asyncio.CancelledError):

@@ -105,8 +105,8 @@ class MappingRobot:
     async def _take_answers(self, progress: Progress) -> None:
         answered = 0
         async for cdr in self._poses:
-            header = store.deserialize_cdr(cdr, "geometry_msgs/msg/PoseWithCovarianceStamped").header
-            if self._unanswered.pop(header.stamp.sec * NANO + header.stamp.nanosec, None) is not None:
+            pose: Any = store.deserialize_cdr(cdr, "geometry_msgs/msg/PoseWithCovarianceStamped")
+            if self._unanswered.pop(pose.header.stamp.sec * NANO + pose.header.stamp.nanosec, None) is not None:
                 answered += 1
                 self._slots.release()
                 progress(answered)
@@ -190,7 +190,7 @@ def odometry_cdr(stamp: int, pose: Pose) -> bytes:
 
 def trajectory_of(cdr: bytes) -> NDArray[np.float64]:
     """The poses of a `nav_msgs/Path`: (n, 4) stamp, x, y, theta."""
-    path = store.deserialize_cdr(cdr, "nav_msgs/msg/Path")
+    path: Any = store.deserialize_cdr(cdr, "nav_msgs/msg/Path")
     rows = [
         (
             each.header.stamp.sec + each.header.stamp.nanosec / NANO,
@@ -205,6 +205,6 @@ def trajectory_of(cdr: bytes) -> NDArray[np.float64]:
 
 def grid_of(cdr: bytes) -> OccupancyGrid:
     """The map of a `nav_msgs/GetMap` response, whose only field it is."""
-    found = store.deserialize_cdr(cdr, "nav_msgs/msg/OccupancyGrid")
+    found: Any = store.deserialize_cdr(cdr, "nav_msgs/msg/OccupancyGrid")
     cells = np.asarray(found.data, np.int8).reshape(found.info.height, found.info.width)
     return OccupancyGrid(cells, found.info.resolution, found.info.origin.position.x, found.info.origin.position.y)
