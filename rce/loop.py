@@ -11,13 +11,14 @@ import signal
 from collections.abc import Callable, Coroutine
 
 import uvloop
-from twisted.internet import asyncioreactor
 from twisted.internet.base import ReactorBase
+from twisted.internet.main import installReactor
 from twisted.internet.protocol import Factory
 from twisted.logger import Logger
 
 from rce import logs
 from rce.errors import RceError
+from rce.reactor import UvloopReactor
 
 log = Logger()
 Main = Callable[[ReactorBase], Coroutine[None, None, None]]
@@ -25,10 +26,8 @@ Main = Callable[[ReactorBase], Coroutine[None, None, None]]
 
 def install(loop: asyncio.AbstractEventLoop) -> ReactorBase:
     """Make Twisted's reactor run on `loop`; ReactorAlreadyInstalledError if something imported a reactor before."""
-    asyncioreactor.install(loop)
-    from twisted.internet import reactor
-
-    assert isinstance(reactor, ReactorBase)
+    reactor = UvloopReactor(loop)
+    installReactor(reactor)
     return reactor
 
 

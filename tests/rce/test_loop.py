@@ -82,3 +82,40 @@ async def test_tests_have_the_same_loop(reactor: ReactorBase) -> None:
     called = loop.create_future()
     reactor.callLater(0, called.set_result, True)
     assert await called
+
+
+RESET = """
+import asyncio, socket, struct
+from twisted.internet import protocol
+
+class Server(protocol.Protocol):
+    def __init__(self):
+        self.lost = asyncio.get_running_loop().create_future()
+    def dataReceived(self, data):
+        self.transport.write(b"late")
+    def connectionLost(self, reason):
+        self.lost.set_result(None)
+
+async def reset_with_data_pending(reactor):
+    server = Server()
+    factory = protocol.Factory.forProtocol(lambda: server)
+    port = reactor.listenTCP(0, factory, interface="127.0.0.1")
+    client = socket.create_connection(("127.0.0.1", port.getHost().port))
+    await asyncio.sleep(0.05)
+    client.send(b"last")
+    client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    client.close()
+    await asyncio.wait_for(server.lost, 5)
+    await port.stopListening().asFuture(asyncio.get_running_loop())
+"""
+
+
+def test_a_reset_is_heard_of_although_data_was_pending() -> None:
+    program = PROGRAM.replace("async def main", RESET.replace("{", "{{").replace("}", "}}") + "\nasync def main")
+    ended = subprocess.run(
+        [sys.executable, "-P", "-c", program.format(body="await reset_with_data_pending(reactor)")],
+        capture_output=True,
+        text=True,
+        timeout=30,
+    )
+    assert ended.returncode == 0, ended.stderr
