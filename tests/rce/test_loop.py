@@ -91,8 +91,6 @@ from twisted.internet import protocol
 class Server(protocol.Protocol):
     def __init__(self):
         self.lost = asyncio.get_running_loop().create_future()
-    def dataReceived(self, data):
-        self.transport.write(b"late")
     def connectionLost(self, reason):
         self.lost.set_result(None)
 
