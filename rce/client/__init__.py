@@ -5,6 +5,7 @@ Needs neither ROS nor more than the base install; `rce.client.images` wants the 
 and what goes wrong shows in `Robot.events()`.
 """
 
+from rce.client.blocking import BlockingRobot
 from rce.client.environment import Environment
 from rce.client.events import Disconnected, Event, Reconnected
 from rce.client.robot import Robot
@@ -13,6 +14,7 @@ from rce.client.stream import Stream
 from rce.client.topics import Publisher, Subscriber
 
 __all__ = [
+    "BlockingRobot",
     "Disconnected",
     "Environment",
     "Event",

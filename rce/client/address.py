@@ -20,21 +20,23 @@ from websockets.exceptions import InvalidHandshake, InvalidStatus, InvalidURI
 
 from rce.assembler import Limits
 from rce.blobs import PART
-from rce.errors import (
-    ErrorInfo,
-    Forbidden,
-    InvalidRequest,
-    RceError,
-    Unauthorized,
-    Unavailable,
-)
+from rce.errors import AlreadyExists, Forbidden, InvalidRequest, LimitExceeded, RceError, Unauthorized, Unavailable
 from rce.messages import CURRENT_VERSION, FEATURES
 
 FEATURES_HEADER = "RCE-Features"
-ERROR_HEADER = "RCE-Error"
 OPEN_TIMEOUT = 10.0
 WRITE_LIMIT = 64 * 1024
 """Bytes that may wait below the outbox, in the library and in the kernel: what is there cannot be overtaken."""
+
+_KINDS: dict[int, type[RceError]] = {
+    400: InvalidRequest,
+    401: Unauthorized,
+    403: Forbidden,
+    409: AlreadyExists,
+    410: InvalidRequest,
+    429: LimitExceeded,
+    501: InvalidRequest,
+}
 
 # At DEBUG websockets logs the request line, in which the credentials stand.
 log = logging.getLogger("rce.client.websocket")
@@ -82,7 +84,7 @@ class Address:
                 return body
         except urllib.error.HTTPError as error:
             with error:
-                raise _refusal(error.code, error.read(4096), error.headers.get(ERROR_HEADER)) from None
+                raise _refusal(error.code, error.read(4096).decode(errors="replace")) from None
         except (OSError, HTTPException, ValueError) as error:
             raise Unavailable(f"cannot reach {self.url}: {getattr(error, 'reason', error)}") from None
 
@@ -111,10 +113,9 @@ class Address:
                 logger=log,
             )
         except InvalidStatus as error:
-            response = error.response
-            raise _refusal(
-                response.status_code, bytes(response.body or b""), response.headers.get(ERROR_HEADER)
-            ) from None
+            answer = error.response
+            body = bytes(answer.body or b"").decode(errors="replace")
+            raise _refusal(answer.status_code, body or answer.reason_phrase) from None
         except InvalidURI:
             raise Unavailable(f"the entry named {endpoint!r}, which is not a WebSocket address") from None
         except (OSError, TimeoutError, InvalidHandshake) as error:
@@ -135,13 +136,8 @@ def _is_loopback(url: str) -> bool:
         return host == "localhost"
 
 
-def _refusal(status: int, body: bytes, code: str | None) -> RceError:
-    """The error for an HTTP answer: by its code where the server is ours, else by its status."""
-    reason = body.decode(errors="replace").strip()[:500] or f"HTTP status {status}"
-    if code:
-        return RceError.from_info(ErrorInfo(code, reason))
-    kinds: dict[int, type[RceError]] = {400: InvalidRequest, 401: Unauthorized, 403: Forbidden, 410: InvalidRequest}
-    return kinds.get(status, InvalidRequest if status == 501 else Unavailable)(reason)
+def _refusal(status: int, reason: str) -> RceError:
+    return _KINDS.get(status, Unavailable)(reason.strip()[:500] or f"HTTP status {status}")
 
 
 def _keep_kernel_buffer_small(connection: ClientConnection) -> None:

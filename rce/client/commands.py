@@ -1,11 +1,10 @@
-"""Commands as frames: what is left at its default is left out, as the original's clients do."""
+"""Commands as frames, without what is at its default, as the original's clients send them; and what a robot declared."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 
@@ -17,77 +16,45 @@ from rce.messages import (
     Command,
     Connect,
     CreateContainer,
+    DeleteParameter,
     DestroyContainer,
     Disconnect,
     RemoveInterface,
+    RemoveNode,
 )
 
 LISTS = {kind: ("CN", name) for name, kind in CN_ITEMS.items()} | {
     kind: ("CX", name) for name, kind in CX_ITEMS.items()
 }
-_item = re.compile(r"(\w+)\[(\d+)\]")
+UNDOING = (DestroyContainer, RemoveNode, RemoveInterface, DeleteParameter, Disconnect)
 
 
-class CommandFrame(NamedTuple):
-    """A CC, DC, CN or CX, and its commands in the order in which the server carries them out."""
-
-    type: str
-    data: dict[str, Any]
-    commands: list[Command]
-
-    def position(self, error: RceError) -> int:
-        """Which of the commands failed; those before it are done."""
-        place = _item.fullmatch(error.item)
-        if place is None:
-            return 0
-        earlier = 0
-        for name, items in self.data.items():
-            if name == place[1]:
-                return min(earlier + int(place[2]), len(self.commands) - 1)
-            earlier += len(items)
-        return 0
-
-
-def frames(commands: Iterable[Command]) -> list[CommandFrame]:
-    """The fewest frames for these commands: each CC, then one CN, one CX, then each DC."""
-    given = list(commands)
-    found = [
-        CommandFrame("CC", {"containerTag": each.containerTag, "containerData": _container_data(each)}, [each])
-        for each in given
-        if isinstance(each, CreateContainer)
-    ]
-    for frame_type, lists in (("CN", CN_ITEMS), ("CX", CX_ITEMS)):
-        ordered = [each for kind in lists.values() for each in given if isinstance(each, kind)]
-        data: dict[str, Any] = {}
-        for each in ordered:
-            data.setdefault(LISTS[type(each)][1], []).append(fields(each))
-        if ordered:
-            found.append(CommandFrame(frame_type, data, ordered))
-    found += [
-        CommandFrame("DC", {"containerTag": each.containerTag}, [each])
-        for each in given
-        if isinstance(each, DestroyContainer)
-    ]
-    return found
+def frame_of(command: Command) -> dict[str, Any]:
+    """The frame of one command, as the original's clients send it: a list of one."""
+    if isinstance(command, CreateContainer):
+        options = {"size": command.containerData.size, **msgspec.to_builtins(command.containerData)}
+        return {"type": "CC", "data": {"containerTag": command.containerTag, "containerData": options}}
+    if isinstance(command, DestroyContainer):
+        return {"type": "DC", "data": {"containerTag": command.containerTag}}
+    frame_type, name = LISTS[type(command)]
+    return {"type": frame_type, "data": {name: [fields(command)]}}
 
 
 def fields(command: Command) -> dict[str, Any]:
     """A command as JSON, without what is at its default."""
-    given: dict[str, Any] = msgspec.to_builtins(command)
-    kinds = {each.encode_name: each for each in msgspec.structs.fields(command)}
-    return {name: value for name, value in given.items() if value != msgspec.to_builtins(kinds[name].default)}
+    given = (
+        (each.encode_name, getattr(command, each.name), _default(each)) for each in msgspec.structs.fields(command)
+    )
+    return {name: msgspec.to_builtins(value) for name, value, default in given if value != default}
 
 
-def _container_data(command: CreateContainer) -> dict[str, Any]:
-    return {"size": command.containerData.size, **msgspec.to_builtins(command.containerData)}
+def _default(field: msgspec.structs.FieldInfo) -> Any:
+    return field.default if field.default_factory is msgspec.NODEFAULT else field.default_factory()
 
 
 def repetition_done(command: Command, error: RceError) -> bool:
     """Whether `error`, the answer to a command sent twice, says that the first one was carried out."""
-    undoing = isinstance(command, DestroyContainer | Disconnect) or LISTS.get(type(command), ("", ""))[1].startswith(
-        ("remove", "delete")
-    )
-    return isinstance(error, NotFound if undoing else AlreadyExists)
+    return isinstance(error, NotFound if isinstance(command, UNDOING) else AlreadyExists)
 
 
 @dataclass
@@ -98,19 +65,18 @@ class Declared:
     interfaces: dict[str, AddInterface] = field(default_factory=dict)
     connections: dict[frozenset[str], Connect] = field(default_factory=dict)
 
-    def note(self, commands: Sequence[Command]) -> None:
-        """Take account of commands that were carried out."""
-        for command in commands:
-            if isinstance(command, AddInterface) and command.endpointTag == self.robot:
-                self.interfaces[command.interfaceTag] = command
-            elif isinstance(command, RemoveInterface):
-                if command.endpointTag == self.robot:
-                    self.interfaces.pop(command.interfaceTag, None)
-                self._forget(f"{command.endpointTag}/{command.interfaceTag}")
-            elif isinstance(command, DestroyContainer):
-                self._forget(f"{command.containerTag}/")
-            elif isinstance(command, Connect | Disconnect):
-                self._connection(command)
+    def note(self, command: Command) -> None:
+        """Take account of a command that was carried out."""
+        if isinstance(command, AddInterface) and command.endpointTag == self.robot:
+            self.interfaces[command.interfaceTag] = command
+        elif isinstance(command, RemoveInterface):
+            if command.endpointTag == self.robot:
+                self.interfaces.pop(command.interfaceTag, None)
+            self._forget(lambda tag: tag == f"{command.endpointTag}/{command.interfaceTag}")
+        elif isinstance(command, DestroyContainer):
+            self._forget(lambda tag: tag.startswith(f"{command.containerTag}/"))
+        elif isinstance(command, Connect | Disconnect):
+            self._connection(command)
 
     def commands(self) -> list[Command]:
         """What declares all of it again."""
@@ -123,11 +89,6 @@ class Declared:
         elif any(tag.startswith(f"{self.robot}/") for tag in tags):
             self.connections[tags] = command
 
-    def _forget(self, tag: str) -> None:
-        gone = [
-            tags
-            for tags in self.connections
-            if any(each == tag or (tag.endswith("/") and each.startswith(tag)) for each in tags)
-        ]
-        for tags in gone:
+    def _forget(self, gone: Callable[[str], bool]) -> None:
+        for tags in [tags for tags in self.connections if any(gone(tag) for tag in tags)]:
             del self.connections[tags]

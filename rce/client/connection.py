@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from collections.abc import AsyncGenerator, Callable, Iterator, Mapping
 from typing import NamedTuple, get_args
 
 import msgspec
@@ -114,7 +114,7 @@ class Connection:
         """See `Outbox.room`."""
         return self._outbox.room(source.encode())
 
-    async def receive(self) -> AsyncIterator[Incoming]:
+    async def receive(self) -> AsyncGenerator[Incoming, None]:
         """What comes in, until the socket is gone; errors are the server's faults, which do not end the connection."""
         sender = asyncio.create_task(self._send())
         try:
@@ -132,9 +132,9 @@ class Connection:
             return
         finally:
             sender.cancel()
-            self._outbox.clear()
-            self._written.set()
             await asyncio.gather(sender, return_exceptions=True)
+            self._outbox.clear()  # last, so that nobody waits for room in it after this
+            self._written.set()
 
     async def flush(self) -> None:
         """Wait until all that is queued has been written, or until that takes too long or the socket is gone."""

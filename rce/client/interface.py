@@ -7,7 +7,6 @@ from typing import Protocol
 
 from rce.client.connection import Connection, Message
 from rce.errors import NotConnected, RceError, Unavailable
-from rce.messages import FrameId
 
 CONNECT_TIMEOUT = 10.0
 
@@ -74,8 +73,8 @@ class Interface:
     def received(self, message: Message) -> None:
         """A DM of this interface; raises ConversionError."""
 
-    def failed(self, error: RceError, frame_id: FrameId) -> bool:
-        """Whether the frame of this id was one of this interface's, to which it has passed the error on."""
+    def failed(self, error: RceError, msg_id: str) -> bool:
+        """Whether the call of this id was one of this interface's, which then raises the error."""
         return False
 
     def ended(self, error: RceError | None) -> None:

@@ -5,13 +5,14 @@ With a server of the original they end when they are sent.
 
 from __future__ import annotations
 
+import asyncio
 from typing import Literal, TypedDict, Unpack
 
 import msgspec
 
-from rce.client.commands import Declared, frames
+from rce.client.commands import Declared
 from rce.client.session import Session
-from rce.errors import AlreadyExists, RceError
+from rce.errors import AlreadyExists, InvalidRequest, RceError
 from rce.messages import (
     AddInterface,
     AddNode,
@@ -114,20 +115,25 @@ class Operations:
         await self.configure(Disconnect(a, b))
 
     async def configure(self, *commands: Command) -> None:
-        """Carry out many commands in few frames.
+        """Carry out many commands at once, in their order, without waiting for one before the next is sent.
 
-        Their order is that of the protocol: creations, nodes, interfaces, parameters, connections, destructions. The
-        first that fails ends it; the error's `item` (`addNodes[2]`) names it, and those before it stay.
+        All are tried; then the first error is raised, and its `item` (`commands[2]`) says which it was.
         """
-        for frame in frames(commands):
-            try:
-                await self._session.carry_out(frame)
-            except RceError as error:
-                self._declared.note(frame.commands[: frame.position(error)])
-                raise
-            self._declared.note(frame.commands)
+        outcomes = await asyncio.gather(*map(self._session.carry_out, commands), return_exceptions=True)
+        failed: list[BaseException] = []
+        for index, (command, outcome) in enumerate(zip(commands, outcomes, strict=True)):
+            if outcome is None:
+                self._declared.note(command)
+            else:
+                many = len(commands) > 1
+                failed.append(outcome.at(f"commands[{index}]") if many and isinstance(outcome, RceError) else outcome)
+        if failed:
+            raise failed[0]
 
 
 def _container_data(options: EnvironmentOptions) -> ContainerData:
     names = {"special_features": "specialFeatures", "group_ip": "groupIP"}
-    return msgspec.convert({names.get(name, name): value for name, value in options.items()}, ContainerData)
+    try:
+        return msgspec.convert({names.get(name, name): value for name, value in options.items()}, ContainerData)
+    except msgspec.ValidationError as error:
+        raise InvalidRequest(f"options of an environment: {error}") from None

@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Any, Self, TypeVar, Unpack
 
 from rce.client.address import Address
-from rce.client.commands import CommandFrame, Declared, frames
+from rce.client.commands import Declared
 from rce.client.connection import Connection, Message
 from rce.client.environment import Environment
 from rce.client.events import Disconnected, Event, Reconnected
@@ -22,6 +22,7 @@ from rce.client.topics import Publisher, Subscriber
 from rce.errors import AlreadyExists, RceError
 from rce.messages import (
     AddInterface,
+    Command,
     FrameId,
     InterfaceStatus,
     StatusData,
@@ -190,7 +191,8 @@ class Robot(Operations):
             self._tell(status)  # type: ignore[arg-type]
 
     def failed(self, error: RceError, frame_id: FrameId | None) -> None:
-        if frame_id is not None and any(each.failed(error, frame_id) for each in self._interfaces.values()):
+        call = error.info.fields.get("msgID", frame_id)
+        if call is not None and any(each.failed(error, str(call)) for each in self._interfaces.values()):
             return
         log.warning("%s: %s", self.name, error)
         self._tell(error)
@@ -206,8 +208,8 @@ class Robot(Operations):
             interface.back(resumed)
         self._tell(Reconnected(resumed))
 
-    def declared(self) -> Iterable[CommandFrame]:
-        return [frame for command in self._declared.commands() for frame in frames([command])]
+    def declared(self) -> Iterable[Command]:
+        return self._declared.commands()
 
     def ended(self, error: RceError | None) -> None:
         for interface in self._interfaces.values():

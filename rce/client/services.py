@@ -13,7 +13,6 @@ from rce.client.connection import Message
 from rce.client.interface import Interface, Owner
 from rce.client.values import decode_message, encode, encode_message
 from rce.errors import RceError, TimedOut, Unavailable
-from rce.messages import FrameId
 
 log = logging.getLogger("rce.client")
 
@@ -23,7 +22,7 @@ class ServiceClient(Interface):
 
     def __init__(self, owner: Owner, tag: str, type_name: str) -> None:
         super().__init__(owner, tag, type_name)
-        self._calls: dict[FrameId, asyncio.Future[Any]] = {}
+        self._calls: dict[str, asyncio.Future[Any]] = {}
 
     async def call(self, request: Any, timeout: float = 10.0) -> Any:  # noqa: ASYNC109  # the error names it
         """The response to `request`.
@@ -57,8 +56,8 @@ class ServiceClient(Interface):
         else:
             response.set_result(decode_message(message.data, message.blobs))
 
-    def failed(self, error: RceError, frame_id: FrameId) -> bool:
-        response = self._calls.get(frame_id)
+    def failed(self, error: RceError, msg_id: str) -> bool:
+        response = self._calls.get(msg_id)
         if response is not None and not response.done():
             response.set_exception(error)
         return response is not None

@@ -12,17 +12,18 @@ import itertools
 import logging
 import random
 from collections.abc import Iterable, Iterator
+from contextlib import aclosing
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 from msgspec import UNSET
 
 from rce.client.address import Address
-from rce.client.commands import CommandFrame, frames, repetition_done
+from rce.client.commands import frame_of, repetition_done
 from rce.client.connection import Connection, Incoming, Message
 from rce.client.values import encode
 from rce.errors import Forbidden, InternalError, InvalidRequest, RceError, TimedOut, Unauthorized, Unavailable
-from rce.messages import Ack, Failure, FrameId, StatusData
+from rce.messages import Ack, Command, Failure, FrameId, StatusData
 from rce.messages import Session as SessionStatus
 
 COMMANDS = " commands"  # as a source of the outbox; no tag has a blank
@@ -45,7 +46,7 @@ class Listener(Protocol):
 
     def back(self, resumed: bool) -> None: ...
 
-    def declared(self) -> Iterable[CommandFrame]:
+    def declared(self) -> Iterable[Command]:
         """What is to be declared again on a connection that did not resume."""
 
     def ended(self, error: RceError | None) -> None:
@@ -54,9 +55,9 @@ class Listener(Protocol):
 
 @dataclass(slots=True, eq=False)
 class Request:
-    """A command frame under way; `restores` if the session itself sent it to declare something again."""
+    """A command under way; `restores` if the session itself sent it to declare something again."""
 
-    frame: CommandFrame
+    command: Command
     done: asyncio.Future[None]
     restores: bool
     attempts: int = 0
@@ -97,44 +98,37 @@ class Session:
             await self.connection.close()
         self._end(None)
 
-    async def carry_out(self, frame: CommandFrame) -> None:
-        """Send a command and wait for its end. Raises what the answer says."""
+    async def carry_out(self, command: Command) -> None:
+        """Send a command and wait for its end. Raises what the answer says.
+
+        Commands leave, and are carried out, in the order of these calls.
+        """
         if self._keeper is None:
             raise self._error
-        number, request = self._submit(frame, restores=False)
-        await self._outcome(number, request)
+        await self._outcome(*self._submit(command, restores=False))
 
-    def _submit(self, frame: CommandFrame, restores: bool) -> tuple[int, Request]:
+    def _submit(self, command: Command, restores: bool) -> tuple[int, Request]:
         number = next(self._ids)
-        request = Request(frame, asyncio.get_running_loop().create_future(), restores)
+        request = Request(command, asyncio.get_running_loop().create_future(), restores)
         self._requests[number] = request
         if self.connection is not None:
             self._send(self.connection, number, request)
         return number, request
 
     async def _outcome(self, number: int, request: Request) -> None:
-        frame = request.frame
         try:
             async with asyncio.timeout(self._timeout):
                 await request.done
         except TimeoutError:
-            raise TimedOut(f"{frame.type} was not answered within {self._timeout:g} s") from None
-        except RceError as error:
-            position = frame.position(error)
-            repeated = request.restores or request.attempts > 1
-            if not repeated or not repetition_done(frame.commands[position], error):
-                raise
-            for rest in frames(frame.commands[position + 1 :]):
-                await self.carry_out(rest)
+            what = type(request.command).__name__
+            raise TimedOut(f"{what} was not answered within {self._timeout:g} s") from None
         finally:
             self._requests.pop(number, None)
 
     def _send(self, connection: Connection, number: FrameId, request: Request) -> None:
         request.attempts += 1
-        frame: dict[str, Any] = {"type": request.frame.type, "data": request.frame.data}
         acknowledged = "ack" in connection.features
-        if acknowledged:
-            frame["id"] = number
+        frame = frame_of(request.command) | ({"id": number} if acknowledged else {})
 
         def sent() -> None:
             if not acknowledged and not request.done.done():
@@ -158,8 +152,9 @@ class Session:
     async def _keep(self, connection: Connection) -> None:
         try:
             while True:
-                async for incoming in connection.receive():
-                    self._take(incoming)
+                async with aclosing(connection.receive()) as frames_in:
+                    async for incoming in frames_in:
+                        self._take(incoming)
                 self._lose(connection.reason)
                 connection = await self._reconnect()
                 self._begin(connection)
@@ -195,8 +190,8 @@ class Session:
         """Declare again what is gone, then repeat the commands under way, all in their order."""
         under_way = list(self._requests.items())
         if not connection.session.resumed:
-            for frame in self._listener.declared():
-                number, request = self._submit(frame, restores=True)
+            for command in self._listener.declared():
+                number, request = self._submit(command, restores=True)
                 task = asyncio.create_task(self._redeclare(number, request))
                 self._restoring.add(task)
                 task.add_done_callback(self._restoring.discard)
@@ -209,7 +204,7 @@ class Session:
                 return await self._outcome(number, request)
             except Unavailable:
                 await asyncio.sleep(delay)
-                number, request = self._submit(request.frame, restores=True)
+                number, request = self._submit(request.command, restores=True)
             except RceError as error:
                 return self._listener.failed(error, None)
 
@@ -232,7 +227,11 @@ class Session:
         request = self._requests.get(failure.id) if failure.id is not UNSET else None
         if request is None:
             self._listener.failed(error, None if failure.id is UNSET else failure.id)
-        elif not request.done.done():
+        elif request.done.done():
+            return
+        elif (request.restores or request.attempts > 1) and repetition_done(request.command, error):
+            request.done.set_result(None)
+        else:
             request.done.set_exception(error)
 
     def _stop_restoring(self) -> None:

@@ -64,33 +64,33 @@ class Subscriber(Interface):
 
     def __init__(self, owner: Owner, tag: str, type_name: str, depth: int) -> None:
         super().__init__(owner, tag, type_name)
-        self._stream: Stream[Any] = Stream(depth)
+        self.stream: Stream[Any] = Stream(depth)
         self._task: asyncio.Task[None] | None = None
 
     @property
     def dropped(self) -> int:
-        return self._stream.dropped
+        return self.stream.dropped
 
     def __aiter__(self) -> AsyncIterator[Any]:
-        return aiter(self._stream)
+        return aiter(self.stream)
 
     async def get(self, timeout: float | None = None) -> Any:  # noqa: ASYNC109  # as queues of other libraries
         """The next message. Raises TimedOut after `timeout` seconds."""
-        return await self._stream.get(timeout)
+        return await self.stream.get(timeout)
 
     def call(self, callback: Callable[[Any], Awaitable[None] | None]) -> None:
         """Have `callback` called with every message, one after the other; its errors are logged."""
         self._task = asyncio.create_task(self._call(callback), name=f"rce subscriber {self.tag}")
 
     def received(self, message: Message) -> None:
-        self._stream.put(decode_message(message.data, message.blobs))
+        self.stream.put(decode_message(message.data, message.blobs))
 
     def ended(self, error: RceError | None) -> None:
         super().ended(error)
-        self._stream.end(error)
+        self.stream.end(error)
 
     async def _call(self, callback: Callable[[Any], Awaitable[None] | None]) -> None:
-        async for value in self._stream:
+        async for value in self.stream:
             try:
                 result = callback(value)
                 if inspect.isawaitable(result):
