@@ -117,11 +117,15 @@ class Session:
             self.outbox.put(CONTROL, iter([_piece(m.Status(data, id))]), None)
 
     def error(self, error: RceError, id: m.FrameId | UnsetType = UNSET) -> None:
-        """Send an ER."""
+        """Send an ER about what is wrong with the robot's frame itself."""
         self.outbox.put(CONTROL, iter([self.error_piece(error, id)]), None)
 
     def error_piece(self, error: RceError, id: m.FrameId | UnsetType = UNSET) -> Piece:
+        """As in the original, only what the Robot process itself finds invalid begins with these words."""
         text = f"Invalid Request: {error}" if isinstance(error, InvalidRequest) else str(error)
+        return self._failure(text, error, id)
+
+    def _failure(self, text: str, error: RceError, id: m.FrameId | UnsetType) -> Piece:
         if not self.features:
             return _piece(m.Failure(text))
         return _piece(m.Failure(text, id, error.info))
@@ -170,18 +174,20 @@ class Session:
                     answers.append(await self._issue(item, command))
             except RceError as error:  # the Master is away
                 good = False
-                self._report(error, frame)
+                self._failed(error, frame)
         for answer in answers:
             try:
                 await answer
             except RceError as error:
                 good = False
-                self._report(error, frame)
+                self._failed(error, frame)
         if good and frame.id is not UNSET and "ack" in self.features:
             self.status(m.Ack(), frame.id)
 
-    def _report(self, error: RceError, frame: m.Frame) -> None:
-        self.error(error, frame.id if "ack" in self.features else UNSET)
+    def _failed(self, error: RceError, frame: m.Frame) -> None:
+        """Send an ER about a command that the Master could not carry out."""
+        piece = self._failure(str(error), error, frame.id if "ack" in self.features else UNSET)
+        self.outbox.put(CONTROL, iter([piece]), None)
 
     async def _issue(self, item: str, command: m.Command) -> asyncio.Task[None]:
         answer = await self._master.issue(Execute.of(self.name, command))

@@ -1,0 +1,44 @@
+"""Platforms for the end-to-end tests: real processes, real sockets, real ROS 2."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2: pip install 'rce[ros]'")
+
+from real_platform import RealPlatform
+
+from provisioning.typesupport import build, shipped
+
+TEST_PACKAGE = Path(__file__).parents[1] / "ros" / "Test"
+
+
+@pytest.fixture(scope="session")
+def arguments() -> list[str]:
+    """Where a platform finds the package Test and its types."""
+    if shutil.which("g++") is None:
+        pytest.skip("no C++ compiler for the types of the package Test: install g++ to run this")
+    typesupport = build([*shipped(), TEST_PACKAGE])
+    return ["--package-path", str(TEST_PACKAGE.parent), "--typesupport", str(typesupport.prefix)]
+
+
+@pytest.fixture(scope="session")
+async def platform(arguments: list[str], tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[RealPlatform]:
+    """One for all tests that leave it as it is; the robots and environments of a test have names of their own."""
+    platform = RealPlatform(tmp_path_factory.mktemp("platform"), *arguments)
+    await platform.start()
+    yield platform
+    await platform.stop()
+
+
+@pytest.fixture
+async def fragile(arguments: list[str], tmp_path: Path) -> AsyncIterator[RealPlatform]:
+    """A platform of the test's own, whose parts it may kill."""
+    platform = RealPlatform(tmp_path, *arguments)
+    await platform.start()
+    yield platform
+    await platform.stop()

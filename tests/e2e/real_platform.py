@@ -1,0 +1,122 @@
+"""`rce up` as a process of its own, and the means to look at it, hurt it, and see that nothing of it is left."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import re
+import signal
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from rce.client import Robot
+
+RCE = str(Path(sys.executable).with_name("rce"))
+START_TIMEOUT = 40.0
+STOP_TIMEOUT = 40.0
+USER = "testUser"
+_segment = re.compile(r"/dev/shm/fastdds_[0-9a-f]{16}")
+
+
+async def until(condition: Callable[[], object], seconds: float = 20.0, what: str = "") -> None:
+    """Look again and again, for what has no event (processes, files)."""
+    try:
+        async with asyncio.timeout(seconds):
+            while not condition():  # noqa: ASYNC110
+                await asyncio.sleep(0.02)
+    except TimeoutError:
+        raise AssertionError(f"not within {seconds:g} s: {what or condition}") from None
+
+
+class RealPlatform:
+    """A platform in `directory`, by which all of its processes are found again. `segments` are those of Fast DDS."""
+
+    def __init__(self, directory: Path, *arguments: str) -> None:
+        self.directory = directory
+        self.url = ""
+        self.segments: set[Path] = set()
+        self._arguments = arguments
+        self._process: asyncio.subprocess.Process
+
+    @property
+    def log(self) -> str:
+        return (self.directory / "log").read_text()
+
+    async def start(self) -> None:
+        words = [RCE, "up", "--dev", "--http-port", "0", "--data-dir", str(self.directory / "data"), *self._arguments]
+        with (self.directory / "log").open("w") as log:
+            self._process = await asyncio.create_subprocess_exec(*words, stdout=asyncio.subprocess.PIPE, stderr=log)
+        assert self._process.stdout is not None
+        line = await asyncio.wait_for(self._process.stdout.readline(), START_TIMEOUT)
+        assert line.startswith(b"ready http://"), f"{line!r}\n{self.log}"
+        self.url = line.split()[1].decode()
+
+    async def stop(self) -> None:
+        """SIGINT, and then nothing may be left."""
+        self.look()
+        if self._process.returncode is None:
+            self._process.send_signal(signal.SIGINT)
+        try:
+            status = await asyncio.wait_for(self._process.wait(), STOP_TIMEOUT)
+        except TimeoutError:
+            self._process.kill()
+            raise AssertionError(f"rce up does not stop\n{self.log[-4000:]}") from None
+        assert status == 0, self.log[-4000:]
+        self.check_nothing_left()
+
+    def check_nothing_left(self) -> None:
+        assert not self.processes(), "processes are left"
+        assert not list((self.directory / "data" / "container" / "environments").iterdir()), "directories are left"
+        assert not [path for path in self.segments if path.exists()], "segments of shared memory are left"
+
+    def processes(self) -> dict[int, str]:
+        """The command lines of all processes whose command line or environment names our directory, by pid."""
+        return {
+            pid: words
+            for pid in map(int, filter(str.isdigit, os.listdir("/proc")))
+            if (words := _words(pid, str(self.directory))) is not None
+        }
+
+    def pid(self, pattern: str, but: int = 0) -> int:
+        """The one process whose command line this matches; 0 if there is none other than `but`."""
+        found = [pid for pid, words in self.processes().items() if re.search(pattern, words) and pid != but]
+        assert len(found) <= 1, found
+        return found[0] if found else 0
+
+    def environment_pid(self, tag: str, but: int = 0) -> int:
+        """The Environment endpoint's process."""
+        wanted = f"RCE_NAME={USER}/{tag}\0".encode()
+        for pid, words in self.processes().items():
+            if pid != but and "endpoints.environment" in words:
+                with suppress(OSError):
+                    if wanted in Path(f"/proc/{pid}/environ").read_bytes():
+                        return pid
+        return 0
+
+    def kill(self, pid: int) -> None:
+        """SIGKILL, as the kernel's out-of-memory killer would."""
+        assert pid in self.processes()
+        self.look()
+        os.kill(pid, signal.SIGKILL)
+
+    def look(self) -> None:
+        """Note the segments of shared memory that our processes have now."""
+        for pid in self.processes():
+            with suppress(OSError):
+                self.segments |= {Path(each) for each in _segment.findall(Path(f"/proc/{pid}/maps").read_text())}
+
+    def robot(self, name: str, timeout: float = 30.0) -> Robot:
+        return Robot(self.url, user=USER, robot=name, password=USER, timeout=timeout)
+
+
+def _words(pid: int, mark: str) -> str | None:
+    place = Path(f"/proc/{pid}")
+    with suppress(OSError):
+        command = (place / "cmdline").read_bytes()
+        if not command:
+            return None  # a zombie
+        if mark.encode() in command + (place / "environ").read_bytes():
+            return command.replace(b"\0", b" ").decode()
+    return None
