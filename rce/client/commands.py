@@ -1,4 +1,4 @@
-"""Commands as frames, without what is at its default, as the original's clients send them; and what a robot declared."""
+"""Commands as the frames that the original's clients send, without what is at its default; what a robot declared."""
 
 from __future__ import annotations
 

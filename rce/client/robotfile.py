@@ -1,13 +1,229 @@
-"""A robot from a file: the JSON of the original `rce-ros`, or the same as YAML.
+"""Runs the robot of a file, with messages as JSON lines.
 
-Environments, parameters, nodes, interfaces and connections are set up in this order. Messages then come out as JSON
-lines `{"iTag": …, "type": …, "msg": …}` and go in as lines `{"iTag": …, "msg": …}`; a raw (Forwarder) interface has its
-bytes in base64. A request to a service that the robot provides comes with a `msgID`, which the line that answers it
-repeats, with `msg` or `error`. At the end parameters are removed and environments destroyed.
+Out come `{"iTag": …, "type": …, "msg": …}`; in go `{"iTag": …, "msg": …}`, which are published, or call a service: its
+answer comes out with the `msgID` of the call, if it had one, and `msg` or `error`. A request to a service that the
+robot provides comes out with a `msgID`, which the line that answers it repeats, with `msg` or `error`. Blobs and the
+bytes of raw (Forwarder) interfaces are in base64.
 """
 
 from __future__ import annotations
 
+import asyncio
+import base64
+import binascii
+import itertools
 import logging
+import sys
+import threading
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import AsyncExitStack
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from msgspec import UNSET, Struct, UnsetType
+
+from rce.blobs import Buffer
+from rce.client.interface import Interface
+from rce.client.robot import Robot
+from rce.client.robotformat import Container, InterfaceEntry, RobotFile, read
+from rce.client.services import ServiceClient, ServiceProvider
+from rce.client.topics import Publisher
+from rce.client.values import encode
+from rce.errors import InvalidRequest, NotFound, RceError
 
 log = logging.getLogger("rce.client")
+
+Write = Callable[[bytes], None]
+
+
+class Line(Struct, frozen=True):
+    """A line that comes in."""
+
+    iTag: str
+    msg: Any = UNSET
+    msgID: str = ""
+    error: str = ""
+
+
+def print_line(line: bytes) -> None:
+    """Write a line to standard output at once."""
+    sys.stdout.buffer.write(line + b"\n")
+    sys.stdout.buffer.flush()
+
+
+async def run_file(path: Path, *, lines: AsyncIterator[bytes] | None = None, write: Write = print_line) -> None:
+    """Be the robot of a file until cancelled; then remove its parameters and destroy its environments.
+
+    `lines` are those of standard input if not given; their end does not end the robot. Raises InvalidRequest for a bad
+    file, and the error of the command that failed.
+    """
+    file = read(path)
+    async with Robot(file.url, user=file.userID, robot=file.robotID, password=file.password, key=file.key) as robot:
+        events = robot.events()
+        async with AsyncExitStack() as stack:
+            runner = Runner(robot, file, write)
+            await runner.set_up(stack)
+            reader = asyncio.create_task(runner.take(standard_input() if lines is None else lines))
+            stack.callback(reader.cancel)
+            log.info("robot %s runs", robot.name)
+            async for event in events:
+                log.info("%s", event)
+
+
+class Runner:
+    """A robot, its interfaces by tag, and the calls that wait for an answer from a line."""
+
+    def __init__(self, robot: Robot, file: RobotFile, write: Write) -> None:
+        self._robot = robot
+        self._file = file
+        self._write = write
+        self._interfaces: dict[str, tuple[InterfaceEntry, Interface]] = {}
+        self._numbers = itertools.count(1)
+        self._waiting: dict[tuple[str, str], asyncio.Future[Any]] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    async def set_up(self, stack: AsyncExitStack) -> None:
+        """Containers, parameters, nodes, interfaces, connections, in this order; `stack` undoes it."""
+        robot, file = self._robot, self._file
+        for container in file.containers:
+            await self._create(container)
+            stack.push_async_callback(_quietly, partial(robot.destroy_environment, container.cTag))
+        for parameter in file.parameters:
+            await robot.configure(parameter.command)
+            undo = partial(robot.delete_parameter, parameter.cTag, parameter.name)
+            stack.push_async_callback(_quietly, undo)
+        for node in file.nodes:
+            await robot.configure(node.command)
+        for entry in file.interfaces:
+            if entry.eTag == robot.name and not entry.kind.endswith("Interface"):
+                self._interfaces[entry.iTag] = (entry, await self._own(entry))
+            else:
+                await robot.configure(entry.command)
+        for connection in file.connections:
+            await robot.configure(connection.command)
+
+    async def _create(self, container: Container) -> None:
+        await self._robot.create_environment(
+            container.cTag,
+            size=container.size,
+            cpu=container.cpu,
+            memory=container.memory,
+            bandwidth=container.bandwidth,
+            special_features=container.specialFeatures,
+            group=container.group,
+            group_ip=container.groupIp,
+            restart=container.restart,
+        )
+
+    async def _own(self, entry: InterfaceEntry) -> Interface:
+        """What the robot is at the other end of an interface that is named from the cloud's point of view."""
+        robot, tag, name = self._robot, entry.iTag, entry.iCls
+        raw = entry.kind.endswith("Forwarder")
+        if entry.kind.startswith("Subscriber"):
+            return await robot.publisher(tag, name, raw=raw, format=entry.format)
+        if entry.kind.startswith("ServiceProvider"):
+            return await robot.service_client(tag, name, raw=raw)
+        if entry.kind.startswith("ServiceClient"):
+            return await robot.service_provider(tag, name, lambda request: self._ask(entry, request), raw=raw)
+        return await robot.subscriber(
+            tag, name, callback=lambda message: self._put(entry, msg=message), raw=raw, format=entry.format
+        )
+
+    def _put(self, entry: InterfaceEntry, **content: Any) -> None:
+        self._write(encode({"iTag": entry.iTag, "type": entry.iCls, **_printable(content)}))
+
+    async def _ask(self, entry: InterfaceEntry, request: Any) -> Any:
+        number = str(next(self._numbers))
+        answer = self._waiting[entry.iTag, number] = asyncio.get_running_loop().create_future()
+        try:
+            self._put(entry, msgID=number, msg=request)
+            return await answer
+        finally:
+            del self._waiting[entry.iTag, number]
+
+    async def take(self, lines: AsyncIterator[bytes]) -> None:
+        """Carry out each line; one that is wrong is logged and left out."""
+        async for text in lines:
+            if not text.strip():
+                continue
+            try:
+                await self._take(msgspec.json.decode(text, type=Line))
+            except (RceError, msgspec.DecodeError, UnicodeDecodeError) as error:
+                log.error("the line %s: %s", text[:200].decode(errors="replace").strip(), error)
+
+    async def _take(self, line: Line) -> None:
+        if line.iTag not in self._interfaces:
+            raise NotFound(f"the robot has no interface {line.iTag!r}", field="iTag")
+        entry, interface = self._interfaces[line.iTag]
+        value = _bytes_of(line) if entry.kind.endswith("Forwarder") and line.msg is not UNSET else line.msg
+        if isinstance(interface, ServiceProvider):
+            self._answer(line, value)
+        elif value is UNSET:
+            raise InvalidRequest("it has no msg", field="msg")
+        elif isinstance(interface, Publisher):
+            await interface.publish(value)
+        elif isinstance(interface, ServiceClient):
+            task = asyncio.create_task(self._call(entry, interface, line.msgID, value))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+        else:
+            raise InvalidRequest(f"{line.iTag} receives, it does not send", field="iTag")
+
+    def _answer(self, line: Line, value: Any | UnsetType) -> None:
+        answer = self._waiting.get((line.iTag, line.msgID))
+        if answer is None or answer.done():
+            raise NotFound(f"no request of {line.iTag} with msgID {line.msgID!r} waits for an answer", field="msgID")
+        if value is UNSET:
+            answer.set_exception(RceError(line.error or "refused"))
+        else:
+            answer.set_result(value)
+
+    async def _call(self, entry: InterfaceEntry, client: ServiceClient, msg_id: str, value: Any) -> None:
+        given = {"msgID": msg_id} if msg_id else {}
+        try:
+            self._put(entry, **given, msg=await client.call(value))
+        except RceError as error:
+            self._put(entry, **given, error=str(error))
+
+
+async def _quietly(undo: Callable[[], Awaitable[None]]) -> None:
+    """Undo something at the end: what is gone already, or cannot be reached, is no reason to leave the rest."""
+    try:
+        await undo()
+    except RceError as error:
+        log.warning("at the end: %s", error)
+
+
+def _bytes_of(line: Line) -> bytes:
+    try:
+        return base64.b64decode(line.msg, validate=True)
+    except (TypeError, ValueError, binascii.Error):
+        raise InvalidRequest(f"msg of the raw interface {line.iTag} must be base64", field="msg") from None
+
+
+def _printable(value: Any) -> Any:
+    if isinstance(value, Buffer):
+        return base64.b64encode(value).decode()
+    if isinstance(value, dict):
+        return {key: _printable(item) for key, item in value.items()}
+    if isinstance(value, list) and value and not isinstance(value[0], int | float | str):
+        return [_printable(item) for item in value]
+    return value
+
+
+async def standard_input() -> AsyncIterator[bytes]:
+    """Lines of standard input, read by a daemon thread: a blocking read must not keep the program from ending."""
+    queue: asyncio.Queue[bytes] = asyncio.Queue(100)
+    loop = asyncio.get_running_loop()
+
+    def read_all() -> None:
+        for line in itertools.chain(sys.stdin.buffer, [b""]):
+            if loop.is_closed():
+                return
+            asyncio.run_coroutine_threadsafe(queue.put(line), loop).result()
+
+    threading.Thread(target=read_all, name="standard input", daemon=True).start()
+    while line := await queue.get():
+        yield line

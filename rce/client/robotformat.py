@@ -1,0 +1,120 @@
+"""A robot from a file: the JSON of the original `rce-ros`, or the same as YAML.
+
+The keys of the entries are the argument names of the original's Python client. Unknown keys are errors.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import yaml
+from msgspec import Struct
+
+from rce.errors import InvalidRequest
+from rce.messages import ALIASES, AddInterface, AddNode, Connect, InterfaceType, ParameterValue, Qos, SetParameter
+
+
+class Container(Struct, frozen=True, forbid_unknown_fields=True):
+    """An entry of `containers`."""
+
+    cTag: str
+    group: str = ""
+    groupIp: str = ""
+    size: int = 1
+    cpu: float = 0
+    memory: int = 0
+    bandwidth: int = 0
+    specialFeatures: list[str] = []
+    restart: Literal["always", "no"] = "always"
+
+
+class Parameter(Struct, frozen=True, forbid_unknown_fields=True):
+    """An entry of `parameters`."""
+
+    cTag: str
+    name: str
+    value: ParameterValue
+
+    @property
+    def command(self) -> SetParameter:
+        return SetParameter(self.cTag, self.name, self.value)
+
+
+class Node(Struct, frozen=True, forbid_unknown_fields=True):
+    """An entry of `nodes`."""
+
+    cTag: str
+    nTag: str
+    pkg: str
+    exe: str
+    args: str = ""
+    name: str = ""
+    namespace: str = ""
+
+    @property
+    def command(self) -> AddNode:
+        return AddNode(self.cTag, self.nTag, self.pkg, self.exe, self.args, self.name, self.namespace)
+
+
+class InterfaceEntry(Struct, frozen=True, forbid_unknown_fields=True):
+    """An entry of `interfaces`; `addr` counts in environments only."""
+
+    eTag: str
+    iTag: str
+    iType: InterfaceType | Literal["ServiceInterface", "ServiceConverter", "ServiceForwarder"]
+    iCls: str
+    addr: str = ""
+    qos: Qos = Qos()
+    format: Literal["png", "jpeg", "json"] = "png"
+
+    @property
+    def kind(self) -> str:
+        return ALIASES.get(self.iType, self.iType)
+
+    @property
+    def command(self) -> AddInterface:
+        return AddInterface(self.eTag, self.iTag, self.kind, self.iCls, self.addr, self.qos, self.format)
+
+
+class Connection(Struct, frozen=True, forbid_unknown_fields=True):
+    """An entry of `connections`."""
+
+    tagA: str
+    tagB: str
+
+    @property
+    def command(self) -> Connect:
+        return Connect(self.tagA, self.tagB)
+
+
+class RobotFile(Struct, frozen=True, forbid_unknown_fields=True):
+    """A robot with all that it sets up. `password` is in clear; an API `key` may stand in its place."""
+
+    url: str
+    userID: str
+    robotID: str
+    password: str | None = None
+    key: str | None = None
+    containers: list[Container] = []
+    parameters: list[Parameter] = []
+    nodes: list[Node] = []
+    interfaces: list[InterfaceEntry] = []
+    connections: list[Connection] = []
+
+
+def read(path: Path) -> RobotFile:
+    """The robot of a file: YAML if its name ends in `.yaml` or `.yml`, else JSON. InvalidRequest names the place."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        content: Any = yaml.safe_load(text) if path.suffix in (".yaml", ".yml") else json.loads(text)
+    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
+        raise InvalidRequest(f"{path}: {error}") from None
+    try:
+        return msgspec.convert(content, RobotFile)
+    except msgspec.ValidationError as error:
+        reason, _, place = str(error).partition(" - at `$")
+        place = place.rstrip("`").lstrip(".")
+        raise InvalidRequest(f"{path}: {place + ': ' if place else ''}{reason}", field=place) from None
