@@ -107,6 +107,11 @@ class RobotEndpoint:
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
 
+    def finished(self, session: Session) -> None:
+        """The robot has said goodbye: its session ends without a grace time."""
+        log.info("robot {robot} leaves", robot=session.name)
+        self._grace_over(session)
+
     async def _leave(self, session: Session) -> None:
         while self.sessions.get(session.name) is session and session.socket is None:
             try:

@@ -27,6 +27,7 @@ from autobahn.websocket.types import ConnectionDeny, ConnectionRequest  # noqa: 
 HIGH_WATER = 256 * 1024  # bytes in the transport at which the outbox keeps what follows, where it can be overtaken
 SWEEP = 15.0
 BAD_WINDOW = 60.0
+NORMAL = 1000  # the close code of a peer that has done all it wanted
 
 log = Logger()
 
@@ -55,6 +56,9 @@ class Door(Protocol):
 
     def disconnected(self, session: Session) -> None:
         """The session has lost its socket: its grace time begins."""
+
+    def finished(self, session: Session) -> None:
+        """The robot has said goodbye: its session ends now."""
 
 
 class Greeting(Struct, frozen=True):
@@ -171,6 +175,9 @@ class RobotSocket(WebSocketServerProtocol):
             if session.socket is None:
                 self._door.disconnected(session)
         elif session is not None and session.detach(self):
+            if wasClean and code == NORMAL and session.features:
+                self._door.finished(session)  # clients of the original are used to the grace time in any case
+                return
             log.info("robot {robot} lost its socket: {reason}", robot=session.name, reason=self._reason or reason)
             self._door.disconnected(session)
 
