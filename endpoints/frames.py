@@ -21,6 +21,7 @@ FIRST, DESTINATION, ERROR = 1, 2, 4
 PART = 256 * 1024
 MAX_MESSAGE = 80 * 1024 * 1024  # a 64 MB WebSocket message grows a little as CDR
 MAX_UNFINISHED = 4 * MAX_MESSAGE
+MAX_STREAMS = 4096
 SCRATCH = 256 * 1024
 
 Buffer = bytes | bytearray | memoryview
@@ -64,6 +65,7 @@ def _head(buffer: bytearray, start: int) -> tuple[int, int, int, int, int]:
 
 @dataclass(slots=True)
 class _Unfinished:
+    stream: int
     message: Message
     buffer: bytearray
     filled: int = 0
@@ -77,6 +79,7 @@ class FrameReader:
         self._view = memoryview(self._scratch)
         self._have = 0
         self._streams: dict[int, _Unfinished] = {}
+        self._unfinished = 0  # bytes of their buffers
         self._direct: _Unfinished | None = None  # a payload that is being read straight into its buffer
         self._direct_end = 0
 
@@ -128,10 +131,7 @@ class FrameReader:
                 message.payload = bytes(self._view[body : body + size])
                 done.append(message)
                 return body + size - start
-            unfinished = _Unfinished(message, bytearray(total))
-            if sum(len(other.buffer) for other in self._streams.values()) + total > MAX_UNFINISHED:
-                raise LimitExceeded(f"unfinished messages of more than {MAX_UNFINISHED} bytes on a data link")
-            self._streams[stream] = unfinished
+            unfinished = self._begin(stream, message, total)
         else:
             found = self._streams.get(stream)
             if found is None or found.filled + size > len(found.buffer):
@@ -147,9 +147,21 @@ class FrameReader:
             self._finish(unfinished, done)
         return body + take - start
 
+    def _begin(self, stream: int, message: Message, total: int) -> _Unfinished:
+        if stream in self._streams:
+            raise LimitExceeded("a data link began a message in a stream that has an unfinished one")
+        if self._unfinished + total > MAX_UNFINISHED or len(self._streams) >= MAX_STREAMS:
+            raise LimitExceeded(
+                f"more than {MAX_STREAMS} unfinished messages, or of more than {MAX_UNFINISHED} bytes, on a data link"
+            )
+        self._unfinished += total
+        begun = self._streams[stream] = _Unfinished(stream, message, bytearray(total))
+        return begun
+
     def _finish(self, unfinished: _Unfinished, done: list[Message]) -> None:
         if unfinished.filled < len(unfinished.buffer):
             return
         unfinished.message.payload = unfinished.buffer
         done.append(unfinished.message)
-        self._streams = {key: value for key, value in self._streams.items() if value is not unfinished}
+        del self._streams[unfinished.stream]
+        self._unfinished -= len(unfinished.buffer)

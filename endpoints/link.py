@@ -23,9 +23,10 @@ from rce.outbox import Outbox
 
 MAGIC = b"RCE1"
 GREETING = len(MAGIC) + 16
-HIGH_WATER = 512 * 1024  # bytes in the transport at which the outbox keeps what follows, where it can be overtaken
-SOCKET_BUFFER = 4 * 1024 * 1024
+HIGH_WATER = 256 * 1024  # bytes in the transport at which the outbox keeps what follows, where it can be overtaken
+SOCKET_BUFFER = 1024 * 1024  # four times this doubles the time for which a small message waits, and carries no more
 OPEN_TIMEOUT = 10.0
+EXPECT_TIMEOUT = 30.0  # the other side may have several addresses to try
 
 log = Logger()
 
@@ -56,29 +57,44 @@ class Link(Protocol):
 
 
 class LoopLink:
-    """A link between interfaces of one process."""
+    """A link between interfaces of one process: it queues only while its receiver asks it to pause."""
 
     def __init__(self, name: str, deliver: Callable[[Message, Link], None]) -> None:
         self.name = name
         self.opened: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.opened.set_result(None)
         self._deliver = deliver
+        self._outbox: Outbox[Message] = Outbox(self._write)
+        self._until: asyncio.Future[None] | None = None
 
     def send(self, message: Message, keep: int | None) -> int:
-        self._deliver(message, self)
-        return 0
+        return self._outbox.put(message.source, iter((message,)), keep)
 
     def room(self, source: bytes) -> asyncio.Future[None] | None:
-        return None
+        return self._outbox.room(source)
 
     def backlog(self, source: bytes) -> int:
-        return 0
+        return self._outbox.backlog(source)
 
-    def forget(self, source: bytes) -> None: ...
+    def forget(self, source: bytes) -> None:
+        self._outbox.forget(source)
 
-    def pause(self, until: asyncio.Future[None]) -> None: ...
+    def pause(self, until: asyncio.Future[None]) -> None:
+        if self._until is None:
+            self._until = until
+            self._outbox.pause()
+            until.add_done_callback(self._resume)
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        self._outbox.clear()
+
+    def _resume(self, _: asyncio.Future[None]) -> None:
+        self._until = None
+        self._outbox.resume()
+
+    def _write(self, message: Message) -> bool:
+        self._deliver(message, self)
+        return self._until is None
 
 
 def answer_to(key: bytes) -> bytes:
@@ -86,7 +102,7 @@ def answer_to(key: bytes) -> bytes:
 
 
 class StreamLink(asyncio.BufferedProtocol):
-    """One end of a link over a socket. `opened` is done once the other side has proved itself."""
+    """One end of a link over a socket; `opened` is done once the other side has proved itself, or has not."""
 
     def __init__(
         self,
@@ -94,8 +110,10 @@ class StreamLink(asyncio.BufferedProtocol):
         deliver: Callable[[Message, Link], None],
         lost: Callable[[StreamLink, str], None],
     ) -> None:
+        """`lost` is called once, if the link breaks or does not open; not when it is closed on purpose."""
         self.name = name
         self.opened: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self.opened.add_done_callback(lambda opened: opened.exception())  # `lost` has said it
         self.broken = ""  # why, once it is
         self._deliver = deliver
         self._lost = lost
@@ -105,27 +123,34 @@ class StreamLink(asyncio.BufferedProtocol):
         self._streams = itertools.cycle(range(1 << 32))
         self._transport: asyncio.Transport | None = None
         self._full = False
-        self._greeting = bytearray(GREETING)
-        self._greeted = 0
-        self._expected = b""
 
-    # the two ways to open
-
-    def greet(self, key: bytes) -> None:
-        """Dialling side: say the key, and await its digest."""
-        assert self._transport is not None
-        self._expected = MAGIC + answer_to(key)
-        self._transport.write(MAGIC + key)
-
-    def accept(self, transport: asyncio.Transport, key: bytes) -> None:
-        """Listening side: the key was good; take over the transport."""
-        self.connection_made(transport)
-        transport.write(MAGIC + answer_to(key))
-        self._open()
-
-    def _open(self) -> None:
+    def carry(self, transport: asyncio.Transport) -> None:
+        """The greeting is over: this end of the link has `transport` from now on."""
+        if self.opened.done():  # it was closed meanwhile
+            transport.abort()
+            return
+        transport.set_protocol(self)
+        transport.set_write_buffer_limits(high=HIGH_WATER)
+        tune(transport)
+        self._transport = transport
         self.opened.set_result(None)
         self._outbox.resume()
+
+    def fail(self, reason: str) -> None:
+        """It broke, or did not open; what waits is kept until it is closed."""
+        if not self._end(reason):
+            return
+        log.warn("link {link}: {reason}", link=self.name, reason=reason)
+        self._lost(self, reason)
+
+    def _end(self, reason: str) -> bool:
+        if self.broken:
+            return False
+        self.broken = reason
+        self._outbox.pause()
+        if not self.opened.done():
+            self.opened.set_exception(Unavailable(f"link {self.name} did not open: {reason}"))
+        return True
 
     # Link
 
@@ -148,28 +173,16 @@ class StreamLink(asyncio.BufferedProtocol):
             until.add_done_callback(lambda _: None if transport.is_closing() else transport.resume_reading())
 
     def close(self) -> None:
+        self._end("closed")
+        self._outbox.clear()
         if self._transport is not None:
             self._transport.close()
 
-    def abort(self, reason: str) -> None:
-        log.warn("link {link}: {reason}", link=self.name, reason=reason)
-        if self._transport is not None:
-            self._transport.abort()
-
     # asyncio
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.Transport, transport)
-        self._transport.set_write_buffer_limits(high=HIGH_WATER)
-        tune(self._transport)
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._transport = None
-        self._outbox.pause()
-        self.broken = reason = str(exc) if exc else "closed by the other side"
-        if not self.opened.done():
-            self.opened.set_exception(Unavailable(f"link {self.name} was refused: {reason}"))
-        self._lost(self, reason)
+        self.fail(str(exc) if exc else "closed by the other side")
 
     def pause_writing(self) -> None:
         self._full = True
@@ -177,30 +190,20 @@ class StreamLink(asyncio.BufferedProtocol):
 
     def resume_writing(self) -> None:
         self._full = False
-        self._outbox.resume()
+        if not self.broken:
+            self._outbox.resume()
 
     def get_buffer(self, sizehint: int) -> memoryview:
-        if self.opened.done():
-            return self._reader.buffer()
-        return memoryview(self._greeting)[self._greeted :]
+        return self._reader.buffer()
 
     def buffer_updated(self, nbytes: int) -> None:
-        if not self.opened.done():
-            self._greeted += nbytes
-            if self._greeted == GREETING:
-                self._check_answer()
-            return
         try:
             for message in self._reader.filled(nbytes):
                 self._deliver(message, self)
         except (LimitExceeded, UnicodeDecodeError) as error:
-            self.abort(str(error))
-
-    def _check_answer(self) -> None:
-        if hmac.compare_digest(bytes(self._greeting), self._expected):
-            self._open()
-        else:
-            self.abort("the other side does not know the key")
+            self.fail(str(error))
+            if self._transport is not None:
+                self._transport.abort()
 
     def _write(self, buffers: list[Buffer]) -> bool:
         assert self._transport is not None
@@ -208,42 +211,86 @@ class StreamLink(asyncio.BufferedProtocol):
         return not self._full
 
 
-class _Doorman(asyncio.BufferedProtocol):
-    """Reads the greeting of an incoming connection and hands the connection to the link whose key it says."""
+class _Greeter(asyncio.BufferedProtocol):
+    """Reads the first bytes of a connection, as many as a greeting has and not one of what follows."""
 
-    def __init__(self, port: DataPort) -> None:
-        self._port = port
+    def __init__(self) -> None:
+        self.transport: asyncio.Transport | None = None
         self._greeting = bytearray(GREETING)
         self._have = 0
-        self._timer: asyncio.TimerHandle | None = None
-        self._transport: asyncio.Transport | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.Transport, transport)
-        self._timer = asyncio.get_running_loop().call_later(OPEN_TIMEOUT, self._transport.abort)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
+        self.transport = cast(asyncio.Transport, transport)
 
     def get_buffer(self, sizehint: int) -> memoryview:
         return memoryview(self._greeting)[self._have :]
 
     def buffer_updated(self, nbytes: int) -> None:
         self._have += nbytes
-        if self._have < GREETING:
-            return
-        assert self._transport is not None
+        if self._have == GREETING:
+            assert self.transport is not None
+            self.greeted(bytes(self._greeting), self.transport)
+
+    def greeted(self, greeting: bytes, transport: asyncio.Transport) -> None:
+        raise NotImplementedError
+
+
+class _Doorman(_Greeter):
+    """Listening side: hands the connection to the link whose key it says."""
+
+    def __init__(self, expected: dict[bytes, StreamLink]) -> None:
+        super().__init__()
+        self._expected = expected
+        self._timer: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        self._timer = asyncio.get_running_loop().call_later(OPEN_TIMEOUT, transport.abort)  # type: ignore[attr-defined]
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def greeted(self, greeting: bytes, transport: asyncio.Transport) -> None:
         assert self._timer is not None
         self._timer.cancel()
-        magic, key = bytes(self._greeting[: len(MAGIC)]), bytes(self._greeting[len(MAGIC) :])
-        link = self._port.expected.pop(key, None)
-        if magic != MAGIC or link is None:
+        magic, key = greeting[: len(MAGIC)], greeting[len(MAGIC) :]
+        link = self._expected.pop(key, None) if magic == MAGIC else None
+        if link is None:
             log.warn("a connection to the data port presented no key that is expected: closed")
-            self._transport.abort()
+            transport.abort()
             return
-        self._transport.set_protocol(link)
-        link.accept(self._transport, key)
+        transport.write(MAGIC + answer_to(key))
+        link.carry(transport)
+
+
+class _Caller(_Greeter):
+    """Dialling side: says the key, and hands the connection to `link` when the other side answers with its digest."""
+
+    def __init__(self, link: StreamLink, key: bytes) -> None:
+        super().__init__()
+        self.outcome: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._link = link
+        self._key = key
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        cast(asyncio.Transport, transport).write(MAGIC + self._key)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._refuse(str(exc) if exc else "closed by the other side")
+
+    def greeted(self, greeting: bytes, transport: asyncio.Transport) -> None:
+        if not hmac.compare_digest(greeting, MAGIC + answer_to(self._key)):
+            self._refuse("the other side does not know the key")
+        elif not self.outcome.done():
+            self.outcome.set_result(None)
+            self.transport = None  # it is the link's now
+            self._link.carry(transport)
+
+    def _refuse(self, reason: str) -> None:
+        if not self.outcome.done():
+            self.outcome.set_exception(Unavailable(reason))
 
 
 class DataPort:
@@ -258,43 +305,53 @@ class DataPort:
         """Listen on `host` (port 0: any free one); returns the port."""
         loop = asyncio.get_running_loop()
         server = await loop.create_server(
-            lambda: _Doorman(self), host, port, ssl=self._tls.server if self._tls else None
+            lambda: _Doorman(self.expected), host, port, ssl=self._tls.server if self._tls else None
         )
         self._servers.append(server)
         taken: int = server.sockets[0].getsockname()[1]
         return taken
 
     async def listen_unix(self, path: str) -> None:
-        server = await asyncio.get_running_loop().create_unix_server(lambda: _Doorman(self), path)
+        server = await asyncio.get_running_loop().create_unix_server(lambda: _Doorman(self.expected), path)
         self._servers.append(server)
 
     def expect(self, link: StreamLink, key: bytes) -> None:
+        """Take the connection that says `key` for `link`; it fails when none comes."""
         self.expected[key] = link
+        late = "nobody has come to open it"
+        timer = asyncio.get_running_loop().call_later(EXPECT_TIMEOUT, link.fail, late)
+
+        def over(_: asyncio.Future[None]) -> None:
+            timer.cancel()
+            self.expected.pop(key, None)
+
+        link.opened.add_done_callback(over)
 
     async def dial(self, link: StreamLink, key: bytes, addresses: list[str]) -> None:
-        """Open `link` at the first address that answers. Unavailable, with the reason of each, when none does."""
+        """Open `link` at the first address that answers; it fails, with the reason of each, when none does."""
         reasons = []
         for address in addresses:
+            caller = _Caller(link, key)
             try:
                 async with asyncio.timeout(OPEN_TIMEOUT):
-                    await self._connect(link, address)
-                    link.greet(key)
-                    await link.opened
+                    await self._connect(caller, address)
+                    await caller.outcome
                 return
-            except (OSError, TimeoutError, Unavailable) as error:
-                reasons.append(f"{address}: {error or 'no answer'}")
-                if link.opened.done():
-                    break
-        raise Unavailable(f"link {link.name} did not open: {'; '.join(reasons) or 'no address given'}")
+            except (OSError, TimeoutError, ValueError, Unavailable) as error:
+                reasons.append(f"{address}: {str(error) or 'no answer'}")
+            finally:
+                if caller.transport is not None:
+                    caller.transport.abort()
+        link.fail("; ".join(reasons) or "it has no address")
 
-    async def _connect(self, link: StreamLink, address: str) -> None:
+    async def _connect(self, caller: _Caller, address: str) -> None:
         loop = asyncio.get_running_loop()
         kind, _, rest = address.partition(":")
         if kind == "unix":
-            await loop.create_unix_connection(lambda: link, rest)
+            await loop.create_unix_connection(lambda: caller, rest)
         else:
             host, _, port = rest.rpartition(":")
-            await loop.create_connection(lambda: link, host, int(port), ssl=self._tls.client if self._tls else None)
+            await loop.create_connection(lambda: caller, host, int(port), ssl=self._tls.client if self._tls else None)
 
     async def close(self) -> None:
         for server in self._servers:

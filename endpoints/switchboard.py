@@ -84,13 +84,18 @@ class Interface(ABC):
     def fail(self, request: Message, error: RceError) -> None:
         """Answer a request of a peer with an error."""
         payload = msgspec.msgpack.encode(error.info)
-        if request.source in self.peers:
+        try:
             self.request(Message(self.id, request.msg_id, payload, destination=request.source, error=True))
+        except RceError as unsaid:  # the peer is gone, or takes no more: it will find its call timed out
+            log.info("{error}; not told to the caller: {unsaid}", error=str(error), unsaid=str(unsaid))
 
 
 def error_of(message: Message) -> RceError:
     """The error that a message with `error` carries."""
-    return RceError.from_info(msgspec.msgpack.decode(message.payload, type=ErrorInfo))
+    try:
+        return RceError.from_info(msgspec.msgpack.decode(message.payload, type=ErrorInfo))
+    except msgspec.DecodeError:
+        return RceError("the service failed, and how cannot be read")
 
 
 class Switchboard:
@@ -133,20 +138,24 @@ class Switchboard:
         if link is None:
             raise NotFound(f"link {route.link} is not known here")
         await asyncio.shield(link.opened)
+        if self.links.get(route.link) is not link:
+            raise Unavailable(f"link {route.link} was closed meanwhile")
         interface = self.interfaces.get(bytes.fromhex(route.interface))
         if interface is None:
             raise NotFound(f"interface {route.interface} is not bound here")
         peer = bytes.fromhex(route.peer)
-        if interface.peers.get(peer) is link:
+        before = interface.peers.get(peer)
+        if before is link:
             return
         first = not interface.peers
-        known = peer in interface.peers  # its link was replaced by this one
         interface.peers[peer] = link
         self._listeners.setdefault(peer, {})[interface] = route.link
         if first:
             interface.started()
-        if not known:
+        if before is None:
             interface.joined(peer)
+        elif before not in interface.peers.values():
+            before.forget(interface.id)
 
     def remove_route(self, interface: str, peer: str) -> None:
         found = self.interfaces.get(bytes.fromhex(interface))
@@ -170,7 +179,10 @@ class Switchboard:
         """What came in over a link goes to the interfaces that are routed to its source over that link."""
         for interface, name in list(self._listeners.get(message.source, {}).items()):
             if name == link.name and (message.destination is None or message.destination == interface.id):
-                interface.receive(message, link)
+                try:
+                    interface.receive(message, link)
+                except Exception:  # noqa: BLE001  # a defect in one interface must not cost others the link
+                    log.failure("defect while delivering to {interface}", interface=interface.spec.tag)
 
     async def sync(self, call: Sync, make: Callable[[InterfaceSpec], Awaitable[Interface]]) -> dict[str, ErrorInfo]:
         """Have the interfaces, links and routes of this call and no others; returns what failed, by its name."""
@@ -190,12 +202,14 @@ class Switchboard:
         for interface in self.interfaces.values():
             for peer in [peer for peer in interface.peers if (interface.spec.id, peer.hex()) not in wanted]:
                 self._part(interface, peer)
-        for route in call.routes:
-            try:
-                await self.add_route(route)
-            except RceError as error:  # the link or the interface failed: that has been said
-                log.info("route not restored: {error}", error=str(error))
+        await asyncio.gather(*map(self._restore, call.routes))  # beside each other: a link may take long to open
         return failed
+
+    async def _restore(self, route: Route) -> None:
+        try:
+            await self.add_route(route)
+        except RceError as error:  # the link or the interface failed: that has been said
+            log.info("route not restored: {error}", error=str(error))
 
     # links
 
@@ -210,13 +224,13 @@ class Switchboard:
             self.links[spec.name] = LoopLink(spec.name, self.deliver)
             return
         link = StreamLink(spec.name, self.deliver, self._lost)
-        link.opened.add_done_callback(lambda opened: opened.exception())  # said by `dial` or by `_lost`
         self.links[spec.name] = link
         key = bytes.fromhex(spec.key)
         if spec.dial:
-            task = asyncio.create_task(self._dial(link, key, spec.dial))
+            task = asyncio.create_task(self._port.dial(link, key, spec.dial))
             self._dialling.add(task)
             task.add_done_callback(self._dialling.discard)
+            link.opened.add_done_callback(lambda _: task.cancel() if link.broken else None)  # it was closed meanwhile
         else:
             self._port.expect(link, key)
 
@@ -225,13 +239,6 @@ class Switchboard:
         if link is not None:
             link.close()
 
-    async def _dial(self, link: StreamLink, key: bytes, addresses: list[str]) -> None:
-        try:
-            await self._port.dial(link, key, addresses)
-        except Unavailable as error:
-            self._lost(link, str(error))
-
     def _lost(self, link: StreamLink, reason: str) -> None:
-        if self.links.get(link.name) is link:  # else it was closed on purpose, or replaced
-            log.info("link {link} lost: {reason}", link=link.name, reason=reason)
+        if self.links.get(link.name) is link:  # else it was replaced
             self._link_lost(link.name, reason)

@@ -99,20 +99,20 @@ class Outbox(Generic[P]):
 
     def _pump(self) -> None:
         while self._open and self._turns:
-            source = self._turns.popleft()
+            source = self._turns[0]
+            self._turns.rotate(-1)  # before anything that may raise or come back here
             queue = self._queues[source]
             if queue.current is None and queue.waiting:
                 queue.current = queue.waiting.popleft()
             piece = next(queue.current, None) if queue.current is not None else None
-            if piece is None:
-                queue.current = None
-                if not queue.waiting:
-                    del self._queues[source]
-                    self._release(queue)
-                    continue
-            self._turns.append(source)
             if piece is not None:
                 self._open = self._write(piece)
+                continue
+            queue.current = None
+            if not queue.waiting:
+                self._turns.remove(source)
+                del self._queues[source]
+                self._release(queue)
 
     @staticmethod
     def _release(queue: _Queue[P]) -> None:

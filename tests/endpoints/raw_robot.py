@@ -1,0 +1,104 @@
+"""A robot of raw frames, and the addresses at which such robots connect."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import json
+from collections.abc import Callable
+from typing import Any
+
+from websockets.asyncio.client import ClientConnection, connect
+
+WAIT = 10.0  # seconds until a test that waits for something gives up
+USER = "testUser"
+PASSWORD = hashlib.sha256(USER.encode()).hexdigest()
+Json = dict[str, Any]
+
+
+class Robot:
+    """A raw WebSocket client: sends what it is told, tells what it gets."""
+
+    def __init__(self, tag: str, socket: ClientConnection) -> None:
+        self.tag = tag
+        self.socket = socket
+
+    async def send(self, *frames: Json | str | bytes) -> None:
+        for frame in frames:
+            await self.socket.send(json.dumps(frame) if isinstance(frame, dict) else frame)
+
+    async def take(self) -> Any:
+        """The next frame: decoded JSON, or the bytes of a binary one."""
+        async with asyncio.timeout(WAIT):
+            frame = await self.socket.recv()
+        return json.loads(frame) if isinstance(frame, str) else frame
+
+    async def take_all(self, count: int) -> list[Any]:
+        return [await self.take() for _ in range(count)]
+
+    async def until(self, wanted: Callable[[Any], bool]) -> list[Any]:
+        """All frames up to the first that is wanted."""
+        frames = [await self.take()]
+        while not wanted(frames[-1]):
+            frames.append(await self.take())
+        return frames
+
+    async def silent(self) -> None:
+        """Nothing has come until everything sent so far was worked on: an unknown frame is answered by its ER."""
+        await self.send("?")
+        answer = await self.take()
+        assert answer["type"] == "ER", answer
+        assert "not a JSON object" in answer["data"], answer
+
+    async def closed(self) -> tuple[int, str]:
+        """Code and reason with which the server closes."""
+        async with asyncio.timeout(WAIT):
+            while True:
+                try:
+                    await self.socket.recv()
+                except Exception:  # noqa: BLE001  # each way to close has its own class
+                    break
+        return self.socket.close_code or 0, self.socket.close_reason or ""
+
+    # commands
+
+    async def add(self, tag: str, kind: str, type: str = "std_msgs/String", **more: object) -> None:
+        item = {"endpointTag": self.tag, "interfaceTag": tag, "interfaceType": kind, "className": type, **more}
+        await self.send({"type": "CN", "data": {"addInterfaces": [item]}})
+
+    async def connect(self, one: str, other: str) -> None:
+        await self.send({"type": "CX", "data": {"connect": [{"tagA": one, "tagB": other}]}})
+
+    async def data(
+        self, tag: str, msg: object, type: str = "std_msgs/String", msg_id: str = "nil", **more: Any
+    ) -> None:
+        frame = {"type": "DM", "data": {"iTag": tag, "type": type, "msgID": msg_id, "msg": msg}, **more}
+        await self.send(frame)
+
+
+def status(tag: str, on: bool) -> Json:
+    return {"type": "ST", "data": {"topic": "iu", "iTag": tag, "status": on}}
+
+
+def dm(tag: str, msg: object, type: str = "std_msgs/String", msg_id: str = "nil") -> Json:
+    return {"type": "DM", "data": {"iTag": tag, "type": type, "msgID": msg_id, "msg": msg}}
+
+
+class Guests:
+    """Opens robots' sockets at an address and closes what is left of them."""
+
+    def __init__(self, port: int) -> None:
+        self.port = port
+        self._open: list[ClientConnection] = []
+
+    async def robot(self, tag: str, features: str = "", **more: Any) -> Robot:
+        query = f"userID={more.pop('user', USER)}&robotID={tag}&password={PASSWORD}"
+        query += f"&features={features}" if features else ""
+        query += "".join(f"&{key}={more.pop(key)}" for key in ("resume",) if key in more)
+        more = {"max_size": None, "compression": None, "close_timeout": 1, "ping_interval": None} | more
+        socket = await connect(f"ws://127.0.0.1:{self.port}/?{query}", **more)
+        self._open.append(socket)
+        return Robot(tag, socket)
+
+    async def close(self) -> None:
+        await asyncio.gather(*(socket.close() for socket in self._open))
