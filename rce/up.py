@@ -91,6 +91,7 @@ class Part:
             stderr=self._log,
             env=self._environment,
             preexec_fn=_end_with_parent,
+            start_new_session=True,  # a Ctrl-C is for this process, which stops the parts in their order
         )
 
     async def _keep(self) -> None:
