@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from typing import Generic, TypeVar, get_args
 
-from msgspec import Struct
+import msgspec
+from msgspec import Raw, Struct
 
-from rce.errors import ErrorInfo
+from rce.errors import ErrorInfo, InvalidRequest
 from rce.messages import Command, ContainerData, ParameterValue, Qos, StatusData
 
 R = TypeVar("R")
+_commands: dict[str, type[Command]] = {kind.__name__: kind for kind in get_args(Command)}
 
 
 class Call(Struct, Generic[R], frozen=True):
@@ -291,8 +293,24 @@ class Execute(Call[Nothing], frozen=True):
     """
 
     robot: str
-    command: Command
+    kind: str
+    item: Raw
     again: bool = False
+
+    @staticmethod
+    def of(robot: str, command: Command, again: bool = False) -> Execute:
+        """The call for a command. Its kind stands beside it: commands on the robots' wire have no tag of their own."""
+        return Execute(robot, type(command).__name__, Raw(msgspec.msgpack.encode(command)), again)
+
+    @property
+    def command(self) -> Command:
+        """Raises InvalidRequest."""
+        if self.kind not in _commands:
+            raise InvalidRequest(f"{self.kind[:80]!r} is not a command")
+        try:
+            return msgspec.msgpack.decode(self.item, type=_commands[self.kind])
+        except msgspec.DecodeError as error:
+            raise InvalidRequest(f"{self.kind}: {error}") from None
 
 
 class Definitions(Struct, frozen=True):

@@ -22,6 +22,7 @@ FEATURES = frozenset({"ack", "events", "resume", "parts"})
 
 T = TypeVar("T")
 Text = Annotated[str, Meta(min_length=1)]
+Amount = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 FrameId = Annotated[str, Meta(max_length=255)] | int
 
 
@@ -41,8 +42,8 @@ class ContainerData(Struct, frozen=True, omit_defaults=True):
 
     size: Annotated[int, Meta(ge=1, le=1000)] = 1
     cpu: Annotated[float, Meta(ge=0)] = 0
-    memory: Annotated[int, Meta(ge=0)] = 0
-    bandwidth: Annotated[int, Meta(ge=0)] = 0
+    memory: Amount = 0
+    bandwidth: Amount = 0
     specialFeatures: list[str] = []
     group: str = ""
     groupIP: str = ""
@@ -138,7 +139,9 @@ class RemoveInterface(Struct, frozen=True):
     interfaceTag: str
 
 
-ParameterValue = bool | int | float | str | list[bool | int | float | str]
+Integer = Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]  # what a ROS 2 parameter holds
+ParameterValue = bool | Integer | float | str | list[bool | Integer | float | str]
+ParameterName = Annotated[str, Meta(min_length=1, max_length=255, pattern=r"^[^\x00]*$")]
 
 
 class SetParameter(Struct, frozen=True):
@@ -148,7 +151,7 @@ class SetParameter(Struct, frozen=True):
     """
 
     containerTag: str
-    name: Text
+    name: ParameterName
     value: ParameterValue
     nodeTag: str = ""
 
@@ -157,7 +160,7 @@ class DeleteParameter(Struct, frozen=True):
     """Forget a parameter: nodes started later do not get it."""
 
     containerTag: str
-    name: Text
+    name: ParameterName
     nodeTag: str = ""
 
 
