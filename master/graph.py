@@ -84,6 +84,7 @@ def remove_environment(state: State, environment: Environment) -> Plan:
         state.parameters.drop(parameter.key)
     state.environments.drop(name)
     state.processes.drop(name)
+    state.joined.discard(name)  # its process is told nothing more, and is not taken for that of a namesake to come
     if environment.machine in state.joined:  # else it is told when it joins again (KeepEnvironments)
         plan.append([Send(environment.machine, StopEnvironment(name), name)])
     return plan

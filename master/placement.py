@@ -9,7 +9,7 @@ from rce.errors import AlreadyExists, InvalidRequest, NoCapacity, Unavailable
 from rce.messages import ContainerData
 
 GROUP_NETWORK = ipaddress.IPv4Network("192.168.1.0/24")  # each group has this network for itself
-FIRST_ADDRESS = 2  # .1 is the gateway's
+GROUP_ADDRESSES = list(GROUP_NETWORK.hosts())[1:]  # .1 is the gateway's
 
 
 def free_slots(state: State, machine: Process) -> int:
@@ -49,17 +49,19 @@ def group_address(state: State, user: str, options: ContainerData) -> str:
         return ""
     taken = {other.address for other in state.environments.by(user) if other.options.group == options.group}
     if not wanted:
-        free = (str(address) for address in list(GROUP_NETWORK.hosts())[FIRST_ADDRESS - 1 :])
-        address = next((address for address in free if address not in taken), "")
+        address = next((str(address) for address in GROUP_ADDRESSES if str(address) not in taken), "")
         if not address:
             raise NoCapacity(f"network group {options.group} is full: {len(taken)} addresses are in use")
         return address
     try:
-        inside = ipaddress.IPv4Address(wanted) in GROUP_NETWORK
+        inside = ipaddress.IPv4Address(wanted) in GROUP_ADDRESSES
     except ipaddress.AddressValueError:
         raise InvalidRequest(f"groupIP {wanted[:40]!r} is not an IPv4 address", field="containerData.groupIP") from None
     if not inside:
-        raise InvalidRequest(f"groupIP {wanted} is outside {GROUP_NETWORK}", field="containerData.groupIP")
+        raise InvalidRequest(
+            f"groupIP {wanted} is not one of {GROUP_ADDRESSES[0]} to {GROUP_ADDRESSES[-1]}",
+            field="containerData.groupIP",
+        )
     if wanted in taken:
         raise AlreadyExists(f"groupIP {wanted} is in use in group {options.group}", field="containerData.groupIP")
     return wanted

@@ -67,12 +67,12 @@ def reopen(state: State, name: str, ids: Ids) -> Plan:
     """A link broke while both ends live: its connections move to a new one."""
     if name not in state.links:
         return []
-    moved = state.connections.by(name)
     plan = close(state, name)
-    for connection in moved:
-        down = replace(connection, link="")
-        state.connections.put(down)
-        plan += activate(state, down, ids)
+    for connection in state.connections.by(name):
+        if all(state.host(state.interfaces[side].spec.owner) for side in (connection.sender, connection.receiver)):
+            plan += activate(state, connection, ids)  # the new route takes the place of the old one
+        else:
+            plan += deactivate(state, connection)
     return plan
 
 

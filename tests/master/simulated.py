@@ -1,0 +1,157 @@
+"""Processes that exist in memory only and carry effects out, in any order that the Carrier allows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from master.effects import Plan, Send
+from rce import calls as c
+
+
+class Refused(Exception):
+    """The process cannot do what it is asked to: the sequence ends here."""
+
+
+@dataclass
+class Endpoint:
+    """A Robot endpoint or an Environment endpoint: has what it was told to have, every call being good twice."""
+
+    name: str
+    incarnation: str
+    robots: set[str] = field(default_factory=set)
+    interfaces: dict[str, c.InterfaceSpec] = field(default_factory=dict)
+    links: set[str] = field(default_factory=set)
+    routes: dict[tuple[str, str], str] = field(default_factory=dict)
+    nodes: dict[str, c.NodeSpec] = field(default_factory=dict)
+    parameters: dict[str, c.ParameterSpec] = field(default_factory=dict)
+
+    def take(self, call: c.Call[Any]) -> None:
+        match call:
+            case c.Sync():
+                self._sync(call)
+            case c.Bind(spec):
+                self.interfaces[spec.id] = spec
+            case c.Unbind(id):
+                self._unbind(id)
+            case c.OpenLink(link):
+                self.links.add(link.name)
+            case c.CloseLink(name):
+                self.links.discard(name)
+            case c.AddRoute(route):
+                if route.link not in self.links or route.interface not in self.interfaces:
+                    raise Refused(f"{self.name} cannot route {route}")
+                self.routes[route.interface, route.peer] = route.link
+            case c.RemoveRoute(interface, peer):
+                self.routes.pop((interface, peer), None)
+            case c.StartNode(node):
+                self.nodes.setdefault(node.tag, node)
+            case c.StopNode(tag):
+                self.nodes.pop(tag, None)
+            case c.PutParameter(parameter):
+                self.parameters[parameter.key] = parameter
+            case c.DropParameter(key):
+                self.parameters.pop(key, None)
+            case c.DropRobot(robot):
+                self.drop_robot(robot)
+            case _:
+                raise AssertionError(f"{call} at an endpoint")
+
+    def _sync(self, sync: c.Sync) -> None:
+        self.interfaces = {spec.id: spec for spec in sync.interfaces}
+        self.links = {link.name for link in sync.links}
+        self.routes = {(route.interface, route.peer): route.link for route in sync.routes}
+        assert set(self.routes.values()) <= self.links
+        assert {interface for interface, _ in self.routes} <= set(self.interfaces)
+        self.nodes = {node.tag: node for node in sync.nodes}
+        self.parameters = {parameter.key: parameter for parameter in sync.parameters}
+        self.robots &= set(sync.robots)
+
+    def _unbind(self, id: str) -> None:
+        self.interfaces.pop(id, None)
+        self.routes = {pair: link for pair, link in self.routes.items() if pair[0] != id}
+
+    def drop_robot(self, robot: str) -> None:
+        self.robots.discard(robot)
+        for spec in list(self.interfaces.values()):
+            if spec.owner == robot:
+                self._unbind(spec.id)
+
+
+@dataclass
+class TaskSet:
+    """Starts and stops environments; `ended` hears the name of one whose process is gone by that."""
+
+    name: str
+    ended: Callable[[str], None]
+    runs: dict[str, str] = field(default_factory=dict)
+
+    def take(self, call: c.Call[Any]) -> None:
+        match call:
+            case c.StartEnvironment(spec):
+                if self.runs.get(spec.name) != spec.run:
+                    self._end(spec.name)
+                    self.runs[spec.name] = spec.run
+            case c.StopEnvironment(name):
+                self._end(name)
+            case c.KeepEnvironments(runs):
+                for name in [name for name, run in self.runs.items() if run not in runs]:
+                    self._end(name)
+            case _:
+                raise AssertionError(f"{call} at a task set")
+
+    def _end(self, name: str) -> None:
+        if self.runs.pop(name, None):
+            self.ended(name)
+
+
+@dataclass
+class _Step:
+    send: Send
+    connection: int  # the one over which it goes; 0 for none
+    before: list[_Step]
+    done: bool = False
+
+
+class Delivery:
+    """Plans under way. As in the Carrier, sequences run side by side, calls about one thing in their order, and calls
+    after one about everything when that is answered; `connections` numbers those that are there, by process."""
+
+    def __init__(self, connections: dict[str, int]) -> None:
+        self.connections = connections
+        self.sequences: list[list[_Step]] = []
+        self._tails: dict[tuple[str, str], _Step] = {}
+
+    def add(self, plan: Plan) -> list[_Step]:
+        added = []
+        for steps in plan:
+            sequence = []
+            for send in steps:
+                if isinstance(send, Send):
+                    keys = {(send.to, send.key), (send.to, "")}
+                    before = [self._tails[key] for key in keys if key in self._tails]
+                    step = _Step(send, self.connections.get(send.to, 0), before)
+                    self._tails[send.to, send.key] = step
+                    sequence.append(step)
+            if sequence:
+                self.sequences.append(sequence)
+                added += sequence
+        return added
+
+    def runnable(self) -> list[int]:
+        return [index for index, sequence in enumerate(self.sequences) if all(step.done for step in sequence[0].before)]
+
+    def run(self, index: int, carry: Callable[[Send], None]) -> None:
+        """The next step of a sequence; Refused ends the sequence."""
+        sequence = self.sequences[index]
+        step = sequence.pop(0)
+        step.done = True
+        try:
+            if step.connection and self.connections.get(step.send.to) == step.connection:
+                carry(step.send)
+        except Refused:
+            for rest in sequence:
+                rest.done = True
+            sequence.clear()
+        self.sequences = [each for each in self.sequences if each]
