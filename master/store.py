@@ -121,7 +121,11 @@ class Store:
     async def _write(self) -> None:
         while self._waiting:
             rows, self._waiting = self._waiting, {}
-            await self.run(lambda db, rows=rows: _put(db, rows))  # type: ignore[misc]  # mypy: default of a lambda
+            try:
+                await self.run(lambda db, rows=rows: _put(db, rows))  # type: ignore[misc]  # mypy: default of a lambda
+            except BaseException:
+                self._waiting = rows | self._waiting  # for the next try, unless it has changed again
+                raise
 
     async def close(self) -> None:
         if self._flush is not None:

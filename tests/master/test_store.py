@@ -1,0 +1,148 @@
+"""What outlives the Master: every kind of record, writes together, nothing lost by a failure of the database."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import sqlalchemy as sa
+from fleet import everything, wired
+
+from master import store as db
+from master.records import Environment, State
+from master.store import Store
+from rce import messages as m
+from rce.errors import InvalidRequest
+
+POSTGRES = os.environ.get("RCE_TEST_POSTGRES", "")
+needs_postgres = pytest.mark.skipif(
+    not POSTGRES, reason="set RCE_TEST_POSTGRES to the SQLAlchemy URL of an empty PostgreSQL database"
+)
+
+
+@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=needs_postgres)])
+async def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    if request.param == "sqlite":
+        return f"sqlite:///{tmp_path / 'master.db'}"
+    engine = sa.create_engine(POSTGRES)
+    db.tables.drop_all(engine)
+    engine.dispose()
+    return POSTGRES
+
+
+@pytest.fixture
+async def store(url: str) -> AsyncIterator[Store]:
+    store = Store(url)
+    await store.open()
+    yield store
+    await store.close()
+
+
+async def loaded(url: str) -> State:
+    """What a Master that starts now finds."""
+    state = State()
+    store = Store(url)
+    await store.open()
+    await store.load(state)
+    await store.close()
+    return state
+
+
+def full() -> State:
+    fleet = wired()
+    fleet.do("ann", m.AddNode("brain", "n", "p", "e", "--x 'ü'", "name", "space"))
+    for name, value in {"b": True, "i": 2**63 - 1, "f": 0.1, "s": "ä\x00\n", "l": [1, "two", 3.5, False]}.items():
+        fleet.do("ann", m.SetParameter("brain", name, value))
+    options = m.ContainerData(size=2, group="g", groupIP="192.168.1.7", restart="no")
+    fleet.do("bob", m.CreateContainer("other", options))
+    return fleet.state
+
+
+async def test_every_kind_of_record_comes_back(store: Store, url: str) -> None:
+    state = full()
+    assert all(len(table) for table in state.tables())
+    await store.save(state)
+    back = await loaded(url)
+    assert everything(back) == everything(state)
+    assert not any(table.changed for table in (*back.tables(), *state.tables()))
+    assert back.joined == set()
+    assert [each.key for each in back.interfaces.by("ann/r1")] == ["ann/r1/pose"]
+
+
+async def test_changed_and_dropped_records(store: Store, url: str) -> None:
+    state = full()
+    await store.save(state)
+    state.nodes.drop("ann/brain/n")
+    state.environments.put(Environment("ann/brain", m.ContainerData(), "second", "m2"))
+    state.environments.put(Environment("ann/short", m.ContainerData(), "r", "m2"))
+    state.environments.drop("ann/short")
+    await store.save(state)
+    assert everything(await loaded(url)) == everything(state)
+
+
+async def test_changes_during_a_write_go_together_in_the_next(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[set[str]] = []
+    put = db._put
+    monkeypatch.setattr(
+        db, "_put", lambda connection, rows: (written.append({k for _, k in rows}), put(connection, rows))
+    )
+    state = State()
+
+    def save(tag: str) -> Any:
+        state.environments.put(Environment(tag, m.ContainerData(), "r", "m"))
+        return asyncio.ensure_future(store.save(state))
+
+    saves = [save("a/1")]
+    await asyncio.sleep(0)  # `save` has taken the first
+    await asyncio.sleep(0)  # and its write has begun
+    saves += [save("a/2"), save("a/3")]
+    await asyncio.gather(*saves)
+    assert written == [{"a/1"}, {"a/2", "a/3"}]
+
+
+async def test_what_could_not_be_written_is_written_with_the_next(
+    store: Store, url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state = full()
+
+    def broken(connection: sa.Connection, rows: object) -> None:
+        raise OSError("disk is full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(db, "_put", broken)
+        with pytest.raises(OSError, match="disk is full"):
+            await store.save(state)
+    await store.save(state)
+    assert everything(await loaded(url)) == everything(state)
+
+
+async def test_a_failed_transaction_leaves_nothing(store: Store) -> None:
+    def work(connection: sa.Connection) -> None:
+        connection.execute(db.tokens.insert(), {"digest": "d", "process": "p", "role": "robot", "used": False})
+        raise KeyError("after the insert")
+
+    with pytest.raises(KeyError):
+        await store.run(work)
+    assert await store.run(lambda connection: list(connection.execute(sa.select(db.tokens)))) == []
+
+
+@pytest.mark.parametrize("url", ["nonsense", "nosuch://x", "sqlite:////nowhere/at/all.db"])
+async def test_a_database_that_cannot_be_used_is_named(url: str) -> None:
+    with pytest.raises(InvalidRequest, match="database") as raised:
+        await Store(url).open()
+    assert raised.value.field == "database"
+
+
+async def test_a_database_in_memory(tmp_path: Path) -> None:
+    store = Store("sqlite://")
+    await store.open()
+    state = full()
+    await store.save(state)
+    back = State()
+    await store.load(back)
+    assert everything(back) == everything(state)
+    await store.close()
