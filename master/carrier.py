@@ -16,15 +16,18 @@ Prepare = Callable[[Send], Awaitable[Send]]
 
 
 class Carrier:
-    """Calls go to whoever is connected. A process that is away gets what it missed by its Sync when it joins."""
+    """Calls go over the connections that are there when their plan is made; a process that joins later, or anew, has
+    what it missed from its Sync, which is newer.
+    """
 
-    def __init__(self, prepare: Prepare, synced: Callable[[Send, object], None]) -> None:
+    def __init__(self, prepare: Prepare, answered: Callable[[Send, object], None]) -> None:
+        """`prepare` completes a call before it leaves; `answered` hears its result or the RceError that it raised."""
         self.controls: dict[str, Control] = {}
         self._prepare = prepare
-        self._synced = synced
+        self._answered = answered
         self._tails: dict[tuple[str, str], asyncio.Future[None]] = {}
         self._real: set[str] = set()
-        self._waiting: dict[str, asyncio.Future[None]] = {}
+        self._waiting: dict[str, set[asyncio.Future[None]]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
 
     # --- what is real -------------------------------------------------------------------------------------------------
@@ -35,21 +38,17 @@ class Carrier:
             self._real.add(key)
         else:
             self._real.discard(key)
-        future = self._waiting.pop(key, None)
-        if future is None or future.done():
-            return False
-        if error is None:
-            future.set_result(None)
-        else:
-            future.set_exception(error)
-        return True
+        waiting = [future for future in self._waiting.pop(key, ()) if not future.done()]
+        for future in waiting:
+            if error is None:
+                future.set_result(None)
+            else:
+                future.set_exception(error)
+        return bool(waiting)
 
     def forget(self, key: str) -> None:
         """What `key` names is not there any more, for now or for good; those who wait for it go on waiting."""
         self._real.discard(key)
-
-    def awaited(self, key: str) -> bool:
-        return key in self._waiting
 
     def is_real(self, key: str) -> bool:
         return key in self._real
@@ -58,14 +57,22 @@ class Carrier:
         """Until `key` is real; raises why it never will be, or TimedOut."""
         if key in self._real:
             return
-        future = self._waiting.get(key)
-        if future is None:
-            future = self._waiting[key] = asyncio.get_running_loop().create_future()
+        future: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._waiting.setdefault(key, set()).add(future)
         try:
-            await asyncio.wait_for(asyncio.shield(future), seconds)
+            await asyncio.wait_for(future, seconds)
         except TimeoutError:
-            self._waiting.pop(key, None)
-            raise TimedOut(f"{key.lower()} did not come up within {seconds:g} s") from None
+            kind, _, name = key.partition(" ")
+            raise TimedOut(f"{kind.lower()} {name} did not come up within {seconds:g} s") from None
+        finally:
+            self._give_up(key, future)
+
+    def _give_up(self, key: str, future: asyncio.Future[None]) -> None:
+        waiting = self._waiting.get(key)
+        if waiting is not None:
+            waiting.discard(future)
+            if not waiting:
+                del self._waiting[key]
 
     # --- plans --------------------------------------------------------------------------------------------------------
 
@@ -85,7 +92,8 @@ class Carrier:
 
     def _turn(self, send: Send) -> _Turn:
         key = (send.to, send.key)
-        turn = _Turn(self._tails.get(key), asyncio.get_running_loop().create_future())
+        before = [self._tails[each] for each in {key, (send.to, "")} if each in self._tails]
+        turn = _Turn(self.controls.get(send.to), before, asyncio.get_running_loop().create_future())
         self._tails[key] = turn.mine
 
         def over(_: object) -> None:
@@ -102,28 +110,39 @@ class Carrier:
                 raise result
 
     async def _run(self, steps: list[tuple[Send | Settle, _Turn | None]]) -> None:
+        complete = True
         try:
             for step, turn in steps:
                 if isinstance(step, Settle):
-                    self.settle(step.key)
+                    if complete:
+                        self.settle(step.key)
                 elif turn is not None:
-                    await self._send(step, turn)
-        except Unavailable as error:
-            log.info("{error}: it gets this when it joins again", error=str(error))
+                    complete = await self._reached(step, turn) and complete
         finally:
             for _, turn in steps:
                 if turn is not None:
                     turn.end()
 
-    async def _send(self, send: Send, turn: _Turn) -> None:
-        if turn.before is not None:
-            await asyncio.wait([turn.before])
+    async def _reached(self, send: Send, turn: _Turn) -> bool:
+        """Whether the process was there to take the call: the others in the sequence get theirs in any case."""
         try:
-            control = self.controls.get(send.to)
-            if control is None:
-                raise Unavailable(f"{send.to} is not connected")
+            await self._send(send, turn)
+        except Unavailable as error:
+            log.info("{error}: it gets this when it joins again", error=str(error))
+            return False
+        except RceError as error:
+            self._answered(send, error)
+            raise
+        return True
+
+    async def _send(self, send: Send, turn: _Turn) -> None:
+        if turn.before:
+            await asyncio.wait(turn.before)
+        try:
+            if turn.control is None or turn.control is not self.controls.get(send.to):
+                raise Unavailable(f"{send.to} is not connected, or not any more")
             ready = await self._prepare(send)
-            self._synced(send, await control.call(ready.call))
+            self._answered(send, await turn.control.call(ready.call))
         finally:
             turn.end()
 
@@ -136,9 +155,10 @@ class Carrier:
 class _Turn:
     """A place in the queue of the calls about one thing at one process."""
 
-    __slots__ = ("before", "mine")
+    __slots__ = ("before", "control", "mine")
 
-    def __init__(self, before: asyncio.Future[None] | None, mine: asyncio.Future[None]) -> None:
+    def __init__(self, control: Control | None, before: list[asyncio.Future[None]], mine: asyncio.Future[None]) -> None:
+        self.control = control
         self.before = before
         self.mine = mine
 

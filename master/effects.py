@@ -10,7 +10,10 @@ from rce.calls import Call
 
 
 class Send(Struct, frozen=True):
-    """Make a call at a process. Sends with one `key` (what they are about) reach one process in their order."""
+    """Make a call at a process. Sends with one `key` (what they are about) reach one process in their order.
+
+    An empty key is about all that the process has: what is sent to it later waits until this call is answered.
+    """
 
     to: str
     call: Call[Any]
@@ -24,7 +27,7 @@ class Settle(Struct, frozen=True):
 
 
 Sequence = list[Send | Settle]
-"""Steps that run one after the other; the first failure ends it."""
+"""Steps one after the other; the first failure ends it. Who is away misses its steps, and then nothing is settled."""
 
 Plan = list[Sequence]
 """Sequences that run beside each other."""

@@ -167,6 +167,6 @@ def _settle_robots(state: State, process: Process, hello: Hello) -> Plan:
     return plan
 
 
-def stranded(state: State) -> list[str]:
+def stranded(state: State) -> list[Robot]:
     """Robots without an endpoint: their grace time runs."""
-    return [robot.name for robot in state.robots.by(at(""))]
+    return state.robots.by(at(""))

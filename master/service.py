@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import secrets
 from collections.abc import Callable, Coroutine
+from typing import Any, Literal, TypeVar
 
 from msgspec.structs import replace
 from twisted.logger import Logger
@@ -13,7 +14,7 @@ import rce
 from master import graph, presence, wiring
 from master.carrier import Carrier
 from master.effects import Plan, Send
-from master.records import Environment, Process, State, user_of, what
+from master.records import Environment, Process, Robot, State, user_of, what
 from master.store import Store
 from master.users import Processes, Users, digest, must_drive
 from rce import calls as c
@@ -26,6 +27,7 @@ RETRY_FIRST, RETRY_MOST = 0.5, 30.0
 STEADY = 5.0  # what ran this long before it died was no failed start: it is started again
 
 log = Logger()
+T = TypeVar("T")
 
 
 def ids() -> str:
@@ -43,14 +45,15 @@ class Master:
         self._store = store
         self._carrier = Carrier(self._prepare, self._carried)
         self._retries: dict[str, float] = {}  # seconds to the next start of what keeps dying
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._away: dict[str, asyncio.Task[None]] = {}  # Robot endpoints whose grace time runs
+        self._tasks: set[asyncio.Task[Any]] = set()
 
     async def start(self) -> None:
         """Take up where an earlier Master ended: processes join again, and who does not is gone after a while."""
         await self._store.load(self.state)
         for process in self.state.processes.by("robot"):
-            self._later(2 * self.grace, lambda name=process.name: self._endpoint_away(name))  # type: ignore[misc]
-        self._later(2 * self.grace, self._drop_stranded)
+            self._expect(process.name, 2 * self.grace)
+        self._drop_later(2 * self.grace)
 
     async def stop(self) -> None:
         for task in list(self._tasks):
@@ -88,9 +91,10 @@ class Master:
         if old is not None:
             old.close()
         control.lost.add_done_callback(lambda _: self._lost(process, control))
+        if process.name in self._away:
+            self._away.pop(process.name).cancel()
         self._apply(presence.joined(self.state, process, hello, ids))
-        if process.role == "robot":
-            self._later(self.grace, self._drop_stranded)
+        self._drop_later(self.grace)
 
     def _lost(self, process: Process, control: Control) -> None:
         if self._carrier.controls.get(process.name) is not control:
@@ -99,20 +103,30 @@ class Master:
         log.info("{role} {name} is away", role=process.role, name=process.name)
         presence.left(self.state, process.name)
         if process.role == "robot":
-            self._later(self.grace, lambda: self._endpoint_away(process.name))
+            self._expect(process.name, self.grace)
+
+    def _expect(self, name: str, seconds: float) -> None:
+        """A Robot endpoint has this long to come back."""
+        self._away[name] = self._later(seconds, lambda: self._endpoint_away(name))
 
     async def _endpoint_away(self, name: str) -> None:
-        if name in self.state.joined:
-            return
+        self._away.pop(name, None)
         plan, robots = presence.endpoint_gone(self.state, name)
         for robot in robots:
             plan += presence.robot_left(self.state, robot)
         self._apply(plan)
 
-    async def _drop_stranded(self) -> None:
+    def _drop_later(self, seconds: float) -> None:
+        """Robots that have no endpoint now have this long to appear at one."""
+        robots = presence.stranded(self.state)
+        if robots:
+            self._later(seconds, lambda: self._drop(robots))
+
+    async def _drop(self, robots: list[Robot]) -> None:
         plan: Plan = []
-        for robot in presence.stranded(self.state):
-            plan += presence.robot_left(self.state, robot)
+        for robot in robots:
+            if self.state.robots.get(robot.name) == robot:  # else it has come back, or even been stranded anew
+                plan += presence.robot_left(self.state, robot.name)
         self._apply(plan)
 
     def _handlers(self, process: Process) -> Handlers:
@@ -124,10 +138,10 @@ class Master:
             handlers.on(c.Describe, self._describe)
         elif process.role == "environment":
             handlers.on(c.NodeDied, lambda call: self._node_died(process, call))
-            handlers.on(c.Report, self._report)
+            handlers.on(c.Report, lambda call: self._report(process, call))
         else:
             handlers.on(c.EnvironmentDied, self._environment_died)
-        handlers.on(c.LinkLost, self._link_lost)
+        handlers.on(c.LinkLost, lambda call: self._link_lost(process, call))
         return handlers
 
     # --- robots -------------------------------------------------------------------------------------------------------
@@ -141,7 +155,10 @@ class Master:
             self.state, call.user, call.robot, process.name, digest(token), resume, ids
         )
         saved = self._save()
-        await self._carrier.carry(outcome.plan)
+        try:
+            await self._carrier.carry(outcome.plan)
+        except RceError as error:  # the session stands without it: refused now, the robot could not come back
+            self.tell(call.user, error=error.info)
         await saved
         return c.LoggedIn(token, resumed)
 
@@ -197,15 +214,16 @@ class Master:
         if environment is None or environment.run != call.run:
             return c.Nothing()  # an earlier life
         log.warn("environment {name} died: {reason}", name=call.name, reason=call.reason)
-        if self._carrier.settle(what(environment), StartFailed(f"environment {call.name}: {call.reason}")):
-            return c.Nothing()  # its first start: the command that waits takes it back
         lived = self._carrier.is_real(what(environment))
+        # A command that waits for its first start takes the environment back; then there is nothing to restart.
+        self._carrier.settle(what(environment), StartFailed(f"environment {call.name}: {call.reason}"))
         for key in self._inside(environment):
             self._carrier.forget(key)
         self._apply(presence.environment_down(self.state, environment))
         kept = call.name in self.state.environments
         tag = call.name.partition("/")[2]
-        self.tell(user_of(call.name), EnvironmentEvent(tag, "lost" if kept else "gone", call.reason))
+        event: Literal["failed", "lost", "gone"] = "failed" if not lived else "lost" if kept else "gone"
+        self.tell(user_of(call.name), EnvironmentEvent(tag, event, call.reason))
         if kept:
             self._later(self._pause(call.name, lived), lambda: self._restart(call.name, call.run))
         return c.Nothing()
@@ -236,13 +254,20 @@ class Master:
             self.state.nodes.drop(node.key)  # it has ended, or never worked: its tag is free
             self._apply([])
         else:
-            start: Plan = [[Send(process.name, c.StartNode(node.spec), what(node))]]
-            self._later(self._pause(node.key, True), lambda: self._start_again(node.key, start))
+            self._later(RETRY_FIRST, lambda: self._start_again(node.key))
         return c.Nothing()
 
-    async def _start_again(self, key: str, start: Plan) -> None:
-        if key in self.state.nodes:
-            self._apply(start)
+    async def _start_again(self, key: str) -> None:
+        node = self.state.nodes.get(key)
+        if node is None:
+            return
+        try:
+            await self._carrier.carry([[Send(node.owner, c.StartNode(node.spec), what(node))]])
+        except RceError as error:
+            if self.state.nodes.get(key) == node:
+                self.state.nodes.drop(key)
+                self._apply([])
+            self.tell(user_of(key), error=error.info)
 
     def _pause(self, key: str, lived: bool) -> float:
         """Seconds until the next start: more with each failure in a row."""
@@ -250,20 +275,22 @@ class Master:
         self._retries[key] = pause
         return pause
 
-    async def _report(self, call: c.Report) -> c.Nothing:
-        self.tell(user_of(call.owner), error=call.error)
+    async def _report(self, process: Process, call: c.Report) -> c.Nothing:
+        self.tell(user_of(process.name), error=call.error)  # an environment speaks to its own user only
         return c.Nothing()
 
-    async def _link_lost(self, call: c.LinkLost) -> c.Nothing:
-        log.info("link {link} is lost: {reason}", link=call.link, reason=call.reason)
-        self._apply(wiring.reopen(self.state, call.link, ids))
+    async def _link_lost(self, process: Process, call: c.LinkLost) -> c.Nothing:
+        link = self.state.links.get(call.link)
+        if link is not None and process.name in (link.listener, link.dialler):
+            log.info("link {link} is lost: {reason}", link=call.link, reason=call.reason)
+            self._apply(wiring.reopen(self.state, call.link, ids))
         return c.Nothing()
 
     # --- effects ------------------------------------------------------------------------------------------------------
 
     def _apply(self, plan: Plan) -> None:
         """Save what changed and carry the effects out; what fails is told to the user it concerns."""
-        self._keep(self._save())
+        self._save()
         task = self._carrier.carry(plan)
         task.add_done_callback(_log_error)
 
@@ -273,8 +300,9 @@ class Master:
             for key in table.changed:
                 if key not in table:
                     name = f"{table.kind.__name__} {key}"
-                    self._carrier.settle(name, NotFound(f"{name.lower()} was removed before it came up"))
-        return asyncio.create_task(self._store.save(self.state))
+                    gone = f"{table.kind.__name__.lower()} {key} was removed before it came up"
+                    self._carrier.settle(name, NotFound(gone))
+        return self._keep(asyncio.create_task(self._store.save(self.state)))
 
     async def _prepare(self, send: Send) -> Send:
         """A new life of an environment gets a new join token, and its earlier ones can join no more."""
@@ -287,24 +315,33 @@ class Master:
         return replace(send, call=c.StartEnvironment(replace(call.environment, token=token)))
 
     def _carried(self, send: Send, result: object) -> None:
-        if not isinstance(send.call, c.Sync) or not isinstance(result, c.Settled):
-            return
-        sync, failed = send.call, result.failed
+        match send.call, result:
+            case c.Sync() as sync, c.Settled(failed):
+                self._synced(send.to, sync, failed)
+            case c.StartEnvironment(spec), RceError() as error:
+                died = c.EnvironmentDied(spec.name, spec.run, str(error))
+                self._keep(asyncio.create_task(self._environment_died(died)))
+
+    def _synced(self, process: str, sync: c.Sync, failed: dict[str, ErrorInfo]) -> None:
+        links = {route.link for route in sync.routes}
         for spec in sync.interfaces:
             interface = self.state.interfaces.get(f"{spec.owner}/{spec.tag}")
             if interface is not None and interface.spec.id == spec.id:
                 self._conclude(what(interface), failed.get(spec.id), spec.owner)
-        environment = self.state.environments.get(send.to)
+                for connection in self.state.connections.by(interface.key):
+                    if connection.link in links:
+                        self._carrier.settle(what(connection))
+        environment = self.state.environments.get(process)
         if environment is None:
             return
-        for node in self.state.nodes.by(send.to):
+        for node in self.state.nodes.by(process):
             if node.spec in sync.nodes:
-                self._conclude(what(node), failed.get(f"node:{node.spec.tag}"), send.to)
-        for parameter in self.state.parameters.by(send.to):
+                self._conclude(what(node), failed.get(f"node:{node.spec.tag}"), process)
+        for parameter in self.state.parameters.by(process):
             if parameter.spec in sync.parameters:
-                self._conclude(what(parameter), failed.get(f"parameter:{parameter.spec.key}"), send.to)
+                self._conclude(what(parameter), failed.get(f"parameter:{parameter.spec.key}"), process)
         self._carrier.settle(what(environment))
-        self.tell(user_of(send.to), EnvironmentEvent(send.to.partition("/")[2], "ready"))
+        self.tell(user_of(process), EnvironmentEvent(process.partition("/")[2], "ready"))
 
     def _conclude(self, key: str, error: ErrorInfo | None, owner: str) -> None:
         if error is None:
@@ -312,20 +349,21 @@ class Master:
         elif not self._carrier.settle(key, RceError.from_info(error)):
             self.tell(user_of(owner), error=error)
 
-    def _later(self, seconds: float, work: Callable[[], Coroutine[None, None, None]]) -> None:
+    def _later(self, seconds: float, work: Callable[[], Coroutine[None, None, None]]) -> asyncio.Task[None]:
         async def wait() -> None:
             await asyncio.sleep(seconds)
             await work()
 
-        self._keep(asyncio.create_task(wait()))
+        return self._keep(asyncio.create_task(wait()))
 
-    def _keep(self, task: asyncio.Task[None]) -> None:
+    def _keep(self, task: asyncio.Task[T]) -> asyncio.Task[T]:
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
         task.add_done_callback(_log_error)
+        return task
 
 
-def _log_error(task: asyncio.Task[None]) -> None:
+def _log_error(task: asyncio.Task[Any]) -> None:
     if task.cancelled() or (error := task.exception()) is None:
         return
     if isinstance(error, RceError):
