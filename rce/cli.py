@@ -32,9 +32,16 @@ def map_recordings(arguments: list[str]) -> int:
     return command.main(arguments)
 
 
+def bench(arguments: list[str]) -> int:
+    from rce.commands import bench as command
+
+    return command.main(arguments)
+
+
 COMMANDS: dict[str, tuple[str, Callable[[list[str]], int]]] = {
     "up": ("run the whole platform on this machine", up),
     "map": ("make a map of recorded laser scans", map_recordings),
+    "bench": ("measure a platform", bench),
 }
 
 

@@ -1,0 +1,18 @@
+"""Takes the images on `image` and does nothing with them."""
+
+from __future__ import annotations
+
+import sys
+
+from lean import DEPTH, LeanNode, run
+from sensor_msgs.msg import Image
+
+
+class ImageNode(LeanNode):
+    def __init__(self, _words: list[str]) -> None:
+        super().__init__("images")
+        self.create_subscription(Image, "image", lambda _image: None, DEPTH)
+
+
+if __name__ == "__main__":
+    sys.exit(run(ImageNode))

@@ -1,0 +1,74 @@
+"""Round trips with nothing in between: what a bare TCP and a bare Autobahn echo, in a process of its own, need."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import sys
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable
+
+from websockets.asyncio.client import connect
+
+SOCKET_BUFFER = 4 * 1024 * 1024  # as the data links have
+STREAM_LIMIT = 16 * 1024 * 1024
+MAX_SIZE = 64 * 1024 * 1024
+
+Sample = Callable[[int], Awaitable[float]]
+
+
+@contextlib.asynccontextmanager
+async def tcp() -> AsyncIterator[Sample]:
+    """Probe of a bare TCP echo."""
+    async with _server("tcp") as port:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=STREAM_LIMIT)
+        widen(writer.get_extra_info("socket"))
+
+        async def sample(size: int) -> float:
+            payload = bytes(size)
+            began = time.perf_counter()
+            writer.write(payload)
+            await reader.readexactly(size)
+            return time.perf_counter() - began
+
+        try:
+            yield sample
+        finally:
+            writer.close()
+
+
+@contextlib.asynccontextmanager
+async def autobahn() -> AsyncIterator[Sample]:
+    """Probe of a bare Autobahn echo: its server on asyncio over uvloop, and the client that robots have."""
+    async with (
+        _server("autobahn") as port,
+        connect(f"ws://127.0.0.1:{port}/", compression=None, max_size=MAX_SIZE, proxy=None) as socket,
+    ):
+
+        async def sample(size: int) -> float:
+            payload = bytes(size)
+            began = time.perf_counter()
+            await socket.send(payload)
+            await socket.recv()
+            return time.perf_counter() - began
+
+        yield sample
+
+
+def widen(sock: socket.socket) -> None:
+    for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
+        sock.setsockopt(socket.SOL_SOCKET, option, SOCKET_BUFFER)
+
+
+@contextlib.asynccontextmanager
+async def _server(kind: str) -> AsyncIterator[int]:
+    """The port of an echo server in a process of its own."""
+    words = [sys.executable, "-P", "-m", "rce.bench.echo", kind]
+    process = await asyncio.create_subprocess_exec(*words, stdout=asyncio.subprocess.PIPE)
+    assert process.stdout is not None
+    try:
+        yield int(await process.stdout.readline())
+    finally:
+        process.terminate()
+        await process.wait()

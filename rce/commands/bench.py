@@ -1,0 +1,87 @@
+"""`rce bench`: how fast a platform is."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import secrets
+import sys
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager
+from pathlib import Path
+
+from rce.bench import overtake, payloads, report
+from rce.bench.routes import ROUTES, Place
+from rce.bench.run import take
+from rce.client import Robot
+from rce.commands.platform import add_arguments, platform
+from rce.errors import InvalidRequest
+
+QUICK_SIZES, QUICK_SAMPLES = 4, 3
+
+
+def parser() -> argparse.ArgumentParser:
+    whole = argparse.ArgumentParser(prog="rce bench", description="Measure a platform.")
+    kinds = whole.add_subparsers(dest="kind", required=True)
+    rtt = kinds.add_parser("rtt", help="round trips of messages of all sizes, beside those between two nodes")
+    rtt.add_argument("--routes", default=",".join(ROUTES), help="comma list of %(default)s (default: all)")
+    rtt.add_argument("--sizes", type=int, default=25, help="how many, from 10 B to 10 MB (default: %(default)s)")
+    rtt.add_argument("--samples", type=int, default=20, help="of each size (default: %(default)s)")
+    rtt.add_argument("--quick", action="store_true", help=f"{QUICK_SIZES} sizes, {QUICK_SAMPLES} samples")
+    rtt.add_argument("--json", action="store_true", help="print every sample as JSON instead of a table")
+    rtt.add_argument("--plot", type=Path, metavar="FILE", help="draw it, as .svg or .png")
+    over = kinds.add_parser("overtake", help="velocity commands of a robot that sends 10 MB images meanwhile")
+    over.add_argument("--samples", type=int, default=300, help="(default: %(default)s)")
+    over.add_argument("--json", action="store_true", help="print every sample as JSON instead of a table")
+    for each in (rtt, over):
+        add_arguments(each)
+    return whole
+
+
+def main(arguments: list[str]) -> int:
+    words = parser().parse_args(arguments)
+    asyncio.run(round_trips(words) if words.kind == "rtt" else overtaking(words))
+    return 0
+
+
+async def round_trips(words: argparse.Namespace) -> None:
+    names = words.routes.split(",")
+    unknown = set(names) - set(ROUTES)
+    if unknown:
+        raise InvalidRequest(f"rce bench: there is no route {', '.join(unknown)}: it is one of {', '.join(ROUTES)}")
+    count, samples = (QUICK_SIZES, QUICK_SAMPLES) if words.quick else (words.sizes, words.samples)
+    sizes = payloads.sizes(count)
+    async with place(words) as where:
+        probes = [probe for name in names for probe in await ROUTES[name](where)]
+        series = await take(probes, sizes, samples, show)
+    print(json.dumps(report.as_data(series)) if words.json else report.as_text(series))
+    if words.plot is not None:
+        from rce.bench.plot import plot  # needs the extra `bench`
+
+        plot(series, words.plot)
+
+
+async def overtaking(words: argparse.Namespace) -> None:
+    async with place(words) as where:
+        result = await overtake.measure(where, words.samples)
+    print(json.dumps(overtake.as_data(result)) if words.json else overtake.as_text(result))
+
+
+@asynccontextmanager
+async def place(words: argparse.Namespace) -> AsyncIterator[Place]:
+    """A robot with an environment of its own, both gone at the end."""
+    name = f"bench_{secrets.token_hex(4)}"
+    async with (
+        platform(words) as access,
+        Robot(access.url, user=access.user, robot=name, password=access.password, key=access.key) as robot,
+        robot.environment(f"env_{name}", restart="no") as environment,
+        AsyncExitStack() as stack,
+    ):
+        yield Place(robot, environment, stack)
+
+
+def show(done: int, of: int) -> None:
+    """Progress on standard error, where it is a terminal."""
+    if sys.stderr.isatty():
+        print(f"\r{done}/{of} sizes", end="\n" if done == of else "", file=sys.stderr, flush=True)

@@ -1,0 +1,58 @@
+"""The command against real processes."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rce.bench.payloads import IMAGE, sizes
+
+pytest.importorskip("rclpy", reason="needs the extra `ros`")
+
+TIMEOUT = 100.0
+TOPICS = {"n2n string", "n2n bytes", "r2c json", "r2c blob", "r2c forwarder"}
+IMAGES = {"n2n image", "r2c image_forwarder", "r2c image_json"}
+SERVICES = {"n2n service", "r2c service json", "r2c service forwarder"}
+FLOORS = {"tcp", "autobahn"}
+
+
+def rce(*words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-P", "-m", "rce.cli", *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT, check=False)
+
+
+def test_round_trips(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib", reason="needs the extra `bench`")
+    picture = tmp_path / "rtt.svg"
+    done = rce("bench", "rtt", "--sizes", "2", "--samples", "2", "--json", "--plot", str(picture))
+    assert done.returncode == 0, done.stderr
+    series = {each["name"]: each for each in json.loads(done.stdout)["series"]}
+    assert set(series) == TOPICS | IMAGES | SERVICES | FLOORS
+    every = [str(size) for size in sizes(2)]
+    for name, each in series.items():
+        expected = [str(IMAGE)] if name in IMAGES else every + [str(IMAGE)] * (name in FLOORS)
+        assert list(each["seconds"]) == expected, name
+        assert all(len(taken) == 2 and min(taken) > 0 for taken in each["seconds"].values())
+        assert not each["beside"] or each["beside"] in series
+    assert "r2c forwarder" in picture.read_text()
+
+
+def test_commands_beside_images() -> None:
+    done = rce("bench", "overtake", "--samples", "5", "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)["overtake"]
+    for taken in (found["alone"], found["beside"]):
+        assert len(taken) == 5
+        assert all(0 < there < back < math.inf for there, back in taken)
+    assert found["rate"] > 0
+
+
+def test_unknown_route() -> None:
+    done = rce("bench", "rtt", "--routes", "n2n,c2x")
+    assert done.returncode == 1
+    assert "c2x" in done.stderr
