@@ -1,0 +1,115 @@
+"""The program of an Environment endpoint: `python -P -m endpoints.environment`."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+from collections.abc import Coroutine
+from pathlib import Path
+
+from twisted.internet.base import ReactorBase
+from twisted.logger import Logger
+
+from endpoints.environment import surroundings
+from endpoints.environment.settings import Settings
+from endpoints.link import DataPort
+from rce import __version__, loop
+from rce.calls import Call, Hello, Nothing, Welcome
+from rce.control import MasterLink
+from rce.errors import RceError
+from rce.settings import load_or_exit
+
+LONGEST_SOCKET_PATH = 100  # sun_path has 108 bytes
+BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+SWITCH_INTERVAL = 0.0005  # seconds after which the loop lets the ROS thread in, and the other way round
+
+log = Logger()
+
+
+async def addresses(port: DataPort, settings: Settings) -> list[str]:
+    """Listen for data links; where, as other endpoints shall dial it."""
+    found = []
+    path = settings.data_dir.absolute() / "data.sock"
+    if len(os.fsencode(path)) <= LONGEST_SOCKET_PATH:
+        path.unlink(missing_ok=True)
+        await port.listen_unix(str(path))
+        found.append(f"unix:{path}")
+    if settings.listen:
+        found.append(f"tcp:{settings.listen}:{await port.listen_tcp(settings.listen, 0)}")
+    return found
+
+
+class Endpoint:
+    """Joins the Master's connection and the environment."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._token = settings.token
+        self._addresses: list[str] = []
+        self._master: MasterLink
+        self._telling: set[asyncio.Task[None]] = set()
+
+    async def run(self, reactor: ReactorBase) -> None:
+        """Until it is cancelled, or the Master refuses us."""
+        # Not before `surroundings.prepare`: they load ROS 2.
+        from endpoints.environment.endpoint import Environment
+        from endpoints.environment.ros import RosThread
+
+        port = DataPort()
+        self._addresses = await addresses(port, self._settings)
+        ros = RosThread(asyncio.get_running_loop())
+        await ros.start()
+        environment = Environment(self._settings, ros, port, self.tell)
+        self._master = MasterLink(reactor, self._settings.master, self._hello, environment.handlers(), self._welcomed)
+        master = asyncio.create_task(self._master.run())
+        running = asyncio.create_task(environment.run())
+        try:
+            await asyncio.wait([master, running], return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            master.cancel()
+            running.cancel()
+            await asyncio.wait([running])
+            await port.close()
+        await master
+
+    def tell(self, call: Call[Nothing]) -> None:
+        """Send a call to the Master; when that is away, once it is back, if that is soon."""
+        task = asyncio.create_task(self._tell(call))
+        self._telling.add(task)
+        task.add_done_callback(self._telling.discard)
+
+    async def _tell(self, call: Call[Nothing]) -> None:
+        try:
+            await self._master.call(call)
+        except RceError as error:
+            log.warn("{call} was not heard: {error}", call=type(call).__name__, error=str(error))
+
+    def _hello(self) -> Hello:
+        return Hello(
+            "environment",
+            self._settings.name,
+            self._token,
+            __version__,
+            host=BOOT_ID.read_text().strip(),
+            addresses=self._addresses,
+        )
+
+    def _welcomed(self, welcome: Welcome) -> None:
+        self._token = welcome.credential
+
+
+def main() -> int:
+    settings = load_or_exit(Settings, "rce environment")
+    os.environ.pop("RCE_TOKEN", None)  # nodes shall not inherit it
+    surroundings.prepare(settings)
+    sys.setswitchinterval(SWITCH_INTERVAL)
+
+    def run(reactor: ReactorBase) -> Coroutine[None, None, None]:
+        return Endpoint(settings).run(reactor)
+
+    return loop.run(run)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,73 @@
+"""The texts of message and service definitions that are installed, with all that they use."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from rce.errors import UnknownType
+from rce.names import TYPE, parse_type
+
+_FIELD = re.compile(r"\s*([A-Za-z][A-Za-z0-9_]*(?:/[A-Za-z0-9_]+){0,2})(?:<=\d+)?(?:\[(?:<=)?\d*\])?\s+[a-zA-Z]")
+_BUILT_IN = frozenset(
+    [
+        "bool",
+        "byte",
+        "char",
+        "string",
+        "wstring",
+        "float32",
+        "float64",
+        "int8",
+        "uint8",
+        "int16",
+        "uint16",
+        "int32",
+        "uint32",
+        "int64",
+        "uint64",
+    ]
+)
+
+
+class Definitions:
+    """Looks in `prefixes` (as ROS 2 installs: `share/PKG/msg`) and `sources` (directories of packages: `PKG/msg`)."""
+
+    def __init__(self, prefixes: Sequence[Path], sources: Sequence[Path] = ()) -> None:
+        self._places = [prefix / "share" for prefix in prefixes] + list(sources)
+
+    def find(self, package: str, sort: str, name: str) -> Path:
+        """The `.msg` or `.srv` file of a type; UnknownType."""
+        for place in self._places:
+            path = place / package / sort / f"{name}.{sort}"
+            if path.is_file():
+                return path
+        raise UnknownType(
+            f"no {'service' if sort == 'srv' else 'message'} type {package}/{name} in this environment: "
+            "check the spelling, or install its package",
+            field="className",
+        )
+
+    def describe(self, name: str, service: bool) -> dict[str, str]:
+        """The texts of a type and of all that it uses, by `pkg/msg/Name` and `pkg/srv/Name`; UnknownType."""
+        package, base = parse_type(name)
+        wanted = [(package, "srv" if service else "msg", base)]
+        texts: dict[str, str] = {}
+        while wanted:
+            package, sort, base = wanted.pop()
+            key = f"{package}/{sort}/{base}"
+            if key not in texts:
+                texts[key] = self.find(package, sort, base).read_text()
+                wanted += [(used_package, "msg", used) for used_package, used in _used(texts[key], package)]
+        return texts
+
+
+def _used(text: str, package: str) -> Iterable[tuple[str, str]]:
+    """Package and name of every message that the fields of a definition are of."""
+    for line in text.splitlines():
+        field = _FIELD.match(line.partition("#")[0])
+        if field is None or field[1] in _BUILT_IN:
+            continue
+        full = TYPE.fullmatch(field[1])
+        yield (full[1], full[3]) if full else (("std_msgs", "Header") if field[1] == "Header" else (package, field[1]))

@@ -1,0 +1,169 @@
+"""The Environment endpoint: carries out what the Master asks for, and reports what happens."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable
+from typing import TypeVar
+
+from twisted.logger import Logger
+
+from endpoints.environment.definitions import Definitions
+from endpoints.environment.interfaces import RosInterface, Surroundings
+from endpoints.environment.live import LiveParameters
+from endpoints.environment.nodes import Nodes
+from endpoints.environment.packages import Packages
+from endpoints.environment.parameters import Parameters, checked
+from endpoints.environment.ros import RosThread
+from endpoints.environment.services import ServiceClientInterface, ServiceProviderInterface
+from endpoints.environment.settings import Settings
+from endpoints.environment.surroundings import for_nodes, prefixes
+from endpoints.environment.topics import PublisherInterface, SubscriberInterface
+from endpoints.link import DataPort
+from endpoints.switchboard import Interface, Switchboard
+from rce import calls as c
+from rce.control import Handlers
+from rce.errors import ErrorInfo, InvalidRequest, RceError
+
+KINDS: dict[str, type[RosInterface]] = {
+    "PublisherInterface": PublisherInterface,
+    "SubscriberInterface": SubscriberInterface,
+    "ServiceClientInterface": ServiceClientInterface,
+    "ServiceProviderInterface": ServiceProviderInterface,
+}
+TICK = 1.0
+
+log = Logger()
+Tell = Callable[[c.Call[c.Nothing]], None]
+C = TypeVar("C")
+
+
+class Environment:
+    """What one environment has. `tell` sends a call to the Master, whenever that is there."""
+
+    def __init__(self, settings: Settings, ros: RosThread, port: DataPort, tell: Tell) -> None:
+        installed = prefixes(settings)
+        packages = Packages(installed, settings.package_path)
+        self._tell = tell
+        self._ros = ros
+        self._definitions = Definitions(installed + packages.prefixes, packages.sources)
+        self._parameters = Parameters()
+        self._live = LiveParameters(ros)
+        self._nodes = Nodes(settings.data_dir, packages, self._parameters, for_nodes(settings), tell)
+        self._switchboard = Switchboard(port, lambda link, reason: tell(c.LinkLost(link, reason)))
+        self._around = Surroundings(ros, self._switchboard, self._definitions, self._report)
+        self._drops: dict[str, int] = {}
+
+    def handlers(self) -> Handlers:
+        """What this process answers to the Master."""
+        handlers, board, nodes = Handlers(), self._switchboard, self._nodes
+        handlers.on(c.Sync, self._sync)
+        handlers.on(c.Bind, _awaited(lambda call: board.bind(call.interface, self._make)))
+        handlers.on(c.Unbind, _called(lambda call: board.unbind(call.interface)))
+        handlers.on(c.OpenLink, _called(lambda call: board.open_link(call.link)))
+        handlers.on(c.CloseLink, _called(lambda call: board.close_link(call.link)))
+        handlers.on(c.AddRoute, _awaited(lambda call: board.add_route(call.route)))
+        handlers.on(c.RemoveRoute, _called(lambda call: board.remove_route(call.interface, call.peer)))
+        handlers.on(c.StartNode, _awaited(lambda call: nodes.start(call.node)))
+        handlers.on(c.StopNode, _awaited(lambda call: nodes.stop(call.node)))
+        handlers.on(c.PutParameter, _awaited(lambda call: self._put(call.parameter)))
+        handlers.on(c.DropParameter, _called(lambda call: self._parameters.drop(call.key)))
+        handlers.on(c.ReadLog, self._read_log)
+        handlers.on(c.Describe, self._describe)
+        return handlers
+
+    async def run(self) -> None:
+        """What happens every second, until it is cancelled; then everything is stopped."""
+        try:
+            while True:
+                await asyncio.sleep(TICK)
+                self._tick(time.monotonic())
+        finally:
+            await self._nodes.stop_all()
+            await self._ros.stop()
+
+    # calls
+
+    async def _make(self, spec: c.InterfaceSpec) -> Interface:
+        kind = KINDS.get(spec.kind)
+        if kind is None:
+            raise InvalidRequest(
+                f"interface {spec.tag}: an environment has no {spec.kind}; it has {', '.join(KINDS)}",
+                field="interfaceType",
+            )
+        interface = kind(spec, self._around)
+        await interface.open()
+        return interface
+
+    async def _sync(self, call: c.Sync) -> c.Settled:
+        failed = await self._sync_parameters(call.parameters)
+        starting = asyncio.gather(*(self._start(spec, failed) for spec in call.nodes))
+        for tag in set(self._nodes.specs) - {spec.tag for spec in call.nodes}:
+            await self._nodes.stop(tag)
+        failed |= await self._switchboard.sync(call, self._make)
+        await starting
+        return c.Settled(failed)
+
+    async def _sync_parameters(self, specs: list[c.ParameterSpec]) -> dict[str, ErrorInfo]:
+        failed: dict[str, ErrorInfo] = {}
+        for key in set(self._parameters.specs) - {spec.key for spec in specs}:
+            self._parameters.drop(key)
+        for spec in specs:
+            try:
+                await self._put(spec)
+            except RceError as error:
+                failed[f"parameter:{spec.key}"] = error.info
+        return failed
+
+    async def _start(self, spec: c.NodeSpec, failed: dict[str, ErrorInfo]) -> None:
+        try:
+            await self._nodes.start(spec)
+        except RceError as error:
+            failed[f"node:{spec.tag}"] = error.info
+
+    async def _put(self, spec: c.ParameterSpec) -> None:
+        spec = checked(spec)
+        if self._parameters.specs.get(spec.key) == spec:
+            return
+        self._parameters.put(spec)
+        if self._nodes.specs:
+            young = self._nodes.young()
+            await self._live.put(spec, young & {spec.node} if spec.node else young)
+
+    async def _read_log(self, call: c.ReadLog) -> c.Log:
+        return c.Log(self._nodes.last_lines(call.node, call.lines))
+
+    async def _describe(self, call: c.Describe) -> c.Definitions:
+        return c.Definitions(self._definitions.describe(call.type, call.service))
+
+    # reports
+
+    def _report(self, spec: c.InterfaceSpec, error: RceError) -> None:
+        self._tell(c.Report(spec.owner, spec.tag, error.info))
+
+    def _tick(self, now: float) -> None:
+        for interface in list(self._switchboard.interfaces.values()):
+            assert isinstance(interface, RosInterface)
+            interface.tick(now)
+            if interface.dropped > self._drops.get(interface.spec.id, 0):
+                self._drops[interface.spec.id] = interface.dropped
+                self._tell(c.Report(interface.spec.owner, interface.spec.tag, drops=interface.dropped))
+        present = {interface.spec.id for interface in self._switchboard.interfaces.values()}
+        self._drops = {id: count for id, count in self._drops.items() if id in present}
+
+
+def _awaited(action: Callable[[C], Awaitable[None]]) -> Callable[[C], Awaitable[c.Nothing]]:
+    async def handler(call: C) -> c.Nothing:
+        await action(call)
+        return c.Nothing()
+
+    return handler
+
+
+def _called(action: Callable[[C], None]) -> Callable[[C], Awaitable[c.Nothing]]:
+    async def handler(call: C) -> c.Nothing:
+        action(call)
+        return c.Nothing()
+
+    return handler

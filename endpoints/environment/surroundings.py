@@ -1,0 +1,124 @@
+"""What processes of an environment find around them: variables, the profile of Fast DDS, the behaviour of malloc."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+from endpoints.environment.settings import Settings
+
+MARKER = "RCE_RUN"  # by this variable engines find what a killed endpoint has left
+NODE_PATH = Path(__file__).with_name("nodepath")
+MB = 1024 * 1024
+# Large messages are allocated anew each time. By default malloc gives such blocks back to the system at once, and
+# the page faults of the next ones take several times as long as the copying: 10 MB there and back 55 ms, with these 15.
+MMAP_THRESHOLD, TRIM_THRESHOLD = 32 * MB, 128 * MB
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # malloc.h
+# What a subscription has missed (the first messages of a publisher that it has just found; large ones when the segment
+# was full) is sent again after the next heartbeat; with the 3 s of the default that is a slow mode of 3 s.
+HEARTBEAT = 20_000_000  # ns
+# Within one host shared memory does it all. For LOCALHOST rmw adds transports of its own beside those of a profile, and
+# nodes then take up to 3 s to find each other, where they need 0.1 s if it leaves the profile alone.
+RANGE, ALONE = "ROS_AUTOMATIC_DISCOVERY_RANGE", "SYSTEM_DEFAULT"
+
+PROFILE = """\
+<?xml version="1.0" encoding="UTF-8" ?>
+<dds xmlns="http://www.eprosima.com">
+  <profiles>
+    <transport_descriptors>
+      <transport_descriptor>
+        <transport_id>shared_memory</transport_id>
+        <type>SHM</type>
+        <segment_size>{segment}</segment_size>
+      </transport_descriptor>
+      <transport_descriptor>
+        <transport_id>network</transport_id>
+        <type>UDPv4</type>
+      </transport_descriptor>
+    </transport_descriptors>
+    <participant profile_name="rce" is_default_profile="true">
+      <rtps>
+        <userTransports>
+          {transports}
+        </userTransports>
+        <useBuiltinTransports>false</useBuiltinTransports>
+        <builtin>
+          <discovery_config>
+            <leaseAnnouncement>
+              <sec>1</sec>
+            </leaseAnnouncement>
+            <initialAnnouncements>
+              <count>20</count>
+              <period>
+                <nanosec>100000000</nanosec>
+              </period>
+            </initialAnnouncements>
+          </discovery_config>
+        </builtin>
+      </rtps>
+    </participant>
+    <data_writer profile_name="rce_writer" is_default_profile="true">
+      <times>
+        <heartbeat_period>
+          <sec>0</sec>
+          <nanosec>{heartbeat}</nanosec>
+        </heartbeat_period>
+      </times>
+    </data_writer>
+  </profiles>
+</dds>
+"""
+
+
+def prepare(settings: Settings) -> None:
+    """Directories, profile and type support of this very process; before rclpy is imported."""
+    (settings.data_dir / "home").mkdir(parents=True, exist_ok=True)
+    profile = settings.data_dir / "fastdds.xml"
+    if os.environ.get(RANGE) == "LOCALHOST":
+        os.environ[RANGE] = ALONE
+    profile.write_text(_profile(settings.shared_memory * MB))
+    os.environ["FASTDDS_DEFAULT_PROFILES_FILE"] = str(profile)
+    sys.path += [str(prefix / "python") for prefix in settings.typesupport]
+    libc = ctypes.CDLL(None)
+    libc.mallopt(M_MMAP_THRESHOLD, MMAP_THRESHOLD)
+    libc.mallopt(M_TRIM_THRESHOLD, TRIM_THRESHOLD)
+
+
+def _profile(segment: int) -> str:
+    names = ["shared_memory"] if os.environ.get(RANGE) == ALONE else ["shared_memory", "network"]
+    transports = "".join(f"<transport_id>{name}</transport_id>" for name in names)
+    return PROFILE.format(segment=segment, heartbeat=HEARTBEAT, transports=transports)
+
+
+def prefixes(settings: Settings, environment: Mapping[str, str] = os.environ) -> list[Path]:
+    """Where ROS 2 packages are installed: type support, a system ROS 2, wheels."""
+    system = [Path(entry) for entry in environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
+    return list(dict.fromkeys([*settings.typesupport, *system, Path(sys.prefix)]))
+
+
+def for_nodes(settings: Settings, environment: Mapping[str, str] = os.environ) -> dict[str, str]:
+    """The variables of a node that comes with RCE; it finds all that we find."""
+    python = [str(prefix / "python") for prefix in settings.typesupport]
+    ament = [str(path) for path in (*prefixes(settings, environment), *settings.package_path)]
+    return {
+        **{key: value for key, value in environment.items() if not key.startswith("RCE_")},
+        MARKER: settings.run,
+        "PATH": _joined([str(Path(sys.executable).parent)], environment.get("PATH", os.defpath)),
+        "PYTHONPATH": _joined(python, environment.get("PYTHONPATH", "")),
+        "PYTHONUNBUFFERED": "1",
+        "AMENT_PREFIX_PATH": _joined(ament),
+        "MALLOC_MMAP_THRESHOLD_": str(MMAP_THRESHOLD),
+        "MALLOC_TRIM_THRESHOLD_": str(TRIM_THRESHOLD),
+    }
+
+
+def for_users_nodes(variables: Mapping[str, str]) -> dict[str, str]:
+    """The same without sight of our own packages."""
+    return {**variables, "PYTHONPATH": _joined([str(NODE_PATH)], variables["PYTHONPATH"])}
+
+
+def _joined(first: list[str], rest: str = "") -> str:
+    return os.pathsep.join([*first, *filter(None, [rest])])

@@ -1,0 +1,29 @@
+"""A real Environment endpoint with a Master and a robot of the test, shared by the tests of a module."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+from twisted.internet.base import ReactorBase
+
+sys.path.append(str(Path(__file__).parent))
+
+from driver import FakeMaster, start
+
+from rce import calls as c
+
+
+@pytest.fixture(scope="module")
+async def master(running_reactor: ReactorBase, tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[FakeMaster]:
+    """With node `echo` of package `probe` running."""
+    pytest.importorskip("rclpy", reason="needs ROS 2: pip install 'rce[ros]'")
+    master, process = await start(running_reactor, tmp_path_factory.mktemp("environment"))
+    await master.call(c.StartNode(c.NodeSpec("echo", "probe", "echo.py")))
+    yield master
+    process.terminate()
+    await asyncio.wait_for(process.wait(), 10)
+    await master.close()

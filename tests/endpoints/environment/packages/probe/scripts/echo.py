@@ -1,0 +1,51 @@
+#!/usr/bin/env python3
+"""Echoes a topic and a service, has a parameter, publishes with the QoS that its arguments name."""
+
+import sys
+
+import rclpy
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
+
+
+class Echo(Node):
+    def __init__(self) -> None:
+        super().__init__("echo")
+        qos = QoSProfile(
+            depth=10,
+            history=HistoryPolicy.KEEP_ALL if "keep_all" in sys.argv else HistoryPolicy.KEEP_LAST,
+            reliability=ReliabilityPolicy.BEST_EFFORT if "best_effort" in sys.argv else ReliabilityPolicy.RELIABLE,
+        )
+        back = self.create_publisher(String, "back", qos)
+        self.create_subscription(String, "there", back.publish, qos)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.create_publisher(String, "latched", latched).publish(String(data="kept"))
+        self.create_service(SetBool, "flip", self.flip)
+        self.declare_parameter("speed", 1.0)
+        self.declare_parameter("words", ["none"])
+        self.add_on_set_parameters_callback(self.check)
+        for name in ("speed", "words"):
+            self.get_logger().info(f"{name} is {self.get_parameter(name).value}")
+
+    def flip(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        response.success = not request.data
+        return response
+
+    def check(self, parameters: list) -> SetParametersResult:
+        for parameter in parameters:
+            if parameter.name == "speed" and parameter.value > 10:
+                return SetParametersResult(successful=False, reason="too fast")
+            self.get_logger().info(f"{parameter.name} becomes {parameter.value}")
+        return SetParametersResult(successful=True)
+
+
+if __name__ == "__main__":
+    try:
+        with rclpy.init():
+            rclpy.spin(Echo())
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass  # SIGINT and SIGTERM are how a node is stopped

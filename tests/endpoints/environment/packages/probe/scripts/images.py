@@ -1,0 +1,15 @@
+"""Echoes images."""
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from sensor_msgs.msg import Image
+
+if __name__ == "__main__":
+    try:
+        with rclpy.init():
+            node = rclpy.create_node("images")
+            back = node.create_publisher(Image, "image_back", 10)
+            node.create_subscription(Image, "image", back.publish, 10)
+            rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass  # SIGINT and SIGTERM are how a node is stopped
