@@ -20,7 +20,7 @@ from websockets.exceptions import InvalidHandshake, InvalidStatus, InvalidURI
 
 from rce.assembler import Limits
 from rce.blobs import PART
-from rce.errors import AlreadyExists, Forbidden, InvalidRequest, LimitExceeded, RceError, Unauthorized, Unavailable
+from rce.errors import Forbidden, InvalidRequest, RceError, Unauthorized, Unavailable
 from rce.messages import CURRENT_VERSION, FEATURES
 
 FEATURES_HEADER = "RCE-Features"
@@ -32,9 +32,7 @@ _KINDS: dict[int, type[RceError]] = {
     400: InvalidRequest,
     401: Unauthorized,
     403: Forbidden,
-    409: AlreadyExists,
     410: InvalidRequest,
-    429: LimitExceeded,
     501: InvalidRequest,
 }
 
@@ -91,7 +89,7 @@ class Address:
     async def dial(self, endpoint: str, token: str) -> ClientConnection:
         """Open the WebSocket of a Robot endpoint; `token` asks for the interfaces of an earlier socket.
 
-        Raises Unauthorized, Forbidden, InvalidRequest, AlreadyExists, Unavailable.
+        Raises Unauthorized, Forbidden, Unavailable, InvalidRequest (also for a name that is in use).
         """
         secret = {"key": self.key} if self.key is not None else {"password": _hash(self.password or "")}
         query = {"userID": self.user, "robotID": self.robot, **secret, "features": ",".join(sorted(FEATURES))}

@@ -6,14 +6,14 @@ import asyncio
 import functools
 import threading
 from collections.abc import Callable, Coroutine, Iterator
-from typing import Any, Concatenate, Generic, ParamSpec, TypeVar
+from typing import Any, Concatenate, Final, Generic, ParamSpec, TypeVar
 
 from rce.client.stream import Stream
 from rce.errors import Unavailable
 
 P = ParamSpec("P")
 T = TypeVar("T")
-W = TypeVar("W")
+W = TypeVar("W", covariant=True)
 
 
 class LoopThread:
@@ -59,7 +59,7 @@ class Blocking(Generic[W]):
 
     def __init__(self, thread: LoopThread, inner: W) -> None:
         self._thread = thread
-        self.inner = inner
+        self.inner: Final = inner
 
 
 def blocking(

@@ -16,7 +16,16 @@ import pytest
 
 from rce.blobs import PART
 from rce.client import Disconnected, Reconnected, Robot
-from rce.errors import AlreadyExists, NotConnectable, NotConnected, NotFound, RceError, TimedOut, Unavailable
+from rce.errors import (
+    AlreadyExists,
+    InvalidRequest,
+    NotConnectable,
+    NotConnected,
+    NotFound,
+    RceError,
+    TimedOut,
+    Unavailable,
+)
 from rce.messages import AddInterface, Connect
 
 STRING, POSE, SET_BOOL = "std_msgs/String", "geometry_msgs/Pose2D", "std_srvs/SetBool"
@@ -267,7 +276,7 @@ class ClientContract:
 
     async def test_a_name_in_use_is_refused(self, platform: Platform) -> None:
         async with platform.robot("a"):
-            with pytest.raises(AlreadyExists):
+            with pytest.raises(InvalidRequest):
                 await platform.robot("a").open()
 
     async def test_many_commands_are_carried_out_in_their_order(self, platform: Platform) -> None:

@@ -53,6 +53,9 @@ class FakePlatform:
         self.connections: set[frozenset[str]] = set()
         self.names: set[tuple[str, ...]] = set()
         self.asked: list[str] = []
+        self.kinds: list[str] = []  # types of frames in the order in which they came; `part` for binary ones
+        self.entry_body = ""  # what the entry answers in place of its url
+        self.deaf = False  # takes commands and says nothing
         self._tokens = itertools.count(1)
         self._calls: dict[str, tuple[str, DataMessage]] = {}
         self._server: Server | None = None
@@ -85,14 +88,14 @@ class FakePlatform:
         query = parse_qs(urlsplit(request.path).query)
         self.asked.append(request.path)
         if "version" in query:
-            return socket.respond(200, json.dumps({"url": f"ws://127.0.0.1:{self.port}/"}))
+            return socket.respond(200, self.entry_body or json.dumps({"url": f"ws://127.0.0.1:{self.port}/"}))
         if self._refuse is not None:
             return socket.respond(*self._refuse)
         if query.get("password") != [PASSWORD_HASH] and query.get("key") != [KEY]:
             return socket.respond(401, "unknown user or wrong password")
         peer = self.peers.get(query["robotID"][0])
         if peer is not None and query.get("resume") != [peer.token]:
-            return socket.respond(409, f"robot {peer.name} is connected already")
+            return socket.respond(400, f"robot {peer.name} is connected already")
         return None
 
     def _grant(self, socket: ServerConnection, request: Request, response: Response) -> None:
@@ -126,10 +129,12 @@ class FakePlatform:
     async def _take(self, peer: Peer, assembler: Assembler, payload: str | bytes) -> None:
         try:
             if isinstance(payload, bytes):
+                self.kinds.append("part")
                 outcome = assembler.blob(payload)
             else:
                 peer.frames.append(json.loads(payload))
                 frame = decode_frame(payload.encode())
+                self.kinds.append(frame.type)
                 outcome = assembler.frame(frame)
                 if frame.type != "DM":
                     await self._command(peer, frame)
@@ -140,6 +145,8 @@ class FakePlatform:
             await self._error(peer, None, error)
 
     async def _command(self, peer: Peer, frame: Frame) -> None:
+        if self.deaf:
+            return
         data = msgspec.json.decode(frame.data)
         number = frame.id if "ack" in peer.features and isinstance(frame.id, int | str) else None
         try:
@@ -258,7 +265,9 @@ class FakePlatform:
 
     async def _deliver(self, tag: str, data: dict[str, Any], msg_id: str, blobs: Mapping[str, Buffer]) -> None:
         endpoint, _, interface = tag.partition("/")
-        peer = self.peers[endpoint]
+        peer = self.peers.get(endpoint)
+        if peer is None:
+            return  # into an environment
         await self._send(peer, {"type": "DM", "data": {**data, "iTag": interface, "msgID": msg_id}})
         for payload in binary_frames(blobs, "parts" in peer.features):
             if peer.socket is not None:
