@@ -6,6 +6,7 @@ from typing import Any
 
 from msgspec import Struct
 
+from master.records import Parameter
 from rce.calls import Call
 
 
@@ -38,3 +39,4 @@ class Outcome(Struct, frozen=True):
 
     plan: Plan
     awaits: list[str] = []
+    replaced: Parameter | None = None  # what stood there before; it comes back if the new one is refused

@@ -122,8 +122,9 @@ def set_parameter(state: State, user: str, command: m.SetParameter, ids: Ids, ag
     if command.nodeTag:
         check_tag(command.nodeTag, "nodeTag")
     parameter = Parameter(owner, ParameterSpec(command.name, command.value, command.nodeTag))
+    before = state.parameters.get(parameter.key)
     state.parameters.put(parameter)
-    return Outcome(_at_host(state, parameter, PutParameter(parameter.spec)), [what(parameter)])
+    return Outcome(_at_host(state, parameter, PutParameter(parameter.spec)), [what(parameter)], before)
 
 
 def delete_parameter(state: State, user: str, command: m.DeleteParameter, ids: Ids, again: bool) -> Outcome:
@@ -280,8 +281,15 @@ def _at_host(state: State, record: Node | Parameter, call: StartNode | StopNode 
     return [[Send(host, call, what(record)), Settle(what(record))]] if host else []
 
 
-def undo(state: State, awaited: str) -> Plan:
-    """Take back what a command made, because it did not become real; `awaited` is as in its Outcome."""
+def undo(state: State, outcome: Outcome) -> Plan:
+    """Take back what a command made, because it did not become real."""
+    if outcome.replaced is not None and outcome.replaced.key in state.parameters:
+        state.parameters.put(outcome.replaced)
+        return _at_host(state, outcome.replaced, PutParameter(outcome.replaced.spec))
+    return [sequence for awaited in outcome.awaits for sequence in _take_back(state, awaited)]
+
+
+def _take_back(state: State, awaited: str) -> Plan:
     kind, _, key = awaited.partition(" ")
     plan: Plan = []
     if kind == "Environment" and (environment := state.environments.get(key)):

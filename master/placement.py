@@ -16,10 +16,10 @@ def free_slots(state: State, machine: Process) -> int:
     return machine.capacity - sum(other.options.size for other in state.environments.by(at(machine.name)))
 
 
-def place(state: State, user: str, options: ContainerData, besides: str = "") -> str:
+def place(state: State, user: str, options: ContainerData) -> str:
     """The machine for an environment, as in the original: one that has this user already, else the emptiest.
 
-    Raises NoCapacity with the numbers. `besides` is a machine that has just failed: taken only if there is no other.
+    Raises NoCapacity with the numbers.
     """
     machines = [machine for machine in state.processes.by("container") if machine.name in state.joined]
     if not machines:
@@ -37,7 +37,7 @@ def place(state: State, user: str, options: ContainerData, besides: str = "") ->
             free=max(free.values()),
         )
     own = {environment.machine for environment in state.environments.by(user)}
-    return min(fitting, key=lambda name: (name == besides, name not in own, -free[name], name))
+    return min(fitting, key=lambda name: (name not in own, -free[name], name))
 
 
 def group_address(state: State, user: str, options: ContainerData) -> str:

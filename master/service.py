@@ -183,8 +183,7 @@ class Master:
             for key in outcome.awaits:
                 await self._carrier.wait(key, START_TIMEOUT)
         except RceError:
-            for key in outcome.awaits:
-                self._apply(graph.undo(self.state, key))
+            self._apply(graph.undo(self.state, outcome))
             raise
         await saved
         return c.Nothing()

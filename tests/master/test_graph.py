@@ -361,11 +361,19 @@ def test_undo_leaves_the_state_before_the_command(command: m.Command) -> None:
     fleet = full()
     fleet.do("ann", interface("brain", "second", "PublisherInterface"))
     before = everything(fleet.state)
-    (key,) = fleet.do("ann", command).awaits
+    outcome = fleet.do("ann", command)
     assert everything(fleet.state) != before
-    assert sends(graph.undo(fleet.state, key))
+    assert sends(graph.undo(fleet.state, outcome))
     assert everything(fleet.state) == before
-    assert graph.undo(fleet.state, key) == []
+
+
+def test_a_refused_parameter_gives_way_to_the_one_before() -> None:
+    fleet = full()
+    fleet.do("ann", m.SetParameter("brain", "speed", 1))
+    before = everything(fleet.state)
+    outcome = fleet.do("ann", m.SetParameter("brain", "speed", "fast"))
+    assert sends(graph.undo(fleet.state, outcome))
+    assert everything(fleet.state) == before
 
 
 def test_an_interface_is_bound_where_its_robot_is() -> None:
