@@ -69,9 +69,11 @@ class Endpoint:
         finally:
             master.cancel()
             running.cancel()
-            await asyncio.wait([running])
+            await asyncio.wait([running, master])
             await port.close()
-        await master
+        for task in (running, master):
+            if not task.cancelled():
+                task.result()
 
     def tell(self, call: Call[Nothing]) -> None:
         """Send a call to the Master; when that is away, once it is back, if that is soon."""

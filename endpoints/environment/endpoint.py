@@ -124,12 +124,20 @@ class Environment:
 
     async def _put(self, spec: c.ParameterSpec) -> None:
         spec = checked(spec)
-        if self._parameters.specs.get(spec.key) == spec:
+        before = self._parameters.specs.get(spec.key)
+        if before == spec:
             return
         self._parameters.put(spec)
-        if self._nodes.specs:
-            young = self._nodes.young()
+        if not self._nodes.specs:
+            return
+        young = self._nodes.young()
+        try:
             await self._live.put(spec, young & {spec.node} if spec.node else young)
+        except InvalidRequest:
+            self._parameters.drop(spec.key)
+            if before is not None:
+                self._parameters.put(before)
+            raise
 
     async def _read_log(self, call: c.ReadLog) -> c.Log:
         return c.Log(self._nodes.last_lines(call.node, call.lines))

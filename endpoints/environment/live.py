@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from typing import Any
 
 from rcl_interfaces.msg import Parameter, ParameterType
@@ -73,21 +74,28 @@ class LiveParameters:
         self._ros = ros
         self._clients: dict[str, tuple[_Client, _Client]] = {}
         self._tags: set[str] = set()  # of nodes that ROS knows
+        self._one = asyncio.Lock()
 
     async def put(self, spec: ParameterSpec, young: set[str]) -> None:
         """On all running nodes, or those of one tag; those with tags in `young` may still have to appear.
 
         InvalidRequest with the reasons of those that refuse the value.
         """
-        until = asyncio.get_running_loop().time() + PATIENCE
-        nodes = await self._ros.run(lambda: self._find(spec.node))
-        while young - self._tags and asyncio.get_running_loop().time() < until:
-            await asyncio.sleep(LOOK)
-            nodes = await self._ros.run(lambda: self._find(spec.node))
-        refused = await asyncio.gather(*(self._put(node, spec) for node in nodes))
+        async with self._one:
+            nodes = await self._appeared(spec.node, young)
+            refused = await asyncio.gather(*(self._put(node, spec) for node in nodes))
         reasons = [reason for reason in refused if reason]
         if reasons:
             raise InvalidRequest(f"parameter {spec.name} was refused: {'; '.join(reasons)}", field="value")
+
+    async def _appeared(self, tag: str, young: set[str]) -> list[str]:
+        """The ROS names of the nodes of a tag, or of all, when the young ones are there or have had their time."""
+        until = time.monotonic() + PATIENCE
+        while True:
+            nodes = await self._ros.run(lambda: self._find(tag))
+            if young <= self._tags or time.monotonic() > until:
+                return nodes
+            await asyncio.sleep(LOOK)
 
     def _find(self, tag: str) -> list[str]:
         """The ROS names of nodes, with clients for them. In the ROS thread."""

@@ -101,8 +101,8 @@ class NodeProcess:
 
     async def _end_group(self) -> None:
         """What a node has started goes with it."""
-        until = time.monotonic() + GROUP_PATIENCE  # zombies stay where process 1 does not collect them
-        while self._signal(signal.SIGKILL) and time.monotonic() < until:  # noqa: ASYNC110  # nothing announces it
+        until = time.monotonic() + GROUP_PATIENCE
+        while self._signal(signal.SIGKILL) and _lives(self._process.pid) and time.monotonic() < until:
             await asyncio.sleep(LOOK)
 
     def _signal(self, number: signal.Signals) -> bool:
@@ -112,6 +112,18 @@ class NodeProcess:
         except ProcessLookupError:
             return False
         return True
+
+
+def _lives(group: int) -> bool:
+    """Whether a process group has members that are no zombies: these stay where process 1 does not collect them."""
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, _, member_of = path.read_text().rpartition(")")[2].split()[:3]
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        if int(member_of) == group and state not in "ZX":
+            return True
+    return False
 
 
 def _read_all(descriptor: int) -> str:

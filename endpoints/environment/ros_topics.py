@@ -110,7 +110,7 @@ class RawPublisher(_Topic):
         listeners = self._others(infos)
         profile = for_publisher(self._qos, listeners)
         if is_latched(profile) and not is_latched(self._profile):
-            self.destroy()
+            self._ros.node.destroy_publisher(self._publisher)
             self._make(profile)
         self._check([(self._profile, info.qos_profile) for info in listeners])
         own = [info for info in infos if info not in listeners and not mismatch(self._profile, info.qos_profile)]
@@ -119,20 +119,30 @@ class RawPublisher(_Topic):
 
     def flush(self) -> None:
         """Publish what waits, if there is somebody to hear it and, with keep_all, what went before is confirmed."""
-        if not self._heard or not self.waiting:
+        if not self._heard:
             return
-        handle = self._publisher.handle
-        while self.waiting:
-            if self._unconfirmed >= WINDOW and self._qos.history == "keep_all":
-                if not self._publisher.wait_for_all_acked(_NO_TIME):
-                    self._ros.again(self.flush)
-                    break
-                self._unconfirmed = 0
-            handle.publish_raw(self.waiting.popleft())  # type: ignore[arg-type]  # bytes or bytearray, see its C++
+        for _ in range(AT_ONCE):
+            if not self.waiting:
+                break
+            if self._must_wait():
+                self._ros.again(self.flush)
+                break
+            payload = self.waiting.popleft()
+            self._publisher.handle.publish_raw(payload)  # type: ignore[arg-type]  # its C++ takes bytes and bytearray
             self._unconfirmed += 1
+        else:
+            self._ros.post(self.flush)
         self._published()
 
+    def _must_wait(self) -> bool:
+        if self._qos.history != "keep_all" or self._unconfirmed < WINDOW:
+            return False
+        if self._publisher.wait_for_all_acked(_NO_TIME):
+            self._unconfirmed = 0
+        return self._unconfirmed > 0
+
     def destroy(self) -> None:
+        self.waiting.clear()
         self._ros.node.destroy_publisher(self._publisher)
 
 

@@ -53,7 +53,7 @@ class ServiceClientInterface(RosInterface):
         self._ros.post(lambda: self._expire(now))
 
     def close(self) -> None:
-        self._ros.post(lambda: self._ros.unwatch(self._client))
+        self._ros.post(self._end)
 
     @property
     def _named(self) -> str:
@@ -94,6 +94,11 @@ class ServiceClientInterface(RosInterface):
         while self._waiting and self._waiting[0].since + TIMEOUT < now:
             self._fail(self._waiting.popleft(), TimedOut(f"{self._named} was busy for {TIMEOUT:g} s"))
         self._send()
+
+    def _end(self) -> None:
+        self._waiting.clear()
+        self._asked.clear()
+        self._ros.unwatch(self._client)
 
     def _fail(self, request: _Request, error: RceError) -> None:
         self._ros.deliver(lambda: self._refuse(request.message, error))

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import sys
 from collections.abc import AsyncIterator
-from pathlib import Path
 
 import pytest
+from environment_driver import FakeMaster, start
 from twisted.internet.base import ReactorBase
-
-sys.path.append(str(Path(__file__).parent))
-
-from driver import FakeMaster, start
 
 from rce import calls as c
 

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install 'rce[ros]'")
 
 import msgspec
-from driver import FakeMaster
+from environment_driver import FakeMaster
 from rclpy.serialization import deserialize_message, serialize_message
 from std_srvs.srv import SetBool
 

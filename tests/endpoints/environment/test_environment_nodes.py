@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install 'rce[ros]'")
 
-from driver import FakeMaster
+from environment_driver import FakeMaster
 
 from rce import calls as c
 from rce.errors import InvalidRequest, NotFound, StartFailed

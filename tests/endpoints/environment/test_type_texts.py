@@ -12,7 +12,7 @@ from rce.errors import UnknownType
 def definitions(tmp_path: Path) -> Definitions:
     files = {
         "prefix/share/std_msgs/msg/Header.msg": "string frame_id",
-        "prefix/share/a/msg/Outer.msg": "Header header # c/Never\nInner[<=3] in\nb/Other[2] other\nint32 N=3\nstring<=5 s",
+        "prefix/share/a/msg/Outer.msg": "Header h # c/Never\nInner[<=3] in\nb/Other[2] o\nint32 N=3\nstring<=5 s",
         "prefix/share/a/msg/Inner.msg": "bool[] flags\nfloat64 x 1.5",
         "src/b/msg/Other.msg": "b/msg/Deep deep",
         "src/b/msg/Deep.msg": "",

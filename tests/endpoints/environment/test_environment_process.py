@@ -10,8 +10,8 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install 'rce[ros]'")
 
-from driver import NAME, FakeMaster, start
-from test_nodes import alive, line
+from environment_driver import NAME, FakeMaster, start
+from test_environment_nodes import alive, line
 from twisted.internet.base import ReactorBase
 
 from rce import calls as c
