@@ -17,6 +17,7 @@ from twisted.logger import Logger
 import rce
 from endpoints.host import host_identity
 from endpoints.link import DataPort
+from endpoints.memory import keep_large_blocks
 from endpoints.robot.endpoint import Options, RobotEndpoint
 from endpoints.robot.server import ServerLimits, listen
 from rce import loop, settings
@@ -126,6 +127,7 @@ def _tls(options: Settings) -> ssl.SSLContext | None:
 def main() -> int:
     options = settings.load_or_exit(Settings, "rce robot")
     os.environ.pop("RCE_TOKEN", None)
+    keep_large_blocks()
     return loop.run(lambda reactor: serve(reactor, options))
 
 
