@@ -230,9 +230,12 @@ class ClientContract:
             client = await a.service_client("call", SET_BOOL, to="b/serve")
             call = asyncio.create_task(client.call({"data": True}))
             await asyncio.wait_for(called.wait(), 10)
+            events = a.events()
             platform.break_socket("a")
             with pytest.raises(Unavailable, match="not known"):
                 await call
+            assert isinstance(await events.get(10), Disconnected)
+            assert await events.get(10) == Reconnected(resumed=True)
 
     async def test_nothing_is_delivered_twice_across_breaks(self, platform: Platform) -> None:
         async with platform.robot("a") as a, platform.robot("b") as b:
