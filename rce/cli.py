@@ -32,6 +32,12 @@ def map_recordings(arguments: list[str]) -> int:
     return command.main(arguments)
 
 
+def run_robot(arguments: list[str]) -> int:
+    from rce.commands import run as command
+
+    return command.main(arguments)
+
+
 def bench(arguments: list[str]) -> int:
     from rce.commands import bench as command
 
@@ -41,6 +47,7 @@ def bench(arguments: list[str]) -> int:
 COMMANDS: dict[str, tuple[str, Callable[[list[str]], int]]] = {
     "up": ("run the whole platform on this machine", up),
     "map": ("make a map of recorded laser scans", map_recordings),
+    "run": ("be a robot that a file describes", run_robot),
     "bench": ("measure a platform", bench),
 }
 
