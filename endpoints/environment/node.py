@@ -102,7 +102,7 @@ class NodeProcess:
     async def _end_group(self) -> None:
         """What a node has started goes with it."""
         until = time.monotonic() + GROUP_PATIENCE
-        while self._signal(signal.SIGKILL) and _lives(self._process.pid) and time.monotonic() < until:
+        while self._signal(signal.SIGKILL) and _lives(self._process.pid) and time.monotonic() < until:  # noqa: ASYNC110
             await asyncio.sleep(LOOK)
 
     def _signal(self, number: signal.Signals) -> bool:

@@ -9,12 +9,13 @@ from uuid import uuid4
 
 from twisted.logger import Logger
 
-from endpoints.environment.interfaces import RosInterface, raw
+from endpoints.environment.interfaces import RosInterface, Surroundings, raw
 from endpoints.environment.ros_services import Header, RawClient, RawService
 from endpoints.environment.ros_types import service_class
 from endpoints.frames import Message
 from endpoints.link import Link
 from endpoints.switchboard import MAX_REQUESTS, error_of
+from rce.calls import InterfaceSpec
 from rce.errors import ConversionError, LimitExceeded, NotConnected, NotFound, RceError, TimedOut
 
 TIMEOUT = 30.0  # seconds that an answer may take
@@ -35,10 +36,13 @@ class ServiceClientInterface(RosInterface):
 
     _client: RawClient
 
-    async def open(self) -> None:
+    def __init__(self, spec: InterfaceSpec, around: Surroundings) -> None:
+        super().__init__(spec, around)
         self._unanswered = 0  # the rest belongs to the ROS thread
         self._waiting: deque[_Request] = deque()
         self._asked: dict[int, _Request] = {}
+
+    async def open(self) -> None:
         kind = service_class(self.spec.type, self._around.definitions)
         self._client = await self._make(lambda: RawClient(self._ros, kind, self.spec.addr, self._answered))
 
@@ -129,8 +133,11 @@ class ServiceProviderInterface(RosInterface):
 
     _service: RawService
 
-    async def open(self) -> None:
+    def __init__(self, spec: InterfaceSpec, around: Surroundings) -> None:
+        super().__init__(spec, around)
         self._asked: dict[str, tuple[Header, float]] = {}  # by message id
+
+    async def open(self) -> None:
         kind = service_class(self.spec.type, self._around.definitions)
         self._service = await self._make(
             lambda: RawService(

@@ -6,11 +6,12 @@ import asyncio
 from collections import deque
 from uuid import uuid4
 
-from endpoints.environment.interfaces import RosInterface
+from endpoints.environment.interfaces import RosInterface, Surroundings
 from endpoints.environment.ros_topics import RawPublisher, RawSubscription
 from endpoints.environment.ros_types import message_class
 from endpoints.frames import Buffer, Message
 from endpoints.link import Link
+from rce.calls import InterfaceSpec
 from rce.errors import ConversionError, InvalidRequest
 
 HIGH_WATER = 8  # with keep_all: messages not yet published at which the sender has to wait
@@ -91,11 +92,14 @@ class SubscriberInterface(RosInterface):
 
     _subscription: RawSubscription
 
-    async def open(self) -> None:
+    def __init__(self, spec: InterfaceSpec, around: Surroundings) -> None:
+        super().__init__(spec, around)
         self._taken = 0  # counted by the ROS thread
         self._handled = 0  # counted by the loop
-        self._latched: dict[bytes, deque[bytes]] = {}
-        self._each = self.spec.qos.depth if self.spec.qos.durability == "transient_local" else 1
+        self._latched: dict[bytes, deque[bytes]] = {}  # by publisher
+        self._each = spec.qos.depth if spec.qos.durability == "transient_local" else 1
+
+    async def open(self) -> None:
         kind = message_class(self.spec.type, self._around.definitions)
         self._subscription = await self._make(
             lambda: RawSubscription(

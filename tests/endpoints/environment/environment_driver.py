@@ -128,7 +128,7 @@ class FakeMaster:
     async def close(self) -> None:
         for name in list(self.board.links):
             self.board.close_link(name)
-        stopping = self.listening.stopListening()
+        stopping = self.listening.stopListening()  # type: ignore[misc]  # zope declares it without self
         if stopping is not None:
             await stopping.asFuture(asyncio.get_running_loop())
 
@@ -153,11 +153,12 @@ async def start(reactor: ReactorBase, directory: Path, **more: str) -> tuple[Fak
     """A Master and an Environment endpoint that has joined it; the test ends the process."""
     master = FakeMaster(DataPort())
     master.listening = await control.listen(reactor, "tcp:0:interface=127.0.0.1", master)
+    port = master.listening.getHost().port  # type: ignore[misc]  # zope declares it without self
     settings = {
         "name": NAME,
         "run": RUN,
         "token": "token",
-        "master": f"tcp:127.0.0.1:{master.listening.getHost().port}",
+        "master": f"tcp:127.0.0.1:{port}",
         "data_dir": str(directory),
         "package_path": str(PACKAGES),
         **more,

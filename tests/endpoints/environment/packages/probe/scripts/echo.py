@@ -1,12 +1,15 @@
 #!/usr/bin/env python3
 """Echoes a topic and a service, has a parameter, publishes with the QoS that its arguments name."""
 
+from __future__ import annotations
+
 import sys
 
 import rclpy
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
@@ -35,7 +38,7 @@ class Echo(Node):
         response.success = not request.data
         return response
 
-    def check(self, parameters: list) -> SetParametersResult:
+    def check(self, parameters: list[Parameter[object]]) -> SetParametersResult:
         for parameter in parameters:
             if parameter.name == "speed" and parameter.value > 10:
                 return SetParametersResult(successful=False, reason="too fast")
