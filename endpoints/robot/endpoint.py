@@ -21,6 +21,7 @@ from rce.messages import DataMessage
 from rce.names import parse_type
 
 LEAVE_RETRY = 1.0
+LOGIN_WAIT = 5.0  # for a Master that is away: less than robots wait, so that they hear the reason
 
 log = Logger()
 
@@ -46,6 +47,7 @@ class RobotEndpoint:
         self.sessions: dict[str, Session] = {}
         self._types: dict[str, TypeRegistry] = {}  # by user: one user's types are no business of another's
         self._away: dict[str, asyncio.TimerHandle] = {}
+        self._leaving: dict[str, asyncio.Task[None]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
 
     def handlers(self) -> Handlers:
@@ -65,7 +67,29 @@ class RobotEndpoint:
 
     async def login(self, greeting: Greeting) -> Admitted:
         name = f"{greeting.user}/{greeting.robot}"
-        answer = await self.master.call(
+        if name in self._leaving:  # the Master must not end the session that it is about to give
+            await asyncio.wait([self._leaving[name]])
+        timer = self._away.pop(name, None)
+        if timer is not None:
+            timer.cancel()
+        try:
+            answer = await self._ask(greeting)
+        except BaseException:
+            if timer is not None and name in self.sessions:
+                self._expect(self.sessions[name], timer.when())
+            raise
+        session = self.sessions.get(name)
+        if session is None or (session.token and not answer.resumed):
+            session = self._begin(name)
+        session.features = greeting.features
+        if name in self._away:
+            self._away.pop(name).cancel()
+        how = "resumes" if answer.resumed else "comes"
+        log.info("robot {robot} {how} from {address}", robot=name, how=how, address=greeting.address)
+        return Admitted(session, answer.token, answer.resumed)
+
+    async def _ask(self, greeting: Greeting) -> c.LoggedIn:
+        return await self.master.call(
             c.Login(
                 greeting.user,
                 greeting.robot,
@@ -73,18 +97,9 @@ class RobotEndpoint:
                 greeting.resume,
                 sorted(greeting.features),
                 greeting.address,
-            )
+            ),
+            wait=LOGIN_WAIT,
         )
-        session = self.sessions.get(name)
-        if session is None or (session.token and not answer.resumed):
-            session = self._begin(name)
-        session.features = greeting.features
-        timer = self._away.pop(name, None)
-        if timer is not None:
-            timer.cancel()
-        how = "resumes" if answer.resumed else "comes"
-        log.info("robot {robot} {how} from {address}", robot=name, how=how, address=greeting.address)
-        return Admitted(session, answer.token, answer.resumed)
 
     def _begin(self, name: str) -> Session:
         old = self.sessions.pop(name, None)
@@ -97,15 +112,18 @@ class RobotEndpoint:
     def disconnected(self, session: Session) -> None:
         """Its grace time begins."""
         if self.sessions.get(session.name) is session:
-            loop = asyncio.get_running_loop()
-            self._away[session.name] = loop.call_later(self.grace, self._grace_over, session)
+            self._expect(session, asyncio.get_running_loop().time() + self.grace)
+
+    def _expect(self, session: Session, until: float) -> None:
+        if session.name in self._away:
+            self._away[session.name].cancel()
+        self._away[session.name] = asyncio.get_running_loop().call_at(until, self._grace_over, session)
 
     def _grace_over(self, session: Session) -> None:
         self._away.pop(session.name, None)
         if self.sessions.get(session.name) is session and session.socket is None:
-            task = asyncio.create_task(self._leave(session))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
+            task = self._leaving[session.name] = asyncio.create_task(self._leave(session))
+            task.add_done_callback(lambda _: self._leaving.pop(session.name))
 
     def finished(self, session: Session) -> None:
         """The robot has said goodbye: its session ends without a grace time."""
@@ -119,7 +137,7 @@ class RobotEndpoint:
             except Unavailable:
                 await asyncio.sleep(LEAVE_RETRY)
                 continue
-            if session.socket is None:
+            if self.sessions.get(session.name) is session and session.socket is None:
                 del self.sessions[session.name]
                 session.end("")
             return

@@ -151,7 +151,12 @@ class Subscriber(RobotInterface):
     def from_robot(self, message: DataMessage, blobs: dict[str, Buffer]) -> None:
         payload = self._codec.encode(self.wire(message, blobs))
         before = self.dropped
-        self.send(Message(self.id, message.msgID, payload))
+        try:
+            self.send(Message(self.id, message.msgID, payload))
+        except NotConnected:
+            if self.session.features:
+                raise
+            return  # as the original did: its clients go on publishing when a peer is gone
         if self.dropped != before:
             self.count_drops()
         if (room := self.room()) is not None:
@@ -188,7 +193,9 @@ class ServiceClient(RobotInterface):
     def from_robot(self, message: DataMessage, blobs: dict[str, Buffer]) -> None:
         request = self._take(message.msgID)
         if request is None:
-            raise InvalidRequest(f"{self.spec.tag}: no call with msgID {message.msgID[:64]!r} waits", field="msgID")
+            raise NotConnected(
+                f"{self.spec.tag}: no call with msgID {message.msgID[:64]!r} waits (any more)", field="msgID"
+            )
         if message.error:
             self.fail(request, RceError(f"{self.spec.owner}/{self.spec.tag}: {message.error}"))
             return
@@ -240,9 +247,13 @@ class ServiceProvider(RobotInterface):
         if len(self._pending) >= MAX_PENDING:
             raise LimitExceeded(f"{self.spec.tag}: {MAX_PENDING} calls wait already")
         payload = self._request.encode(self.wire(message, blobs))
-        self.request(Message(self.id, message.msgID, payload))
-        loop = asyncio.get_running_loop()
-        self._pending[message.msgID] = loop.call_later(self._timeout, self._late, message.msgID)
+        timer = asyncio.get_running_loop().call_later(self._timeout, self._late, message.msgID)
+        self._pending[message.msgID] = timer  # before the request leaves: within this process it may fail at once
+        try:
+            self.request(Message(self.id, message.msgID, payload))
+        except RceError:
+            self._pending.pop(message.msgID).cancel()
+            raise
 
     def receive(self, message: Message, link: Link) -> None:
         timer = self._pending.pop(message.msg_id, None)

@@ -6,6 +6,7 @@ Autobahn is known in this file only.
 from __future__ import annotations
 
 import asyncio
+import time
 from collections import deque
 from typing import Annotated, Any, Protocol
 
@@ -18,14 +19,25 @@ from endpoints.robot.session import Piece, Session
 from rce import messages as m
 from rce.assembler import Assembler, Limits, Outcome
 from rce.blobs import Buffer
-from rce.errors import Forbidden, InvalidRequest, RceError, TimedOut, Unauthorized, Unavailable
+from rce.errors import (
+    Forbidden,
+    InternalError,
+    InvalidRequest,
+    NotConnected,
+    RceError,
+    TimedOut,
+    Unauthorized,
+    Unavailable,
+)
 
 txaio.use_asyncio()  # before Autobahn is imported: it asks once which of the two it runs on
 from autobahn.asyncio.websocket import WebSocketServerFactory, WebSocketServerProtocol  # noqa: E402
 from autobahn.websocket.types import ConnectionDeny, ConnectionRequest  # noqa: E402
 
 HIGH_WATER = 256 * 1024  # bytes in the transport at which the outbox keeps what follows, where it can be overtaken
-SWEEP = 15.0
+MAX_REQUEST = 64 * 1024  # bytes before a robot is let in
+SLICE = 0.003  # seconds for which one robot's frames may be worked on at a stretch
+TICK = 10.0  # seconds: a robot from which nothing came for so long is pinged, and given up after as long again
 BAD_WINDOW = 60.0
 NORMAL = 1000  # the close code of a peer that has done all it wanted
 
@@ -117,6 +129,8 @@ def _denial(error: RceError) -> ConnectionDeny:
         return ConnectionDeny(403, str(error))
     if isinstance(error, Unavailable | TimedOut):
         return ConnectionDeny(503, str(error))
+    if isinstance(error, InternalError):
+        return ConnectionDeny(500, str(error))
     return ConnectionDeny(400, str(error))
 
 
@@ -131,7 +145,11 @@ class RobotSocket(WebSocketServerProtocol):
         self._full = False
         self._bad: deque[float] = deque()
         self._reason = ""
-        self._sweeper: asyncio.TimerHandle | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._hold: asyncio.Future[None] | None = None  # until when nothing is taken from the robot
+        self._heard = False  # since the last tick
+        self._silent = 0  # ticks
+        self._left = 0  # bytes that waited to leave at the last tick
 
     # --- handshake ----------------------------------------------------------------------------------------------------
 
@@ -143,8 +161,9 @@ class RobotSocket(WebSocketServerProtocol):
         except RceError as error:
             raise _denial(error) from None
         session = self._admitted.session
-        if self.transport is None:  # it hung up while we looked it up
+        if self.transport is None:
             self._door.disconnected(session)
+            raise ConnectionDeny(400, "it hung up while it was looked up")
         features = sorted(session.features)
         return None, {"RCE-Features": ",".join(features)} if features else {}
 
@@ -158,7 +177,7 @@ class RobotSocket(WebSocketServerProtocol):
             parts=session.parts,
             limits=Limits(limits.blobs, limits.blob_memory, limits.message, limits.blob_age),
         )
-        self._sweeper = loop.call_later(SWEEP, self._sweep)
+        self._timer = loop.call_later(TICK, self._tick)
         self.transport.set_write_buffer_limits(high=HIGH_WATER)
         tune(self.transport)
         previous = session.socket
@@ -167,8 +186,8 @@ class RobotSocket(WebSocketServerProtocol):
         session.attach(self, self._admitted.token, self._admitted.resumed, self._door.grace)
 
     def onClose(self, wasClean: bool, code: int | None, reason: str | None) -> None:
-        if self._sweeper is not None:
-            self._sweeper.cancel()
+        if self._timer is not None:
+            self._timer.cancel()
         session = self._session
         if session is None and self._admitted is not None:
             session = self._admitted.session  # admitted, but never open
@@ -185,11 +204,15 @@ class RobotSocket(WebSocketServerProtocol):
 
     def data_received(self, data: bytes) -> None:
         """Straight to Autobahn's parser, past the queue and future that its asyncio adapter puts in between."""
+        self._heard = True
+        if self.state == self.STATE_CONNECTING and len(self.data) + len(data) > MAX_REQUEST:
+            self.dropConnection(abort=True)
+            return
         try:
             self._dataReceived(data)
         except Exception:  # noqa: BLE001  # as its adapter does: a defect closes this socket and no other
             log.failure("defect while reading from {peer}", peer=self.peer)
-            self._closeConnection(abort=True)
+            self.dropConnection(abort=True)
 
     def onMessage(self, payload: bytes, isBinary: bool) -> None:
         session = self._session
@@ -203,7 +226,7 @@ class RobotSocket(WebSocketServerProtocol):
             frame = m.decode_frame(payload)
             if frame.type != "DM":
                 session.command(frame)
-            elif b'*"' in payload:
+            elif b"*" in payload:  # one byte is looked for ten times as fast as two
                 self._take(session, self._assembler.frame(frame))
             else:
                 self._data(session, frame, {})
@@ -231,7 +254,7 @@ class RobotSocket(WebSocketServerProtocol):
         """Tell the robot what was wrong; too many of these within a minute close the socket."""
         session.error(error, frame.id if frame is not None and "ack" in session.features else UNSET)
         most = self._door.limits.bad_messages
-        if not most:
+        if not most or isinstance(error, NotConnected):  # the robot cannot know that its peer has just gone
             return
         now = asyncio.get_running_loop().time()
         self._bad.append(now)
@@ -240,12 +263,25 @@ class RobotSocket(WebSocketServerProtocol):
         if len(self._bad) > most:
             self.end(f"more than {most} bad messages within a minute; the last: {error}")
 
-    def _sweep(self) -> None:
-        self._sweeper = asyncio.get_running_loop().call_later(SWEEP, self._sweep)
-        session = self._session
-        if session is not None:
+    def _tick(self) -> None:
+        self._timer = asyncio.get_running_loop().call_later(TICK, self._tick)
+        if self._session is not None:
             for dropped in self._assembler.sweep():
-                self._refuse(session, dropped.error, dropped.frame)
+                self._refuse(self._session, dropped.error, dropped.frame)
+        if self.state == self.STATE_OPEN:
+            self._see_whether_it_lives()
+
+    def _see_whether_it_lives(self) -> None:
+        """Autobahn's pings know only whole frames: they end robots that send or take a large one over a slow line."""
+        left = self.transport.get_write_buffer_size()
+        held = not left and self._hold is not None  # we do not listen
+        self._silent = 0 if self._heard or held or left < self._left else self._silent + 1
+        self._heard, self._left = False, left
+        if self._silent == 1:
+            self.sendPing()
+        elif self._silent:
+            self._reason = f"no sign of life for {2 * TICK:g} s"
+            self.dropConnection(abort=True)
 
     # --- Socket -------------------------------------------------------------------------------------------------------
 
@@ -258,14 +294,47 @@ class RobotSocket(WebSocketServerProtocol):
 
     def hold(self, until: asyncio.Future[None]) -> None:
         transport = self.transport
-        if transport is not None and transport.is_reading():
+        if self._hold is None and transport is not None and not transport.is_closing():
+            self._hold = until
             transport.pause_reading()
-            until.add_done_callback(lambda _: None if transport.is_closing() else transport.resume_reading())
+            until.add_done_callback(self._go_on)
+
+    def _go_on(self, _: asyncio.Future[None]) -> None:
+        self._hold = None
+        transport = self.transport
+        if transport is not None and not transport.is_closing():
+            transport.resume_reading()
+            self.data_received(b"")
+
+    def consumeData(self) -> None:
+        """Work off what has come, but no longer than a slice of time: there are other robots."""
+        if self.state == self.STATE_CONNECTING:
+            super().consumeData()
+            return
+        loop = asyncio.get_running_loop()
+        end = time.monotonic() + SLICE
+        while self._hold is None and self.state != self.STATE_CLOSED and self.processData():
+            if time.monotonic() > end:
+                turn = loop.create_future()
+                loop.call_soon(turn.set_result, None)
+                self.hold(turn)
 
     def end(self, reason: str) -> None:
         self._reason = reason
         if self.state == self.STATE_OPEN:
-            self.sendClose(1008, reason.encode()[:120].decode(errors="ignore"))
+            # Not `sendClose`: that one takes the codes of applications only.
+            self.sendCloseFrame(1008, reason.encode()[:120].decode(errors="ignore").encode(), isReply=False)
+
+    def sendCloseFrame(self, *args: Any, **more: Any) -> None:
+        """Whoever closes: what is for the robot waits for its next socket from here on."""
+        if self._session is not None and self._session.socket is self:
+            self._session.outbox.pause()
+        super().sendCloseFrame(*args, **more)
+
+    def sendData(self, data: bytes, sync: bool = False, chopsize: int | None = None) -> None:
+        """Autobahn answers handshakes of peers that are gone."""
+        if self.transport is not None:
+            super().sendData(data, sync, chopsize)
 
     def pause_writing(self) -> None:
         self._full = True
@@ -274,7 +343,7 @@ class RobotSocket(WebSocketServerProtocol):
 
     def resume_writing(self) -> None:
         self._full = False
-        if self._session is not None and self._session.socket is self:
+        if self._session is not None and self._session.socket is self and self.state == self.STATE_OPEN:
             self._session.outbox.resume()
 
 
@@ -299,8 +368,7 @@ async def listen(door: Door, host: str, port: int, tls: Any) -> asyncio.Server:
         maxFramePayloadSize=door.limits.message,
         openHandshakeTimeout=30,
         closeHandshakeTimeout=2,
-        autoPingInterval=10,
-        autoPingTimeout=10,
-        autoPingRestartOnAnyTraffic=True,
+        failByDrop=False,  # a robot that breaks a rule is told which
+        utf8validateIncoming=False,  # the decoders check it: the robot gets an error and keeps its socket
     )
     return await loop.create_server(factory, host, port, ssl=tls)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator
+from itertools import islice
 from typing import Protocol
 
 import msgspec
@@ -22,6 +23,8 @@ Piece = list[tuple[bytes, bool]]
 
 CONTROL = b""  # the outbox's source for statuses and errors
 MAX_COMMANDS = 1000  # of one robot, under way
+MAX_COMMAND_SIZE = 4 * 1024 * 1024  # of all of them
+TURN = 20  # commands after which others on the loop have theirs
 MAX_TRIES = 3
 
 log = Logger()
@@ -62,7 +65,7 @@ class Session:
         self.outbox.pause()
         self._master = master
         self._order = asyncio.Lock()
-        self._commands: set[asyncio.Task[None]] = set()
+        self._commands: dict[asyncio.Task[None], tuple[int, int]] = {}  # how many items, how many bytes
         self._drops: dict[tuple[str, str], int] = {}
         self._drop_timer: asyncio.TimerHandle | None = None
 
@@ -75,6 +78,7 @@ class Session:
     def attach(self, socket: Socket, token: str, resumed: bool, grace: float) -> None:
         """The robot is here; what waited for it leaves now."""
         self.socket, self.token = socket, token
+        self.outbox.abandon()  # an earlier socket may still have it
         if self.features:
             resumable = "resume" in self.features
             greeting = m.Session(sorted(self.features), token if resumable else "", grace if resumable else 0, resumed)
@@ -87,7 +91,6 @@ class Session:
             return False
         self.socket = None
         self.outbox.pause()
-        self.outbox.abandon()
         return True
 
     def hold(self, until: asyncio.Future[None]) -> None:
@@ -100,6 +103,7 @@ class Session:
             task.cancel()
         if self._drop_timer is not None:
             self._drop_timer.cancel()
+        self.outbox.clear()
         if self.socket is not None:
             self.socket.end(reason)
 
@@ -114,11 +118,17 @@ class Session:
     def status(self, data: m.StatusData, id: m.FrameId | UnsetType = UNSET) -> None:
         """Send an ST; topics beyond `iu` and acknowledgements go to robots with the feature `events` only."""
         if isinstance(data, m.InterfaceStatus | m.Ack) or "events" in self.features:
-            self.outbox.put(CONTROL, iter([_piece(m.Status(data, id))]), None)
+            self._tell(_piece(m.Status(data, id)))
 
     def error(self, error: RceError, id: m.FrameId | UnsetType = UNSET) -> None:
         """Send an ER about what is wrong with the robot's frame itself."""
-        self.outbox.put(CONTROL, iter([self.error_piece(error, id)]), None)
+        self._tell(self.error_piece(error, id))
+
+    def _tell(self, piece: Piece) -> None:
+        """Statuses and errors are not dropped: a robot that does not take them is not listened to."""
+        self.outbox.put(CONTROL, iter([piece]), None)
+        if (room := self.outbox.room(CONTROL)) is not None:
+            self.hold(room)
 
     def error_piece(self, error: RceError, id: m.FrameId | UnsetType = UNSET) -> Piece:
         """As in the original, only what the Robot process itself finds invalid begins with these words."""
@@ -152,19 +162,27 @@ class Session:
     def command(self, frame: m.Frame) -> None:
         """Carry out a CC, DC, CN or CX: its items go to the Master in order, errors and the ack follow.
 
-        Raises InvalidRequest where an item is malformed; those before it are carried out.
+        Raises InvalidRequest where an item is malformed; those before it are carried out. LimitExceeded: none is.
         """
-        if len(self._commands) >= MAX_COMMANDS:
-            raise LimitExceeded(f"{MAX_COMMANDS} commands are under way already: wait for some to complete")
+        size = len(memoryview(frame.data))
+        room = MAX_COMMANDS - sum(count for count, _ in self._commands.values())
+        if size + sum(size for _, size in self._commands.values()) > MAX_COMMAND_SIZE or room <= 0:
+            raise LimitExceeded(
+                f"more than {MAX_COMMANDS} commands, or of more than {MAX_COMMAND_SIZE} bytes, would be under way: "
+                "wait for some to complete"
+            )
         items: list[tuple[str, m.Command]] = []
         complete = False
         try:
-            items.extend(_items(frame))  # keeps what came before the error
+            items.extend(islice(_items(frame), room + 1))  # keeps what came before the error
+            if len(items) > room:
+                items.clear()
+                raise LimitExceeded(f"more than {MAX_COMMANDS} commands would be under way: wait for some to complete")
             complete = True
         finally:
             task = asyncio.create_task(self._run(frame, items, complete))
-            self._commands.add(task)
-            task.add_done_callback(self._commands.discard)
+            self._commands[task] = max(1, len(items)), size
+            task.add_done_callback(self._commands.pop)
 
     async def _run(self, frame: m.Frame, items: list[tuple[str, m.Command]], good: bool) -> None:
         answers: list[asyncio.Task[None]] = []
@@ -172,6 +190,8 @@ class Session:
             try:
                 for item, command in items:
                     answers.append(await self._issue(item, command))
+                    if len(answers) % TURN == 0:
+                        await asyncio.sleep(0)
             except RceError as error:  # the Master is away
                 good = False
                 self._failed(error, frame)
@@ -187,7 +207,7 @@ class Session:
     def _failed(self, error: RceError, frame: m.Frame) -> None:
         """Send an ER about a command that the Master could not carry out."""
         piece = self._failure(str(error), error, frame.id if "ack" in self.features else UNSET)
-        self.outbox.put(CONTROL, iter([piece]), None)
+        self._tell(piece)
 
     async def _issue(self, item: str, command: m.Command) -> asyncio.Task[None]:
         answer = await self._master.issue(Execute.of(self.name, command))

@@ -62,8 +62,8 @@ class Robot:
 
     # commands
 
-    async def add(self, tag: str, kind: str, type: str = "std_msgs/String", **more: object) -> None:
-        item = {"endpointTag": self.tag, "interfaceTag": tag, "interfaceType": kind, "className": type, **more}
+    async def add(self, tag: str, kind: str, type: str = "std_msgs/String", of: str = "", **more: object) -> None:
+        item = {"endpointTag": of or self.tag, "interfaceTag": tag, "interfaceType": kind, "className": type, **more}
         await self.send({"type": "CN", "data": {"addInterfaces": [item]}})
 
     async def connect(self, one: str, other: str) -> None:
@@ -74,6 +74,13 @@ class Robot:
     ) -> None:
         frame = {"type": "DM", "data": {"iTag": tag, "type": type, "msgID": msg_id, "msg": msg}, **more}
         await self.send(frame)
+
+
+async def eventually(condition: Callable[[], bool]) -> None:
+    """For what no event tells."""
+    async with asyncio.timeout(WAIT):
+        while not condition():  # noqa: ASYNC110
+            await asyncio.sleep(0.005)
 
 
 def status(tag: str, on: bool) -> Json:

@@ -61,8 +61,8 @@ def test_order_within_a_source_and_nothing_lost(puts: list[tuple[bytes, int]], d
             stream.resume(data.draw(st.integers(1, 5)))
     got += stream.taken
     got += stream.resume()
-    for source in "abc":
-        assert [piece for piece in got if piece[0] == source] == [piece for piece in sent if piece[0] == source]
+    for letter in "abc":
+        assert [piece for piece in got if piece[0] == letter] == [piece for piece in sent if piece[0] == letter]
     assert stream.outbox.empty
 
 

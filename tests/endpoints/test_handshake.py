@@ -1,0 +1,95 @@
+"""Who is let in at the WebSocket, and with which HTTP status the others are sent away (the original's table)."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+from contextlib import suppress
+
+from platforms import Platform
+from raw_robot import PASSWORD, USER, WAIT
+
+WS = (
+    "Host: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
+)
+GOOD = f"userID={USER}&robotID=r&password={PASSWORD}"
+
+
+async def knock(port: int, query: str, *headers: str) -> tuple[int, str]:
+    """Status and reason of a handshake with this query."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    lines = "".join(f"{header}\r\n" for header in headers)
+    writer.write(f"GET /?{query} HTTP/1.1\r\n{WS}{lines}\r\n".encode())
+    answer = await asyncio.wait_for(reader.readline(), WAIT)
+    writer.close()
+    _, status, reason = answer.decode().split(" ", 2)
+    return int(status), reason.strip()
+
+
+TABLE = [
+    (f"robotID=r&password={PASSWORD}", 400, "userID"),
+    (f"userID={USER}&password={PASSWORD}", 400, "robotID"),
+    (f"userID={USER}&robotID=r", 400, "password"),
+    (f"{GOOD}&userID={USER}", 400, "userID"),
+    (f"{GOOD}&robotID=r", 400, "robotID"),
+    (f"{GOOD}&password=x", 400, "password"),
+    (f"{GOOD}&key=x", 400, "password"),
+    (f"{GOOD}&resume=a&resume=b", 400, "resume"),
+    (f"{GOOD}&features=ack&features=ack", 400, "features"),
+    (f"userID={USER}&robotID=r&password={'0' * 64}", 401, ""),
+    (f"userID={USER}&robotID=r&password=", 400, "password"),
+    (f"userID=nobody&robotID=r&password={PASSWORD}", 401, ""),
+    (f"userID={USER}&robotID=1r&password={PASSWORD}", 400, "robotID"),
+    (f"userID={USER}&robotID=r%C3%B6&password={PASSWORD}", 400, "robotID"),
+    (f"userID={USER}&robotID=%FF&password={PASSWORD}", 400, "robotID"),
+    (f"userID={USER}&robotID=r%0D%0AX-Evil%3A%201&password={PASSWORD}", 400, "robotID"),
+    (f"userID={USER}&robotID={'r' * 5000}&password={PASSWORD}", 400, "robotID"),
+    (f"userID=admin&robotID=r&password={hashlib.sha256(b'admin').hexdigest()}", 400, ""),
+    (GOOD, 101, ""),
+    (GOOD.replace("password", "key"), 101, ""),
+    (GOOD + "&features=ack,unknown&more=1", 101, ""),
+]
+
+
+async def test_the_table(platform: Platform) -> None:
+    for query, status, names in TABLE:
+        got, reason = await knock(platform.port, query)
+        assert (got, names in reason) == (status, True), f"{query}: {got} {reason}"
+        assert PASSWORD not in reason
+        await platform.forget("r")
+
+
+async def test_a_credential_in_the_header(platform: Platform) -> None:
+    assert await knock(platform.port, f"userID={USER}&robotID=a", f"Authorization: Bearer {PASSWORD}") == (
+        101,
+        "Switching Protocols",
+    )
+    assert (await knock(platform.port, f"userID={USER}&robotID=b", "Authorization: Bearer x"))[0] == 401
+
+
+async def test_an_api_key(platform: Platform) -> None:
+    secret, _ = await platform.master.users.add_key(USER)
+    assert (await knock(platform.port, f"userID={USER}&robotID=a&key={secret}"))[0] == 101
+    assert (await knock(platform.port, f"userID=admin&robotID=a&key={secret}"))[0] == 401
+
+
+async def test_a_robot_id_in_use(platform: Platform) -> None:
+    await platform.robot("r")
+    status, reason = await knock(platform.port, GOOD)
+    assert (status, "in use" in reason) == (400, True)
+    assert (await knock(platform.port, GOOD + "&resume=" + "0" * 64))[0] == 400
+
+
+async def test_a_request_without_end_is_cut_off(platform: Platform) -> None:
+    """What is not yet logged in must not take memory."""
+    _, writer = await asyncio.open_connection("127.0.0.1", platform.port)
+    sent = 0
+    with suppress(ConnectionError):
+        while sent < 30_000_000:
+            writer.write(b"GET /?x=" if not sent else b"x" * 65536)
+            sent += 65536
+            await writer.drain()
+            await asyncio.sleep(0)
+    assert sent < 30_000_000
+    writer.close()
