@@ -103,7 +103,7 @@ def _detach(value: Any, where: str, blobs: dict[str, Buffer]) -> Any:
 
 def _keep(blob: Buffer, blobs: dict[str, Buffer]) -> str:
     name = uuid.uuid4().hex
-    blobs[name] = blob
+    blobs[name] = blob if isinstance(blob, bytes) else bytes(blob)  # what may change, or has gaps, is copied
     return name
 
 

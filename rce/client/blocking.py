@@ -183,6 +183,8 @@ class BlockingRobot(Blocking[Robot]):
 
     def close(self) -> None:
         """Send what is queued and leave; see `Robot.close`."""
+        if not self._thread.running:
+            return
         try:
             self._thread.wait(self.inner.close())
         finally:

@@ -12,7 +12,7 @@ import msgspec
 from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed
 
-from rce.assembler import Assembler, Outcome
+from rce.assembler import Assembled, Assembler, Outcome
 from rce.blobs import Buffer, binary_frames
 from rce.client.address import FEATURES_HEADER, Address
 from rce.errors import InvalidRequest, RceError, TimedOut, Unavailable
@@ -78,7 +78,7 @@ class Connection:
         if given is not None:
             try:
                 connection.session = await connection._first_status()
-            except RceError:
+            except BaseException:
                 await connection.close()
                 raise
         return connection
@@ -132,7 +132,7 @@ class Connection:
             return
         finally:
             sender.cancel()
-            await asyncio.gather(sender, return_exceptions=True)
+            await asyncio.wait([sender])
             self._outbox.clear()  # last, so that nobody waits for room in it after this
             self._written.set()
 
@@ -171,9 +171,12 @@ class Connection:
             self._has_piece.clear()
             try:
                 await self._socket.send(self._piece.payload, text=self._piece.text)
+                self._outbox.resume()
             except ConnectionClosed:
                 return
-            self._outbox.resume()
+            except Exception:
+                self._socket.transport.abort()  # a socket on which nothing is sent any more must not look alive
+                raise
             self._written.set()
 
     def _take(self, payload: bytes) -> Incoming | None:
@@ -185,7 +188,8 @@ class Connection:
     def _text(self, payload: bytes) -> Incoming | None:
         frame = decode_frame(payload)
         if frame.type == "DM":
-            return self._whole(self._assembler.frame(frame))
+            # Without a star there are no blobs to look for, which takes longer.
+            return self._whole(self._assembler.frame(frame) if b"*" in payload else Outcome(Assembled(frame, {})))
         if frame.type == "ST":
             return _status(frame)
         if frame.type == "ER":

@@ -54,7 +54,6 @@ class Interface:
 
     async def close(self) -> None:
         """Remove the interface and its connections."""
-        self.ended(None)
         await self._owner.remove_interface(self._owner.name, self.tag)
 
     # What the robot tells its interfaces.

@@ -110,9 +110,9 @@ class Robot(Operations):
 
     async def remove_interface(self, endpoint: str, tag: str) -> None:
         """Remove an interface and its connections."""
-        await super().remove_interface(endpoint, tag)
         if endpoint == self.name and tag in self._interfaces:
             self._interfaces.pop(tag).ended(None)
+        await super().remove_interface(endpoint, tag)
 
     async def publisher(
         self, tag: str, type_name: str, *, to: str = "", raw: bool = False, format: Format = "png"

@@ -75,13 +75,17 @@ class Session:
         self._ids = itertools.count(1)
         self._token = ""
         self._endpoint = ""
+        self._opened = False
         self._keeper: asyncio.Task[None] | None = None
         self._restoring: set[asyncio.Task[None]] = set()
         self._error: RceError = Unavailable("the robot is not connected")
 
     async def open(self) -> None:
-        """Connect, or raise why that is not possible."""
+        """Connect, or raise why that is not possible. Once only."""
+        if self._opened:
+            raise InvalidRequest("this robot has been opened before: make a new one")
         connection = await self._connect()
+        self._opened = True
         self._begin(connection)
         self._keeper = asyncio.create_task(self._keep(connection), name=f"rce session of {self._address.robot}")
 

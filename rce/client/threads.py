@@ -9,7 +9,7 @@ from collections.abc import Callable, Coroutine, Iterator
 from typing import Any, Concatenate, Final, Generic, ParamSpec, TypeVar
 
 from rce.client.stream import Stream
-from rce.errors import Unavailable
+from rce.errors import InvalidRequest, Unavailable
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -23,12 +23,18 @@ class LoopThread:
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name="rce client", daemon=True)
 
+    @property
+    def running(self) -> bool:
+        return self._thread.is_alive()
+
     def start(self) -> None:
+        if self._loop.is_closed():
+            raise InvalidRequest("this robot has been opened before: make a new one")
         self._thread.start()
 
     def wait(self, coroutine: Coroutine[Any, Any, T]) -> T:
         """Run it on the loop and return its result; raises Unavailable when there is none. Ctrl-C cancels it."""
-        if not self._thread.is_alive():
+        if not self.running:
             coroutine.close()
             raise Unavailable("the robot is not open")
         future = asyncio.run_coroutine_threadsafe(coroutine, self._loop)
@@ -48,7 +54,7 @@ class LoopThread:
 
     def stop(self) -> None:
         """End the loop and the thread."""
-        if self._thread.is_alive():
+        if self.running:
             self._loop.call_soon_threadsafe(self._loop.stop)
             self._thread.join()
             self._loop.close()

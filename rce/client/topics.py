@@ -6,6 +6,7 @@ import asyncio
 import inspect
 import logging
 from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import suppress
 from typing import Any
 
 from rce.client.connection import Message
@@ -90,10 +91,11 @@ class Subscriber(Interface):
         self.stream.end(error)
 
     async def _call(self, callback: Callable[[Any], Awaitable[None] | None]) -> None:
-        async for value in self.stream:
-            try:
-                result = callback(value)
-                if inspect.isawaitable(result):
-                    await result
-            except Exception:
-                log.exception("the callback of %s failed", self.tag)
+        with suppress(RceError):  # why the robot ended is told to those who ask it
+            async for value in self.stream:
+                try:
+                    result = callback(value)
+                    if inspect.isawaitable(result):
+                        await result
+                except Exception:
+                    log.exception("the callback of %s failed", self.tag)

@@ -309,8 +309,8 @@ class FakePlatform:
         self._lose_answer = True
 
     def refuse(self, status: int, reason: str) -> None:
-        """Nobody is let in any more."""
-        self._refuse = (status, reason)
+        """Nobody is let in from now on; with status 0 all are again."""
+        self._refuse = (status, reason) if status else None
 
     async def event(self, robot: str, **data: Any) -> None:
         """Send an ST."""

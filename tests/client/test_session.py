@@ -13,7 +13,16 @@ from conftest import FakeWorld
 from fake_platform import KEY, PASSWORD_HASH, FakePlatform
 
 from rce.client import Reconnected, Robot
-from rce.errors import InvalidName, InvalidRequest, RceError, TimedOut, Unauthorized, Unavailable
+from rce.errors import (
+    AlreadyExists,
+    InvalidName,
+    InvalidRequest,
+    NotFound,
+    RceError,
+    TimedOut,
+    Unauthorized,
+    Unavailable,
+)
 from rce.messages import DropEvent, EnvironmentEvent, LimitEvent, NodeEvent
 
 
@@ -242,3 +251,43 @@ async def test_credentials_reach_no_log(fake: FakePlatform, caplog: pytest.LogCa
     assert PASSWORD_HASH not in "".join(
         record.getMessage() for record in caplog.records if not record.name.startswith("websockets.server")
     )
+
+
+async def test_a_robot_is_opened_once_unless_that_failed(fake: FakePlatform) -> None:
+    a = robot(fake)
+    fake.refuse(503, "the Master is away")
+    with pytest.raises(Unavailable, match="away"):
+        await a.open()
+    fake.refuse(0, "")
+    async with a:
+        with pytest.raises(InvalidRequest, match="make a new one"):
+            await a.open()
+    with pytest.raises(InvalidRequest, match="make a new one"):
+        await a.open()
+
+
+async def test_a_closed_interface_frees_its_tag_and_ends_its_reader(fake: FakePlatform) -> None:
+    async with robot(fake) as a:
+        heard = await a.subscriber("heard", STRING)
+        with pytest.raises(AlreadyExists):
+            await a.subscriber("heard", STRING)
+        await heard.close()
+        assert [message async for message in heard] == []
+        with pytest.raises(NotFound):
+            await heard.close()
+        said = await a.publisher("heard", STRING)
+        await said.close()
+        with pytest.raises(Unavailable):
+            await said.publish({"data": "x"})
+
+
+async def test_a_view_with_gaps_and_a_buffer_that_changes_are_sent_as_they_were(fake: FakePlatform) -> None:
+    async with robot(fake) as a:
+        said = await a.publisher("said", STRING, raw=True)
+        heard = await a.subscriber("heard", STRING, to="a/said", raw=True)
+        buffer = bytearray(b"abcdef")
+        await said.publish(memoryview(buffer)[::2])
+        await said.publish(buffer)
+        buffer[:] = b"xxxxxx"
+        assert await heard.get(10) == b"ace"
+        assert await heard.get(10) == b"abcdef"
