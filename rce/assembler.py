@@ -11,6 +11,8 @@ from rce.blobs import ID_SIZE, POSITION, Buffer, references
 from rce.errors import InvalidRequest, LimitExceeded, RceError, TimedOut
 from rce.messages import Frame
 
+LARGE = 4096  # bytes from which a part is kept as it came: every one that is kept costs memory of its own
+
 _id = re.compile(rb"[0-9a-fA-F]{32}")
 
 
@@ -46,12 +48,27 @@ class Outcome(NamedTuple):
 
 @dataclass(slots=True)
 class _Blob:
-    buffer: Buffer
+    """A blob of `size` bytes as far as it has come; large parts are kept as they came, and copied once."""
+
+    size: int
     filled: int
+    parts: list[Buffer]
 
     @property
     def complete(self) -> bool:
-        return self.filled == len(self.buffer)
+        return self.filled == self.size
+
+    def add(self, part: memoryview) -> None:
+        self.filled += len(part)
+        if len(part) >= LARGE:
+            self.parts.append(part)
+        elif self.parts and isinstance(self.parts[-1], bytearray):
+            self.parts[-1] += part
+        else:
+            self.parts.append(bytearray(part))
+
+    def whole(self) -> Buffer:
+        return self.parts[0] if len(self.parts) == 1 else b"".join(self.parts)
 
 
 @dataclass(slots=True, eq=False)
@@ -64,19 +81,9 @@ class _Group:
     touched: float = 0.0
 
     def assembled(self) -> Assembled | None:
-        blobs = {name: blob.buffer for name, blob in self.blobs.items() if blob is not None and blob.complete}
-        return Assembled(self.frame, blobs) if self.frame is not None and len(blobs) == len(self.blobs) else None
-
-
-def _filled(blob: _Blob | None, offset: int, total: int, part: memoryview) -> _Blob:
-    """The blob with this part; a part at 0 begins it anew, and one that is all of it is not copied."""
-    if offset == 0:
-        blob = _Blob(part if len(part) == total else bytearray(total), 0)
-    assert blob is not None
-    if isinstance(blob.buffer, bytearray):
-        blob.buffer[offset : offset + len(part)] = part
-    blob.filled = offset + len(part)
-    return blob
+        if self.frame is None or not all(blob is not None and blob.complete for blob in self.blobs.values()):
+            return None
+        return Assembled(self.frame, {name: blob.whole() for name, blob in self.blobs.items() if blob is not None})
 
 
 class Assembler:
@@ -124,16 +131,18 @@ class Assembler:
                 del self._ignored[name]
             return Outcome()
         before = group.blobs[name] if group is not None else None
-        if offset and (before is None or before.filled != offset or len(before.buffer) != total):
+        if offset and (before is None or before.filled != offset or before.size != total):
             raise InvalidRequest(f"blob {name}: the part at {offset} does not continue what has come")
         if group is None:
             group = _Group(None, {name: None}, 0)
         else:
             self._remove(group)
         if offset == 0:
-            group.size += total - (len(before.buffer) if before is not None else 0)
+            group.size += total - (before.size if before is not None else 0)
         if group.size <= self._limits.message:
-            group.blobs[name] = _filled(before, offset, total, part)
+            blob = before if before is not None and offset else _Blob(total, 0, [])
+            blob.add(part)
+            group.blobs[name] = blob
         return self._settle(group)
 
     def sweep(self) -> Sequence[Dropped]:

@@ -53,9 +53,10 @@ def decode_message(message: DataMessage, blobs: Mapping[str, Buffer]) -> Any:
     key = "msg*" if message.msg is UNSET else "msg"
     text = bytes(raw)
     value = {key: msgspec.json.decode(text)}
-    if blobs or b'*"' in text:
+    # One byte is looked for ten times as fast as two: that matters with megabytes.
+    if blobs or (b"*" in text and b'*"' in text):
         attach(value, blobs)
-    if (b'NaN"' in text or b'Infinity"' in text) and not message.type.endswith("/String"):
+    if not message.type.endswith("/String") and (b'NaN"' in text or b'Infinity"' in text):
         _floats(value)
     return value.get("msg")
 
