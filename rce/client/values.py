@@ -52,7 +52,10 @@ def decode_message(message: DataMessage, blobs: Mapping[str, Buffer]) -> Any:
         raise ConversionError(f"a message of {message.iTag} came without a value", field="msg")
     key = "msg*" if message.msg is UNSET else "msg"
     text = bytes(raw)
-    value = {key: msgspec.json.decode(text)}
+    try:
+        value = {key: msgspec.json.decode(text)}
+    except RecursionError:
+        raise ConversionError(f"a message of {message.iTag} is nested too deeply", field="msg") from None
     # One byte is looked for ten times as fast as two: that matters with megabytes.
     if blobs or (b"*" in text and b'*"' in text):
         attach(value, blobs)
