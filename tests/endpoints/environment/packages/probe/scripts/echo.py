@@ -38,7 +38,7 @@ class Echo(Node):
         response.success = not request.data
         return response
 
-    def check(self, parameters: list[Parameter[object]]) -> SetParametersResult:
+    def check(self, parameters: list[Parameter[float]]) -> SetParametersResult:
         for parameter in parameters:
             if parameter.name == "speed" and parameter.value > 10:
                 return SetParametersResult(successful=False, reason="too fast")
