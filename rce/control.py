@@ -16,8 +16,10 @@ from msgspec import Struct
 from twisted.internet import endpoints
 from twisted.internet.base import ReactorBase
 from twisted.internet.defer import Deferred
+from twisted.internet.error import ConnectionLost
 from twisted.internet.interfaces import IListeningPort
 from twisted.logger import Logger
+from twisted.python.failure import Failure
 from twisted.spread import pb
 
 from rce import calls
@@ -192,7 +194,7 @@ async def connect(reactor: ReactorBase, description: str, hello: Hello, handlers
     try:
         async with asyncio.timeout(JOIN_TIMEOUT):
             broker = await endpoints.clientFromString(reactor, description).connect(factory).asFuture(loop)
-            root = await factory.getRootObject().asFuture(loop)
+            root = await _root(factory, broker).asFuture(loop)
             good, pages, door = await root.callRemote("join", _pages(hello), _Door(handlers)).asFuture(loop)
     except BaseException as error:  # each transport has its own classes for this
         if broker is not None and broker.transport is not None:
@@ -205,6 +207,15 @@ async def connect(reactor: ReactorBase, description: str, hello: Hello, handlers
         factory.disconnect()
         raise RceError.from_info(_value(pages, ErrorInfo))
     return Control(door, description), _value(pages, Welcome)
+
+
+def _root(factory: pb.PBClientFactory, broker: pb.Broker) -> Deferred[pb.RemoteReference]:
+    """The other side's root; fails when the connection is lost first, of which endpoints do not tell the factory."""
+    deferred: Deferred[pb.RemoteReference] = factory.getRootObject()
+    broker.notifyOnDisconnect(lambda: factory.clientConnectionLost(None, Failure(ConnectionLost())))
+    if broker.disconnected:
+        factory.clientConnectionLost(None, Failure(ConnectionLost()))
+    return deferred
 
 
 class MasterLink:

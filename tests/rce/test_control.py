@@ -109,6 +109,18 @@ async def test_a_silent_master_is_given_up(reactor: ReactorBase, monkeypatch: py
         await asyncio.wait_for(closed.wait(), 10)
 
 
+async def test_a_master_that_ends_while_it_is_joined_is_noticed_at_once(reactor: ReactorBase) -> None:
+    """Its kernel may still have accepted the connection."""
+
+    async def end(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.transport.abort()
+
+    async with await asyncio.start_server(end, "127.0.0.1", 0) as server:
+        description = f"tcp:127.0.0.1:{server.sockets[0].getsockname()[1]}"
+        with pytest.raises(Unavailable, match="lost"):
+            await asyncio.wait_for(connect(reactor, description, HELLO, Handlers()), control.JOIN_TIMEOUT / 2)
+
+
 async def test_a_link_that_is_stopped_closes_its_connection(reactor: ReactorBase) -> None:
     doorman = Doorman()
     port = await listen(reactor, LOCAL, doorman)
