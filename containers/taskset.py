@@ -13,8 +13,8 @@ from twisted.logger import Logger
 from containers.engine import Ended, Engine
 from rce.calls import EnvironmentDied, Hello, KeepEnvironments, Nothing, StartEnvironment, StopEnvironment, Welcome
 from rce.control import Handlers, MasterLink
-from rce.credential import Credential
-from rce.errors import RceError, Unauthorized
+from rce.credential import Credential, stay_joined
+from rce.errors import RceError
 from rce.ready import Ready, announce
 
 log = Logger()
@@ -46,7 +46,7 @@ class TaskSet:
         await self._engine.open()
         log.info("{count} environments adopted", count=len(self._engine.running()))
         try:
-            await self._serve()
+            await stay_joined(self._link, self._credential)
         finally:
             try:
                 if stop_environments:
@@ -55,15 +55,6 @@ class TaskSet:
                 for report in self._reports:
                     report.cancel()
                 await self._engine.close()
-
-    async def _serve(self) -> None:
-        try:
-            await self._link.run()
-        except Unauthorized as error:
-            if not self._credential.forget():
-                raise
-            log.warn("{error}; the stored credential is dropped and the join token tried", error=str(error))
-            await self._link.run()
 
     def _welcomed(self, welcome: Welcome) -> None:
         self._credential.keep(welcome)

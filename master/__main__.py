@@ -45,6 +45,7 @@ class Settings(Struct):
 
 async def serve(reactor: ReactorBase, options: Settings) -> None:
     """Run until cancelled."""
+    http = loopback_only(options.http) if options.dev else options.http
     options.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
     store = Store(options.database or f"sqlite:///{options.data_dir / 'master.db'}")
     await store.open()
@@ -56,12 +57,12 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     await master.start()
     ports = [await control.listen(reactor, options.control, master)]
     try:
-        endpoint = endpoints.serverFromString(reactor, options.http)
+        endpoint = endpoints.serverFromString(reactor, http)
         ports.append(await endpoint.listen(Site(Entry(master.state))).asFuture(asyncio.get_running_loop()))
-        scheme = "https" if options.http.startswith("ssl") else "http"
-        inside, http = (f"{address.host}:{address.port}" for address in map(_address, ports))
-        log.info("Master serves robots at {http}, its processes at {control}", http=http, control=inside)
-        announce(Ready("master", f"{scheme}://{http}/", f"tcp:{inside}"))
+        scheme = "https" if http.startswith("ssl") else "http"
+        inside, outside = (f"{address.host}:{address.port}" for address in map(_address, ports))
+        log.info("Master serves robots at {http}, its processes at {control}", http=outside, control=inside)
+        announce(Ready("master", f"{scheme}://{outside}/", f"tcp:{inside}"))
         await asyncio.Event().wait()
     finally:
         for port in ports:
@@ -87,6 +88,17 @@ async def first_users(users: Users, dev: bool) -> None:
     password = secrets.token_urlsafe(15)
     await users.add("admin", password, "admin")
     print(f"The administrator is 'admin' with password '{password}'. It is not shown again.", flush=True)
+
+
+def loopback_only(description: str) -> str:
+    """The server endpoint at the loopback address: the development users are for this machine."""
+    if "interface=" not in description:
+        return description + ":interface=127.0.0.1"
+    if description.partition("interface=")[2].partition(":")[0] not in ("127.0.0.1", "localhost"):
+        raise InvalidRequest(
+            f"--dev serves this machine only, and --http={description} does not: leave one of them out"
+        )
+    return description
 
 
 def _token(entry: str) -> tuple[Role, str, str]:

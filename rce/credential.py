@@ -5,7 +5,13 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from twisted.logger import Logger
+
 from rce.calls import Welcome
+from rce.control import MasterLink
+from rce.errors import Unauthorized
+
+log = Logger()
 
 
 class Credential:
@@ -39,3 +45,17 @@ class Credential:
         self._stored = ""
         self._file.unlink(missing_ok=True)
         return bool(refused and self._token)
+
+
+async def stay_joined(link: MasterLink, credential: Credential) -> None:
+    """Keep the connection to the Master. A stored credential that it refuses gives way to the join token, once.
+
+    Returns only by the error with which the Master refuses this process.
+    """
+    try:
+        await link.run()
+    except Unauthorized as error:
+        if not credential.forget():
+            raise
+        log.warn("{error}; the stored credential is dropped and the join token tried", error=str(error))
+        await link.run()

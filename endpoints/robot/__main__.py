@@ -23,7 +23,7 @@ from endpoints.robot.server import ServerLimits, listen
 from rce import loop, settings
 from rce.calls import Hello, Welcome
 from rce.control import MasterLink
-from rce.credential import Credential
+from rce.credential import Credential, stay_joined
 from rce.errors import InvalidRequest
 from rce.ready import Ready, announce
 
@@ -94,7 +94,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     endpoint.master = MasterLink(reactor, options.master, hello, endpoint.handlers(), welcomed)
     log.info("Robot endpoint {name} serves robots at {url}", name=options.name, url=url)
     try:
-        await endpoint.master.run()
+        await stay_joined(endpoint.master, credential)
     finally:
         server.close()
         await port.close()
