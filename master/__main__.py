@@ -95,9 +95,7 @@ def loopback_only(description: str) -> str:
     if "interface=" not in description:
         return description + ":interface=127.0.0.1"
     if description.partition("interface=")[2].partition(":")[0] not in ("127.0.0.1", "localhost"):
-        raise InvalidRequest(
-            f"--dev serves this machine only, and --http={description} does not: leave one of them out"
-        )
+        raise InvalidRequest(f"--dev serves this machine only, and --http={description} does not: leave one out")
     return description
 
 
