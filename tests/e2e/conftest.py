@@ -14,7 +14,8 @@ from real_platform import RealPlatform
 
 from provisioning.typesupport import build, shipped
 
-TEST_PACKAGE = Path(__file__).parents[1] / "ros" / "Test"
+HERE = Path(__file__).parent
+TEST_PACKAGE = HERE.parent / "ros" / "Test"
 
 
 @pytest.fixture(scope="session")
@@ -23,7 +24,8 @@ def arguments() -> list[str]:
     if shutil.which("g++") is None:
         pytest.skip("no C++ compiler for the types of the package Test: install g++ to run this")
     typesupport = build([*shipped(), TEST_PACKAGE])
-    return ["--package-path", str(TEST_PACKAGE.parent), "--typesupport", str(typesupport.prefix)]
+    packages = f"{TEST_PACKAGE.parent},{HERE / 'ros'}"
+    return ["--package-path", packages, "--typesupport", str(typesupport.prefix)]
 
 
 @pytest.fixture(scope="session")

@@ -46,6 +46,9 @@ class OriginalRobot:
     def __init__(self, url: str, name: str) -> None:
         self.name = name
         self.received: list[Received] = []
+        self.reading = asyncio.Event()
+        """While it is clear, the robot takes nothing from its socket."""
+        self.reading.set()
         self._url = url
         self._socket: ClientConnection
         self._more = asyncio.Condition()
@@ -67,6 +70,7 @@ class OriginalRobot:
     async def _read(self) -> None:
         try:
             async for frame in self._socket:
+                await self.reading.wait()
                 async with self._more:
                     self.received.append(frame if isinstance(frame, bytes) else json.loads(frame))
                     self._more.notify_all()

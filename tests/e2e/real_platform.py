@@ -54,10 +54,12 @@ class RealPlatform:
         self.url = line.split()[1].decode()
 
     async def stop(self) -> None:
-        """SIGINT, and then nothing may be left."""
+        """SIGINT unless it was killed, and then nothing may be left."""
         self.look()
-        if self._process.returncode is None:
-            self._process.send_signal(signal.SIGINT)
+        if self._process.returncode is not None:
+            self.check_nothing_left()
+            return
+        self._process.send_signal(signal.SIGINT)
         try:
             status = await asyncio.wait_for(self._process.wait(), STOP_TIMEOUT)
         except TimeoutError:

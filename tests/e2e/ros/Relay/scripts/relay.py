@@ -1,0 +1,32 @@
+#!/usr/bin/env python3
+"""For each type pkg/Name in the arguments: what comes on /in_Name goes out on /out_Name, through Python's objects."""
+
+from __future__ import annotations
+
+import importlib
+import signal
+import sys
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.utilities import remove_ros_args
+
+
+class RelayNode(Node):
+    def __init__(self, types: list[str]) -> None:
+        super().__init__("relay")
+        for package, name in (each.split("/") for each in types):
+            kind = getattr(importlib.import_module(f"{package}.msg"), name)
+            out = self.create_publisher(kind, f"/out_{name}", 10)
+            self.create_subscription(kind, f"/in_{name}", out.publish, 10)
+
+
+if __name__ == "__main__":
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.default_int_handler)
+    try:
+        with rclpy.init():
+            rclpy.spin(RelayNode(remove_ros_args(sys.argv)[1:]))
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass  # how a node is stopped

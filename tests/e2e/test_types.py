@@ -1,0 +1,196 @@
+"""Real ROS 2 messages between robots and a node in an environment, and how topics behave on the way."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import struct
+from collections.abc import AsyncIterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from original_robot import OriginalRobot, configure, connection, interface, status
+from real_platform import RealPlatform
+
+from rce.client import Environment, Robot, images
+from rce.messages import Qos
+
+TYPES = [
+    *("sensor_msgs/LaserScan", "sensor_msgs/Image", "sensor_msgs/PointCloud2", "tf2_msgs/TFMessage"),
+    *("map_msgs/OccupancyGridUpdate", "std_msgs/String"),
+]
+KEEP_ALL = Qos(reliability="reliable", history="keep_all")
+PICTURE = np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)
+
+
+class World(NamedTuple):
+    robot: Robot
+    environment: Environment
+
+
+@pytest.fixture(scope="module")
+async def world(platform: RealPlatform) -> AsyncIterator[World]:
+    """A robot with an environment in which the nodes run."""
+    async with platform.robot("typist") as robot, robot.environment("types") as environment:
+        await asyncio.gather(
+            environment.add_node("relay", "Relay", "relay.py", args=" ".join(TYPES)),
+            environment.add_node("source", "Relay", "source.py"),
+            environment.add_node("camera", "Test", "converterTest.py"),
+        )
+        yield World(robot, environment)
+
+
+async def there_and_back(world: World, type_name: str, value: Any, raw: bool = False) -> Any:
+    name = type_name.partition("/")[2]
+    back = await world.environment.subscriber(f"/out_{name}", type_name, raw=raw)
+    out = await world.environment.publisher(f"/in_{name}", type_name, raw=raw)
+    try:
+        await out.publish(value)
+        return await back.get(20)
+    finally:
+        await out.close()
+        await back.close()
+
+
+async def test_a_scan_with_numbers_that_are_none(world: World) -> None:
+    scan = {
+        "header": {"stamp": {"sec": 1_700_000_000, "nanosec": 123_456_789}, "frame_id": "laser"},
+        "angle_min": -1.5,
+        "angle_max": 1.5,
+        "angle_increment": 0.5,
+        "time_increment": 0.0,
+        "scan_time": 0.25,
+        "range_min": 0.0,
+        "range_max": math.inf,
+        "ranges": [0.5, math.inf, -math.inf, math.nan, 4.0],
+        "intensities": [],
+    }
+    back = await there_and_back(world, "sensor_msgs/LaserScan", scan)
+    assert math.isnan(back["ranges"][3])
+    back["ranges"][3] = scan["ranges"][3]  # the only one that is not equal to itself
+    assert back == scan
+
+
+async def test_a_cloud_as_json_and_as_bytes(world: World) -> None:
+    points = np.random.default_rng(1).random((1000, 3), np.float32)
+    fields = [{"name": name, "offset": 4 * at, "datatype": 7, "count": 1} for at, name in enumerate("xyz")]
+    cloud = {"height": 1, "width": 1000, "fields": fields, "point_step": 12, "row_step": 12000, "is_dense": True}
+    back = await there_and_back(world, "sensor_msgs/PointCloud2", {**cloud, "data": points.view(np.uint8).ravel()})
+    import base64
+
+    assert (np.frombuffer(base64.b64decode(back["data"]), np.float32) == points.ravel()).all()
+    assert {key: back[key] for key in cloud} == cloud
+
+
+async def test_raw_bytes_of_a_cloud(world: World) -> None:
+    """A Forwarder on the robot's side: CDR there and back through the node's own objects."""
+    data = bytes(range(256)) * 4
+    cdr = b"\x00\x01\x00\x00" + struct.pack("<iII4sIIIB3xIII", 7, 8, 4, b"map\0", 1, 1024, 0, 0, 1, 1024, 1024)
+    cdr += data + b"\x01"
+    assert (await there_and_back(world, "sensor_msgs/PointCloud2", cdr, raw=True))[: len(cdr)] == cdr
+
+
+async def test_transforms_and_map_updates(world: World) -> None:
+    """Types that the wheels of ROS 2 lack."""
+    rotation = {"x": 0.0, "y": 0.0, "z": 0.6, "w": 0.8}
+    transform = {
+        "header": {"stamp": {"sec": 5, "nanosec": 6}, "frame_id": "map"},
+        "child_frame_id": "odom",
+        "transform": {"translation": {"x": 1.0, "y": 2.0, "z": 3.0}, "rotation": rotation},
+    }
+    value: dict[str, Any] = {"transforms": [transform, transform]}
+    assert await there_and_back(world, "tf2_msgs/TFMessage", value) == value
+    value = {"header": transform["header"], "x": 1, "y": -2, "width": 3, "height": 1, "data": [0, -1, 100]}
+    assert await there_and_back(world, "map_msgs/OccupancyGridUpdate", value) == value
+
+
+@pytest.mark.parametrize("format", ["png", "jpeg", "json"])
+async def test_an_image(world: World, format: str) -> None:
+    """There as PNG, back in each form."""
+    robot, environment = world
+    out = await environment.publisher("/in_Image", "sensor_msgs/Image")
+    await robot.add_interface("types", f"image_{format}", "SubscriberInterface", "sensor_msgs/Image", addr="/out_Image")
+    back = await robot.subscriber(
+        f"image_{format}",
+        "sensor_msgs/Image",
+        to=f"types/image_{format}",
+        format=format,  # type: ignore[arg-type]
+    )
+    await out.publish(images.encode(PICTURE))
+    got = await back.get(20)
+    if format == "json":
+        assert (got["height"], got["width"], got["step"]) == (48, 64, 192)
+        assert got["encoding"] in ("rgb8", "bgr8")
+    else:
+        seen = images.decode(got)
+        assert seen.shape == PICTURE.shape
+        assert format == "jpeg" or (seen == PICTURE).all()
+    await out.close()
+    await back.close()
+    await robot.remove_interface("types", f"image_{format}")
+
+
+async def test_a_service_of_the_users_own_with_an_image(world: World) -> None:
+    """Its type is known in the environment only: the Robot endpoint learns it from there."""
+    service = await world.environment.service_client("/converterTest", "Test/ConverterTest")
+    answer = await service.call({"a": 40, "b": 2})
+    assert answer["sum"] == 42
+    picture = images.decode(answer["img"])
+    assert picture.shape == (8, 16, 3)
+    assert picture[3, 5].tolist() == [50, 30, 255]
+
+
+async def test_a_latched_map_reaches_robots_that_come_later(platform: RealPlatform, world: World) -> None:
+    async def look(name: str) -> list[int]:
+        async with platform.robot(name) as robot:
+            seen = await robot.environment("types").subscriber("/map", "nav_msgs/OccupancyGrid")
+            data: list[int] = (await seen.get(20))["data"]
+            return data
+
+    for name in ("first", "late"):
+        assert await look(name) == [0, 100, -1, 50]
+
+
+async def test_what_is_published_at_best_effort_arrives(world: World) -> None:
+    """The interface asks for nothing, and so takes what there is."""
+    numbers = await world.environment.subscriber("/fast", "std_msgs/Int32", depth=1000)
+    got = [(await numbers.get(20))["data"] for _ in range(20)]
+    assert got == sorted(set(got))
+    await numbers.close()
+
+
+async def test_keep_all_loses_nothing_at_a_slow_robot(platform: RealPlatform, world: World) -> None:
+    """15 MB at a robot that takes nothing for a while: more than all that is between it and the node can hold."""
+    count = 1500
+    qos = {"reliability": "reliable", "history": "keep_all"}
+    go = await world.environment.publisher("/go", "std_msgs/Int32")
+    async with OriginalRobot(platform.url, "slow") as slow:
+        await slow.send(
+            interface("types", "texts", "SubscriberInterface", "std_msgs/String", addr="/texts", qos=qos),
+            interface("slow", "texts", "PublisherConverter", "std_msgs/String", qos=qos),
+            connection("types/texts", "slow/texts"),
+        )
+        await slow.take_frame(status("texts", True))
+        slow.reading.clear()
+        await go.publish({"data": count})
+        await asyncio.sleep(1)  # seconds in which everything fills up
+        slow.reading.set()
+        got = [int((await slow.take_data("texts"))["msg"]["data"].split()[0]) for _ in range(count)]
+        assert got == list(range(count))
+        await slow.send(configure("removeInterfaces", endpointTag="types", interfaceTag="texts"))
+        await slow.take_frame(status("texts", False))
+    await go.close()
+
+
+async def test_environments_never_hear_each_other(platform: RealPlatform, world: World) -> None:
+    async with world.robot.environment("other") as other:
+        await other.add_node("relay", "Relay", "relay.py", args="std_msgs/String")
+        heard = {env.tag: await env.subscriber("/out_String", "std_msgs/String") for env in (world.environment, other)}
+        for environment in (world.environment, other):
+            out = await environment.publisher("/in_String", "std_msgs/String")
+            for number in range(3):
+                await out.publish({"data": f"{environment.tag} {number}"})
+        for tag, subscriber in heard.items():
+            assert [(await subscriber.get(20))["data"] for _ in range(3)] == [f"{tag} {number}" for number in range(3)]
+            assert subscriber.dropped == 0
