@@ -6,13 +6,13 @@ import asyncio
 import os
 import sys
 from collections.abc import Coroutine
-from pathlib import Path
 
 from twisted.internet.base import ReactorBase
 from twisted.logger import Logger
 
 from endpoints.environment import surroundings
 from endpoints.environment.settings import Settings
+from endpoints.host import host_identity, listen
 from endpoints.link import DataPort
 from rce import __version__, loop
 from rce.calls import Call, Hello, Nothing, Welcome
@@ -20,24 +20,9 @@ from rce.control import MasterLink
 from rce.errors import RceError
 from rce.settings import load_or_exit
 
-LONGEST_SOCKET_PATH = 100  # sun_path has 108 bytes
-BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 SWITCH_INTERVAL = 0.0005  # seconds after which the loop lets the ROS thread in, and the other way round
 
 log = Logger()
-
-
-async def addresses(port: DataPort, settings: Settings) -> list[str]:
-    """Listen for data links; where, as other endpoints shall dial it."""
-    found = []
-    path = settings.data_dir.absolute() / "data.sock"
-    if len(os.fsencode(path)) <= LONGEST_SOCKET_PATH:
-        path.unlink(missing_ok=True)
-        await port.listen_unix(str(path))
-        found.append(f"unix:{path}")
-    if settings.listen:
-        found.append(f"tcp:{settings.listen}:{await port.listen_tcp(settings.listen, 0)}")
-    return found
 
 
 class Endpoint:
@@ -57,7 +42,7 @@ class Endpoint:
         from endpoints.environment.ros import RosThread
 
         port = DataPort()
-        self._addresses = await addresses(port, self._settings)
+        self._addresses = await listen(port, self._settings.data_dir, self._settings.listen)
         ros = RosThread(asyncio.get_running_loop())
         await ros.start()
         environment = Environment(self._settings, ros, port, self.tell)
@@ -93,7 +78,7 @@ class Endpoint:
             self._settings.name,
             self._token,
             __version__,
-            host=BOOT_ID.read_text().strip(),
+            host=host_identity(),
             addresses=self._addresses,
         )
 

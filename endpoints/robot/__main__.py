@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import secrets
-import socket
 import ssl
 import sys
 from pathlib import Path
@@ -16,6 +15,7 @@ from twisted.logger import Logger
 
 import rce
 from endpoints.host import host_identity
+from endpoints.host import listen as listen_data
 from endpoints.link import DataPort
 from endpoints.memory import keep_large_blocks
 from endpoints.robot.endpoint import Options, RobotEndpoint
@@ -28,7 +28,6 @@ from rce.errors import InvalidRequest
 from rce.ready import Ready, announce
 
 MEGABYTE = 1024 * 1024
-UNIX_PATH_MAX = 108
 
 log = Logger("robot")
 
@@ -62,7 +61,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     options.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
     credential = Credential(options.data_dir / "credential", options.token)
     port = DataPort()
-    addresses = await _data_addresses(port, options)
+    addresses = await listen_data(port, options.data_dir, options.data_host, options.data_port)
     limits = ServerLimits(
         options.message_size * MEGABYTE,
         options.bad_messages,
@@ -98,19 +97,6 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     finally:
         server.close()
         await port.close()
-
-
-async def _data_addresses(port: DataPort, options: Settings) -> list[str]:
-    path = options.data_dir.resolve() / "data.sock"
-    path.unlink(missing_ok=True)
-    addresses = []
-    if len(str(path)) < UNIX_PATH_MAX:  # else TCP does for this host too
-        await port.listen_unix(str(path))
-        addresses.append(f"unix:{path}")
-    host = options.data_host or "127.0.0.1"
-    taken = await port.listen_tcp(host, options.data_port)
-    public = socket.gethostname() if host in ("0.0.0.0", "::") else host  # compared, not bound
-    return [*addresses, f"tcp:{public}:{taken}"]
 
 
 def _tls(options: Settings) -> ssl.SSLContext | None:
