@@ -16,7 +16,7 @@ _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 _NAMESPACE = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*|/", re.ASCII)
 
 
-def substitute(text: str, packages: Packages, environment: Mapping[str, str]) -> str:
+def substitute(text: str, packages: Packages, environment: Mapping[str, str], field: str = "args") -> str:
     """`$(find PKG)` is the directory of a package, `$(env VAR)` a variable. InvalidRequest, NotFound."""
 
     def value(match: re.Match[str]) -> str:
@@ -26,7 +26,7 @@ def substitute(text: str, packages: Packages, environment: Mapping[str, str]) ->
         if kind == "env" and name in environment:
             return environment[name]
         reason = f"the environment has no variable {name}" if kind == "env" else "known are $(find PKG) and $(env VAR)"
-        raise InvalidRequest(f"{match[0]}: {reason}", field="args")
+        raise InvalidRequest(f"{match[0]}: {reason}", field=field)
 
     return _SUBSTITUTION.sub(value, text)
 

@@ -123,7 +123,7 @@ class Environment:
             failed[f"node:{spec.tag}"] = error.info
 
     async def _put(self, spec: c.ParameterSpec) -> None:
-        spec = checked(spec)
+        spec = checked(self._nodes.resolved(spec))
         before = self._parameters.specs.get(spec.key)
         if before == spec:
             return

@@ -13,7 +13,7 @@ from endpoints.environment.nodelog import NodeLog
 from endpoints.environment.packages import Packages
 from endpoints.environment.parameters import Parameters
 from endpoints.environment.surroundings import for_users_nodes
-from rce.calls import NodeDied, NodeSpec
+from rce.calls import NodeDied, NodeSpec, ParameterSpec
 from rce.errors import NotFound
 
 LAST_LINES = 20
@@ -89,6 +89,13 @@ class Nodes:
         if output is None:
             raise NotFound(f"no node {tag} was started in this environment", field="nodeTag")
         return output.last_lines(count)
+
+    def resolved(self, parameter: ParameterSpec) -> ParameterSpec:
+        """A parameter that is a string gets the substitutions of `args`. InvalidRequest, NotFound."""
+        if not isinstance(parameter.value, str):
+            return parameter
+        value = substitute(parameter.value, self._packages, self._variables, "value")
+        return ParameterSpec(parameter.name, value, parameter.node)
 
     def _lock(self, tag: str) -> asyncio.Lock:
         return self._locks.setdefault(tag, asyncio.Lock())
