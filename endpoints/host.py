@@ -25,12 +25,20 @@ async def listen(port: DataPort, directory: Path, host: str, tcp_port: int = 0) 
     Where the path is too long for a UNIX socket, TCP at the loopback address stands in for it.
     """
     addresses = []
-    path = directory.absolute() / "data.sock"
-    if len(os.fsencode(path)) <= LONGEST_SOCKET_PATH:
-        path.unlink(missing_ok=True)
-        await port.listen_unix(str(path))
+    path = _free_socket(directory)
+    if path:
+        await port.listen_unix(path)
         addresses.append(f"unix:{path}")
     if host or not addresses:
         host = host or LOOPBACK
         addresses.append(f"tcp:{host}:{await port.listen_tcp(host, tcp_port)}")
     return addresses
+
+
+def _free_socket(directory: Path) -> str:
+    """Where a UNIX socket can be made, or an empty string."""
+    path = directory.absolute() / "data.sock"
+    if len(os.fsencode(path)) > LONGEST_SOCKET_PATH:
+        return ""
+    path.unlink(missing_ok=True)  # of an earlier life
+    return str(path)

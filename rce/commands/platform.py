@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rce import up
+from rce.errors import InternalError, StartFailed
 from rce.ready import Ready
 
 DEV_USER = "testUser"
@@ -61,10 +62,10 @@ async def platform(words: argparse.Namespace) -> AsyncIterator[Access]:
             if not entry.done():
                 await running  # raises why it did not start
             yield Access(entry.result().url, DEV_USER, DEV_USER, None)
-        except BaseException:
+        except (StartFailed, InternalError) as error:
             log.seek(0)
             sys.stderr.writelines(deque(log, LOG_LINES))  # what the platform said before it went wrong
-            raise
+            raise error from None
         finally:
             running.cancel()
             with contextlib.suppress(asyncio.CancelledError):
