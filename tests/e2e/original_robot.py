@@ -99,7 +99,7 @@ class OriginalRobot:
     async def take_frame(self, *frames: dict[str, Any]) -> None:
         """These, in any order."""
         for expected in frames:
-            await self.take(lambda frame, expected=expected: frame == expected)
+            await self.take(expected.__eq__)
 
     async def take_error(self) -> str:
         frame = await self.take(lambda frame: isinstance(frame, dict) and frame["type"] == "ER")

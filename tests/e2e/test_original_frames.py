@@ -163,7 +163,7 @@ async def test_the_peculiarities_of_the_cpp_client(platform: RealPlatform) -> No
         await robot.send(name.encode() + png, message("out", image, name, key="msg*"))
         got = await robot.take_data("in")
         blob = await robot.take_blob(got["msg*"])
-        assert (cv2.imdecode(np.frombuffer(blob, np.uint8), cv2.IMREAD_UNCHANGED) == picture).all()
+        assert np.array_equal(cv2.imdecode(np.frombuffer(blob, np.uint8), cv2.IMREAD_UNCHANGED), picture)
         await robot.send(destroy("old"))
         await robot.take_frame(status("echo", False), status("serve", False))
         await robot.settled()
@@ -226,6 +226,7 @@ async def test_every_failed_command_is_reported(platform: RealPlatform) -> None:
 async def test_frames_that_make_no_sense_are_refused_at_once(platform: RealPlatform) -> None:
     async with OriginalRobot(platform.url, "nonsense") as robot:
         await robot.send(interface("nonsense", "out", "SubscriberConverter", STRING))
+        await robot.settled()
         for frame in (
             "{not json",
             "[]",

@@ -129,7 +129,7 @@ async def test_an_image_arrives_as_png(robots: tuple[OriginalRobot, OriginalRobo
     got = await other.take_data("camera")
     blob = await other.take_blob(got["msg*"])
     assert blob.startswith(b"\x89PNG")
-    assert (cv2.imdecode(np.frombuffer(blob, np.uint8), cv2.IMREAD_COLOR) == picture).all()
+    assert np.array_equal(cv2.imdecode(np.frombuffer(blob, np.uint8), cv2.IMREAD_COLOR), picture)
 
 
 async def test_an_environment_is_refused_with_the_reason(robots: tuple[OriginalRobot, OriginalRobot]) -> None:

@@ -54,7 +54,7 @@ async def there_and_back(world: World, type_name: str, value: Any, raw: bool = F
 
 
 async def test_a_scan_with_numbers_that_are_none(world: World) -> None:
-    scan = {
+    scan: dict[str, Any] = {
         "header": {"stamp": {"sec": 1_700_000_000, "nanosec": 123_456_789}, "frame_id": "laser"},
         "angle_min": -1.5,
         "angle_max": 1.5,
