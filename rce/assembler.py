@@ -5,13 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from typing import NamedTuple
 
 from rce.blobs import ID_SIZE, POSITION, Buffer, references
 from rce.errors import InvalidRequest, LimitExceeded, RceError, TimedOut
 from rce.messages import Frame
-
-LARGE = 4096  # bytes from which a part is kept as it came: every one that is kept costs memory of its own
 
 _id = re.compile(rb"[0-9a-fA-F]{32}")
 
@@ -46,13 +45,14 @@ class Outcome(NamedTuple):
     dropped: Sequence[Dropped] = ()
 
 
-@dataclass(slots=True)
 class _Blob:
-    """A blob of `size` bytes as far as it has come; large parts are kept as they came, and copied once."""
+    """A blob of `size` bytes as far as it has come, copied while the rest is still on its way."""
 
-    size: int
-    filled: int
-    parts: list[Buffer]
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.filled = 0
+        self._only: Buffer | None = None  # a part that is all of it is not copied
+        self._file = BytesIO()  # gives out what was written to it without another copy
 
     @property
     def complete(self) -> bool:
@@ -60,15 +60,13 @@ class _Blob:
 
     def add(self, part: memoryview) -> None:
         self.filled += len(part)
-        if len(part) >= LARGE:
-            self.parts.append(part)
-        elif self.parts and isinstance(self.parts[-1], bytearray):
-            self.parts[-1] += part
+        if len(part) == self.size:
+            self._only = part
         else:
-            self.parts.append(bytearray(part))
+            self._file.write(part)
 
     def whole(self) -> Buffer:
-        return self.parts[0] if len(self.parts) == 1 else b"".join(self.parts)
+        return self._file.getvalue() if self._only is None else self._only
 
 
 @dataclass(slots=True, eq=False)
@@ -140,7 +138,7 @@ class Assembler:
         if offset == 0:
             group.size += total - (before.size if before is not None else 0)
         if group.size <= self._limits.message:
-            blob = before if before is not None and offset else _Blob(total, 0, [])
+            blob = before if before is not None and offset else _Blob(total)
             blob.add(part)
             group.blobs[name] = blob
         return self._settle(group)
