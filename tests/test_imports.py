@@ -30,7 +30,7 @@ WITH_EXTRA: dict[str, set[str]] = {
     "rce/loop.py": {"twisted", "uvloop"},
     "rce/logs.py": {"twisted"},
     "rce/reactor.py": {"twisted", "uvloop"},
-    "rce/mapping/": {"numpy", "numba", "cv2", "rosbags"},
+    "rce/mapping/": {"numpy", "numba", "scipy", "cv2", "rosbags"},
     "rce/bench": {"numpy", "matplotlib", "twisted", "autobahn", "rosbags", "uvloop", "txaio"},
     "rce/commands/bench.py": {"numpy"},
     "rce/commands/map.py": {"numpy"},

@@ -1,8 +1,8 @@
 """The inner loops, compiled by Numba.
 
-The signatures are given, so that importing compiles everything (under two seconds) and no scan waits for it; the
-machine code is cached on disk for the next process. Grids are indexed [row, column] = [y, x]. Coordinates are
-in cells: the centre of cell (row, column) is at (column, row). Callers see to it that all cells touched are inside.
+The signatures are given, so that importing compiles everything (a few seconds) and no scan waits for it; the machine
+code is cached on disk for the next process. Grids are indexed [row, column] = [y, x]. Coordinates are in cells: the
+centre of cell (row, column) is at (column, row).
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from typing import TypeVar, cast
 import numba
 import numpy as np
 from numpy.typing import NDArray
+
+STAMPED = 250  # likelihood of a cell in which a hit says nothing new
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -34,12 +36,18 @@ def compiled(signature: str) -> Callable[[F], F]:
 
 @compiled("void(uint8[:,::1], float64[:,::1], float64)")
 def stamp_hits(field: NDArray[np.uint8], hits: NDArray[np.float64], sigma: float) -> None:
-    """Raise the likelihood field around each hit (n, 2) to 255 exp(-d^2 / 2 sigma^2); `sigma` and d in cells."""
+    """Raise the likelihood field around each hit (n, 2) to 255 exp(-d^2 / 2 sigma^2); `sigma` and d in cells.
+
+    Hits too near the edge are ignored, and those that would change next to nothing.
+    """
+    height, width = field.shape
     reach = math.ceil(2.5 * sigma)
     scale = -0.5 / (sigma * sigma)
     for i in range(hits.shape[0]):
         x, y = hits[i, 0], hits[i, 1]
         column, row = math.floor(x + 0.5), math.floor(y + 0.5)
+        if not (reach <= column < width - reach and reach <= row < height - reach) or field[row, column] >= STAMPED:
+            continue
         for r in range(row - reach, row + reach + 1):
             for c in range(column - reach, column + reach + 1):
                 value = np.uint8(255.0 * math.exp(scale * ((c - x) ** 2 + (r - y) ** 2)) + 0.5)

@@ -1,4 +1,4 @@
-"""Finding the pose at which a scan fits the map: exhaustive search on a coarse lattice, then fitting."""
+"""Finding the pose at which a scan fits the walls around: exhaustive search on a coarse lattice, then fitting."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rce.mapping import kernels, ndt
+from rce.mapping.fields import Field
 from rce.mapping.geometry import Points, Pose, wrap_angle
-from rce.mapping.grid import GridMap
 
 STRIDE = 0.1  # metres between places of the search: the likelihood reaches from one to the next
 TURN = math.radians(1.5)
@@ -39,29 +39,37 @@ class Match:
     covariance: NDArray[np.float64]
 
 
-def match(grid: GridMap, points: Points, predictions: list[Pose], window: Window) -> Match:
+def match(field: Field, points: Points, predictions: list[Pose], window: Window) -> Match:
     """The pose around one of the predictions at which the points (n, 2), metres, frame of the robot, fit best.
 
     The predictions come with the most trusted first.
     """
-    cells = points / grid.resolution
-    start, score = _search(grid, cells, predictions, window)
-    variance = (NOISE / grid.resolution) ** 2
-    fitted = ndt.align(grid.normals, cells, *start, grid.ratio, variance, ITERATIONS).tolist()
+    cells = points / field.resolution
+    start, score = _search(field, cells, predictions, window)
+    variance = (NOISE / field.resolution) ** 2
+    fitted = ndt.align(field.normals, cells, *start, field.ratio, variance, ITERATIONS).tolist()
     x, y, theta, *information = fitted
-    pose = grid.pose_from_cells(Pose(x, y, wrap_angle(theta)))
-    return Match(pose, score, _covariance(information, grid.resolution))
+    pose = field.pose_from_cells(Pose(x, y, wrap_angle(theta)))
+    return Match(pose, score, covariance_of(information, field.resolution))
 
 
-def _search(grid: GridMap, cells: Points, predictions: list[Pose], window: Window) -> tuple[Pose, float]:
+def _search(field: Field, cells: Points, predictions: list[Pose], window: Window) -> tuple[Pose, float]:
     """The best pose of the lattices around the predictions, in cells, and its score."""
     thinned = np.ascontiguousarray(cells[:: max(1, len(cells) // SEARCH_POINTS)])
-    stride = max(1, round(STRIDE / grid.resolution))
-    steps, turns = round(window.reach / (stride * grid.resolution)), round(window.turn / TURN)
-    move_cost = MOVE_COST * grid.resolution**2
+    stride = max(1, round(STRIDE / field.resolution))
+    steps, turns = round(window.reach / (stride * field.resolution)), round(window.turn / TURN)
+    move_cost = MOVE_COST * field.resolution**2
     found = [
         kernels.correlate(
-            grid.likelihood, thinned, *grid.pose_to_cells(prediction), stride, steps, turns, TURN, move_cost, TURN_COST
+            field.likelihood,
+            thinned,
+            *field.pose_to_cells(prediction),
+            stride,
+            steps,
+            turns,
+            TURN,
+            move_cost,
+            TURN_COST,
         )
         for prediction in predictions
     ]
@@ -70,7 +78,7 @@ def _search(grid: GridMap, cells: Points, predictions: list[Pose], window: Windo
     return Pose(x, y, theta), score
 
 
-def _covariance(information: list[float], resolution: float) -> NDArray[np.float64]:
+def covariance_of(information: list[float], resolution: float) -> NDArray[np.float64]:
     """Inverse of the information matrix (upper triangle, cells), in metres and radians."""
     xx, xy, xt, yy, yt, tt = information
     matrix = np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])

@@ -23,9 +23,12 @@ PULL, TURN_PULL = 1e-4, 1e-2  # of the start on the pose, per point: decides whe
 @compiled("void(float32[:,:,::1], float64[:,::1], int64)")
 def learn(normals: NDArray[np.float32], hits: NDArray[np.float64], ratio: int) -> None:
     """Enter hits (n, 2), fine cells, in `normals` (rows, columns, FIELDS), whose cells are `ratio` fine cells wide."""
+    height, width, _ = normals.shape
     for i in range(hits.shape[0]):
         x, y = (hits[i, 0] + 0.5) / ratio - 0.5, (hits[i, 1] + 0.5) / ratio - 0.5
         column, row = math.floor(x + 0.5), math.floor(y + 0.5)
+        if not (0 <= column < width and 0 <= row < height):
+            continue
         cell = normals[row, column]
         count = min(cell[0] + 1.0, MOST_HITS)
         dx, dy = (x - column) * ratio - cell[1], (y - row) * ratio - cell[2]

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from rce.mapping.fields import Field, square_around
 from rce.mapping.geometry import ORIGIN, Pose
-from rce.mapping.grid import GridMap
-from rce.mapping.mapper import NEAR, SIGMA
+from rce.mapping.local_map import NEAR
 from rce.mapping.matching import match
 from rce.mapping.simulation.floor_plan import apartment
 
@@ -24,39 +24,39 @@ PLACE = Pose(2.6, 3.4, 0.3)
 
 
 @pytest.fixture(scope="module")
-def grid() -> GridMap:
-    """A map of the first room, its frame that of a robot at PLACE."""
-    grid = GridMap(0.05, SIGMA)
+def field() -> Field:
+    """The walls of the first room, in the frame of a robot at PLACE."""
+    field = square_around(ORIGIN, 20.0, 0.05)
     for seed in range(5):
-        grid.insert(ORIGIN, points_at(PLACE, 0.01, seed))
-    return grid
+        field.add(points_at(PLACE, 0.01, seed))
+    return field
 
 
 @pytest.mark.parametrize(
     "shift", [ORIGIN, Pose(0.03, -0.02, 0.01), Pose(0.4, -0.3, 0.3), Pose(-0.45, 0.45, -0.5)], ids=str
 )
-def test_a_known_shift_is_recovered(grid: GridMap, shift: Pose) -> None:
-    found = match(grid, points_at(PLACE @ shift, 0.01, 9), [ORIGIN], NEAR)
+def test_a_known_shift_is_recovered(field: Field, shift: Pose) -> None:
+    found = match(field, points_at(PLACE @ shift, 0.01, 9), [ORIGIN], NEAR)
     error = shift.to(found.pose)
     assert math.hypot(error.x, error.y) < 0.02
     assert abs(error.theta) < 0.005
     assert found.score > 0.6
 
 
-def test_a_far_second_prediction_is_found_when_the_first_is_wrong(grid: GridMap) -> None:
+def test_a_far_second_prediction_is_found_when_the_first_is_wrong(field: Field) -> None:
     shift = Pose(0.1, 0.1, 1.5)
-    found = match(grid, points_at(PLACE @ shift, 0.01, 9), [ORIGIN, Pose(0.0, 0.0, 1.4)], NEAR)
+    found = match(field, points_at(PLACE @ shift, 0.01, 9), [ORIGIN, Pose(0.0, 0.0, 1.4)], NEAR)
     assert abs(shift.to(found.pose).theta) < 0.01
 
 
 def test_the_covariance_is_positive_and_large_where_walls_leave_a_direction_open() -> None:
-    grid = GridMap(0.05, SIGMA)
+    field = square_around(ORIGIN, 20.0, 0.05)
     x = np.linspace(-8.0, 8.0, 200)
     corridor = np.concatenate([np.stack([x, np.full(200, side)], axis=1) for side in (-1.0, 1.0)])
     for _ in range(5):
-        grid.insert(ORIGIN, corridor)
+        field.add(corridor)
     inner = corridor[np.abs(corridor[:, 0]) < 4.0]
-    found = match(grid, inner, [Pose(0.03, 0.05, 0.01)], NEAR)
+    found = match(field, inner, [Pose(0.03, 0.05, 0.01)], NEAR)
     assert np.linalg.eigvalsh(found.covariance).min() > 0
     assert found.covariance[0, 0] > 50 * found.covariance[1, 1]
     assert abs(found.pose.y) < 0.01

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Callable
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -19,17 +20,19 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import LaserScan
 
-from rce.mapping.mapper import Mapper, MapperSettings, ScanMatcher
+from rce.mapping.graph_mapper import GraphMapper
+from rce.mapping.mapper import Mapper, MapperSettings
 from rce.mapping.pairing import OdometryPairing
 from rce.mapping.scans import Scan
 
 from . import messages
-from .parameters import INTERVAL, declare, number, text
+from .parameters import INTERVAL, MAPPER, choice, declare, number, text
 from .transforms import TransformSender
 
 EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 CHECK = 0.1  # seconds between looks at scans that wait for odometry
+MAPPERS: dict[str, Callable[[MapperSettings], Mapper]] = {"graph": GraphMapper}
 
 
 class MapperNode(Node):
@@ -37,9 +40,9 @@ class MapperNode(Node):
 
     def __init__(self) -> None:
         super().__init__("mapper")
-        declare(self)
+        declare(self, list(MAPPERS))
         settings = MapperSettings(resolution=number(self, "resolution"), max_range=number(self, "max_range"))
-        self._mapper: Mapper = ScanMatcher(settings)
+        self._mapper = MAPPERS[choice(self, MAPPER, list(MAPPERS))](settings)
         self._pairing = OdometryPairing()
         self._arrivals: deque[tuple[Time, float]] = deque()  # stamp and monotonic time, of each scan that waits
         self._odometry_expected = bool(self.get_parameter("use_odometry").value)
@@ -80,7 +83,8 @@ class MapperNode(Node):
         for scan in scans:
             stamp, _ = self._arrivals.popleft()
             estimate = self._mapper.add(scan)
-            self._stamps.append(stamp)
+            if estimate.taken:
+                self._stamps.append(stamp)
             self._pose_out.publish(messages.pose_message(estimate, stamp, self._frame))
             self._transforms.send(stamp, estimate.pose, scan.odometry)
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.node import Node
 
-INTERVAL = "map_update_interval"
+INTERVAL, MAPPER = "map_update_interval", "mapper"
 
 
-def declare(node: Node) -> None:
-    """Declare all parameters; all but the interval are fixed once the node runs."""
+def declare(node: Node, mappers: list[str]) -> None:
+    """Declare all parameters; all but the interval are fixed once the node runs. The first mapper is the default."""
+    _text(node, MAPPER, mappers[0], f"How the map is made: {', '.join(mappers)}.")
     _number(node, "resolution", 0.05, (0.01, 0.5), "Size of a cell of the map, m.")
     _number(node, "max_range", 30.0, (1.0, 200.0), "Beams longer than this are not used, m.")
     _number(node, INTERVAL, 5.0, (0.1, 3600.0), "Wall time between two publications of map and path, s.", fixed=False)
@@ -44,3 +45,11 @@ def number(node: Node, name: str) -> float:
 
 def text(node: Node, name: str) -> str:
     return str(node.get_parameter(name).value)
+
+
+def choice(node: Node, name: str, allowed: list[str]) -> str:
+    """The text of a parameter. ValueError if it is not one of those allowed."""
+    value = text(node, name)
+    if value not in allowed:
+        raise ValueError(f"the parameter {name} is {value!r}; it may be: {', '.join(allowed)}")
+    return value

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from rce.mapping.geometry import Pose
-from rce.mapping.mapper import ScanMatcher
+from rce.mapping.graph_mapper import GraphMapper
 from rce.mapping.scans import Scan
 from rce.mapping.simulation import Simulation, evaluate
 
 
-def mapped(scans: Iterable[Scan]) -> ScanMatcher:
-    mapper = ScanMatcher()
+def mapped(scans: Iterable[Scan]) -> GraphMapper:
+    mapper = GraphMapper()
     for scan in scans:
         mapper.add(scan)
     return mapper
@@ -95,7 +95,16 @@ def test_angles_that_are_no_numbers_make_a_scan_unusable(simulation: Simulation)
     assert not mapper.add(dataclasses.replace(simulation.records[5], angle_increment=math.nan)).matched
 
 
+def test_scans_that_come_late_or_twice_are_answered_and_dropped(simulation: Simulation) -> None:
+    scans = simulation.records[:20]
+    mapper, plain = mapped([*scans, scans[-1], scans[10]]), mapped(scans)
+    late = mapper.add(scans[10])
+    assert (late.taken, late.matched, late.stamp) == (False, False, scans[10].stamp)
+    assert late.pose == pytest.approx(tuple(plain.trajectory()[10, 1:]))
+    np.testing.assert_array_equal(mapper.trajectory(), plain.trajectory())
+
+
 def test_before_the_first_scan_there_is_an_empty_map() -> None:
-    mapper = ScanMatcher()
+    mapper = GraphMapper()
     assert mapper.trajectory().shape == (0, 4)
     assert mapper.grid().cells.max() == -1

@@ -1,0 +1,59 @@
+"""The poses of all scans, each fixed to a node of the graph."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rce.mapping.geometry import Pose
+
+
+class History:
+    """Grows by one row a scan: stamp, x, y, theta in the frame of a node (40 bytes with its number)."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._rows = np.empty((1024, 4))
+        self._nodes = np.empty(1024, np.int64)
+
+    def __len__(self) -> int:
+        return self._count
+
+    def append(self, stamp: float, node: int, relative: Pose) -> None:
+        if self._count == len(self._rows):
+            self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
+            self._nodes = np.concatenate([self._nodes, np.empty_like(self._nodes)])
+        self._rows[self._count] = stamp, *relative
+        self._nodes[self._count] = node
+        self._count += 1
+
+    def move(self, old: int, new: int, relative: Pose) -> None:
+        """Fix to node `new` what was fixed to `old`, whose pose in the frame of `new` is `relative`."""
+        of = np.flatnonzero(self._nodes[: self._count] == old)
+        self._rows[of, 1:] = _compose(np.array([relative]), self._rows[of, 1:])
+        self._nodes[of] = new
+
+    def at(self, stamp: float) -> tuple[int, Pose]:
+        """Node and relative pose of the last scan that is not after `stamp` (of the first one if all are)."""
+        row = max(int(np.searchsorted(self._rows[: self._count, 0], stamp, side="right")) - 1, 0)
+        return int(self._nodes[row]), Pose(*self._rows[row, 1:].tolist())
+
+    def trajectory(self, poses: Mapping[int, Pose]) -> NDArray[np.float64]:
+        """(n, 4) stamp, x, y, theta in the frame in which the poses of the nodes are given."""
+        table = np.zeros((max(poses, default=0) + 1, 3))
+        for number, pose in poses.items():
+            table[number] = pose
+        rows = self._rows[: self._count].copy()
+        rows[:, 1:] = _compose(table[self._nodes[: self._count]], rows[:, 1:])
+        return rows
+
+
+def _compose(frames: NDArray[np.float64], poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Poses (n, 3), given in `frames` (n or 1, 3), in the frame in which those are given."""
+    c, s = np.cos(frames[:, 2]), np.sin(frames[:, 2])
+    x = frames[:, 0] + c * poses[:, 0] - s * poses[:, 1]
+    y = frames[:, 1] + s * poses[:, 0] + c * poses[:, 1]
+    theta: NDArray[np.float64] = frames[:, 2] + poses[:, 2]
+    return np.stack([x, y, (theta + np.pi) % (2 * np.pi) - np.pi], axis=1)

@@ -1,0 +1,163 @@
+"""Noticing that the robot is where it has been before."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from rce.mapping import branching, ndt
+from rce.mapping.fields import Field, square_around, thin
+from rce.mapping.geometry import Points, Pose, wrap_angle
+from rce.mapping.graph import Edge, Matrix, PoseGraph, information_of
+from rce.mapping.matching import ITERATIONS, NOISE, covariance_of
+
+KNOWN = 20.0  # metres along edges; nearer nodes are in the local map already
+RECENT, PLACE = 4.0, 10.0  # metres along edges around the new node, and around the old one, that are compared
+VIEW = 15.0  # metres from the new node; points further off turn too far with a small error of the angle
+DRIFT, DRIFT_CAP = 0.03, 10.0  # metres a metre of way, and metres, by which the estimate may be off
+TURN_DRIFT, TURN_CAP = math.radians(0.1), math.radians(25)  # radians a metre of way, and radians
+LEAST_REACH, LEAST_TURN = 0.5, math.radians(5)
+RESOLUTION, LEVELS, TURN = 0.1, 6, math.radians(1)
+WIDTH, MOST = 0.15, 300  # of the points of the new node: metres between them, number
+LEAST = 0.6  # score
+BUDGET = 40_000  # poses looked at in a search
+APART, APART_TURN, RIVAL = 0.8, math.radians(10), 0.92  # another pose as good as this makes a place ambiguous
+SEPARATE = 1.0  # metres between nodes whose closures confirm each other
+AGREE, AGREE_TURN = 0.25, math.radians(3)
+PENDING = 12  # candidates that wait for confirmation
+CONFIRMED = 3  # closures that have to agree
+FLOOR, SCALE = (0.03, math.radians(0.5)), 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """Node `new` seems to be at `motion` in the frame of node `old`."""
+
+    new: int
+    old: int
+    motion: Pose
+    information: Matrix
+    score: float
+
+    def edge(self) -> Edge:
+        return Edge(self.old, self.new, self.motion, self.information, closure=True)
+
+
+class LoopFinder:
+    """Compares new nodes with old ones that the robot may be near to, by correlative scan matching (Olson, Real-Time
+    Correlative Scan Matching, 2009) with branch and bound, and refines by normal distributions.
+
+    A closure is believed when the place is unambiguous and several closures agree on how the new nodes are to move
+    (Olson, Recognizing Places Using Spectrally Clustered Local Matches, 2009; Mangelson et al., Pairwise Consistent
+    Measurement Set Maximization for Robust Multi-Robot Map Merging, 2018).
+    """
+
+    def __init__(self, graph: PoseGraph) -> None:
+        self._graph = graph
+        self._pending: list[Candidate] = []
+
+    def search(self, new: int) -> list[Edge]:
+        """Closures that are believed now that node `new` is complete; often none."""
+        distances = self._graph.distances(new)
+        query: Points | None = None
+        for old in self._places(new, distances):
+            query = self._query(new) if query is None else query
+            found = self._compare(new, old, query, distances[old])
+            if found is not None:
+                accepted = self._confirm(found, distances)
+                if accepted:
+                    return accepted
+        return []
+
+    def _places(self, new: int, distances: dict[int, float]) -> list[int]:
+        """Up to two old nodes that may be near, the nearest first."""
+        pose = self._graph.nodes[new].pose
+        near = []
+        for number, way in distances.items():
+            if way > KNOWN:
+                other = self._graph.nodes[number].pose
+                apart = math.hypot(other.x - pose.x, other.y - pose.y)
+                if apart <= _reach(way) + 2.0:
+                    near.append((apart, number))
+        near.sort()
+        chosen = [number for _, number in near[:1]]
+        for _, number in near:
+            first, other = self._graph.nodes[chosen[0]].pose, self._graph.nodes[number].pose
+            if math.hypot(first.x - other.x, first.y - other.y) > PLACE:
+                return [*chosen, number]
+        return chosen
+
+    def _query(self, new: int) -> Points:
+        """Points around a new node, its frame."""
+        frame = self._graph.nodes[new].pose.inverse()
+        recent = self._graph.distances(new, RECENT)
+        points = np.concatenate(
+            [
+                (frame @ node.pose).transform(node.own_points())
+                for node in (self._graph.nodes[n] for n in sorted(recent))
+            ]
+        )
+        return thin(points[np.hypot(points[:, 0], points[:, 1]) < VIEW], WIDTH, MOST)
+
+    def _field(self, old: int) -> Field:
+        """The walls around an old node, its frame."""
+        frame = self._graph.nodes[old].pose.inverse()
+        field = square_around(Pose(0.0, 0.0, 0.0), VIEW + PLACE, RESOLUTION)
+        for number in sorted(self._graph.distances(old, PLACE)):
+            node = self._graph.nodes[number]
+            field.add((frame @ node.pose).transform(node.own_points()))
+        return field
+
+    def _compare(self, new: int, old: int, query: Points, way: float) -> Candidate | None:
+        if len(query) < 30:
+            return None
+        field = self._field(old)
+        pyramid, cells = field.pyramid(LEVELS), query / RESOLUTION
+        guess = field.pose_to_cells(self._graph.nodes[old].pose.to(self._graph.nodes[new].pose))
+        steps = round(_reach(way) / RESOLUTION)
+        turns = math.ceil(min(LEAST_TURN + TURN_DRIFT * way, TURN_CAP) / TURN)
+        best = branching.branch_and_bound(
+            pyramid, cells, *guess, steps, turns, TURN, LEAST, np.array([0.0, 0.0, 0.0, 0.0, 0.0]), BUDGET
+        )
+        if best[3] <= LEAST:
+            return None
+        excluded = np.array([*best[:3], APART / RESOLUTION, APART_TURN])
+        rival = branching.branch_and_bound(
+            pyramid, cells, *guess, steps, turns, TURN, RIVAL * best[3], excluded, BUDGET
+        )
+        if rival[3] != RIVAL * best[3]:
+            return None
+        x, y, theta = best[:3].tolist()
+        variance = (NOISE / RESOLUTION) ** 2
+        fitted = ndt.align(field.normals, cells, x, y, theta, field.ratio, variance, ITERATIONS).tolist()
+        x, y, theta, *information = fitted
+        motion = field.pose_from_cells(Pose(x, y, wrap_angle(theta)))
+        covariance = covariance_of(information, RESOLUTION)
+        return Candidate(new, old, motion, information_of(covariance, 0.0, FLOOR, SCALE), float(best[3]))
+
+    def _confirm(self, found: Candidate, distances: dict[int, float]) -> list[Edge]:
+        """The closures that agree with the new one, with it, if they are enough."""
+        self._pending = [c for c in self._pending if c.new in self._graph.nodes and c.old in self._graph.nodes]
+        agreeing = [c for c in self._pending if self._agree(c, found, distances)]
+        self._pending = [*self._pending[-PENDING + 1 :], found]
+        if len({c.new for c in agreeing}) + 1 < CONFIRMED:
+            return []
+        self._pending = []
+        return [c.edge() for c in (*agreeing, found)]
+
+    def _agree(self, first: Candidate, second: Candidate, distances: dict[int, float]) -> bool:
+        """Whether two closures move the new nodes by the same, so far as these are near enough to tell."""
+        nodes = self._graph.nodes
+        way = nodes[first.new].pose.to(nodes[second.new].pose)
+        length = math.hypot(way.x, way.y)
+        if first.new == second.new or length < SEPARATE or distances.get(first.new, math.inf) > 2 * KNOWN:
+            return False
+        there = nodes[first.old].pose @ first.motion @ way
+        off = there.to(nodes[second.old].pose @ second.motion)
+        return math.hypot(off.x, off.y) < AGREE + 0.02 * length and abs(off.theta) < AGREE_TURN
+
+
+def _reach(way: float) -> float:
+    return min(LEAST_REACH + DRIFT * way, DRIFT_CAP)

@@ -1,0 +1,50 @@
+"""Where the robot may be before its scan is looked at."""
+
+from __future__ import annotations
+
+import math
+
+from rce.mapping.geometry import ORIGIN, Pose
+from rce.mapping.scans import Scan
+
+RESET = 10.0  # metres; if odometry moves this far between two scans, it was set anew
+STEADY = 0.5  # seconds for which a robot may be supposed to go on as it did
+
+
+class Motion:
+    """Predicts by two means, the motion by odometry and the last motion repeated, since wheels slip and odometry comes
+    late or not at all. The first scan is at the origin of the map frame."""
+
+    def __init__(self) -> None:
+        self.pose = ORIGIN
+        self._stamp: float | None = None
+        self._last = ORIGIN  # motion from the scan before the last to the last
+        self._wheels: tuple[Pose, Pose] | None = None  # last odometry, and the pose of the robot then
+
+    def predict(self, scan: Scan) -> list[Pose]:
+        """Where the robot may be now, the most trusted first."""
+        if self._stamp is None:
+            return [ORIGIN]
+        repeated = self.pose @ self._last
+        if scan.odometry is None or self._wheels is None:
+            return [repeated]
+        odometry, pose = self._wheels
+        motion = odometry.to(scan.odometry)
+        plausible = math.hypot(motion.x, motion.y) < RESET  # False for NaN
+        if not plausible:
+            return [repeated]
+        return [pose @ motion, repeated] if scan.stamp - self._stamp < STEADY else [pose @ motion]
+
+    def follow(self, scan: Scan, pose: Pose) -> None:
+        """Take the pose at which a scan was found to be."""
+        self._last = ORIGIN if self._stamp is None else self.pose.to(pose)
+        self._stamp, self.pose = scan.stamp, pose
+        if scan.odometry is not None:
+            self._wheels = scan.odometry, pose
+
+    def correct(self, pose: Pose) -> None:
+        """The pose of the last scan has turned out to be `pose`."""
+        if self._wheels is not None:
+            odometry, then = self._wheels
+            self._wheels = odometry, pose @ self.pose.to(then)
+        self.pose = pose
