@@ -163,7 +163,9 @@ async def test_the_peculiarities_of_the_cpp_client(platform: RealPlatform) -> No
         await robot.send(name.encode() + png, message("out", image, name, key="msg*"))
         got = await robot.take_data("in")
         blob = await robot.take_blob(got["msg*"])
-        assert np.array_equal(cv2.imdecode(np.frombuffer(blob, np.uint8), cv2.IMREAD_UNCHANGED), picture)
+        seen = cv2.imdecode(np.frombuffer(blob, np.uint8), cv2.IMREAD_UNCHANGED)
+        assert seen is not None
+        assert np.array_equal(seen, picture)
         await robot.send(destroy("old"))
         await robot.take_frame(status("echo", False), status("serve", False))
         await robot.settled()

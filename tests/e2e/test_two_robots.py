@@ -129,7 +129,9 @@ async def test_an_image_arrives_as_png(robots: tuple[OriginalRobot, OriginalRobo
     got = await other.take_data("camera")
     blob = await other.take_blob(got["msg*"])
     assert blob.startswith(b"\x89PNG")
-    assert np.array_equal(cv2.imdecode(np.frombuffer(blob, np.uint8), cv2.IMREAD_COLOR), picture)
+    seen = cv2.imdecode(np.frombuffer(blob, np.uint8), cv2.IMREAD_COLOR)
+    assert seen is not None
+    assert np.array_equal(seen, picture)
 
 
 async def test_an_environment_is_refused_with_the_reason(robots: tuple[OriginalRobot, OriginalRobot]) -> None:
