@@ -6,7 +6,7 @@ import hashlib
 import os
 from pathlib import Path
 
-from endpoints.link import DataPort
+from endpoints.data_port import DataPort
 
 LONGEST_SOCKET_PATH = 100  # sun_path has 108 bytes
 LOOPBACK = "127.0.0.1"

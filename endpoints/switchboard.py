@@ -9,8 +9,9 @@ from collections.abc import Awaitable, Callable
 import msgspec
 from twisted.logger import Logger
 
+from endpoints.data_port import DataPort
 from endpoints.frames import Message
-from endpoints.link import DataPort, Link, LoopLink, StreamLink
+from endpoints.link import Link, LoopLink, StreamLink
 from rce.calls import InterfaceSpec, LinkSpec, Route, Sync
 from rce.errors import ErrorInfo, LimitExceeded, NotConnected, NotFound, RceError, Unavailable
 
@@ -32,6 +33,10 @@ class Interface(ABC):
     @abstractmethod
     def receive(self, message: Message, link: Link) -> None:
         """Take a message of a peer; must not raise for bad content, nor wait (`link.pause` asks the sender to)."""
+
+    @property
+    def connected(self) -> bool:
+        return bool(self.peers)
 
     def joined(self, peer: bytes) -> None:
         """A further peer is there."""

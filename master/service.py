@@ -177,12 +177,16 @@ class Master:
     async def execute(self, user: str, command: Command, again: bool = False) -> c.Nothing:
         """Carry a user's command out to its completion; what did not become real is taken back."""
         outcome = graph.execute(self.state, user, command, ids, again)
-        saved = self._save()
+        saved = self._save(by_command=True)
+        waits = [asyncio.create_task(self._carrier.wait(key, START_TIMEOUT)) for key in outcome.awaits]
         try:
             await self._carrier.carry(outcome.plan)
-            for key in outcome.awaits:
-                await self._carrier.wait(key, START_TIMEOUT)
+            await asyncio.gather(*waits)
         except RceError:
+            if waits and all(wait.done() and wait.exception() is None for wait in waits):
+                return c.Nothing()  # a later command took it back while this one was on its way
+            for wait in waits:
+                wait.cancel()
             self._apply(graph.undo(self.state, outcome))
             raise
         await saved
@@ -293,14 +297,18 @@ class Master:
         task = self._carrier.carry(plan)
         task.add_done_callback(_log_error)
 
-    def _save(self) -> asyncio.Task[None]:
-        """Begin to write what changed; who waits for something that is gone hears so."""
+    def _save(self, by_command: bool = False) -> asyncio.Task[None]:
+        """Begin to write what changed; who waits for something that is gone hears so.
+
+        What a command took back was carried out until then: who made it is answered well.
+        """
         for table in self.state.tables():
             for key in table.changed:
                 if key not in table:
                     name = f"{table.kind.__name__} {key}"
                     gone = f"{table.kind.__name__.lower()} {key} was removed before it came up"
-                    self._carrier.settle(name, NotFound(gone))
+                    self._carrier.settle(name, None if by_command else NotFound(gone))
+                    self._carrier.forget(name)
         return self._keep(asyncio.create_task(self._store.save(self.state)))
 
     async def _prepare(self, send: Send) -> Send:

@@ -60,6 +60,11 @@ class RceError(Exception):
         self.info = msgspec.structs.replace(self.info, item=item)
         return self
 
+    def about(self, **fields: str | int | float | bool | list[str]) -> RceError:
+        """The same error, with more particulars."""
+        self.info = msgspec.structs.replace(self.info, fields=self.info.fields | fields)
+        return self
+
 
 class InvalidRequest(RceError):
     """A frame, command, option or file that does not say what it must. Mend it; sending it again gives the same."""

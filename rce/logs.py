@@ -30,7 +30,8 @@ def begin(stream: IO[str] = sys.stderr) -> None:
     """Log to `stream` from now on; once a process."""
     lines = FileLogObserver(stream, _for_people if stream.isatty() else _for_programs)
     level = LogLevelFilterPredicate(LogLevel.info)
-    for chatty in ("log_legacy", "twisted.python.log"):  # ports that open and close, a line for each HTTP request
+    # Ports that open and close, a line for each HTTP request; Autobahn would log bad requests with their credentials.
+    for chatty in ("log_legacy", "twisted.python.log", "autobahn"):
         level.setLogLevelForNamespace(chatty, LogLevel.warn)
     # mypy does not see that classes provide zope interfaces
     from_info = FilteringLogObserver(lines, [level])  # type: ignore[arg-type,list-item]

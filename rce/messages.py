@@ -258,13 +258,15 @@ class Ack(Struct, frozen=True, tag_field="topic", tag="ack"):
 class Session(Struct, frozen=True, tag_field="topic", tag="session"):
     """First ST of a connection with features: those that the server granted and, with `resume`, the token.
 
-    `resumed` tells whether the interfaces and connections of an earlier socket are still there.
+    `resumed` tells whether the interfaces and connections of an earlier socket are still there; then `interfaces` has
+    the status of each, since what was said while that socket broke may not have been heard.
     """
 
     features: list[str]
     token: str = ""
     grace: float = 0
     resumed: bool = False
+    interfaces: dict[str, bool] = {}
 
 
 class EnvironmentEvent(Struct, frozen=True, tag_field="topic", tag="environment"):

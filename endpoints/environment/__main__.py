@@ -10,10 +10,10 @@ from collections.abc import Coroutine
 from twisted.internet.base import ReactorBase
 from twisted.logger import Logger
 
+from endpoints.data_port import DataPort
 from endpoints.environment import surroundings
 from endpoints.environment.settings import Settings
 from endpoints.host import host_identity, listen
-from endpoints.link import DataPort
 from rce import __version__, loop
 from rce.calls import Call, Hello, Nothing, Welcome
 from rce.control import MasterLink

@@ -9,6 +9,7 @@ from typing import TypeVar
 
 from twisted.logger import Logger
 
+from endpoints.data_port import DataPort
 from endpoints.environment.definitions import Definitions
 from endpoints.environment.interfaces import RosInterface, Surroundings
 from endpoints.environment.live import LiveParameters
@@ -20,7 +21,6 @@ from endpoints.environment.services import ServiceClientInterface, ServiceProvid
 from endpoints.environment.settings import Settings
 from endpoints.environment.surroundings import for_nodes, prefixes
 from endpoints.environment.topics import PublisherInterface, SubscriberInterface
-from endpoints.link import DataPort
 from endpoints.switchboard import Interface, Switchboard
 from rce import calls as c
 from rce.control import Handlers

@@ -14,9 +14,9 @@ from twisted.internet.base import ReactorBase
 from twisted.logger import Logger
 
 import rce
+from endpoints.data_port import DataPort
 from endpoints.host import host_identity
 from endpoints.host import listen as listen_data
-from endpoints.link import DataPort
 from endpoints.memory import keep_large_blocks
 from endpoints.robot.endpoint import Options, RobotEndpoint
 from endpoints.robot.server import ServerLimits, listen

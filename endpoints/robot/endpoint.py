@@ -8,7 +8,7 @@ from msgspec import Struct
 from twisted.logger import Logger
 
 from converters.types import TypeRegistry
-from endpoints.link import DataPort
+from endpoints.data_port import DataPort
 from endpoints.robot.interfaces import make
 from endpoints.robot.server import Admitted, Greeting, ServerLimits
 from endpoints.robot.session import Session

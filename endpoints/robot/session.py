@@ -48,6 +48,10 @@ class Sink(Protocol):
 
     spec: InterfaceSpec
 
+    @property
+    def connected(self) -> bool:
+        """Whether it has a peer."""
+
     def from_robot(self, message: m.DataMessage, blobs: dict[str, Buffer]) -> None:
         """Take a data message that the robot sent. Raises what the robot shall hear."""
 
@@ -81,8 +85,11 @@ class Session:
         self.outbox.abandon()  # an earlier socket may still have it
         if self.features:
             resumable = "resume" in self.features
-            greeting = m.Session(sorted(self.features), token if resumable else "", grace if resumable else 0, resumed)
-            socket.write(_piece(m.Status(greeting)))
+            statuses = {tag: interface.connected for tag, interface in self.interfaces.items()} if resumed else {}
+            session = m.Session(sorted(self.features), resumed=resumed, interfaces=statuses)
+            if resumable:
+                session = msgspec.structs.replace(session, token=token, grace=grace)
+            socket.write(_piece(m.Status(session)))
         self.outbox.resume()
 
     def detach(self, socket: Socket) -> bool:
@@ -142,8 +149,7 @@ class Session:
 
     def call_failed(self, tag: str, msg_id: str, error: RceError) -> None:
         """A service call of the robot failed."""
-        fields = error.info.fields | {"iTag": tag, "msgID": msg_id}
-        self.error(RceError.from_info(msgspec.structs.replace(error.info, fields=fields)))
+        self.error(error.about(iTag=tag, msgID=msg_id))
 
     def dropped(self, tag: str, count: int, where: str) -> None:
         """Messages were dropped, `count` in all; told once a second at most."""

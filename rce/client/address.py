@@ -20,7 +20,7 @@ from websockets.exceptions import InvalidHandshake, InvalidStatus, InvalidURI
 
 from rce.assembler import Limits
 from rce.blobs import PART
-from rce.errors import Forbidden, InvalidRequest, RceError, Unauthorized, Unavailable
+from rce.errors import AlreadyExists, Forbidden, InvalidRequest, RceError, Unauthorized, Unavailable
 from rce.messages import CURRENT_VERSION, FEATURES
 
 FEATURES_HEADER = "RCE-Features"
@@ -32,6 +32,7 @@ _KINDS: dict[int, type[RceError]] = {
     400: InvalidRequest,
     401: Unauthorized,
     403: Forbidden,
+    409: AlreadyExists,
     410: InvalidRequest,
     501: InvalidRequest,
 }

@@ -65,8 +65,8 @@ class Interface:
     def lost(self) -> None:
         self._open.clear()
 
-    def back(self, resumed: bool) -> None:
-        self._status = self._status and resumed
+    def back(self, status: bool) -> None:
+        self._status = status
         self._changed()
 
     def received(self, message: Message) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import ssl as tls
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable, Mapping
 from types import TracebackType
 from typing import Any, Self, TypeVar, Unpack
 
@@ -191,7 +191,7 @@ class Robot(Operations):
             self._tell(status)  # type: ignore[arg-type]
 
     def failed(self, error: RceError, frame_id: FrameId | None) -> None:
-        call = error.info.fields.get("msgID", frame_id)
+        call = error.info.fields.get("msgID")
         if call is not None and any(each.failed(error, str(call)) for each in self._interfaces.values()):
             return
         log.warning("%s: %s", self.name, error)
@@ -203,9 +203,9 @@ class Robot(Operations):
             interface.lost()
         self._tell(Disconnected(reason))
 
-    def back(self, resumed: bool) -> None:
+    def back(self, resumed: bool, interfaces: Mapping[str, bool]) -> None:
         for interface in self._interfaces.values():
-            interface.back(resumed)
+            interface.back(interfaces.get(interface.tag, False))
         self._tell(Reconnected(resumed))
 
     def declared(self) -> Iterable[Command]:

@@ -35,8 +35,7 @@ class ServiceClient(Interface):
         if connection is None:
             raise Unavailable(f"the socket broke before {self.tag} was called")
         msg_id = uuid.uuid4().hex
-        frame_id = msg_id if "ack" in connection.features else None
-        text, blobs = encode_message(self.tag, self.type_name, msg_id, request, frame_id)
+        text, blobs = encode_message(self.tag, self.type_name, msg_id, request)
         response = self._calls[msg_id] = asyncio.get_running_loop().create_future()
         try:
             connection.put_message(self.tag, text, blobs)

@@ -11,7 +11,7 @@ import asyncio
 import itertools
 import logging
 import random
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import aclosing
 from dataclasses import dataclass
 from typing import Protocol
@@ -44,7 +44,8 @@ class Listener(Protocol):
 
     def lost(self, reason: str) -> None: ...
 
-    def back(self, resumed: bool) -> None: ...
+    def back(self, resumed: bool, interfaces: Mapping[str, bool]) -> None:
+        """Connected again; `interfaces` has the statuses of those that a resumed session still has."""
 
     def declared(self) -> Iterable[Command]:
         """What is to be declared again on a connection that did not resume."""
@@ -162,7 +163,7 @@ class Session:
                 self._lose(connection.reason)
                 connection = await self._reconnect()
                 self._begin(connection)
-                self._listener.back(connection.session.resumed)
+                self._listener.back(connection.session.resumed, connection.session.interfaces)
                 self._restore(connection)
         except RceError as error:
             self._end(error)

@@ -12,7 +12,7 @@ from msgspec import UNSET
 
 from rce.blobs import Buffer, attach, detach
 from rce.errors import ConversionError, InvalidRequest
-from rce.messages import DataMessage, FrameId
+from rce.messages import DataMessage
 
 NOT_FINITE = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 
@@ -31,14 +31,10 @@ def encode(value: Any) -> bytes:
     return payload
 
 
-def encode_message(
-    tag: str, type_name: str, msg_id: str, value: Any, frame_id: FrameId | None = None
-) -> tuple[bytes, dict[str, Buffer]]:
+def encode_message(tag: str, type_name: str, msg_id: str, value: Any) -> tuple[bytes, dict[str, Buffer]]:
     """The text frame of a DM with `value` as its `msg`, and the blobs that belong to it."""
     wire, blobs = detach({"msg": value})
     frame: dict[str, Any] = {"type": "DM", "data": {"iTag": tag, "type": type_name, "msgID": msg_id, **wire}}
-    if frame_id is not None:
-        frame["id"] = frame_id
     return encode(frame), blobs
 
 

@@ -16,12 +16,14 @@ from typing import Any, Self
 from urllib.parse import parse_qs, urlsplit
 
 import msgspec
+from client_contract import Platform
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from rce.assembler import Assembler, Outcome
 from rce.blobs import Buffer, binary_frames
+from rce.client import Robot
 from rce.client.address import FEATURES_HEADER
 from rce.errors import AlreadyExists, ErrorInfo, InvalidRequest, NotConnectable, NotConnected, NotFound, RceError
 from rce.messages import CN_ITEMS, CX_ITEMS, FEATURES, DataMessage, Frame, decode_as, decode_frame
@@ -112,7 +114,12 @@ class FakePlatform:
         if self.features is not None:
             peer.features = self.features & set(query["features"][0].split(","))
             session = {"topic": "session", "features": sorted(peer.features), "token": peer.token, "resumed": resumed}
-            await self._send(peer, {"type": "ST", "data": {**session, "grace": 10.0}})
+            statuses = {
+                tag.partition("/")[2]: any(tag in pair for pair in self.connections)
+                for tag in self.interfaces
+                if tag.startswith(f"{name}/")
+            }
+            await self._send(peer, {"type": "ST", "data": {**session, "grace": 10.0, "interfaces": statuses}})
         assembler = Assembler(time.monotonic, parts="parts" in peer.features)
         try:
             async for payload in socket:
@@ -321,3 +328,19 @@ class FakePlatform:
         socket = self.peers[robot].socket
         assert socket is not None
         await socket.send(payload)
+
+
+class FakeWorld(Platform):
+    """The fake, as the contract suite sees it."""
+
+    def __init__(self, fake: FakePlatform) -> None:
+        self.fake = fake
+
+    def robot(self, name: str) -> Robot:
+        return Robot(self.fake.url, user="testUser", robot=name, password=PASSWORD, timeout=10)
+
+    def break_socket(self, robot: str) -> None:
+        self.fake.break_socket(robot)
+
+    async def forget(self, robot: str) -> None:
+        await self.fake.forget(robot)

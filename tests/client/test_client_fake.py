@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 from client_contract import ClientContract, Platform
-from conftest import FakeWorld
-from fake_platform import FakePlatform
+from fake_platform import FakePlatform, FakeWorld
 
 
 class TestClientAtFake(ClientContract):

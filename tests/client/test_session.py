@@ -9,8 +9,7 @@ from urllib.parse import parse_qs, urlsplit
 
 import pytest
 from client_contract import STRING, until
-from conftest import FakeWorld
-from fake_platform import KEY, PASSWORD_HASH, FakePlatform
+from fake_platform import KEY, PASSWORD_HASH, FakePlatform, FakeWorld
 
 from rce.client import Reconnected, Robot
 from rce.errors import (

@@ -16,7 +16,7 @@ from raw_robot import USER, WAIT, Guests
 from twisted.internet.base import ReactorBase
 
 import rce
-from endpoints.link import DataPort
+from endpoints.data_port import DataPort
 from endpoints.robot import server
 from endpoints.robot.endpoint import Options, RobotEndpoint
 from endpoints.robot.server import ServerLimits

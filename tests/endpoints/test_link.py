@@ -11,9 +11,10 @@ from pathlib import Path
 import pytest
 from raw_robot import WAIT
 
-from endpoints import link as module
+from endpoints import data_port as module
+from endpoints.data_port import GREETING, MAGIC, DataPort, answer_to
 from endpoints.frames import Message
-from endpoints.link import GREETING, MAGIC, DataPort, Link, LoopLink, StreamLink, answer_to
+from endpoints.link import Link, LoopLink, StreamLink
 from rce.errors import Unavailable
 
 KEY = bytes(range(16))

@@ -8,8 +8,9 @@ from collections.abc import AsyncIterator
 import pytest
 from twisted.logger import LogEvent
 
+from endpoints.data_port import DataPort
 from endpoints.frames import Message
-from endpoints.link import DataPort, Link
+from endpoints.link import Link
 from endpoints.switchboard import Interface, Switchboard, error_of
 from rce.calls import InterfaceSpec, LinkSpec, Route, Sync
 from rce.errors import NotConnected, NotFound, TimedOut, Unavailable

@@ -6,7 +6,7 @@ import asyncio
 from typing import Any, cast
 
 import pytest
-from conftest import HandTurnedLoop
+from hand_turned import HandTurnedLoop
 
 from master.carrier import Carrier
 from master.effects import Plan, Send, Settle

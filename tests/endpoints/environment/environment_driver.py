@@ -13,8 +13,9 @@ from typing import Any, TypeVar
 from twisted.internet.base import ReactorBase
 from twisted.internet.interfaces import IListeningPort
 
+from endpoints.data_port import DataPort
 from endpoints.frames import Message
-from endpoints.link import DataPort, Link
+from endpoints.link import Link
 from endpoints.switchboard import Interface, Switchboard, error_of
 from rce import calls as c
 from rce import control

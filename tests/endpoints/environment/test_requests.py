@@ -11,13 +11,14 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install 'rce[ros]'")
 
 
+from endpoints.data_port import DataPort
 from endpoints.environment.definitions import Definitions
 from endpoints.environment.interfaces import Surroundings
 from endpoints.environment.ros import RosThread
 from endpoints.environment.ros_services import RawClient
 from endpoints.environment.services import IN_FLIGHT, TIMEOUT, ServiceClientInterface
 from endpoints.frames import Message
-from endpoints.link import DataPort, LoopLink
+from endpoints.link import LoopLink
 from endpoints.switchboard import MAX_REQUESTS, Switchboard, error_of
 from rce.calls import InterfaceSpec
 from rce.errors import RceError
