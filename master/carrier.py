@@ -53,12 +53,18 @@ class Carrier:
     def is_real(self, key: str) -> bool:
         return key in self._real
 
-    async def wait(self, key: str, seconds: float) -> None:
-        """Until `key` is real; raises why it never will be, or TimedOut."""
-        if key in self._real:
-            return
+    def expect(self, key: str) -> asyncio.Future[None]:
+        """What is done once `key` is real, or fails once it never will be, from now on."""
         future: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._waiting.setdefault(key, set()).add(future)
+        if key in self._real:
+            future.set_result(None)
+        else:
+            self._waiting.setdefault(key, set()).add(future)
+        return future
+
+    async def wait(self, key: str, seconds: float, expected: asyncio.Future[None] | None = None) -> None:
+        """Until `key` is real; raises why it never will be, or TimedOut. `expected` is an `expect` of before."""
+        future = expected or self.expect(key)
         try:
             await asyncio.wait_for(future, seconds)
         except TimeoutError:

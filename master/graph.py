@@ -278,7 +278,10 @@ def _environment(state: State, user: str, tag: str, field: str = "containerTag")
 def _at_host(state: State, record: Node | Parameter, call: StartNode | StopNode | PutParameter | DropParameter) -> Plan:
     """A call at the environment if it is there; else its Sync will bring it."""
     host = state.host(record.owner)
-    return [[Send(host, call, what(record)), Settle(what(record))]] if host else []
+    if not host:
+        return []
+    send = Send(host, call, what(record))
+    return [[send] if isinstance(call, StopNode | DropParameter) else [send, Settle(what(record))]]
 
 
 def undo(state: State, outcome: Outcome) -> Plan:

@@ -178,15 +178,16 @@ class Master:
         """Carry a user's command out to its completion; what did not become real is taken back."""
         outcome = graph.execute(self.state, user, command, ids, again)
         saved = self._save(by_command=True)
-        waits = [asyncio.create_task(self._carrier.wait(key, START_TIMEOUT)) for key in outcome.awaits]
+        expected = {key: self._carrier.expect(key) for key in outcome.awaits}
         try:
             await self._carrier.carry(outcome.plan)
-            await asyncio.gather(*waits)
+            for key, future in expected.items():
+                await self._carrier.wait(key, START_TIMEOUT, future)
         except RceError:
-            if waits and all(wait.done() and wait.exception() is None for wait in waits):
+            if expected and all(future.done() and not future.exception() for future in expected.values()):
                 return c.Nothing()  # a later command took it back while this one was on its way
-            for wait in waits:
-                wait.cancel()
+            for future in expected.values():
+                future.cancel()
             self._apply(graph.undo(self.state, outcome))
             raise
         await saved

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rce.mapping import branching, ndt
+from rce.mapping import branching
 from rce.mapping.fields import Field, square_around, thin
-from rce.mapping.geometry import Points, Pose, wrap_angle
+from rce.mapping.geometry import Points, Pose
 from rce.mapping.graph import Edge, Matrix, PoseGraph, information_of
-from rce.mapping.matching import ITERATIONS, NOISE, covariance_of
+from rce.mapping.matching import fit
 
 KNOWN = 20.0  # metres along edges; nearer nodes are in the local map already
 RECENT, PLACE = 4.0, 10.0  # metres along edges around the new node, and around the old one, that are compared
@@ -129,13 +129,10 @@ class LoopFinder:
         )
         if rival[3] != RIVAL * best[3]:
             return None
-        x, y, theta = best[:3].tolist()
-        variance = (NOISE / RESOLUTION) ** 2
-        fitted = ndt.align(field.normals, cells, x, y, theta, field.ratio, variance, ITERATIONS).tolist()
-        x, y, theta, *information = fitted
-        motion = field.pose_from_cells(Pose(x, y, wrap_angle(theta)))
-        covariance = covariance_of(information, RESOLUTION)
-        return Candidate(new, old, motion, information_of(covariance, 0.0, FLOOR, SCALE), float(best[3]))
+        start = Pose(*best[:3].tolist())
+        fitted = fit(field, cells, cells, start, start)
+        information = information_of(fitted.covariance, 0.0, FLOOR, SCALE)
+        return Candidate(new, old, fitted.pose, information, fitted.score)
 
     def _confirm(self, found: Candidate, distances: dict[int, float]) -> list[Edge]:
         """The closures that agree with the new one, with it, if they are enough."""

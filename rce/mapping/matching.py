@@ -1,4 +1,4 @@
-"""Finding the pose at which a scan fits the walls around: exhaustive search on a coarse lattice, then fitting."""
+"""Finding the pose at which a scan fits the walls around: fitting, and searching where that is not enough."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from rce.mapping import kernels, ndt
 from rce.mapping.fields import Field
 from rce.mapping.geometry import Points, Pose, wrap_angle
 
+SURE = 0.85  # score of a fitted prediction from which on nothing else is searched
 STRIDE = 0.1  # metres between places of the search: the likelihood reaches from one to the next
 TURN = math.radians(1.5)
 SEARCH_POINTS = 150  # more make the search slower, not better
 MOVE_COST, TURN_COST = 0.3, 0.3  # of leaving the prediction, per square metre and square radian, in mean likelihood
 DISTRUST = 0.05  # by how much a place around a later prediction must be likelier than one around an earlier one
+PREFERENCE = 0.02  # by how much a pose that was searched for must be likelier than the fitted prediction
 NOISE = 0.04  # metres; of a single measured point, with what the motion during the sweep adds
 ITERATIONS = 20
 
@@ -31,7 +33,7 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """`pose` of the robot in the map frame, `score`: mean likelihood of the points (0..1) in the search,
+    """`pose` of the robot in the map frame, `score`: mean likelihood of the points there (0..1),
     `covariance`: (3, 3) of x, y, theta in square metres and radians, as if the points were independent."""
 
     pose: Pose
@@ -42,43 +44,45 @@ class Match:
 def match(field: Field, points: Points, predictions: list[Pose], window: Window) -> Match:
     """The pose around one of the predictions at which the points (n, 2), metres, frame of the robot, fit best.
 
-    The predictions come with the most trusted first.
+    The predictions come with the most trusted first. Where many points show what is not in the field yet, a wrong pose
+    may seem as likely as the right one: what fits next to the first prediction is taken unless there is much better.
     """
     cells = points / field.resolution
-    start, score = _search(field, cells, predictions, window)
-    variance = (NOISE / field.resolution) ** 2
-    fitted = ndt.align(field.normals, cells, *start, field.ratio, variance, ITERATIONS).tolist()
-    x, y, theta, *information = fitted
-    pose = field.pose_from_cells(Pose(x, y, wrap_angle(theta)))
-    return Match(pose, score, covariance_of(information, field.resolution))
-
-
-def _search(field: Field, cells: Points, predictions: list[Pose], window: Window) -> tuple[Pose, float]:
-    """The best pose of the lattices around the predictions, in cells, and its score."""
     thinned = np.ascontiguousarray(cells[:: max(1, len(cells) // SEARCH_POINTS)])
+    centres = [field.pose_to_cells(prediction) for prediction in predictions]
+    expected = fit(field, cells, thinned, centres[0], centres[0])
+    if expected.score >= SURE:
+        return expected
+    start, centre = _search(field, thinned, centres, window)
+    found = fit(field, cells, thinned, start, centre)
+    return found if found.score > expected.score + PREFERENCE else expected
+
+
+def fit(field: Field, cells: Points, thinned: Points, start: Pose, expected: Pose) -> Match:
+    """Fit points to the normal distributions, and score some of them; everything but the answer is in cells."""
+    variance = (NOISE / field.resolution) ** 2
+    fitted = ndt.align(field.normals, cells, *start, *expected, field.ratio, variance, ITERATIONS).tolist()
+    x, y, theta, *information = fitted
+    score = kernels.correlate(field.likelihood, thinned, x, y, theta, 1, 0, 0, 0.0, 0.0, 0.0)[3]
+    pose = field.pose_from_cells(Pose(x, y, wrap_angle(theta)))
+    return Match(pose, score, _covariance(information, field.resolution))
+
+
+def _search(field: Field, thinned: Points, centres: list[Pose], window: Window) -> tuple[Pose, Pose]:
+    """The best pose of the lattices around the centres, and its centre."""
     stride = max(1, round(STRIDE / field.resolution))
     steps, turns = round(window.reach / (stride * field.resolution)), round(window.turn / TURN)
     move_cost = MOVE_COST * field.resolution**2
     found = [
-        kernels.correlate(
-            field.likelihood,
-            thinned,
-            *field.pose_to_cells(prediction),
-            stride,
-            steps,
-            turns,
-            TURN,
-            move_cost,
-            TURN_COST,
-        )
-        for prediction in predictions
+        kernels.correlate(field.likelihood, thinned, *centre, stride, steps, turns, TURN, move_cost, TURN_COST)
+        for centre in centres
     ]
     best = max(range(len(found)), key=lambda i: found[i][3] - DISTRUST * i)
-    x, y, theta, score = found[best]
-    return Pose(x, y, theta), score
+    x, y, theta, _ = found[best]
+    return Pose(x, y, theta), centres[best]
 
 
-def covariance_of(information: list[float], resolution: float) -> NDArray[np.float64]:
+def _covariance(information: list[float], resolution: float) -> NDArray[np.float64]:
     """Inverse of the information matrix (upper triangle, cells), in metres and radians."""
     xx, xy, xt, yy, yt, tt = information
     matrix = np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])

@@ -17,7 +17,7 @@ from rce.mapping.kernels import compiled
 FIELDS = 6  # of a cell: count, mean x, mean y (from its centre), covariance xx, xy, yy; in fine cells
 FEWEST_HITS = 3.0  # a cell with fewer says nothing
 MOST_HITS = 100.0  # that a cell remembers, so that it can follow changes
-PULL, TURN_PULL = 1e-4, 1e-2  # of the start on the pose, per point: decides where the walls leave a direction open
+PULL, TURN_PULL = 1e-3, 1e-2  # of the expected pose, per point: decides where the walls leave a direction open
 
 
 @compiled("void(float32[:,:,::1], float64[:,::1], int64)")
@@ -41,19 +41,26 @@ def learn(normals: NDArray[np.float32], hits: NDArray[np.float64], ratio: int) -
         cell[5] = rest * (cell[5] + dy * dy / count)
 
 
-@compiled("float64[::1](float32[:,:,::1], float64[:,::1], float64, float64, float64, int64, float64, int64)")
+@compiled(
+    "float64[::1](float32[:,:,::1], float64[:,::1], float64, float64, float64, float64, float64, float64, int64, "
+    "float64, int64)"
+)
 def align(
     normals: NDArray[np.float32],
     points: NDArray[np.float64],
     x: float,
     y: float,
     theta: float,
+    expected_x: float,
+    expected_y: float,
+    expected_theta: float,
     ratio: int,
     variance: float,
     iterations: int,
 ) -> NDArray[np.float64]:
     """Move from (x, y, theta) to where the points (n, 2), frame of the robot, are likeliest, by Gauss-Newton.
 
+    Where the walls leave a direction open, as those of a corridor do, the expected pose decides.
     A point counts for the four cells around it by its distance to their centres (the four overlapping grids of the
     paper, blended). With V the covariance of a cell, its weight is adj V / (det V + `variance` tr V): for a wall that
     is 1 / (`variance` + its thickness squared) across and nothing along it, where the inverse of V, which the paper
@@ -62,14 +69,13 @@ def align(
     """
     height, width, _ = normals.shape
     count = points.shape[0]
-    start_x, start_y, start_theta = x, y, theta
     xx = xy = xt = yy = yt = tt = 0.0
     for _ in range(iterations):
         c, s = math.cos(theta), math.sin(theta)
         xx = yy = PULL * count
         tt = TURN_PULL * count
         xy = xt = yt = 0.0
-        gx, gy, gt = xx * (start_x - x), yy * (start_y - y), tt * (start_theta - theta)
+        gx, gy, gt = xx * (expected_x - x), yy * (expected_y - y), tt * (expected_theta - theta)
         for i in range(count):
             rx = c * points[i, 0] - s * points[i, 1]
             ry = s * points[i, 0] + c * points[i, 1]

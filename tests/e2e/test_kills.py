@@ -77,7 +77,6 @@ class Traffic:
         """What is sent from now on comes back."""
         now = time.monotonic()
         await until(lambda: any(self.sent[number] > now for number in self.got), seconds, "traffic")
-        self.began = time.monotonic()
         assert not self.twice
         assert list(self.got) == sorted(self.got)
 
@@ -134,37 +133,6 @@ async def both(killed: RealPlatform) -> AsyncIterator[tuple[Traffic, Traffic]]:
 
 def relay_pids(platform: RealPlatform) -> set[int]:
     return {pid for pid, words in platform.processes().items() if "relay.py" in words}
-
-
-async def test_a_node(killed: RealPlatform, both: tuple[Traffic, Traffic]) -> None:
-    victim, calm = both
-    await victim.steady()
-    since, events = time.monotonic(), victim.robot.events()
-    (pid,) = (pid for pid in relay_pids(killed) if "/v/" in killed.processes()[pid])
-    killed.kill(pid)
-    died = await next_event(events, NodeEvent)
-    assert (died.containerTag, died.nodeTag, died.status) == ("v", "relay", -9)
-    await victim.flows()
-    await calm.check_undisturbed(since)
-    assert len(relay_pids(killed)) == 2
-
-
-async def test_an_environment_endpoint(killed: RealPlatform, both: tuple[Traffic, Traffic]) -> None:
-    victim, calm = both
-    since, events = time.monotonic(), victim.robot.events()
-    old = set(killed.processes())
-    pid = killed.environment_pid("v")
-    nodes = {each for each in old if "/v/" in killed.processes()[each] and each != pid}
-    assert len(nodes) >= 2
-    killed.kill(pid)
-    assert (await next_event(events, EnvironmentEvent)).state == "lost"
-    assert (await next_event(events, EnvironmentEvent)).state == "ready"
-    await victim.flows()
-    assert await victim.parameter() == "v"
-    await calm.check_undisturbed(since)
-    assert not nodes & set(killed.processes())
-    directories = killed.directory / "data" / "container" / "environments" / "testUser" / "v"
-    assert len(list(directories.iterdir())) == 1
 
 
 async def test_the_socket_of_a_robot(killed: RealPlatform, both: tuple[Traffic, Traffic]) -> None:
@@ -250,6 +218,37 @@ async def test_the_task_set(killed: RealPlatform, both: tuple[Traffic, Traffic])
     assert (await next_event(events, EnvironmentEvent)).state == "lost"
     await victim.flows()
     await calm.check_undisturbed(since)
+
+
+async def test_a_node(killed: RealPlatform, both: tuple[Traffic, Traffic]) -> None:
+    calm, victim = both  # here the other way round: its nodes have run for long
+    await victim.steady()
+    since, events = time.monotonic(), victim.robot.events()
+    (pid,) = (pid for pid in relay_pids(killed) if "/c/" in killed.processes()[pid])
+    killed.kill(pid)
+    died = await next_event(events, NodeEvent)
+    assert (died.containerTag, died.nodeTag, died.status) == ("c", "relay", -9)
+    await victim.flows()
+    await calm.check_undisturbed(since)
+    assert len(relay_pids(killed)) == 2
+
+
+async def test_an_environment_endpoint(killed: RealPlatform, both: tuple[Traffic, Traffic]) -> None:
+    victim, calm = both
+    since, events = time.monotonic(), victim.robot.events()
+    old = set(killed.processes())
+    pid = killed.environment_pid("v")
+    nodes = {each for each in old if "/v/" in killed.processes()[each] and each != pid}
+    assert len(nodes) >= 2
+    killed.kill(pid)
+    assert (await next_event(events, EnvironmentEvent)).state == "lost"
+    assert (await next_event(events, EnvironmentEvent)).state == "ready"
+    await victim.flows()
+    assert await victim.parameter() == "v"
+    await calm.check_undisturbed(since)
+    assert not nodes & set(killed.processes())
+    directories = killed.directory / "data" / "container" / "environments" / "testUser" / "v"
+    assert len(list(directories.iterdir())) == 1
 
 
 async def test_an_environment_that_shall_not_come_back(killed: RealPlatform, both: tuple[Traffic, Traffic]) -> None:

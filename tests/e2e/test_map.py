@@ -120,10 +120,10 @@ async def test_a_simulated_robot_with_a_platform_of_its_own(tmp_path: Path, temp
         ((), "give recordings, or --simulate"),
         (("nothing.clf",), "nothing.clf"),
         ((DATA / "bags" / "version-1.2.bag",), "1.2"),
-        (("--simulate", "--url", "http://127.0.0.1:1/"), "cannot reach http://127.0.0.1:1/"),
-        (("--simulate", "--url", "platform", "--password", "wrong"), "password"),
-        (("--simulate", "--url", "platform", "--user", "nobody", "--password", "x"), "password"),
-        (("--simulate", "--url", "no url"), "http://"),
+        (("log", "--url", "http://127.0.0.1:1/"), "cannot reach http://127.0.0.1:1/"),
+        (("log", "--url", "platform", "--password", "wrong"), "password"),
+        (("log", "--url", "platform", "--user", "nobody", "--password", "x"), "password"),
+        (("log", "--url", "no url"), "http://"),
     ],
 )
 async def test_what_cannot_be_done_is_said_in_a_line(
@@ -131,7 +131,10 @@ async def test_what_cannot_be_done_is_said_in_a_line(
 ) -> None:
     if any(isinstance(word, Path) and not word.exists() for word in words):
         pytest.skip(f"needs {words[0]}, or RCE_DATA")
-    given = [platform.url if word == "platform" else word for word in words]
+    log = tmp_path / "short.log"
+    log.write_text("FLASER 3 1.0 1.0 1.0 0 0 0 0 0 0 5.0 host 5.0\n")
+    known: dict[str, str | Path] = {"platform": platform.url, "log": log}
+    given = [known.get(str(word), word) for word in words]
     done = await rce_map(*given, "--out", tmp_path / "map", temporary=temporary)
     assert done.status in (1, 2)
     assert reason in done.errors

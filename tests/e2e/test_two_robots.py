@@ -140,12 +140,12 @@ async def test_an_environment_is_refused_with_the_reason(robots: tuple[OriginalR
 
 
 async def test_without_its_peer_an_interface_goes_down(robots: tuple[OriginalRobot, OriginalRobot]) -> None:
+    """What is sent then goes nowhere, and as in the original nothing is said."""
     one, other = robots
     await wire(one, other, "t", ("SubscriberConverter", "PublisherConverter"), STRING)
     await other.send(configure("removeInterfaces", endpointTag=other.name, interfaceTag="t"))
     await asyncio.gather(one.take_frame(status("t", False)), other.take_frame(status("t", False)))
     await one.send(message("t", STRING, {"data": "x"}))
-    assert "no connection" in await one.take_error()
     await one.send(configure("removeInterfaces", endpointTag=one.name, interfaceTag="t"))
     await one.settled()
     await one.send(message("t", STRING, {"data": "x"}))

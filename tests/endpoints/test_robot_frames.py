@@ -105,6 +105,7 @@ async def test_pipelined_commands_run_in_their_order(platform: Platform) -> None
     for number in range(60):
         await a.add("x", "PublisherConverter")
         await a.add("y", "SubscriberConverter")
+        await a.connect("a/x", "a/y")
         items = [{"endpointTag": "a", "interfaceTag": tag} for tag in "xy"]
         await a.send({"type": "CN", "id": number, "data": {"removeInterfaces": items}})
     frames = await a.until(lambda frame: frame.get("id") == 59)
