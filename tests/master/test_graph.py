@@ -196,6 +196,7 @@ def test_node_and_parameter_are_made_at_the_environment() -> None:
     removed = fleet.do("ann", m.RemoveNode("brain", "n")).plan
     dropped = fleet.do("ann", m.DeleteParameter("brain", "rate", "n")).plan
     assert calls(removed + dropped, "ann/brain") == [StopNode("n"), DropParameter("n:rate")]
+    assert not [step for steps in removed + dropped for step in steps if isinstance(step, Settle)]
 
 
 def test_a_parameter_may_be_set_again() -> None:
