@@ -90,7 +90,8 @@ class Address:
     async def dial(self, endpoint: str, token: str) -> ClientConnection:
         """Open the WebSocket of a Robot endpoint; `token` asks for the interfaces of an earlier socket.
 
-        Raises Unauthorized, Forbidden, Unavailable, InvalidRequest (also for a name that is in use).
+        Raises Unauthorized, Forbidden, Unavailable, InvalidRequest, and for a name that is in use AlreadyExists (by a
+        server of the original InvalidRequest).
         """
         secret = {"key": self.key} if self.key is not None else {"password": _hash(self.password or "")}
         query = {"userID": self.user, "robotID": self.robot, **secret, "features": ",".join(sorted(FEATURES))}

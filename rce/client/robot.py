@@ -72,7 +72,7 @@ class Robot(Operations):
         await self.close()
 
     async def open(self) -> None:
-        """Connect. Raises Unauthorized, Forbidden, Unavailable, InvalidRequest (also for a name in use)."""
+        """Connect. Raises Unauthorized, Forbidden, Unavailable, InvalidRequest, AlreadyExists (for a name in use)."""
         await self._session.open()
 
     async def close(self) -> None:

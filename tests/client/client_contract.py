@@ -18,7 +18,6 @@ from rce.blobs import PART
 from rce.client import Disconnected, Reconnected, Robot
 from rce.errors import (
     AlreadyExists,
-    InvalidRequest,
     NotConnectable,
     NotConnected,
     NotFound,
@@ -279,7 +278,7 @@ class ClientContract:
 
     async def test_a_name_in_use_is_refused(self, platform: Platform) -> None:
         async with platform.robot("a"):
-            with pytest.raises(InvalidRequest):
+            with pytest.raises(AlreadyExists):
                 await platform.robot("a").open()
 
     async def test_many_commands_are_carried_out_in_their_order(self, platform: Platform) -> None:

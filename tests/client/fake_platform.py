@@ -97,7 +97,7 @@ class FakePlatform:
             return socket.respond(401, "unknown user or wrong password")
         peer = self.peers.get(query["robotID"][0])
         if peer is not None and query.get("resume") != [peer.token]:
-            return socket.respond(400, f"robot {peer.name} is connected already")
+            return socket.respond(409 if self.features else 400, f"robot {peer.name} is connected already")
         return None
 
     def _grant(self, socket: ServerConnection, request: Request, response: Response) -> None:

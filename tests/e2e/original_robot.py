@@ -120,7 +120,7 @@ class OriginalRobot:
         return frame[32:]
 
     async def settled(self) -> None:
-        """All commands sent so far are carried out: they keep their order, and this last one is refused."""
+        """The Master has taken up all commands sent so far: they keep their order, and this last one is refused."""
         await self.send(connection("nobody/nothing", "nobody/nowhere"))
         await self.take(lambda frame: isinstance(frame, dict) and frame["type"] == "ER" and "nobody" in frame["data"])
 

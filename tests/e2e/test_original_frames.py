@@ -227,8 +227,12 @@ async def test_every_failed_command_is_reported(platform: RealPlatform) -> None:
 
 async def test_frames_that_make_no_sense_are_refused_at_once(platform: RealPlatform) -> None:
     async with OriginalRobot(platform.url, "nonsense") as robot:
-        await robot.send(interface("nonsense", "out", "SubscriberConverter", STRING))
-        await robot.settled()
+        await robot.send(
+            interface("nonsense", "out", "SubscriberConverter", STRING),
+            interface("nonsense", "in", "PublisherConverter", STRING),
+            connection("nonsense/out", "nonsense/in"),
+        )
+        await robot.take_frame(status("out", True), status("in", True))
         for frame in (
             "{not json",
             "[]",
