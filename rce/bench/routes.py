@@ -6,8 +6,9 @@ import itertools
 import json
 import time
 from asyncio import gather
-from collections.abc import Awaitable, Callable, Sized
+from collections.abc import Awaitable, Callable, Sequence, Sized
 from contextlib import AsyncExitStack
+from functools import partial
 from typing import NamedTuple
 
 from rce.bench import floors
@@ -59,7 +60,7 @@ async def n2n(place: Place) -> list[Probe]:
     orders = await environment.publisher("/n2n/order", "std_msgs/String")
     reports = await environment.subscriber("/n2n/report", "std_msgs/String")
     node = MeasuringNode(orders, reports)
-    await node.found()
+    await node.found(kinds)
     return [
         Probe("n2n string", "topic", node.probe("string")),
         Probe("n2n bytes", "topic", node.probe("bytes")),
@@ -109,9 +110,10 @@ class MeasuringNode:
 
         return sample
 
-    async def found(self) -> None:
-        """Wait until the two nodes have found each other."""
-        await eventually(lambda timeout: self._order("string", ROW, timeout))
+    async def found(self, kinds: Sequence[str]) -> None:
+        """Wait until the two nodes have found each other, on every topic and service."""
+        for kind in kinds:
+            await eventually(partial(self._order, kind, ROW))
         await drain(self._reports)
 
     async def _order(self, kind: str, size: int, timeout: float) -> float:  # noqa: ASYNC109  # as Subscriber.get
