@@ -53,7 +53,10 @@ class LocalMap:
             self._field.add(points)
 
     def match(self, points: Points, predictions: list[Pose]) -> Match | None:
-        """Where the robot is that sees the points (n, 2), metres, its frame. None while the map is empty."""
+        """Where the robot is that sees the points (n, 2), metres, its frame.
+
+        None while the map is empty, or has no prediction in it.
+        """
         if self._field is None:
             return None
         low, high = self._field.bounds

@@ -16,8 +16,8 @@ from rce.mapping.matching import fit
 KNOWN = 20.0  # metres along edges; nearer nodes are in the local map already
 RECENT, PLACE = 4.0, 10.0  # metres along edges around the new node, and around the old one, that are compared
 VIEW = 15.0  # metres from the new node; points further off turn too far with a small error of the angle
-DRIFT, DRIFT_CAP = 0.03, 10.0  # metres a metre of way, and metres, by which the estimate may be off
-TURN_DRIFT, TURN_CAP = math.radians(0.1), math.radians(25)  # radians a metre of way, and radians
+DRIFT, DRIFT_CAP = 0.05, 12.0  # metres a metre of way, and metres, by which the estimate may be off
+TURN_DRIFT, TURN_CAP = math.radians(0.2), math.radians(35)  # radians a metre of way, and radians
 LEAST_REACH, LEAST_TURN = 0.5, math.radians(5)
 RESOLUTION, LEVELS, TURN = 0.1, 6, math.radians(1)
 WIDTH, MOST = 0.15, 300  # of the points of the new node: metres between them, number

@@ -12,13 +12,14 @@ from rce.mapping import kernels, ndt
 from rce.mapping.fields import Field
 from rce.mapping.geometry import Points, Pose, wrap_angle
 
-SURE = 0.85  # score of a fitted prediction from which on nothing else is searched
+SURE = 0.9  # score of a fitted prediction from which on nothing else is searched
 STRIDE = 0.1  # metres between places of the search: the likelihood reaches from one to the next
 TURN = math.radians(1.5)
 SEARCH_POINTS = 150  # more make the search slower, not better
 MOVE_COST, TURN_COST = 0.3, 0.3  # of leaving the prediction, per square metre and square radian, in mean likelihood
 DISTRUST = 0.05  # by how much a place around a later prediction must be likelier than one around an earlier one
 PREFERENCE = 0.02  # by how much a pose that was searched for must be likelier than the fitted prediction
+WORSE = 0.02  # by how much fitting may lower the score; more means that there was too little to fit to
 NOISE = 0.04  # metres; of a single measured point, with what the motion during the sweep adds
 ITERATIONS = 20
 
@@ -63,9 +64,15 @@ def fit(field: Field, cells: Points, thinned: Points, start: Pose, expected: Pos
     variance = (NOISE / field.resolution) ** 2
     fitted = ndt.align(field.normals, cells, *start, *expected, field.ratio, variance, ITERATIONS).tolist()
     x, y, theta, *information = fitted
-    score = kernels.correlate(field.likelihood, thinned, x, y, theta, 1, 0, 0, 0.0, 0.0, 0.0)[3]
+    score, before = _score(field, thinned, Pose(x, y, theta)), _score(field, thinned, start)
+    if score < before - WORSE:
+        (x, y, theta), score = start, before
     pose = field.pose_from_cells(Pose(x, y, wrap_angle(theta)))
     return Match(pose, score, _covariance(information, field.resolution))
+
+
+def _score(field: Field, thinned: Points, pose: Pose) -> float:
+    return kernels.correlate(field.likelihood, thinned, *pose, 1, 0, 0, 0.0, 0.0, 0.0)[3]
 
 
 def _search(field: Field, thinned: Points, centres: list[Pose], window: Window) -> tuple[Pose, Pose]:

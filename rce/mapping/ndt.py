@@ -17,7 +17,7 @@ from rce.mapping.kernels import compiled
 FIELDS = 6  # of a cell: count, mean x, mean y (from its centre), covariance xx, xy, yy; in fine cells
 FEWEST_HITS = 3.0  # a cell with fewer says nothing
 MOST_HITS = 100.0  # that a cell remembers, so that it can follow changes
-PULL, TURN_PULL = 1e-3, 1e-2  # of the expected pose, per point: decides where the walls leave a direction open
+PULL, TURN_PULL = 1e-3, 1e-2  # of the expected pose, per point on known walls: decides where the walls leave a direction open
 
 
 @compiled("void(float32[:,:,::1], float64[:,::1], int64)")
@@ -72,10 +72,7 @@ def align(
     xx = xy = xt = yy = yt = tt = 0.0
     for _ in range(iterations):
         c, s = math.cos(theta), math.sin(theta)
-        xx = yy = PULL * count
-        tt = TURN_PULL * count
-        xy = xt = yt = 0.0
-        gx, gy, gt = xx * (expected_x - x), yy * (expected_y - y), tt * (expected_theta - theta)
+        xx = yy = tt = xy = xt = yt = gx = gy = gt = known = 0.0
         for i in range(count):
             rx = c * points[i, 0] - s * points[i, 1]
             ry = s * points[i, 0] + c * points[i, 1]
@@ -96,6 +93,7 @@ def align(
                 ixx, ixy, iyy = scale * vyy, -scale * vxy, scale * vxx
                 px, py = ixx * ex + ixy * ey, ixy * ex + iyy * ey
                 share = (u if column else 1.0 - u) * (v if row else 1.0 - v)
+                known += share
                 weight = share * math.exp(-0.5 * (px * ex + py * ey))
                 tx, ty = ixy * rx - ixx * ry, iyy * rx - ixy * ry
                 xx += weight * ixx
@@ -107,6 +105,10 @@ def align(
                 gx += weight * px
                 gy += weight * py
                 gt += weight * (rx * py - ry * px)
+        pull, turn_pull = PULL * known + 1e-9, TURN_PULL * known + 1e-9
+        xx, yy, tt = xx + pull, yy + pull, tt + turn_pull
+        gx, gy = gx + pull * (expected_x - x), gy + pull * (expected_y - y)
+        gt += turn_pull * (expected_theta - theta)
         a, b, d = yy * tt - yt * yt, xt * yt - xy * tt, xy * yt - xt * yy
         e, f, g = xx * tt - xt * xt, xy * xt - xx * yt, xx * yy - xy * xy
         determinant = xx * a + xy * b + xt * d
