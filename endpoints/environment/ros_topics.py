@@ -20,6 +20,7 @@ from endpoints.frames import Buffer
 from rce.messages import Qos
 
 AT_ONCE = 16  # messages taken of one entity before the others have their turn
+LARGE = 256 * 1024  # bytes; publishing 10 MB takes 4 ms and more, so each such message is a turn of its own
 WINDOW = 32  # with keep_all: messages published before the subscribers must have confirmed them
 
 _NO_TIME = Duration()
@@ -130,6 +131,9 @@ class RawPublisher(_Topic):
             payload = self.waiting.popleft()
             self._publisher.handle.publish_raw(payload)  # type: ignore[arg-type]  # its C++ takes bytes and bytearray
             self._unconfirmed += 1
+            if len(payload) >= LARGE:
+                self._ros.post(self.flush)
+                break
         else:
             self._ros.post(self.flush)
         self._published()

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+from endpoints import memory
 from endpoints.environment.settings import Settings
+from endpoints.memory import MB
 
 MARKER = "RCE_RUN"  # by this variable engines find what a killed endpoint has left
 NODE_PATH = Path(__file__).with_name("nodepath")
-MB = 1024 * 1024
-# Large messages are allocated anew each time. By default malloc gives such blocks back to the system at once, and
-# the page faults of the next ones take several times as long as the copying: 10 MB there and back 55 ms, with these 15.
-MMAP_THRESHOLD, TRIM_THRESHOLD = 32 * MB, 128 * MB
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # malloc.h
 # What a subscription has missed (the first messages of a publisher that it has just found; large ones when the segment
 # was full) is sent again after the next heartbeat; with the 3 s of the default that is a slow mode of 3 s.
 HEARTBEAT = 20_000_000  # ns
@@ -82,9 +78,7 @@ def prepare(settings: Settings) -> None:
     profile.write_text(_profile(settings.shared_memory * MB))
     os.environ["FASTDDS_DEFAULT_PROFILES_FILE"] = str(profile)
     sys.path += [str(prefix / "python") for prefix in settings.typesupport]
-    libc = ctypes.CDLL(None)
-    libc.mallopt(M_MMAP_THRESHOLD, MMAP_THRESHOLD)
-    libc.mallopt(M_TRIM_THRESHOLD, TRIM_THRESHOLD)
+    memory.keep_large_blocks()
 
 
 def _profile(segment: int) -> str:
@@ -110,8 +104,7 @@ def for_nodes(settings: Settings, environment: Mapping[str, str] = os.environ) -
         "PYTHONPATH": _joined(python, environment.get("PYTHONPATH", "")),
         "PYTHONUNBUFFERED": "1",
         "AMENT_PREFIX_PATH": _joined(ament),
-        "MALLOC_MMAP_THRESHOLD_": str(MMAP_THRESHOLD),
-        "MALLOC_TRIM_THRESHOLD_": str(TRIM_THRESHOLD),
+        **memory.VARIABLES,
     }
 
 
