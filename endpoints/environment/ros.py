@@ -116,6 +116,14 @@ class RosThread:
         self._waited = [other for other in self._waited if other is not waited]
         waited.destroy()
 
+    def later(self, seconds: float, action: Action) -> None:
+        """Run `action` in the thread after that time."""
+
+        def wait() -> None:
+            self.loop.call_later(seconds, self.post, action)
+
+        self.deliver(wait)
+
     def again(self, action: Action) -> None:
         """Run `action` once more in RETRY seconds: for conditions that ROS does not announce."""
         self._again[action] = None

@@ -21,6 +21,9 @@ from rce.messages import Qos
 
 AT_ONCE = 16  # messages taken of one entity before the others have their turn
 LARGE = 256 * 1024  # bytes; publishing 10 MB takes 4 ms and more, so each such message is a turn of its own
+# A node that has just appeared may hear us before its own publishers have found those who listen to it: what it
+# answered to a message of this moment would be lost.
+SETTLING = 0.2  # seconds
 WINDOW = 32  # with keep_all: messages published before the subscribers must have confirmed them
 
 _NO_TIME = Duration()
@@ -93,7 +96,7 @@ class RawPublisher(_Topic):
         """Put in at the right by the loop, in order; taken out at the left here, after which `published` is called."""
         self._published = published
         self._unconfirmed = 0
-        self._heard = False
+        self._listening = self._heard = False  # somebody is there; and has been for a moment
         self._make(for_publisher(qos, self._others(ros.node.get_subscriptions_info_by_topic(topic))))
         ros.watch(self)
         self.changed()
@@ -115,7 +118,15 @@ class RawPublisher(_Topic):
             self._make(profile)
         self._check([(self._profile, info.qos_profile) for info in listeners])
         own = [info for info in infos if info not in listeners and not mismatch(self._profile, info.qos_profile)]
-        self._heard = self._publisher.get_subscription_count() > len(own)
+        if self._publisher.get_subscription_count() <= len(own):
+            self._listening = self._heard = False
+        elif not self._listening:
+            self._listening = True
+            self._ros.later(SETTLING, self._begin)
+        self.flush()
+
+    def _begin(self) -> None:
+        self._heard = self._listening
         self.flush()
 
     def flush(self) -> None:
@@ -146,6 +157,7 @@ class RawPublisher(_Topic):
         return self._unconfirmed > 0
 
     def destroy(self) -> None:
+        self._listening = self._heard = False
         self.waiting.clear()
         self._ros.node.destroy_publisher(self._publisher)
 
