@@ -60,11 +60,10 @@ class PoseGraph:
     def __init__(self) -> None:
         self.nodes: dict[int, Node] = {}
         self.edges: list[Edge] = []
-        self._next = 0
         self._lengths: dict[int, dict[int, float]] = {}
 
     def add_node(self, pose: Pose) -> int:
-        number, self._next = self._next, self._next + 1
+        number = len(self.nodes)
         self.nodes[number] = Node(pose)
         self._lengths[number] = {}
         return number
@@ -76,7 +75,11 @@ class PoseGraph:
 
     def remove_edges(self, edges: Iterable[Edge]) -> None:
         gone = {id(edge) for edge in edges}
-        self._replace([edge for edge in self.edges if id(edge) not in gone])
+        self.edges = [edge for edge in self.edges if id(edge) not in gone]
+        for lengths in self._lengths.values():
+            lengths.clear()
+        for edge in self.edges:
+            self._connect(edge)
 
     def distances(self, start: int, limit: float = math.inf) -> dict[int, float]:
         """Metres along edges from a node to those at most `limit` away, nearest first (Dijkstra, 1959)."""
@@ -92,51 +95,11 @@ class PoseGraph:
                     heapq.heappush(front, (distance + length, other))
         return found
 
-    def merge(self, old: int, into: int) -> Pose:
-        """Remove node `old`, whose edges `into` takes over; returns its pose in the frame of `into`.
-
-        The pose is taken as known exactly, so the two should be close to each other.
-        """
-        gone = self.nodes.pop(old)
-        offset = self.nodes[into].pose.to(gone.pose)
-        kept = [
-            edge if old not in (edge.first, edge.second) else _moved(edge, old, into, offset) for edge in self.edges
-        ]
-        del self._lengths[old]
-        self._replace([edge for edge in kept if edge.first != edge.second])
-        return offset
-
-    def _replace(self, edges: list[Edge]) -> None:
-        self.edges = edges
-        for lengths in self._lengths.values():
-            lengths.clear()
-        for edge in edges:
-            self._connect(edge)
-
     def _connect(self, edge: Edge) -> None:
         motion = edge.motion
         length = max(math.hypot(motion.x, motion.y) + TURN_LENGTH * abs(motion.theta), SHORTEST)
         for a, b in ((edge.first, edge.second), (edge.second, edge.first)):
             self._lengths[a][b] = min(length, self._lengths[a].get(b, math.inf))
-
-
-def _moved(edge: Edge, old: int, into: int, offset: Pose) -> Edge:
-    """The edge with its end `old` at `into`. `offset`: pose of `old` in the frame of `into`."""
-    if edge.second == old:
-        motion = edge.motion @ offset.inverse()
-        lever = _lever(Pose(0.0, 0.0, edge.motion.theta).transform(-_place(offset.inverse())))
-        return Edge(edge.first, into, motion, lever.T @ edge.information @ lever, edge.closure)
-    turn = _rotation(offset.theta)
-    return Edge(into, edge.second, offset @ edge.motion, turn @ edge.information @ turn.T, edge.closure)
-
-
-def _place(pose: Pose) -> Points:
-    return np.array([pose[:2]])
-
-
-def _lever(arm: Points) -> Matrix:
-    """How a point `arm` (1, 2) away moves with x, y, theta."""
-    return np.array([[1.0, 0.0, -arm[0, 1]], [0.0, 1.0, arm[0, 0]], [0.0, 0.0, 1.0]])
 
 
 def _rotation(theta: float) -> Matrix:
@@ -148,7 +111,7 @@ def information_of(covariance: Matrix, theta: float, floor: tuple[float, float],
     """Information (3, 3) in a frame turned by `theta`, of a covariance of x, y, theta in the map frame.
 
     Points of a scan are not independent and walls are not quite where the map has them: the covariance is taken
-    `scale` times, and no standard deviation as smaller than `floor` (metres, radians).
+    `scale` times, and `floor` (standard deviations, metres and radians) is added.
     """
     turn = _rotation(theta)
     metres, radians = floor

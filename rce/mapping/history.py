@@ -29,12 +29,6 @@ class History:
         self._nodes[self._count] = node
         self._count += 1
 
-    def move(self, old: int, new: int, relative: Pose) -> None:
-        """Fix to node `new` what was fixed to `old`, whose pose in the frame of `new` is `relative`."""
-        of = np.flatnonzero(self._nodes[: self._count] == old)
-        self._rows[of, 1:] = _compose(np.array([relative]), self._rows[of, 1:])
-        self._nodes[of] = new
-
     def at(self, stamp: float) -> tuple[int, Pose]:
         """Node and relative pose of the last scan that is not after `stamp` (of the first one if all are)."""
         row = max(int(np.searchsorted(self._rows[: self._count, 0], stamp, side="right")) - 1, 0)
@@ -42,16 +36,14 @@ class History:
 
     def trajectory(self, poses: Mapping[int, Pose]) -> NDArray[np.float64]:
         """(n, 4) stamp, x, y, theta in the frame in which the poses of the nodes are given."""
-        table = np.zeros((max(poses, default=0) + 1, 3))
-        for number, pose in poses.items():
-            table[number] = pose
+        table = np.array([poses[number] for number in range(len(poses))]).reshape(-1, 3)
         rows = self._rows[: self._count].copy()
         rows[:, 1:] = _compose(table[self._nodes[: self._count]], rows[:, 1:])
         return rows
 
 
 def _compose(frames: NDArray[np.float64], poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Poses (n, 3), given in `frames` (n or 1, 3), in the frame in which those are given."""
+    """Poses (n, 3), given in `frames` (n, 3), in the frame in which those are given."""
     c, s = np.cos(frames[:, 2]), np.sin(frames[:, 2])
     x = frames[:, 0] + c * poses[:, 0] - s * poses[:, 1]
     y = frames[:, 1] + s * poses[:, 0] + c * poses[:, 1]

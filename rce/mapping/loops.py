@@ -13,7 +13,7 @@ from rce.mapping.geometry import Points, Pose
 from rce.mapping.graph import Edge, Matrix, PoseGraph, information_of
 from rce.mapping.matching import fit
 
-KNOWN = 20.0  # metres along edges; nearer nodes are in the local map already
+KNOWN = 12.0  # metres along edges; nearer nodes cannot have drifted enough to matter
 RECENT, PLACE = 4.0, 10.0  # metres along edges around the new node, and around the old one, that are compared
 VIEW = 15.0  # metres from the new node; points further off turn too far with a small error of the angle
 DRIFT, DRIFT_CAP = 0.05, 12.0  # metres a metre of way, and metres, by which the estimate may be off
@@ -136,7 +136,6 @@ class LoopFinder:
 
     def _confirm(self, found: Candidate, distances: dict[int, float]) -> list[Edge]:
         """The closures that agree with the new one, with it, if they are enough."""
-        self._pending = [c for c in self._pending if c.new in self._graph.nodes and c.old in self._graph.nodes]
         agreeing = [c for c in self._pending if self._agree(c, found, distances)]
         self._pending = [*self._pending[-PENDING + 1 :], found]
         if len({c.new for c in agreeing}) + 1 < CONFIRMED:

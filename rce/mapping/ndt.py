@@ -17,7 +17,10 @@ from rce.mapping.kernels import compiled
 FIELDS = 6  # of a cell: count, mean x, mean y (from its centre), covariance xx, xy, yy; in fine cells
 FEWEST_HITS = 3.0  # a cell with fewer says nothing
 MOST_HITS = 100.0  # that a cell remembers, so that it can follow changes
-PULL, TURN_PULL = 1e-3, 1e-2  # of the expected pose, per point on known walls: decides where the walls leave a direction open
+PULL, TURN_PULL = (
+    1e-3,
+    1e-2,
+)  # of the expected pose, per point on known walls: decides where the walls leave a direction open
 
 
 @compiled("void(float32[:,:,::1], float64[:,::1], int64)")

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import math
 import subprocess
 import sys
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from rce.errors import InvalidRequest
+from rce.mapping.geometry import ORIGIN, Pose
 from rce.mapping.graph_mapper import GraphMapper
 from rce.mapping.outputs import trajectory_text
 from rce.mapping.recordings import open_recording
+from rce.mapping.scans import Scan
+from rce.mapping.simulation.evaluation import alignment
 
 
 def test_the_log_and_the_bag_of_a_run_give_the_same_scans(data: Path) -> None:
@@ -28,11 +34,9 @@ def test_the_log_and_the_bag_of_a_run_give_the_same_scans(data: Path) -> None:
         assert ours.angle_increment == pytest.approx(theirs.angle_increment)
 
 
-def test_the_map_of_mit_csail_is_as_good_as_those_of_others(data: Path, tmp_path: Path) -> None:
-    mapper = GraphMapper()
-    for scan in open_recording(data / "mit-csail.clf.gz"):
-        mapper.add(scan)
-    trajectory = tmp_path / "trajectory.txt"
+def error_of(mapper: GraphMapper, data: Path, directory: Path) -> tuple[float, float]:
+    """Mean error of the relations of MIT CSAIL: metres, degrees."""
+    trajectory = directory / "trajectory.txt"
     trajectory.write_bytes(trajectory_text(mapper.trajectory()))
     tool, relations = data / "tools" / "slam_metric.py", data / "mit-csail.relations"
     answer = subprocess.run(
@@ -40,8 +44,52 @@ def test_the_map_of_mit_csail_is_as_good_as_those_of_others(data: Path, tmp_path
     )
     metric = json.loads(answer.stdout)
     assert metric["used"] == 1172
-    assert metric["trans_abs"][0] < 0.030
-    assert metric["rot_abs_deg"][0] < 0.45
+    return metric["trans_abs"][0], metric["rot_abs_deg"][0]
+
+
+def worsened(scans: Iterable[Scan], scale: float, noise: float, slip: float) -> Iterator[Scan]:
+    """Scans with worse odometry: its distances `scale` times as long, each motion off by a share of about `noise`, and
+    after every 400 scans the robot is `slip` metres beside where the wheels say."""
+    random, last, pose = np.random.default_rng(0), ORIGIN, ORIGIN
+    for i, scan in enumerate(scans):
+        assert scan.odometry
+        motion = last.to(scan.odometry) if i else ORIGIN
+        along, across, turn = 1 + noise * random.normal(size=3)
+        drift = noise * 0.2 * math.hypot(motion.x, motion.y) * random.normal()
+        pose = pose @ Pose(motion.x * along * scale, motion.y * across * scale, motion.theta * turn + drift)
+        if i % 400 == 399:
+            pose = pose @ Pose(slip, 0.0, 0.2)
+        last = scan.odometry
+        yield dataclasses.replace(scan, odometry=pose)
+
+
+MAKING_WORSE: dict[str, Callable[[Iterable[Scan]], Iterable[Scan]]] = {
+    "as recorded": lambda scans: scans,
+    "worse odometry": lambda scans: worsened(scans, 1.1, 0.1, 1.0),
+    "no odometry": lambda scans: (dataclasses.replace(scan, odometry=None) for scan in scans),
+}
+
+
+@pytest.mark.parametrize("odometry", MAKING_WORSE)
+def test_the_map_of_mit_csail_is_better_than_those_of_others(data: Path, tmp_path: Path, odometry: str) -> None:
+    mapper = GraphMapper()
+    for scan in MAKING_WORSE[odometry](open_recording(data / "mit-csail.clf.gz")):
+        mapper.add(scan)
+    metres, degrees = error_of(mapper, data, tmp_path)
+    assert metres < 0.030
+    assert degrees < 0.45
+
+
+@pytest.mark.parametrize(("name", "most"), [("aces", 0.2), ("infinite-corridor", 1.5)])
+def test_large_loops_close(data: Path, name: str, most: float) -> None:
+    """Off by metres if a loop stays open, by tens of metres if one is closed wrongly."""
+    scans = list(open_recording(data / "corrected" / f"{name}-corrected.log.gz"))
+    mapper = GraphMapper()
+    for scan in worsened(scans, 1.03, 0.1, 0.0):
+        mapper.add(scan)
+    truth = np.array([scan.odometry for scan in scans])[:, :2]
+    found = mapper.trajectory()[:, 1:3]
+    assert np.hypot(*(alignment(found, truth).transform(found) - truth).T).mean() < most
 
 
 def test_every_corrected_log_is_read_whole(data: Path) -> None:

@@ -44,6 +44,36 @@ def test_half_the_field_of_view_is_enough(simulation: Simulation) -> None:
     assert evaluate(mapper.grid(), mapper.trajectory(), part).translation < 0.05
 
 
+def test_memory_grows_with_the_building_and_not_with_time(simulation: Simulation) -> None:
+    """Forward, and back by the same way, so that poses never jump."""
+    scans = simulation.records
+    back = [dataclasses.replace(scan, stamp=2 * scans[-1].stamp - scan.stamp) for scan in scans[-2::-1]]
+    mapper = mapped(scans)
+    before = memory(mapper)
+    for scan in back:
+        mapper.add(scan)
+    assert memory(mapper) <= 1.05 * before
+    there, again = mapper.trajectory()[: len(scans)], mapper.trajectory()[len(scans) - 1 :][::-1]
+    assert np.hypot(*(there - again)[:, 1:3].T).mean() < 0.02
+
+
+def memory(mapper: GraphMapper) -> int:
+    """Bytes of all scans that are kept."""
+    return sum(sweep.points.nbytes for node in mapper._graph.nodes.values() for sweep in node.sweeps)
+
+
+@pytest.mark.parametrize("far", [0.3, 1.0])
+def test_a_slip_of_the_wheels_is_noticed(simulation: Simulation, far: float) -> None:
+    scans = list(simulation.records[:200])
+    for i in range(100, 200):
+        odometry = scans[i].odometry
+        assert odometry
+        scans[i] = dataclasses.replace(scans[i], odometry=Pose(far, -far / 2, 0.2) @ odometry)
+    part = dataclasses.replace(simulation, records=scans, truth=simulation.truth[:200])
+    mapper = mapped(scans)
+    assert evaluate(mapper.grid(), mapper.trajectory(), part).translation < 0.03
+
+
 def test_the_same_scans_give_the_same_map(simulation: Simulation) -> None:
     first, second = mapped(simulation.records[:150]), mapped(simulation.records[:150])
     np.testing.assert_array_equal(first.trajectory(), second.trajectory())

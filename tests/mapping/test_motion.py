@@ -1,0 +1,49 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from rce.mapping.geometry import ORIGIN, Pose
+from rce.mapping.motion import Motion
+from rce.mapping.scans import Scan
+
+
+def scan(stamp: float, odometry: Pose | None) -> Scan:
+    return Scan(stamp, np.empty(0, np.float32), 0.0, 0.01, 10.0, odometry)
+
+
+def driven(odometry: list[Pose | None]) -> Motion:
+    """A robot that is where its wheels say, or goes on 0.1 m a scan."""
+    motion = Motion()
+    for i, wheels in enumerate(odometry):
+        motion.follow(scan(0.1 * i, wheels), Pose(0.1 * i, 0.0, 0.0))
+    return motion
+
+
+def test_the_first_scan_is_at_the_origin() -> None:
+    assert Motion().predict(scan(0.0, Pose(5.0, 5.0, 5.0))) == [ORIGIN]
+
+
+def test_wheels_first_then_the_last_motion_repeated() -> None:
+    predictions = driven([Pose(1.0, 1.0, 0.0), Pose(1.1, 1.0, 0.0)]).predict(scan(0.2, Pose(1.4, 1.0, 0.2)))
+    assert predictions == [pytest.approx((0.4, 0.0, 0.2)), pytest.approx((0.2, 0.0, 0.0))]
+
+
+def test_after_a_pause_nothing_is_repeated() -> None:
+    assert len(driven([ORIGIN, Pose(0.1, 0.0, 0.0)]).predict(scan(5.0, Pose(0.1, 0.0, 0.0)))) == 1
+
+
+@pytest.mark.parametrize("odometry", [None, Pose(1e9, 0.0, 0.0), Pose(math.nan, 0.0, 0.0)], ids=["none", "far", "nan"])
+def test_without_sensible_wheels_the_last_motion_is_repeated(odometry: Pose | None) -> None:
+    motion = driven([ORIGIN, Pose(0.1, 0.0, 0.0)])
+    assert motion.predict(scan(0.2, odometry)) == [pytest.approx((0.2, 0.0, 0.0))]
+
+
+def test_a_corrected_pose_takes_the_wheels_along() -> None:
+    motion = driven([ORIGIN, Pose(0.1, 0.0, 0.0), None])
+    motion.correct(Pose(5.0, 5.0, math.pi / 2))
+    first, second = motion.predict(scan(0.3, Pose(0.3, 0.0, 0.0)))
+    assert first == pytest.approx((5.0, 5.1, math.pi / 2)), "0.1 m behind at the last odometry, 0.2 m on since"
+    assert second == pytest.approx((5.0, 5.1, math.pi / 2))
