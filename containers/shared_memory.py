@@ -10,6 +10,7 @@ import fcntl
 import os
 import re
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 SHARED_MEMORY = Path("/dev/shm")
@@ -18,12 +19,25 @@ PORT = re.compile(r"(?:sem\.)?fastdds_port(\d+)(?:_el|_sl|_mutex)?")
 YOUNG = 1.0  # a participant that starts has made its lock file, but has not locked it yet
 
 
-def clean(directory: Path = SHARED_MEMORY) -> None:
-    """Remove this user's segments whose participants are dead."""
+def clean(directory: Path = SHARED_MEMORY, wait: Callable[[float], None] = time.sleep) -> None:
+    """Remove this user's segments whose participants are dead; blocks for a second if some may be just beginning."""
+    if _remove_dead(directory):
+        wait(YOUNG)
+        _remove_dead(directory)
+
+
+def _remove_dead(directory: Path) -> bool:
+    """Whether there are segments too young to tell."""
+    young = False
     for path in _own(directory, LOCK):
-        if time.time() - path.stat().st_mtime > YOUNG and _is_free(path):
+        if not _is_free(path):
+            continue
+        if time.time() - path.stat().st_mtime > YOUNG:
             path.with_name(path.name.removesuffix("_el")).unlink(missing_ok=True)
             path.unlink(missing_ok=True)
+        else:
+            young = True
+    return young
 
 
 def clean_ports(domain: int, directory: Path = SHARED_MEMORY) -> None:

@@ -23,7 +23,7 @@ AT_ONCE = 16  # messages taken of one entity before the others have their turn
 LARGE = 256 * 1024  # bytes; publishing 10 MB takes 4 ms and more, so each such message is a turn of its own
 # A node that has just appeared may hear us before its own publishers have found those who listen to it: what it
 # answered to a message of this moment would be lost.
-SETTLING = 0.2  # seconds
+SETTLING = 0.1  # seconds
 WINDOW = 32  # with keep_all: messages published before the subscribers must have confirmed them
 
 _NO_TIME = Duration()

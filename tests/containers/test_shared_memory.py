@@ -15,16 +15,26 @@ def segment(directory: Path, number: int, age: float) -> Path:
     return path
 
 
+def lock_of(segment: Path) -> Path:
+    return segment.with_name(segment.name + "_el")
+
+
 def test_only_segments_of_the_dead_are_removed(tmp_path: Path) -> None:
-    dead, living, young = segment(tmp_path, 1, 10), segment(tmp_path, 2, 10), segment(tmp_path, 3, 0)
+    dead, living, beginning, died_young = (segment(tmp_path, n, 10 if n < 3 else 0) for n in range(1, 5))
     other = tmp_path / "somebody_else_s_el"
     other.touch()
-    with living.with_name(living.name + "_el").open() as held:
+    with lock_of(living).open() as held, lock_of(beginning).open() as later:
         fcntl.flock(held, fcntl.LOCK_EX)
-        shared_memory.clean(tmp_path)
+
+        def wait(seconds: float) -> None:
+            fcntl.flock(later, fcntl.LOCK_EX)
+            then = lock_of(died_young).stat().st_mtime - seconds
+            os.utime(lock_of(died_young), (then, then))
+
+        shared_memory.clean(tmp_path, wait)
     assert {path.name for path in tmp_path.iterdir()} == {
-        *(living.name, living.name + "_el"),
-        *(young.name, young.name + "_el"),
+        *(living.name, lock_of(living).name),
+        *(beginning.name, lock_of(beginning).name),
         other.name,
     }
     assert not dead.exists()

@@ -12,14 +12,16 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
+DEPTH = 1000  # a busy machine may keep this node from its turn for a while
+
 
 class RelayNode(Node):
     def __init__(self, types: list[str]) -> None:
         super().__init__("relay")
         for package, name in (each.split("/") for each in types):
             kind = getattr(importlib.import_module(f"{package}.msg"), name)
-            out = self.create_publisher(kind, f"/out_{name}", 10)
-            self.create_subscription(kind, f"/in_{name}", out.publish, 10)
+            out = self.create_publisher(kind, f"/out_{name}", DEPTH)
+            self.create_subscription(kind, f"/in_{name}", out.publish, DEPTH)
 
 
 if __name__ == "__main__":
