@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -82,8 +80,3 @@ def thin(points: Points, width: float, most: int) -> Points:
     if len(kept) > most:
         kept = kept[np.linspace(0, len(kept) - 1, most).astype(np.int64)]
     return np.ascontiguousarray(points[kept])
-
-
-def distance_limit(max_range: float) -> float:
-    """How far, in metres, points are entered around the robot; beyond, a laser's points are too sparse to match."""
-    return math.ceil(min(max_range, 40.0))

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from rce.mapping.fields import Field, distance_limit, square_around
+from rce.mapping.fields import Field, square_around
 from rce.mapping.geometry import Points, Pose
 from rce.mapping.graph import PoseGraph
 from rce.mapping.matching import Match, Window, match
@@ -14,6 +14,7 @@ from rce.mapping.matching import Match, Window, match
 RESOLUTION = 0.05
 WAY = 20.0  # metres along edges; nodes nearer than this agree with each other
 AROUND = 15.0  # metres from the robot to the nodes whose points are in it
+FARTHEST = 40.0  # metres from the robot; beyond, the points of a laser are too sparse to match
 MARGIN = 4.0  # metres that the robot may go before it is made anew
 NEAR, FAR = Window(0.5, math.radians(30)), Window(1.5, math.radians(60))
 DOUBT = 0.65  # a score under this makes the search go far
@@ -25,10 +26,10 @@ class LocalMap:
 
     def __init__(self, graph: PoseGraph, max_range: float) -> None:
         self._graph = graph
-        self._half = distance_limit(max_range) + MARGIN
+        self._half = min(max_range, FARTHEST) + MARGIN
         self._centre = Pose(math.inf, 0.0, 0.0)
         self._field: Field | None = None
-        self.nodes: dict[int, float] = {}  # by number: metres along edges from the node at which it was made
+        self.nodes: set[int] = set()  # those whose points are in it
 
     def follow(self, reference: int, pose: Pose) -> None:
         """Make it anew around a robot that went too far from where it was made, starting at node `reference`."""
@@ -40,15 +41,16 @@ class LocalMap:
         self._centre = pose
         self._field = square_around(pose, self._half, RESOLUTION)
         nodes = self._graph.nodes
-        near = self._graph.distances(reference, WAY)
-        self.nodes = {n: way for n, way in near.items() if math.dist(nodes[n].pose[:2], pose[:2]) < AROUND}
+        self.nodes = {
+            n for n in self._graph.distances(reference, WAY) if math.dist(nodes[n].pose[:2], pose[:2]) < AROUND
+        }
         for number in sorted(self.nodes):
             if nodes[number].sweeps:
                 self._field.add(nodes[number].points())
 
     def add(self, node: int, points: Points) -> None:
         """Enter the points (n, 2), metres, map frame, of a scan that belongs to a new node."""
-        self.nodes.setdefault(node, 0.0)
+        self.nodes.add(node)
         if self._field is not None:
             self._field.add(points)
 

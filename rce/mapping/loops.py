@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rce.mapping import branching
 from rce.mapping.fields import Field, square_around, thin
-from rce.mapping.geometry import Points, Pose
+from rce.mapping.geometry import ORIGIN, Points, Pose
 from rce.mapping.graph import Edge, Matrix, PoseGraph, information_of
 from rce.mapping.matching import fit
 
@@ -22,9 +24,11 @@ LEAST_REACH, LEAST_TURN = 0.5, math.radians(5)
 RESOLUTION, LEVELS, TURN = 0.1, 6, math.radians(1)
 WIDTH, MOST = 0.15, 300  # of the points of the new node: metres between them, number
 LEAST = 0.6  # score
+FEWEST = 30  # points of the new node
 BUDGET = 40_000  # poses looked at in a search
+NOTHING = np.zeros(5)  # is excluded
 APART, APART_TURN, RIVAL = 0.8, math.radians(10), 0.92  # another pose as good as this makes a place ambiguous
-SEPARATE = 1.0  # metres between nodes whose closures confirm each other
+SEPARATE, TOGETHER = 1.0, 25.0  # metres, and metres along edges, between nodes whose closures confirm each other
 AGREE, AGREE_TURN = 0.25, math.radians(3)
 PENDING = 12  # candidates that wait for confirmation
 CONFIRMED = 3  # closures that have to agree
@@ -39,7 +43,6 @@ class Candidate:
     old: int
     motion: Pose
     information: Matrix
-    score: float
 
     def edge(self) -> Edge:
         return Edge(self.old, self.new, self.motion, self.information, closure=True)
@@ -91,48 +94,39 @@ class LoopFinder:
 
     def _query(self, new: int) -> Points:
         """Points around a new node, its frame."""
-        frame = self._graph.nodes[new].pose.inverse()
-        recent = self._graph.distances(new, RECENT)
-        points = np.concatenate(
-            [
-                (frame @ node.pose).transform(node.own_points())
-                for node in (self._graph.nodes[n] for n in sorted(recent))
-            ]
-        )
+        points = np.concatenate(list(self._around(new, RECENT)))
         return thin(points[np.hypot(points[:, 0], points[:, 1]) < VIEW], WIDTH, MOST)
 
     def _field(self, old: int) -> Field:
         """The walls around an old node, its frame."""
-        frame = self._graph.nodes[old].pose.inverse()
-        field = square_around(Pose(0.0, 0.0, 0.0), VIEW + PLACE, RESOLUTION)
-        for number in sorted(self._graph.distances(old, PLACE)):
-            node = self._graph.nodes[number]
-            field.add((frame @ node.pose).transform(node.own_points()))
+        field = square_around(ORIGIN, VIEW + PLACE, RESOLUTION)
+        for points in self._around(old, PLACE):
+            field.add(points)
         return field
 
+    def _around(self, number: int, way: float) -> Iterator[Points]:
+        """The points of each node at most `way` metres along edges from a node, in its frame."""
+        frame = self._graph.nodes[number].pose
+        for other in sorted(self._graph.distances(number, way)):
+            node = self._graph.nodes[other]
+            yield frame.to(node.pose).transform(node.own_points())
+
     def _compare(self, new: int, old: int, query: Points, way: float) -> Candidate | None:
-        if len(query) < 30:
+        """Where the new node is, seen from an old one; None if it does not fit there, or fits at several places."""
+        if len(query) < FEWEST:
             return None
-        field = self._field(old)
+        field, nodes = self._field(old), self._graph.nodes
         pyramid, cells = field.pyramid(LEVELS), query / RESOLUTION
-        guess = field.pose_to_cells(self._graph.nodes[old].pose.to(self._graph.nodes[new].pose))
-        steps = round(_reach(way) / RESOLUTION)
-        turns = math.ceil(min(LEAST_TURN + TURN_DRIFT * way, TURN_CAP) / TURN)
-        best = branching.branch_and_bound(
-            pyramid, cells, *guess, steps, turns, TURN, LEAST, np.array([0.0, 0.0, 0.0, 0.0, 0.0]), BUDGET
-        )
-        if best[3] <= LEAST:
+        guess = field.pose_to_cells(nodes[old].pose.to(nodes[new].pose))
+        x, y, theta, score = _search(pyramid, cells, guess, way, LEAST, NOTHING)
+        if score <= LEAST:
             return None
-        excluded = np.array([*best[:3], APART / RESOLUTION, APART_TURN])
-        rival = branching.branch_and_bound(
-            pyramid, cells, *guess, steps, turns, TURN, RIVAL * best[3], excluded, BUDGET
-        )
-        if rival[3] != RIVAL * best[3]:
-            return None
-        start = Pose(*best[:3].tolist())
+        excluded, rival = np.array([x, y, theta, APART / RESOLUTION, APART_TURN]), RIVAL * score
+        if _search(pyramid, cells, guess, way, rival, excluded)[3] != rival:
+            return None  # there is one, or it takes too long to know
+        start = Pose(x, y, theta)
         fitted = fit(field, cells, cells, start, start)
-        information = information_of(fitted.covariance, 0.0, FLOOR, SCALE)
-        return Candidate(new, old, fitted.pose, information, fitted.score)
+        return Candidate(new, old, fitted.pose, information_of(fitted.covariance, 0.0, FLOOR, SCALE))
 
     def _confirm(self, found: Candidate, distances: dict[int, float]) -> list[Edge]:
         """The closures that agree with the new one, with it, if they are enough."""
@@ -148,11 +142,22 @@ class LoopFinder:
         nodes = self._graph.nodes
         way = nodes[first.new].pose.to(nodes[second.new].pose)
         length = math.hypot(way.x, way.y)
-        if first.new == second.new or length < SEPARATE or distances.get(first.new, math.inf) > 2 * KNOWN:
+        if first.new == second.new or length < SEPARATE or distances.get(first.new, math.inf) > TOGETHER:
             return False
         there = nodes[first.old].pose @ first.motion @ way
         off = there.to(nodes[second.old].pose @ second.motion)
         return math.hypot(off.x, off.y) < AGREE + 0.02 * length and abs(off.theta) < AGREE_TURN
+
+
+def _search(
+    pyramid: NDArray[np.uint8], cells: Points, guess: Pose, way: float, least: float, excluded: NDArray[np.float64]
+) -> tuple[float, float, float, float]:
+    """The best pose as far around a guess as one may drift on `way` metres; see `branch_and_bound`."""
+    steps = round(_reach(way) / RESOLUTION)
+    turns = math.ceil(min(LEAST_TURN + TURN_DRIFT * way, TURN_CAP) / TURN)
+    found = branching.branch_and_bound(pyramid, cells, *guess, steps, turns, TURN, least, excluded, BUDGET)
+    x, y, theta, score = found.tolist()
+    return x, y, theta, score
 
 
 def _reach(way: float) -> float:
