@@ -109,9 +109,10 @@ async def test_large_messages(master: FakeMaster) -> None:
     there = await master.connect(said)
     back = await master.interface("SubscriberInterface", "sensor_msgs/Image", "image_back")
     await master.call(c.StartNode(c.NodeSpec("large", "probe", "images.py")))
-    payload = serialize_message(Image(width=2000, height=1000, data=bytes(range(250)) * 24_000))
-    there.publish(payload)
-    assert await back.next() == payload
+    sent = Image(width=2000, height=1000, data=bytes(range(250)) * 24_000)
+    there.publish(serialize_message(sent))
+    same = deserialize_message(await back.next(), Image) == sent  # not their bytes: ROS leaves what it finds in padding
+    assert same, "pytest would compare millions of numbers one by one"
     await master.call(c.StopNode("large"))
 
 
