@@ -16,6 +16,7 @@ import pytest
 from docker.errors import DockerException
 
 START_TIMEOUT = 30.0
+NOTHING_OF_THE_HOSTS = ("--bridge=none", "--iptables=false")
 NEEDED = ("dockerd", "containerd", "runc", "iptables")
 
 
@@ -33,18 +34,28 @@ def docker_daemon() -> Iterator[str]:
         pytest.skip(f"no {', '.join(lacking)}: install docker.io, containerd, runc and iptables, or set DOCKER_HOST")
     if os.geteuid() != 0:
         pytest.skip("a private dockerd needs root: run the tests as root, or set DOCKER_HOST")
-    with tempfile.TemporaryDirectory(prefix="rce-docker-", ignore_cleanup_errors=True) as directory:
-        with _private(Path(directory)) as host:
-            yield host
+    with (
+        tempfile.TemporaryDirectory(prefix="rce-docker-", ignore_cleanup_errors=True) as directory,
+        _private(Path(directory)) as host,
+    ):
+        yield host
 
 
 @contextmanager
 def _private(directory: Path) -> Iterator[str]:
     host = f"unix://{directory}/docker.sock"
-    words = ["dockerd", f"--data-root={directory}/data", f"--exec-root={directory}/exec", f"-H={host}"]
+    words = [
+        "dockerd",
+        f"--data-root={directory}/data",
+        f"--exec-root={directory}/exec",
+        f"-H={host}",
+        f"--pidfile={directory}/pid",
+    ]
+    # Where a containerd runs already, this daemon shares it.
+    words += [f"--containerd{part}-namespace=rce-test-{os.getpid()}{part}" for part in ("", "-plugins")]
     with (directory / "log").open("w") as log:
         daemon = subprocess.Popen(
-            [*words, f"--pidfile={directory}/pid", "--bridge=none", "--iptables=false"],
+            [*words, *NOTHING_OF_THE_HOSTS],
             stdout=log,
             stderr=log,
             start_new_session=True,
