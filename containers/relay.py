@@ -18,6 +18,7 @@ from twisted.python.failure import Failure
 log = Logger()
 SOCKET = "control.sock"
 VISITORS = 4  # at once: an endpoint needs one, and one more while the loss of the first is not yet noticed
+EARLY = 1_000_000  # bytes
 
 
 class _Visitor(asyncio.Protocol):
@@ -26,12 +27,12 @@ class _Visitor(asyncio.Protocol):
     def __init__(self, relay: Relay) -> None:
         self.transport: asyncio.Transport
         self.gone = False
+        self._early = b""  # what came before the Master was reached
         self._relay = relay
         self._onward: _Onward | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self.transport = cast(asyncio.Transport, transport)
-        self.transport.pause_reading()  # until the other side can take it
         if not self._relay.admit(self):
             self.transport.abort()
             return
@@ -39,8 +40,12 @@ class _Visitor(asyncio.Protocol):
         self._relay.master.connect(factory).addCallbacks(self._reached, self._unreachable)
 
     def data_received(self, data: bytes) -> None:
-        assert self._onward is not None
-        self._onward.transport.write(data)
+        if self._onward is not None:
+            self._onward.transport.write(data)
+        elif len(self._early) + len(data) <= EARLY:
+            self._early += data
+        else:
+            self.transport.abort()
 
     def pause_writing(self) -> None:
         assert self._onward is not None
@@ -73,7 +78,7 @@ class _Visitor(asyncio.Protocol):
             return
         self._onward = onward
         onward.transport.registerProducer(self, True)
-        self.transport.resume_reading()
+        onward.transport.write(self._early)
 
     def _unreachable(self, reason: Failure) -> None:
         log.info("the Master cannot be reached: {reason}", reason=reason.getErrorMessage())
