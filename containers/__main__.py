@@ -17,7 +17,7 @@ from containers.settings import Settings, check_isolation
 from containers.taskset import TaskSet
 from rce import loop
 from rce.credential import Credential
-from rce.errors import AlreadyExists, InvalidRequest
+from rce.errors import AlreadyExists, InvalidRequest, StartFailed
 from rce.settings import load_or_exit
 
 PROGRAM = "rce container"
@@ -58,8 +58,10 @@ def make_engine(reactor: ReactorBase, settings: Settings, ended: Callable[[Ended
             root=directory / "environments",
             settings={"master": settings.master, **surroundings},
         )
-    from containers.docker import DockerEngine  # needs docker-py
-
+    try:
+        from containers.docker import DockerEngine
+    except ModuleNotFoundError as error:
+        raise StartFailed(f"the docker engine needs docker-py ({error}): pip install 'rce[docker]'") from None
     return DockerEngine(
         settings.size,
         settings.features,
