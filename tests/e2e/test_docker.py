@@ -174,6 +174,24 @@ async def test_an_environment_that_is_killed_comes_back(contained: RealPlatform,
         await mortal.add_node("echo", "rce_demo", "echo.py")
 
 
+async def test_environments_outlive_their_task_set(contained: RealPlatform, images: Any) -> None:
+    """It is killed; they work on, and the next one adopts them."""
+    async with contained.robot("r6") as robot, robot.environment("lasting") as lasting:
+        await lasting.add_node("echo", "rce_demo", "echo.py")
+        heard = await lasting.subscriber("/heard", STRING)
+        say = await lasting.publisher("/say", STRING)
+        (before,) = [each["Id"] for each in containers(images, contained)]
+        killed = contained.pid("-m containers ")
+        contained.kill(killed)
+        async with asyncio.timeout(20):
+            await say.publish({"data": "still here"})
+            assert await anext(aiter(heard)) == {"data": "still here"}
+        await until(lambda: contained.pid("-m containers ", but=killed))
+        await lasting.add_node("another", "rce_demo", "echo.py")  # the way to the Master is open again
+        assert [each["Id"] for each in containers(images, contained)] == [before]
+    assert containers(images, contained) == []
+
+
 async def test_time_to_an_environment(contained: RealPlatform, images: Any, record_property: Any) -> None:
     """Beside a bare container of the same image that imports rclpy; the median of each."""
     bare, ready = [], []
