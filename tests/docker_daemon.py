@@ -71,6 +71,8 @@ def _private(directory: Path) -> Iterator[str]:
     finally:
         daemon.terminate()
         daemon.wait(60)
+        for mount in (directory / "exec" / "netns").glob("*"):  # it leaves them, and they cannot be removed
+            subprocess.run(["umount", str(mount)], check=False)
 
 
 def _answers(host: str) -> bool:
