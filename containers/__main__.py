@@ -17,7 +17,7 @@ from containers.settings import Settings, check_isolation
 from containers.taskset import TaskSet
 from rce import loop
 from rce.credential import Credential
-from rce.errors import AlreadyExists, InvalidRequest
+from rce.errors import AlreadyExists, InvalidRequest, StartFailed
 from rce.settings import load_or_exit
 
 PROGRAM = "rce container"
@@ -40,23 +40,39 @@ async def serve(reactor: ReactorBase, settings: Settings) -> None:
     with _sole_user(directory):
         credential = Credential(directory / "container.credential", settings.token)
         task_set = TaskSet(
-            reactor, settings.master, settings.own_name, credential, lambda ended: make_engine(settings, ended)
+            reactor, settings.master, settings.own_name, credential, lambda ended: make_engine(reactor, settings, ended)
         )
         await task_set.run(stop_environments=settings.stop_environments)
 
 
-def make_engine(settings: Settings, ended: Callable[[Ended], None]) -> Engine:
+def make_engine(reactor: ReactorBase, settings: Settings, ended: Callable[[Ended], None]) -> Engine:
     """The engine that `settings` name."""
-    return ProcessEngine(
+    directory = settings.data_dir.absolute()
+    packages = [os.path.abspath(path) for path in settings.package_path]
+    surroundings = {"package_path": ",".join(packages), "typesupport": settings.typesupport}
+    if settings.engine == "process":
+        return ProcessEngine(
+            settings.size,
+            settings.features,
+            ended,
+            root=directory / "environments",
+            settings={"master": settings.master, **surroundings},
+        )
+    try:
+        from containers.docker import DockerEngine
+    except ModuleNotFoundError as error:
+        raise StartFailed(f"the docker engine needs docker-py ({error}): pip install 'rce[docker]'") from None
+    return DockerEngine(
         settings.size,
         settings.features,
         ended,
-        root=settings.data_dir.absolute() / "environments",
-        settings={
-            "master": settings.master,
-            "package_path": ",".join(settings.package_path),
-            "typesupport": settings.typesupport,
-        },
+        reactor=reactor,
+        platform=settings.own_name,
+        directory=directory,
+        master=settings.master,
+        image=settings.image,
+        settings=surroundings,
+        read_only=[path for path in (*packages, settings.typesupport) if path],
     )
 
 

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
+from rce import __version__
 from rce.errors import InvalidRequest
 
 _HOST = re.compile(r"(?:tcp|ssl|tls):(?:host=)?((?:[^:\\]|\\.)*)")
@@ -26,7 +27,10 @@ class Settings(Struct, frozen=True):
     token: Annotated[str, Meta(description="one-time join token; better by the environment than on a command line")] = (
         ""
     )
-    engine: Annotated[Literal["process"], Meta(description="what runs the environments: process")] = "process"
+    engine: Annotated[
+        Literal["process", "docker"], Meta(description="what runs the environments: process or docker")
+    ] = "process"
+    image: Annotated[str, Meta(description="docker engine: image of the environments")] = f"rce/mapping:{__version__}"
     size: Annotated[int, Meta(ge=1, description="slots for environments on this machine")] = 10
     features: Annotated[list[str], Meta(description="special features of this machine, comma-separated")] = []
     package_path: Annotated[list[str], Meta(description="directories with ROS 2 packages, comma-separated")] = []

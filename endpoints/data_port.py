@@ -9,6 +9,10 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import hmac
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import cast
 
 from twisted.logger import Logger
@@ -20,6 +24,7 @@ MAGIC = b"RCE1"
 GREETING = len(MAGIC) + 16
 OPEN_TIMEOUT = 10.0
 EXPECT_TIMEOUT = 30.0  # the other side may have several addresses to try
+LONGEST_SOCKET_PATH = 100  # sun_path has 108 bytes
 
 log = Logger()
 
@@ -126,8 +131,9 @@ class DataPort:
         return taken
 
     async def listen_unix(self, path: str) -> None:
-        server = await asyncio.get_running_loop().create_unix_server(lambda: _Doorman(self.expected), path)
-        self._servers.append(server)
+        loop = asyncio.get_running_loop()
+        with _short(path) as short:
+            self._servers.append(await loop.create_unix_server(lambda: _Doorman(self.expected), short))
 
     def expect(self, link: StreamLink, key: bytes) -> None:
         """Take the connection that says `key` for `link`; it fails when none comes."""
@@ -162,7 +168,8 @@ class DataPort:
         loop = asyncio.get_running_loop()
         kind, _, rest = address.partition(":")
         if kind == "unix":
-            await loop.create_unix_connection(lambda: caller, rest)
+            with _short(rest) as path:
+                await loop.create_unix_connection(lambda: caller, path)
         else:
             host, _, port = rest.rpartition(":")
             await loop.create_connection(lambda: caller, host, int(port))
@@ -171,3 +178,16 @@ class DataPort:
         for server in self._servers:
             server.close()
         self._servers.clear()
+
+
+@contextmanager
+def _short(path: str) -> Iterator[str]:
+    """The path of a socket, or where it is too long for a UNIX socket, one by way of its opened directory."""
+    if len(os.fsencode(path)) <= LONGEST_SOCKET_PATH:
+        yield path
+        return
+    directory = os.open(Path(path).parent, os.O_PATH | os.O_DIRECTORY)
+    try:
+        yield f"/proc/self/fd/{directory}/{Path(path).name}"
+    finally:
+        os.close(directory)

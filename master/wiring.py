@@ -134,8 +134,11 @@ def _link(state: State, one: Process, other: Process, alone_for: str, ids: Ids) 
     for link in state.links.by(one.name):
         if {link.listener, link.dialler} == {one.name, other.name} and link.alone_for == alone_for:
             return link
-    # Robot endpoints have addresses that others reach; an environment may be walled in, so it is the one to dial.
-    listener, dialler = sorted((one, other), key=lambda process: (process.role != "robot", process.name))
+    # An environment may be walled in. On one host its UNIX socket is the way in, so there the Robot endpoint dials;
+    # from afar the environment dials, because a Robot endpoint has addresses that others reach.
+    host = one.host if one.host == other.host else ""
+    preferred = "environment" if host else "robot"
+    listener, dialler = sorted((one, other), key=lambda process: (process.role != preferred, process.name))
     if not listener.addresses:
         listener, dialler = dialler, listener
     within = listener.name == dialler.name

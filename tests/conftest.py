@@ -7,6 +7,7 @@ when it leaves a delayed call of the reactor behind or when a failure was logged
 from __future__ import annotations
 
 import asyncio
+import os
 from collections.abc import AsyncIterator, Iterator
 
 import pytest
@@ -50,3 +51,17 @@ def reactor(running_reactor: ReactorBase, failures: list[LogEvent]) -> Iterator[
     left = set(running_reactor.getDelayedCalls()) - before
     assert not left, f"delayed calls left over: {left}"
     assert not failures, "logged: " + "\n".join(event["log_failure"].getTraceback() for event in failures)
+
+
+@pytest.fixture(scope="session")
+def docker_host() -> Iterator[str]:
+    """The address of a Docker daemon, which DOCKER_HOST names while the tests run."""
+    pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+    from docker_daemon import docker_daemon
+
+    before = os.environ.get("DOCKER_HOST")
+    with docker_daemon() as host:
+        os.environ["DOCKER_HOST"] = host
+        yield host
+    if before is None:
+        del os.environ["DOCKER_HOST"]

@@ -13,11 +13,12 @@ from twisted.logger import Logger
 from endpoints.data_port import DataPort
 from endpoints.environment import surroundings
 from endpoints.environment.settings import Settings
-from endpoints.host import host_identity, listen
+from endpoints.host import listen
 from rce import __version__, loop
 from rce.calls import Call, Hello, Nothing, Welcome
 from rce.control import MasterLink
 from rce.errors import RceError
+from rce.host import host_identity
 from rce.settings import load_or_exit
 
 SWITCH_INTERVAL = 0.0005  # seconds after which the loop lets the ROS thread in, and the other way round
@@ -42,7 +43,8 @@ class Endpoint:
         from endpoints.environment.ros import RosThread
 
         port = DataPort()
-        self._addresses = await listen(port, self._settings.data_dir, self._settings.listen)
+        socket = self._settings.socket or self._settings.data_dir.absolute() / "data.sock"
+        self._addresses = await listen(port, socket, self._settings.listen)
         ros = RosThread(asyncio.get_running_loop())
         await ros.start()
         environment = Environment(self._settings, ros, port, self.tell)
@@ -78,7 +80,7 @@ class Endpoint:
             self._settings.name,
             self._token,
             __version__,
-            host=host_identity(),
+            host=self._settings.host or host_identity(),
             addresses=self._addresses,
         )
 

@@ -20,6 +20,10 @@ class Settings(Struct, frozen=True):
     master: Annotated[str, Meta(description="Twisted client endpoint of the Master, e.g. tcp:127.0.0.1:8080")]
     data_dir: Annotated[Path, Meta(description="directory for logs, sockets and the nodes' home")]
     listen: Annotated[str, Meta(description="address for data links over TCP; empty: only dial and UNIX socket")] = ""
+    host: Annotated[str, Meta(description="identity of the machine, where a container hides it")] = ""
+    socket: Annotated[
+        Path | None, Meta(description="UNIX socket for data links, a path that is the same for who dials it")
+    ] = None
     package_path: Annotated[
         list[Path], Meta(description="directories of packages with nodes: prefixes of ROS 2, or sources")
     ] = []

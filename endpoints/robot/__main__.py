@@ -15,7 +15,6 @@ from twisted.logger import Logger
 
 import rce
 from endpoints.data_port import DataPort
-from endpoints.host import host_identity
 from endpoints.host import listen as listen_data
 from endpoints.memory import keep_large_blocks
 from endpoints.robot.endpoint import Options, RobotEndpoint
@@ -25,6 +24,7 @@ from rce.calls import Hello, Welcome
 from rce.control import MasterLink
 from rce.credential import Credential, stay_joined
 from rce.errors import InvalidRequest
+from rce.host import host_identity
 from rce.ready import Ready, announce
 
 MEGABYTE = 1024 * 1024
@@ -61,7 +61,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     options.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
     credential = Credential(options.data_dir / "credential", options.token)
     port = DataPort()
-    addresses = await listen_data(port, options.data_dir, options.data_host, options.data_port)
+    addresses = await listen_data(port, options.data_dir.absolute() / "data.sock", options.data_host, options.data_port)
     limits = ServerLimits(
         options.message_size * MEGABYTE,
         options.bad_messages,

@@ -68,6 +68,13 @@ def test_dry_run_of_demo(checkout: Path, arguments: tuple[str, ...], expected: s
     assert plan(checkout, "demo", "--dry-run", *arguments).splitlines()[-1].endswith(expected.format(checkout))
 
 
+def test_dry_run_of_image(checkout: Path) -> None:
+    lines = plan(checkout, "image", "--dry-run").splitlines()
+    assert [line[:16].strip() for line in lines] == ["system packages", "virtual env", "python packages", "run"]
+    assert "rce[server,docker]" in lines[2]
+    assert lines[-1].endswith("-P -m provisioning.image")
+
+
 def test_steps_that_are_done_are_not_done_again(script: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
     done: list[str] = []
 

@@ -1,0 +1,222 @@
+"""The engine `docker`: an environment is a container of its own, without a network, on this machine's Docker.
+
+What it needs of the outside comes through two directories: in one is the socket that leads to the Master (relay.py), in
+the other, which the environments of one user share, are the sockets at which their endpoints take data links. So
+nothing that an environment sends can reach another user's environments, the host or the network.
+
+Labels on the containers say whose they are; by them they are adopted after a restart of the task set. Docker's event
+stream tells of their ends, and nothing is polled.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import shutil
+from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from twisted.internet.base import ReactorBase
+from twisted.logger import Logger
+
+from containers.docker_daemon import RUN, Daemon, Found
+from containers.docker_events import Event
+from containers.docker_options import MB, USER, Places, limits, variables, walls
+from containers.engine import LAST_LINES, Ended, Engine, Life
+from containers.logfile import LONGEST_LINE
+from containers.processes import describe_end
+from containers.relay import Relay
+from rce.calls import EnvironmentSpec
+from rce.errors import StartFailed
+from rce.host import host_identity
+
+log = Logger()
+COMMAND: Sequence[str] = ("python3", "-P", "-m", "endpoints.environment")
+
+
+@dataclass
+class _Environment:
+    """What this process holds for an environment; all else Docker knows."""
+
+    run: str
+    places: Places
+    relay: Relay
+
+
+class DockerEngine(Engine):
+    """Environments as containers of `image`; `settings` are those of every Environment endpoint (`RCE_…`).
+
+    The task set must be the only one with this `directory`. `read_only` are directories of the host that every
+    environment sees at the same path.
+    """
+
+    def __init__(
+        self,
+        capacity: int,
+        features: Collection[str],
+        ended: Callable[[Ended], None],
+        *,
+        reactor: ReactorBase,
+        platform: str,
+        directory: Path,
+        master: str,
+        image: str,
+        settings: Mapping[str, str],
+        read_only: Sequence[str] = (),
+        command: Sequence[str] = COMMAND,
+    ) -> None:
+        super().__init__(capacity, features, ended)
+        self._reactor = reactor
+        self._root = directory / "environments"
+        self._sockets = directory / "sockets"
+        self._master = master
+        self._image = image
+        self._settings = settings
+        self._read_only = read_only
+        self._command = command
+        self._daemon = Daemon({"rce.platform": platform, "rce.directory": str(directory)})
+        self._environments: dict[str, _Environment] = {}
+        self._looking: set[asyncio.Task[None]] = set()
+        self._following = asyncio.Event()
+
+    async def launch(self, spec: EnvironmentSpec) -> None:
+        granted = limits(spec)
+        try:
+            environment = await self._furnish(spec.name, spec.run)
+        except OSError as error:
+            raise StartFailed(f"environment {spec.name} did not start: {error}") from None
+        await self._daemon.start(
+            Found("", spec.name, spec.run, spec.options.size, running=False),
+            self._image,
+            self._command,
+            variables(spec, environment.places, host_identity(), self._settings),
+            walls(granted, environment.places, self._read_only),
+        )
+
+    async def remove(self, name: str) -> None:
+        await self._daemon.remove(name)
+        environment = self._environments.get(name)
+        if environment is not None:
+            environment.relay.close()
+            environment.places.socket.unlink(missing_ok=True)
+        if (self._root / name).is_dir():
+            await asyncio.to_thread(shutil.rmtree, self._root / name)
+        self._environments.pop(name, None)
+        self._sweep(name.partition("/")[0])
+
+    async def recover(self) -> dict[str, Life]:
+        """Raises Unavailable when there is no Docker."""
+        for directory in (self._root, self._sockets):
+            directory.mkdir(parents=True, exist_ok=True, mode=0o700)
+        await self._daemon.connect(self._happened, self._taken_up)
+        await self._following.wait()  # before the list is made, so that no end is missed
+        lives: dict[str, Life] = {}
+        for found in await self._daemon.present():
+            if found.running and self._places(found.name, found.run).control.is_dir():
+                await self._furnish(found.name, found.run)
+                lives[found.name] = Life(found.run, found.size)
+            else:
+                log.info("removing what is left of {name}", name=found.name)
+                await self._daemon.remove(found.name)
+        await self._remove_leftovers()
+        return lives
+
+    async def last_lines(self, name: str) -> list[str]:
+        lines = await self._daemon.last_lines(self._environments[name].run, LAST_LINES)
+        return [line[:LONGEST_LINE] for line in lines]
+
+    async def release(self) -> None:
+        self._daemon.close()
+        for task in self._looking:
+            task.cancel()
+        for environment in self._environments.values():
+            environment.relay.close()
+        self._environments.clear()
+
+    # --- places on the host -------------------------------------------------------------------------------------------
+
+    def _places(self, name: str, run: str) -> Places:
+        return Places(self._root / name / run, self._sockets / name.partition("/")[0] / f"{run}.sock")
+
+    async def _furnish(self, name: str, run: str) -> _Environment:
+        """Make the directories of an environment, unless they are there, and open its way to the Master."""
+        places = self._places(name, run)
+        environment = _Environment(run, places, Relay(self._reactor, self._master))
+        self._environments[name] = environment  # from now on nobody sweeps the directory of its user
+        places.control.mkdir(parents=True, exist_ok=True)
+        sockets = places.socket.parent
+        if not sockets.is_dir():
+            sockets.mkdir(mode=0o700)
+            if os.geteuid() == 0:
+                os.chown(sockets, USER, USER)
+        await environment.relay.open(places.control)
+        return environment
+
+    async def _remove_leftovers(self) -> None:
+        """Directories and sockets of environments that are no more."""
+        for path in [tag for user in _directories(self._root) for tag in _directories(user)]:
+            if str(path.relative_to(self._root)) not in self._environments:
+                await asyncio.to_thread(shutil.rmtree, path)
+        known = {environment.places.socket for environment in self._environments.values()}
+        for path in self._sockets.glob("*/*.sock"):
+            if path not in known:
+                path.unlink()
+        for user in {path.name for root in (self._root, self._sockets) for path in _directories(root)}:
+            self._sweep(user)
+
+    def _sweep(self, user: str) -> None:
+        """Remove the directories of a user who has no environment; an environment may have left files there."""
+        if any(name.partition("/")[0] == user for name in self._environments):
+            return
+        with suppress(FileNotFoundError):
+            (self._root / user).rmdir()
+        if (self._sockets / user).is_dir():
+            shutil.rmtree(self._sockets / user)
+
+    # --- ends ---------------------------------------------------------------------------------------------------------
+
+    def _happened(self, event: Event) -> None:
+        run = event["Actor"]["Attributes"][RUN]
+        name = next((name for name, each in self._environments.items() if each.run == run), None)
+        if name is not None:
+            self._look(self._see(name, run))
+
+    def _taken_up(self) -> None:
+        if self._following.is_set():
+            self._look(self._see_all())
+        self._following.set()
+
+    async def _see(self, name: str, run: str) -> None:
+        """Report the end of an environment with what Docker knows of it."""
+        state = await self._daemon.state(run)
+        if state is None:
+            self.died(name, run, "was removed", None)
+            return
+        status = 128 - state.status if state.status > 128 else state.status  # negative: ended by a signal
+        reason = describe_end(status)
+        if state.out_of_memory:
+            reason += f"; it had used up its memory of {state.memory // MB} MB"
+        self.died(name, run, reason, status)
+
+    async def _see_all(self) -> None:
+        """Docker was away: whatever does not run now has ended."""
+        alive = {found.run for found in await self._daemon.present() if found.running}
+        for name, life in self.running().items():
+            if life.run not in alive:
+                await self._see(name, life.run)
+
+    def _look(self, work: Coroutine[None, None, None]) -> None:
+        task = asyncio.create_task(work)
+        self._looking.add(task)
+        task.add_done_callback(self._looked)
+
+    def _looked(self, task: asyncio.Task[None]) -> None:
+        self._looking.discard(task)
+        if not task.cancelled() and (error := task.exception()):
+            log.error("Docker could not be asked: {error}", error=str(error))
+
+
+def _directories(parent: Path) -> list[Path]:
+    return sorted(path for path in parent.iterdir() if path.is_dir()) if parent.is_dir() else []

@@ -1,0 +1,182 @@
+"""What the engine `docker` asks of a Docker daemon, off the event loop."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+import docker
+import requests
+from docker.errors import APIError, DockerException, ImageNotFound, NotFound
+from msgspec import Struct
+from twisted.logger import Logger
+
+from containers.docker_events import Event, Events
+from containers.docker_options import Walls
+from rce.errors import StartFailed, Unavailable
+
+log = Logger()
+ENVIRONMENT, RUN, SIZE = "rce.environment", "rce.run", "rce.size"
+STOP_TIMEOUT = 12  # seconds; the endpoint stops its nodes by SIGINT, SIGTERM, SIGKILL in less
+ANSWER_TIMEOUT = 60  # seconds for one answer of the daemon
+THREADS = 8
+CONFLICT = 409  # another removal of the same container is under way
+R = TypeVar("R")
+
+
+class Found(Struct, frozen=True):
+    """A container of ours."""
+
+    id: str
+    name: str
+    run: str
+    size: int
+    running: bool
+
+
+class State(Struct, frozen=True):
+    """A container that has ended; `memory` is its limit in bytes."""
+
+    status: int
+    out_of_memory: bool
+    memory: int
+
+
+class Daemon:
+    """The daemon of DOCKER_HOST, by default this machine's. All containers made here get `labels`, and only what has
+    them is seen.
+
+    A call that is cancelled has been carried out all the same when the cancellation comes through. All calls raise
+    Unavailable when the daemon does not answer.
+    """
+
+    def __init__(self, labels: Mapping[str, str]) -> None:
+        self._labels = dict(labels)
+        self._filter = [f"{key}={value}" for key, value in labels.items()]
+        self._threads = ThreadPoolExecutor(THREADS, "docker")
+        self._api: docker.APIClient
+        self._events: Events | None = None
+
+    async def connect(self, happened: Callable[[Event], None], taken_up: Callable[[], None]) -> None:
+        """Find the daemon and follow its events; see `Events`."""
+        self._api = await self._call(_connect)
+        self._events = Events(self._api, self._filter, happened, taken_up)
+        self._events.start()
+
+    def close(self) -> None:
+        """Nothing is told after this."""
+        if self._events is not None:
+            self._events.close()
+
+    async def start(
+        self, found: Found, image: str, command: Sequence[str], variables: Mapping[str, str], walls: Walls
+    ) -> None:
+        """Make a container and start it. StartFailed; what was made of it by then stays."""
+        await self._call(lambda: self._start(found, image, list(command), dict(variables), walls))
+
+    async def present(self) -> list[Found]:
+        """All containers, alive or dead."""
+        return await self._call(lambda: self._list(self._filter))
+
+    async def remove(self, name: str) -> None:
+        """Stop and remove the containers of an environment, if there are any."""
+        await self._call(lambda: self._remove(name))
+
+    async def state(self, run: str) -> State | None:
+        """How a container stands, None if there is none."""
+        return await self._call(lambda: self._state(run))
+
+    async def last_lines(self, run: str, count: int) -> list[str]:
+        """The last lines of output."""
+        output = await self._call(lambda: self._output(run, count))
+        return output.decode(errors="replace").splitlines()
+
+    async def _call(self, work: Callable[[], R]) -> R:
+        future = asyncio.get_running_loop().run_in_executor(self._threads, work)
+        try:
+            return await asyncio.shield(future)
+        except asyncio.CancelledError:
+            await asyncio.wait([future])
+            if not future.cancelled() and (error := future.exception()):
+                log.info("a call that was cancelled failed: {error}", error=str(error))
+            raise
+        except requests.RequestException as error:
+            raise Unavailable(f"Docker does not answer: {error}") from None
+        except DockerException as error:
+            raise Unavailable(f"Docker: {said(error)}") from None
+
+    # --- in threads ---------------------------------------------------------------------------------------------------
+
+    def _start(self, found: Found, image: str, command: list[str], variables: dict[str, str], walls: Walls) -> None:
+        try:
+            made = self._api.create_container(
+                image,
+                command,
+                name=_container(found.run),
+                user=walls.user,
+                environment=variables,
+                labels={**self._labels, ENVIRONMENT: found.name, RUN: found.run, SIZE: str(found.size)},
+                host_config=self._api.create_host_config(**walls.host_config),
+            )
+            self._api.start(made["Id"])
+        except ImageNotFound:
+            raise StartFailed(
+                f"environment {found.name} did not start: this machine has no image {image}; "
+                "`provisioning/provision image` builds it"
+            ) from None
+        except APIError as error:
+            raise StartFailed(f"environment {found.name} did not start: {said(error)}") from None
+
+    def _list(self, labels: list[str]) -> list[Found]:
+        return [
+            Found(
+                id=each["Id"],
+                name=each["Labels"][ENVIRONMENT],
+                run=each["Labels"][RUN],
+                size=int(each["Labels"][SIZE]),
+                running=each["State"] == "running",
+            )
+            for each in self._api.containers(all=True, filters={"label": labels})
+        ]
+
+    def _remove(self, name: str) -> None:
+        for found in self._list([*self._filter, f"{ENVIRONMENT}={name}"]):
+            try:
+                self._api.stop(found.id, timeout=STOP_TIMEOUT)
+                self._api.remove_container(found.id, force=True, v=True)
+            except NotFound:
+                continue
+            except APIError as error:
+                if error.status_code != CONFLICT:
+                    raise
+
+    def _state(self, run: str) -> State | None:
+        try:
+            seen = self._api.inspect_container(_container(run))
+        except NotFound:
+            return None
+        state = seen["State"]
+        return State(state["ExitCode"], state["OOMKilled"], seen["HostConfig"]["Memory"])
+
+    def _output(self, run: str, count: int) -> bytes:
+        try:
+            output: bytes = self._api.logs(_container(run), tail=count)
+        except NotFound:
+            return b""
+        return output
+
+
+def _connect() -> docker.APIClient:
+    return docker.APIClient(**docker.utils.kwargs_from_env(), version="auto", timeout=ANSWER_TIMEOUT)
+
+
+def _container(run: str) -> str:
+    """The name of a container."""
+    return f"rce-{run}"
+
+
+def said(error: Exception) -> str:
+    """What went wrong in Docker's own words."""
+    return str(getattr(error, "explanation", None) or error)

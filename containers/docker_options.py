@@ -1,0 +1,120 @@
+"""How the container of an environment is made: what it may do, what it may use, what it sees."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from docker.types import LogConfig, Mount, Ulimit
+from msgspec import Struct
+
+from rce.calls import EnvironmentSpec
+from rce.errors import InvalidRequest, LimitExceeded
+
+MB = 1024 * 1024
+MEMORY, PIDS = 1024 * MB, 512  # of one slot, unless the environment asks for other memory
+SHARED_MEMORY, HOME_SIZE, TEMPORARY_SIZE = 256 * MB, 256 * MB, 128 * MB  # all in memory, and counted in its limit
+INODES = 50_000  # of each file system in memory
+OPEN_FILES = 4096
+LOG_SIZE = "2m"
+USER = 10000  # the user of the images; a task set that is not root has its own, as it cannot give files away
+CONTROL = "/run/rce"  # where the container sees its control directory
+HOME = "/home/rce"
+
+
+class Limits(Struct, frozen=True):
+    """What one environment may use: memory in bytes, cores, processes and threads."""
+
+    memory: int
+    cpu: float
+    pids: int
+
+
+class Places(Struct, frozen=True):
+    """What one environment has on the host."""
+
+    control: Path
+    """Directory with the socket that leads to the Master; the environment only reads it."""
+    socket: Path
+    """Where its endpoint takes data links, in a directory that all environments of its user see at this same path."""
+
+
+class Walls(Struct, frozen=True):
+    """`host_config` is as docker-py takes it."""
+
+    user: str
+    host_config: dict[str, Any]
+
+
+def limits(spec: EnvironmentSpec) -> Limits:
+    """The limits that an environment asks for, or those of its slots. LimitExceeded, InvalidRequest."""
+    options = spec.options
+    if options.group:
+        raise InvalidRequest(
+            f"environment {spec.name}: network groups are not available here", field="containerData.group"
+        )
+    cores = float(os.cpu_count() or 1)
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    for field, asked, limit in (("cpu", options.cpu, cores), ("memory", options.memory, memory)):
+        if asked > limit:
+            raise LimitExceeded(
+                f"environment {spec.name} asks for {field} {asked:g}, this machine has {limit:g}",
+                field=f"containerData.{field}",
+                asked=asked,
+                limit=limit,
+            )
+    return Limits(
+        int(options.memory) or min(MEMORY * options.size, memory),
+        options.cpu or min(float(options.size), cores),
+        PIDS * options.size,
+    )
+
+
+def walls(granted: Limits, places: Places, read_only: Sequence[str]) -> Walls:
+    """What a container may do, use and see; `read_only` are further directories that it sees."""
+    user = USER if os.geteuid() == 0 else os.geteuid()
+    sockets = str(places.socket.parent)
+    mounts = [
+        Mount(CONTROL, str(places.control), type="bind", read_only=True),
+        Mount(sockets, sockets, type="bind"),
+        *(Mount(path, path, type="bind", read_only=True) for path in read_only),
+    ]
+    config = {
+        "network_mode": "none",
+        "cap_drop": ["ALL"],
+        "security_opt": ["no-new-privileges"],
+        "read_only": True,
+        "mounts": mounts,
+        "tmpfs": {
+            HOME: f"exec,size={HOME_SIZE},nr_inodes={INODES},uid={user},gid={user},mode=0700",
+            "/tmp": f"size={TEMPORARY_SIZE},nr_inodes={INODES},mode=1777",
+        },
+        "shm_size": SHARED_MEMORY,
+        "mem_limit": granted.memory,
+        "memswap_limit": granted.memory,
+        "nano_cpus": int(granted.cpu * 1e9),
+        "pids_limit": granted.pids,
+        "ulimits": [Ulimit(name="nofile", soft=OPEN_FILES, hard=OPEN_FILES), Ulimit(name="core", soft=0, hard=0)],
+        "log_config": LogConfig(type=LogConfig.types.JSON, config={"max-size": LOG_SIZE, "max-file": "2"}),
+        "restart_policy": {"Name": "no"},
+    }
+    return Walls(f"{user}:{user}", config)
+
+
+def variables(spec: EnvironmentSpec, places: Places, host: str, settings: Mapping[str, str]) -> dict[str, str]:
+    """What the Environment endpoint finds in its environment."""
+    return {
+        **{f"RCE_{key.upper()}": value for key, value in settings.items()},
+        "HOME": f"{HOME}/home",
+        "RCE_NAME": spec.name,
+        "RCE_RUN": spec.run,
+        "RCE_TOKEN": spec.token,
+        "RCE_MASTER": f"unix:{CONTROL}/control.sock",
+        "RCE_DATA_DIR": HOME,
+        "RCE_HOST": host,
+        "RCE_SOCKET": str(places.socket),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+    }

@@ -1,0 +1,218 @@
+"""Builds the images of environments from this checkout: `python -P -m provisioning.image`.
+
+Three tags: `rce/system` is Debian, from a registry or else by debootstrap; `rce/base` and `rce/mapping` are built on it
+from the Dockerfiles in `containers/images`. What changes rarely comes first in them, our code last.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+import tempfile
+import threading
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import docker
+from docker.errors import APIError, DockerException, ImageNotFound
+
+from rce import __version__
+from rce.errors import RceError, StartFailed, Unavailable
+
+ROOT = Path(__file__).parents[1]
+IMAGES = ROOT / "containers" / "images"
+SYSTEM, GROUND, BASE, MAPPING = "rce/system", "rce/ground", "rce/base", "rce/mapping"
+RELEASE = "bookworm"
+REGISTRY_IMAGE = f"debian:{RELEASE}-slim"
+REGISTRY_TIMEOUT = 10.0  # seconds for a registry to answer at all
+IN_SYSTEM = ("python3", "python3-venv", "tini")
+SUPERFLUOUS = (
+    "usr/share/doc",
+    "usr/share/man",
+    "usr/share/locale",
+    "usr/share/info",
+    "var/cache/apt",
+    "var/lib/apt/lists",
+)
+CODE = ("rce", "endpoints", "converters", "containers/__init__.py", "containers/nodes")
+EXTRAS = {"base.txt": ("environment", "ros"), "mapping.txt": ("mapping",)}
+PIP_SETTINGS = ("PIP_INDEX_URL", "PIP_EXTRA_INDEX_URL", "PIP_TRUSTED_HOST", "PIP_DEFAULT_TIMEOUT")
+PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "NO_PROXY", "http_proxy", "https_proxy", "no_proxy")
+CERTIFICATES = ("PIP_CERT", "SSL_CERT_FILE", "REQUESTS_CA_BUNDLE", "CURL_CA_BUNDLE")
+BUNDLE = "/etc/ssl/certs/ca-certificates.crt"
+
+
+class Builder:
+    """Builds with one Docker daemon."""
+
+    def __init__(self, api: docker.APIClient) -> None:
+        self._api = api
+
+    def build(self) -> None:
+        """All images. StartFailed with the build's last lines, Unavailable."""
+        if not self._has(SYSTEM):
+            self._make_system()
+        context = make_context()
+        base, version = "images/base/Dockerfile", f":{__version__}"
+        self._build(context, base, f"{GROUND}{version}", {"SYSTEM": SYSTEM}, target="ground")
+        self._build(context, base, f"{BASE}{version}", {"SYSTEM": SYSTEM})
+        self._build(context, "images/mapping/Dockerfile", f"{MAPPING}{version}", {"GROUND": f"{GROUND}{version}"})
+
+    def sizes(self) -> dict[str, int]:
+        """Of the built images, in bytes."""
+        tags = [f"{name}:{__version__}" for name in (BASE, MAPPING)]
+        return {tag: self._api.inspect_image(tag)["Size"] for tag in tags}
+
+    def _has(self, tag: str) -> bool:
+        try:
+            self._api.inspect_image(tag)
+        except ImageNotFound:
+            return False
+        return True
+
+    def _make_system(self) -> None:
+        if self._pull():
+            self._api.tag(REGISTRY_IMAGE, SYSTEM)
+            return
+        print(f"no registry answers: making {SYSTEM} by debootstrap", flush=True)
+        with tempfile.TemporaryDirectory(prefix="rce-image-") as directory:
+            self._api.import_image_from_data(_debootstrap(Path(directory)), repository=SYSTEM, tag="latest")
+
+    def _pull(self) -> bool:
+        """Whether a registry gave the image. One that does not even begin to answer is not waited for."""
+        outcome: list[bool] = []
+        began = threading.Event()
+
+        def pull() -> None:
+            try:
+                for _ in self._api.pull(REGISTRY_IMAGE, stream=True, decode=True):
+                    began.set()
+                outcome.append(self._has(REGISTRY_IMAGE))
+            except DockerException:
+                outcome.append(False)
+            began.set()
+
+        thread = threading.Thread(target=pull, daemon=True)
+        thread.start()
+        if not began.wait(REGISTRY_TIMEOUT):
+            return False
+        thread.join()
+        return outcome[0]
+
+    def _build(self, context: bytes, dockerfile: str, tag: str, arguments: dict[str, str], target: str = "") -> None:
+        settings = {key: os.environ[key] for key in (*PIP_SETTINGS, *PROXIES) if key in os.environ}
+        if host_bundle():
+            settings["PIP_CERT"] = BUNDLE
+        output = self._api.build(
+            fileobj=io.BytesIO(context),
+            custom_context=True,
+            dockerfile=dockerfile,
+            tag=tag,
+            target=target or None,
+            buildargs={**settings, **arguments},
+            labels={"rce.version": __version__},
+            network_mode="host",  # pip and apt reach what this machine reaches
+            rm=True,
+            decode=True,
+        )
+        _follow(tag, output)
+
+
+def _follow(tag: str, output: Iterator[dict[str, str]]) -> None:
+    lines: list[str] = []
+    for item in output:
+        lines.append(item.get("stream", ""))
+        if "error" in item:
+            raise StartFailed(f"{''.join(lines[-30:])}\n{tag} was not built: {item['error']}")
+
+
+def host_bundle() -> Path | None:
+    """The certificates that this machine was told to trust: behind a proxy that inspects TLS a build needs them too."""
+    return next((Path(os.environ[key]) for key in CERTIFICATES if Path(os.environ.get(key, "")).is_file()), None)
+
+
+def requirements(extras: tuple[str, ...]) -> str:
+    """What pyproject.toml asks for, as pip's requirements file."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    wanted = [*project["dependencies"], *(item for extra in extras for item in project["optional-dependencies"][extra])]
+    return "".join(f"{item}\n" for item in dict.fromkeys(wanted))
+
+
+def make_context() -> bytes:
+    """The files that the Dockerfiles copy, as a tar archive. Times are 0, so that Numba and Python, which compare them,
+    take a file for the same in whatever layer it is."""
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w", format=tarfile.PAX_FORMAT) as archive:
+        for path in sorted(IMAGES.rglob("*")):
+            _add(archive, path, f"images/{path.relative_to(IMAGES)}")
+        for name, extras in EXTRAS.items():
+            _add_text(archive, requirements(extras).encode(), name)
+        _add_text(archive, b"", "certificates/.none")
+        bundle = host_bundle()
+        if bundle is not None:
+            _add_text(archive, bundle.read_bytes(), "certificates/ca-certificates.crt")
+        for name in CODE:
+            _add(archive, ROOT / name, f"code/{name}")
+    return buffer.getvalue()
+
+
+def _add(archive: tarfile.TarFile, path: Path, name: str) -> None:
+    archive.add(path, name, filter=_plain)
+
+
+def _add_text(archive: tarfile.TarFile, content: bytes, name: str) -> None:
+    info = tarfile.TarInfo(name)
+    info.size = len(content)
+    archive.addfile(info, io.BytesIO(content))
+
+
+def _plain(info: tarfile.TarInfo) -> tarfile.TarInfo | None:
+    if "__pycache__" in info.name:
+        return None
+    info.uid = info.gid = info.mtime = 0
+    info.uname = info.gname = ""
+    return info
+
+
+def _debootstrap(directory: Path) -> bytes:
+    """A minimal Debian as a tar archive. Unavailable where there is no debootstrap or no root."""
+    if shutil.which("debootstrap") is None or os.geteuid() != 0:
+        raise Unavailable(
+            f"no registry gives {REGISTRY_IMAGE}; to make it here, install debootstrap (apt-get install debootstrap) "
+            "and run this as root"
+        )
+    target = directory / "root"
+    command = ["debootstrap", "--variant=minbase", f"--include={','.join(IN_SYSTEM)}", RELEASE, str(target)]
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    if done.returncode:
+        raise StartFailed(f"{done.stdout[-2000:]}\ndebootstrap ended with status {done.returncode}")
+    for name in SUPERFLUOUS:
+        shutil.rmtree(target / name)
+        (target / name).mkdir()
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w") as archive:
+        archive.add(target, ".")
+    return buffer.getvalue()
+
+
+def main() -> int:
+    try:
+        builder = Builder(docker.APIClient(**docker.utils.kwargs_from_env(), version="auto", timeout=600))
+        builder.build()
+    except (RceError, APIError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except DockerException as error:
+        print(f"error: no Docker here: {error}", file=sys.stderr)
+        return 1
+    print(", ".join(f"{tag} ({size / 1e6:.0f} MB)" for tag, size in builder.sizes().items()))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

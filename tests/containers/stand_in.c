@@ -1,0 +1,34 @@
+/* Stands in for the Environment endpoint in a container that has nothing else. The argument is what it does. */
+#include <signal.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+static void end(int number) {
+    (void)number;
+    static const char words[] = "last words\n";
+    (void)!write(1, words, sizeof words - 1);
+    _exit(3);
+}
+
+static void quit(int number) { _exit(128 + number); }
+
+int main(int count, char **words) {
+    const char *behaviour = count > 1 ? words[1] : "";
+    signal(SIGUSR1, end);
+    signal(SIGTERM, quit);
+    if (!strcmp(behaviour, "eat")) /* memory, until it is killed */
+        for (;;) memset(malloc(1 << 20), 1, 1 << 20);
+    if (!strcmp(behaviour, "fork")) { /* as many processes as it gets, then it says how many */
+        int made = 0;
+        for (int child; made < 100000 && (child = fork()) >= 0; made++)
+            if (child == 0) for (;;) pause();
+        printf("%d processes\n", made);
+        fflush(stdout);
+        end(0);
+    }
+    puts("ready");
+    fflush(stdout);
+    for (;;) pause();
+}

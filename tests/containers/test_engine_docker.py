@@ -1,0 +1,254 @@
+# ruff: noqa: E402  (Docker is imported only where it is there)
+"""The engine `docker` with a real daemon: the contract, and the walls around an environment."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import re
+import socket
+from collections.abc import AsyncIterator, Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from engine_contract import CAPACITY, FEATURES, Endings, EngineContract, World, spec
+from twisted.internet.base import ReactorBase
+
+docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+
+from containers.docker import DockerEngine
+from containers.docker_options import MB, PIDS
+from containers.engine import Ended, Engine, Life
+from rce.calls import EnvironmentSpec
+from rce.errors import InvalidRequest, LimitExceeded, StartFailed, Unavailable
+from rce.messages import ContainerData
+
+COMMAND = ["/stand-in"]
+
+
+class DockerWorld(World):
+    def __init__(self, directory: Path, image: str, reactor: ReactorBase) -> None:
+        self.directory = directory
+        self.image = image
+        self.api = docker.APIClient(**docker.utils.kwargs_from_env(), version="auto")
+        self._reactor = reactor
+
+    def engine(
+        self, ended: Callable[[Ended], None], *behaviour: str, image: str = "", master: str = "tcp:127.0.0.1:1"
+    ) -> DockerEngine:
+        return DockerEngine(
+            CAPACITY,
+            FEATURES,
+            ended,
+            reactor=self._reactor,
+            platform="machine",
+            directory=self.directory,
+            master=master,
+            image=image or self.image,
+            settings={"typesupport": "/types"},
+            command=[*COMMAND, *behaviour],
+        )
+
+    def break_start(self, engine: Engine) -> None:
+        assert isinstance(engine, DockerEngine)
+        engine._command = ["/nonexistent/program"]
+
+    async def end(self, name: str) -> None:
+        (container,) = [each["Id"] for each in self.containers() if each["Labels"]["rce.environment"] == name]
+        await asyncio.to_thread(self.api.kill, container, "SIGUSR1")
+        await asyncio.to_thread(self.api.wait, container)
+
+    def containers(self) -> list[dict[str, Any]]:
+        label = f"rce.directory={self.directory}"
+        found: list[dict[str, Any]] = self.api.containers(all=True, filters={"label": label})
+        return found
+
+    def there(self) -> set[str]:
+        """A socket's directory counts as its user's."""
+        root, sockets = self.directory / "environments", self.directory / "sockets"
+        tags = {str(path.relative_to(root)) for path in root.glob("*/*")}
+        users = {path.name for path in [*root.glob("*"), *sockets.glob("*")]}
+        named = {each["Labels"]["rce.environment"] for each in self.containers()}
+        return tags | named | (users - {tag.partition("/")[0] for tag in tags})
+
+    def alive(self) -> dict[str, str]:
+        labels = [each["Labels"] for each in self.containers() if each["State"] == "running"]
+        return {each["rce.environment"]: each["rce.run"] for each in labels}
+
+    def inspect(self, name: str) -> dict[str, Any]:
+        (container,) = [each["Id"] for each in self.containers() if each["Labels"]["rce.environment"] == name]
+        seen: dict[str, Any] = self.api.inspect_container(container)
+        return seen
+
+
+@pytest.fixture
+def world(tmp_path: Path, stand_in_image: str, reactor: ReactorBase) -> Iterator[DockerWorld]:
+    world = DockerWorld(tmp_path, stand_in_image, reactor)
+    yield world
+    world.api.close()
+
+
+@pytest.fixture
+def endings() -> Endings:
+    return Endings()
+
+
+class TestDockerEngine(EngineContract):
+    @pytest.fixture
+    def world(self, tmp_path: Path, stand_in_image: str, reactor: ReactorBase) -> Iterator[DockerWorld]:
+        world = DockerWorld(tmp_path, stand_in_image, reactor)
+        yield world
+        world.api.close()
+
+
+@pytest.fixture
+async def engine(world: DockerWorld, endings: Endings) -> AsyncIterator[DockerEngine]:
+    engine = world.engine(endings)
+    await engine.open()
+    yield engine
+    await engine.keep([])
+    await engine.close()
+    assert world.there() == set()
+
+
+def with_options(**options: Any) -> EnvironmentSpec:
+    return EnvironmentSpec("ann/map", spec().run, "token", ContainerData(**options))
+
+
+async def test_the_walls_of_a_container(world: DockerWorld, engine: DockerEngine) -> None:
+    await engine.start(with_options(memory=300 * MB, cpu=0.5, size=2))
+    seen = world.inspect("ann/map")
+    host = seen["HostConfig"]
+    assert host["CapDrop"] == ["ALL"]
+    assert not host["CapAdd"]
+    assert not host["Privileged"]
+    assert host["SecurityOpt"] == ["no-new-privileges"]
+    assert host["ReadonlyRootfs"]
+    assert host["NetworkMode"] == "none"
+    assert host["RestartPolicy"]["Name"] == "no"
+    assert (host["Memory"], host["MemorySwap"]) == (300 * MB, 300 * MB)
+    assert (host["NanoCpus"], host["PidsLimit"]) == (500_000_000, 2 * PIDS)
+    assert seen["Config"]["User"].split(":")[0] not in ("", "0", "root")
+    assert host["LogConfig"]["Config"] == {"max-size": "2m", "max-file": "2"}
+    binds = {mount["Destination"]: (mount["Source"], mount["RW"]) for mount in seen["Mounts"]}
+    assert binds == {
+        "/run/rce": (str(world.directory / "environments" / "ann" / "map" / spec().run), False),
+        str(world.directory / "sockets" / "ann"): (str(world.directory / "sockets" / "ann"), True),
+    }
+
+
+async def test_using_up_the_memory_is_told(world: DockerWorld, endings: Endings) -> None:
+    engine = world.engine(endings, "eat")
+    await engine.open()
+    await engine.start(with_options(memory=32 * MB))
+    ended = await endings.next()
+    assert ended.status == -9
+    assert "memory of 32 MB" in ended.reason
+    assert world.there() == set()
+    await engine.close()
+
+
+async def test_a_fork_bomb_ends_at_the_limit(world: DockerWorld, endings: Endings) -> None:
+    engine = world.engine(endings, "fork")
+    await engine.open()
+    await engine.start(spec())
+    ended = await endings.next()
+    (made,) = re.findall(r"(\d+) processes", "\n".join(ended.lines))
+    assert int(made) < PIDS
+    await engine.close()
+
+
+async def test_an_image_that_is_not_there(world: DockerWorld, endings: Endings) -> None:
+    engine = world.engine(endings, image="rce-test/nothing:1")
+    await engine.open()
+    with pytest.raises(StartFailed, match=r"no image rce-test/nothing:1.*provision image"):
+        await engine.start(spec())
+    assert world.there() == set()
+    await engine.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [({"cpu": 10_000}, LimitExceeded), ({"memory": 2**60}, LimitExceeded), ({"group": "g"}, InvalidRequest)],
+)
+async def test_what_this_engine_cannot_give_is_refused(
+    engine: DockerEngine, options: dict[str, Any], error: type[LimitExceeded | InvalidRequest]
+) -> None:
+    with pytest.raises(error) as raised:
+        await engine.start(with_options(**options))
+    assert raised.value.field == f"containerData.{next(iter(options))}"
+
+
+async def test_leftovers_of_a_killed_task_set(world: DockerWorld, engine: DockerEngine) -> None:
+    """Killed after it had made a container, and after it had made directories."""
+    await engine.start(spec("ann/a", 1))
+    await engine.start(spec("ann/b", 2))
+    await engine.close()
+    api, image = world.api, world.image
+    labels = {"rce.platform": "machine", "rce.directory": str(world.directory), "rce.size": "1"}
+    api.create_container(image, COMMAND, labels={**labels, "rce.environment": "bob/c", "rce.run": spec(run=3).run})
+    (world.directory / "environments" / "eve" / "d" / spec(run=4).run).mkdir(parents=True)
+    (world.directory / "sockets" / "eve").mkdir()
+    (world.directory / "sockets" / "ann" / f"{spec(run=5).run}.sock").touch()
+    again = world.engine(Endings())
+    await again.open()
+    assert again.running() == {"ann/a": Life(spec(run=1).run), "ann/b": Life(spec(run=2).run)}
+    assert world.there() == {"ann/a", "ann/b"}
+    assert not list((world.directory / "sockets" / "ann").iterdir())
+    await again.keep([])
+    await again.close()
+
+
+async def test_two_platforms_leave_each_other_alone(world: DockerWorld, engine: DockerEngine, tmp_path: Path) -> None:
+    await engine.start(spec())
+    world.directory, own = tmp_path / "other", world.directory
+    other = world.engine(Endings())
+    await other.open()
+    assert other.running() == {}
+    await other.keep([])
+    await other.close()
+    world.directory = own
+    assert world.alive() == {"ann/map": spec().run}
+
+
+async def test_without_docker_it_says_so(
+    world: DockerWorld, endings: Endings, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("DOCKER_HOST", f"unix://{tmp_path}/none.sock")
+    with pytest.raises(Unavailable, match="Docker"):
+        await world.engine(endings).open()
+
+
+async def test_the_way_to_the_master(world: DockerWorld, endings: Endings) -> None:
+    """What an environment sends to its socket arrives, and the answer too; an earlier task set's socket is replaced."""
+
+    async def shout(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write((await reader.readline()).upper())
+        writer.close()
+
+    async with await asyncio.start_server(shout, "127.0.0.1", 0) as server:
+        port = server.sockets[0].getsockname()[1]
+        for _ in range(2):
+            engine = world.engine(endings, master=f"tcp:127.0.0.1:{port}")
+            await engine.open()
+            await engine.start(spec())
+            assert await asyncio.to_thread(ask, world.directory, b"hello\n") == b"HELLO\n"
+            await engine.close()
+        again = world.engine(endings)
+        await again.open()
+        await again.keep([])
+        await again.close()
+
+
+def ask(directory: Path, words: bytes) -> bytes:
+    (path,) = (directory / "environments").rglob("control.sock")
+    with socket.socket(socket.AF_UNIX) as line:
+        handle = os.open(path.parent, os.O_PATH)  # the whole path may be too long for a socket's
+        line.connect(f"/proc/self/fd/{handle}/{path.name}")
+        os.close(handle)
+        line.sendall(words)
+        answer = b""
+        while part := line.recv(100):
+            answer += part
+        return answer

@@ -1,0 +1,84 @@
+"""A Docker daemon for the tests: that of DOCKER_HOST if it answers, else a private one that ends with them."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import docker
+import pytest
+from docker.errors import DockerException
+
+START_TIMEOUT = 30.0
+NOTHING_OF_THE_HOSTS = ("--bridge=none", "--iptables=false")
+NEEDED = ("dockerd", "containerd", "runc", "iptables")
+
+
+@contextmanager
+def docker_daemon() -> Iterator[str]:
+    """The address of a daemon; skips the test where there is none and none can be started."""
+    given = os.environ.get("DOCKER_HOST", "")
+    if given:
+        if not _answers(given):
+            pytest.skip(f"no Docker answers at DOCKER_HOST={given}")
+        yield given
+        return
+    if "RCE_TEST_DOCKER" not in os.environ:
+        pytest.skip("builds images for three minutes: RCE_TEST_DOCKER=1 provisioning/provision test runs it too")
+    lacking = [name for name in NEEDED if shutil.which(name, path=os.environ["PATH"] + ":/usr/sbin:/sbin") is None]
+    if lacking:
+        pytest.skip(f"no {', '.join(lacking)}: install docker.io, containerd, runc and iptables, or set DOCKER_HOST")
+    if os.geteuid() != 0:
+        pytest.skip("a private dockerd needs root: run the tests as root, or set DOCKER_HOST")
+    with (
+        tempfile.TemporaryDirectory(prefix="rce-docker-", ignore_cleanup_errors=True) as directory,
+        _private(Path(directory)) as host,
+    ):
+        yield host
+
+
+@contextmanager
+def _private(directory: Path) -> Iterator[str]:
+    host = f"unix://{directory}/docker.sock"
+    words = [
+        "dockerd",
+        f"--data-root={directory}/data",
+        f"--exec-root={directory}/exec",
+        f"-H={host}",
+        f"--pidfile={directory}/pid",
+    ]
+    # Where a containerd runs already, this daemon shares it.
+    words += [f"--containerd{part}-namespace=rce-test-{os.getpid()}{part}" for part in ("", "-plugins")]
+    with (directory / "log").open("w") as log:
+        daemon = subprocess.Popen(
+            [*words, *NOTHING_OF_THE_HOSTS],
+            stdout=log,
+            stderr=log,
+            start_new_session=True,
+        )
+    try:
+        until = time.monotonic() + START_TIMEOUT
+        while not _answers(host):
+            if daemon.poll() is not None or time.monotonic() > until:
+                last = "\n".join((directory / "log").read_text().splitlines()[-5:])
+                pytest.skip(f"a private dockerd does not start here: {last}")
+            time.sleep(0.1)
+        yield host
+    finally:
+        daemon.terminate()
+        daemon.wait(60)
+        for mount in (directory / "exec" / "netns").glob("*"):  # it leaves them, and they cannot be removed
+            subprocess.run(["umount", str(mount)], check=False)
+
+
+def _answers(host: str) -> bool:
+    try:
+        return bool(docker.APIClient(base_url=host, version="auto", timeout=10).ping())
+    except (DockerException, OSError):
+        return False

@@ -1,0 +1,217 @@
+# ruff: noqa: E402  (Docker is imported only where it is there)
+"""The platform with the engine `docker`: the images, the main job, and what an environment can reach."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import statistics
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from real_platform import USER, RealPlatform, until
+from test_map import DATA, SCANS, check_files, rce_map, relations
+from twisted.internet.base import ReactorBase
+
+docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+
+from provisioning.image import BASE, MAPPING, Builder
+from rce import __version__
+from rce.calls import Hello
+from rce.control import Handlers, connect
+from rce.errors import Unauthorized, Unavailable
+
+STRING = "std_msgs/String"
+LARGEST_BASE = 450e6
+ATTEMPTS = """
+import json, os, socket
+def attempt(action):
+    try:
+        action()
+    except OSError as error:
+        return error.strerror or str(error)
+    return "succeeded"
+status = dict(line.split(":\\t") for line in open("/proc/self/status").read().splitlines() if ":\\t" in line)
+sockets = os.path.dirname(os.environ["RCE_SOCKET"])
+print(json.dumps({
+    "uid": os.getuid(),
+    "capabilities": [int(status[name], 16) for name in ("CapEff", "CapPrm", "CapBnd", "CapAmb")],
+    "no_new_privileges": status["NoNewPrivs"],
+    "seccomp": status["Seccomp"],
+    "interfaces": os.listdir("/sys/class/net"),
+    "write_root": attempt(lambda: open("/opt/rce/x", "w")),
+    "write_control": attempt(lambda: open("/run/rce/x", "w")),
+    "write_home": attempt(lambda: open("/home/rce/x", "w")),
+    "docker": attempt(lambda: os.stat("/var/run/docker.sock")),
+    "metadata": attempt(lambda: socket.create_connection(("169.254.169.254", 80), 3)),
+    "multicast": attempt(lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM).sendto(b"x", ("239.255.0.1", 7400))),
+    "users": os.listdir(os.path.dirname(sockets)),
+    "mount": attempt(lambda: os.chroot("/tmp")),
+}))
+"""
+
+
+@pytest.fixture(scope="session")
+def images(docker_host: str) -> Any:
+    """Docker's API, with the images of this checkout."""
+    api = docker.APIClient(base_url=docker_host, version="auto", timeout=600)
+    try:
+        Builder(api).build()
+    except Unavailable as error:
+        pytest.skip(str(error))
+    yield api
+    api.close()
+
+
+@pytest.fixture(scope="module")
+async def contained(images: Any, tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[RealPlatform]:
+    platform = RealPlatform(tmp_path_factory.mktemp("contained"), "--engine", "docker")
+    await platform.start()
+    yield platform
+    await platform.stop()
+    assert containers(images, platform) == []
+
+
+def containers(api: Any, platform: RealPlatform) -> list[dict[str, Any]]:
+    label = f"rce.directory={platform.directory / 'data' / 'container'}"
+    found: list[dict[str, Any]] = api.containers(all=True, filters={"label": label})
+    return found
+
+
+def test_sizes(images: Any) -> None:
+    assert images.inspect_image(f"{BASE}:{__version__}")["Size"] < LARGEST_BASE
+
+
+def test_a_second_build_changes_nothing(images: Any) -> None:
+    tag = f"{MAPPING}:{__version__}"
+    before = images.inspect_image(tag)
+    Builder(images).build()
+    assert images.inspect_image(tag)["Id"] == before["Id"]
+    assert before["Config"]["Labels"] == {"rce.version": __version__}
+
+
+@pytest.mark.skipif(not (DATA / "mit-csail.clf.gz").exists(), reason=f"needs mit-csail.clf.gz in {DATA}, or RCE_DATA")
+async def test_a_real_building(contained: RealPlatform, tmp_path: Path) -> None:
+    """The main job, its environment limited to one core and 1 GiB."""
+    recording = DATA / "mit-csail.clf.gz"
+    done = await rce_map(recording, "--url", contained.url, "--out", tmp_path / "map", temporary=tmp_path)
+    assert done.status == 0, done.errors
+    check_files(tmp_path / "map", SCANS)
+    error = await relations(tmp_path / "map" / "trajectory.txt")
+    assert error["trans_abs"][0] <= 0.15
+
+
+async def test_a_platform_of_its_own(images: Any, tmp_path: Path) -> None:
+    done = await rce_map("--simulate", "--engine", "docker", "--out", tmp_path / "map", temporary=tmp_path)
+    assert done.status == 0, done.errors
+    assert not [
+        each for each in images.containers(all=True) if str(tmp_path) in each["Labels"].get("rce.directory", "")
+    ]
+
+
+async def test_two_environments_of_a_user_talk(contained: RealPlatform) -> None:
+    """From the robot to a node in one environment, on to a node in the other, and back."""
+    async with contained.robot("r1") as robot, robot.environment("one") as one, robot.environment("two") as two:
+        for environment in (one, two):
+            await environment.add_node("echo", "rce_demo", "echo.py")
+        await robot.add_interface("one", "out", "SubscriberInterface", STRING, addr="/heard")
+        await robot.add_interface("two", "in", "PublisherInterface", STRING, addr="/say")
+        await robot.connect("one/out", "two/in")
+        heard = await two.subscriber("/heard", STRING)
+        say = await one.publisher("/say", STRING)
+        async with asyncio.timeout(20):
+            await say.publish({"data": "hello"})
+            assert await anext(aiter(heard)) == {"data": "hello"}
+
+
+async def test_what_a_hostile_node_can_reach(contained: RealPlatform, images: Any) -> None:
+    async with contained.robot("r2") as robot, robot.environment("hostile"):
+        (container,) = [each["Id"] for each in containers(images, contained)]
+        call = images.exec_create(container, ["python3", "-c", ATTEMPTS])
+        output = await asyncio.to_thread(images.exec_start, call["Id"])
+        seen = json.loads(output)
+    assert seen.pop("uid") != 0
+    assert seen.pop("capabilities") == [0, 0, 0, 0]
+    assert seen == {
+        "no_new_privileges": "1",
+        "seccomp": "2",
+        "interfaces": ["lo"],
+        "write_root": "Read-only file system",
+        "write_control": "Read-only file system",
+        "write_home": "succeeded",
+        "docker": "No such file or directory",
+        "metadata": "Network is unreachable",
+        "multicast": "Network is unreachable",
+        "users": [USER],
+        "mount": "Operation not permitted",
+    }
+
+
+async def test_nobody_joins_the_master_without_a_credential(
+    contained: RealPlatform, reactor: ReactorBase, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with contained.robot("r3") as robot, robot.environment("honest"):
+        (path,) = (contained.directory / "data" / "container" / "environments").rglob("control.sock")
+        monkeypatch.chdir(path.parent)  # the whole path may be too long for a socket's
+        hello = Hello("environment", f"{USER}/honest", "guessed", __version__)
+        with pytest.raises(Unauthorized):
+            await connect(reactor, f"unix:{path.name}", hello, Handlers())
+
+
+async def test_an_environment_that_is_killed_comes_back(contained: RealPlatform, images: Any) -> None:
+    async with contained.robot("r4") as robot, robot.environment("mortal") as mortal:
+        (first,) = [each["Id"] for each in containers(images, contained)]
+        images.kill(first)
+
+        def another() -> bool:
+            present = [each["Id"] for each in containers(images, contained) if each["State"] == "running"]
+            return bool(present) and present != [first]
+
+        await until(another)
+        await mortal.add_node("echo", "rce_demo", "echo.py")
+
+
+async def test_environments_outlive_their_task_set(contained: RealPlatform, images: Any) -> None:
+    """It is killed; they work on, and the next one adopts them."""
+    async with contained.robot("r6") as robot, robot.environment("lasting") as lasting:
+        await lasting.add_node("echo", "rce_demo", "echo.py")
+        heard = await lasting.subscriber("/heard", STRING)
+        say = await lasting.publisher("/say", STRING)
+        (before,) = [each["Id"] for each in containers(images, contained)]
+        killed = contained.pid("-m containers ")
+        contained.kill(killed)
+        async with asyncio.timeout(20):
+            await say.publish({"data": "still here"})
+            assert await anext(aiter(heard)) == {"data": "still here"}
+        await until(lambda: contained.pid("-m containers ", but=killed))
+        await lasting.add_node("another", "rce_demo", "echo.py")  # the way to the Master is open again
+        assert [each["Id"] for each in containers(images, contained)] == [before]
+    assert containers(images, contained) == []
+
+
+async def test_time_to_an_environment(contained: RealPlatform, images: Any, record_property: Any) -> None:
+    """Beside a bare container of the same image that imports rclpy; the median of each."""
+    bare, ready = [], []
+    async with contained.robot("r5") as robot:
+        for turn in range(5):
+            begin = time.monotonic()
+            await asyncio.to_thread(run_bare, images)
+            bare.append(time.monotonic() - begin)
+            begin = time.monotonic()
+            async with robot.environment(f"timed{turn}"):
+                ready.append(time.monotonic() - begin)
+    figures = {"bare": statistics.median(bare), "ready": statistics.median(ready)}
+    record_property("seconds", figures)
+    print(figures)
+
+
+def run_bare(api: Any) -> None:
+    config = api.create_host_config(network_mode="none")
+    command = ["python3", "-c", "import rclpy; rclpy.init()"]
+    made = api.create_container(f"{MAPPING}:{__version__}", command, host_config=config)
+    api.start(made["Id"])
+    assert api.wait(made["Id"])["StatusCode"] == 0
+    api.remove_container(made["Id"])
