@@ -84,6 +84,11 @@ def _run(command: Callable[[list[str]], int], arguments: list[str]) -> int:
     except RceError as error:
         print(f"rce: {error}", file=sys.stderr)
         return 1
+    except ModuleNotFoundError as error:  # a light installation; a module of ours that is missing is a defect
+        if error.name is None or error.name.partition(".")[0] == "rce":
+            raise
+        print(f"rce: this needs {error.name}: pip install 'rce[server,mapping,ros,bench]'", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         return 130
 

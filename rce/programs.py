@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from importlib.metadata import entry_points
+from importlib.util import find_spec
 from typing import NoReturn
 
 from rce.errors import NotFound
@@ -14,7 +15,7 @@ GROUP = "rce.programs"
 
 def command(name: str) -> list[str]:
     """The command line that starts a program. `-P` keeps the current directory off its import path."""
-    for entry in entry_points(group=GROUP, name=name):
+    for entry in entry_points(group=GROUP, name=name) if find_spec("twisted") else ():
         return [sys.executable, "-P", "-m", entry.value.removesuffix(".__main__")]
     raise NotFound(f"the program {name} is not installed: pip install 'rce[server]'")
 
