@@ -65,7 +65,7 @@ class Environment:
     async def publisher(self, topic: str, type_name: str, *, qos: Qos | None = None, raw: bool = False) -> Publisher:
         """The robot publishes on a topic of the environment."""
         to = await self._interface(topic, "pub", "PublisherInterface", type_name, qos)
-        return await self.robot.publisher(to.replace("/", "_"), type_name, to=to, raw=raw)
+        return await self.robot.publisher(to.replace("/", "_"), type_name, to=to, raw=raw, qos=qos)
 
     async def subscriber(
         self,
@@ -80,7 +80,7 @@ class Environment:
         """The robot receives what is published on a topic of the environment."""
         to = await self._interface(topic, "sub", "SubscriberInterface", type_name, qos)
         return await self.robot.subscriber(
-            to.replace("/", "_"), type_name, to=to, callback=callback, depth=depth, raw=raw
+            to.replace("/", "_"), type_name, to=to, callback=callback, depth=depth, raw=raw, qos=qos
         )
 
     async def service_client(self, service: str, type_name: str, *, raw: bool = False) -> ServiceClient:

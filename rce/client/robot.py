@@ -25,6 +25,7 @@ from rce.messages import (
     Command,
     FrameId,
     InterfaceStatus,
+    Qos,
     StatusData,
 )
 from rce.names import check_tag
@@ -115,13 +116,21 @@ class Robot(Operations):
         await super().remove_interface(endpoint, tag)
 
     async def publisher(
-        self, tag: str, type_name: str, *, to: str = "", raw: bool = False, format: Format = "png"
+        self,
+        tag: str,
+        type_name: str,
+        *,
+        to: str = "",
+        raw: bool = False,
+        format: Format = "png",
+        qos: Qos | None = None,
     ) -> Publisher:
         """An interface that sends messages; `to` is the `endpoint/interface` that takes them, connected at once.
 
-        `raw` messages are the bytes of the serialized ROS message (CDR), else they are dicts. `format` is for images.
+        `raw` messages are the bytes of the serialized ROS message (CDR), else they are dicts. `format` is for images;
+        of `qos`, history and depth are for the queue at the platform.
         """
-        return await self._add(Publisher(self, tag, type_name), "Subscriber", to, raw, format)
+        return await self._add(Publisher(self, tag, type_name), "Subscriber", to, raw, format, qos)
 
     async def subscriber(
         self,
@@ -133,12 +142,13 @@ class Robot(Operations):
         depth: int = 10,
         raw: bool = False,
         format: Format = "png",
+        qos: Qos | None = None,
     ) -> Subscriber:
         """An interface that receives messages of the interface `to`; see `Subscriber`."""
         subscriber = Subscriber(self, tag, type_name, depth)
         if callback is not None:
             subscriber.call(callback)
-        return await self._add(subscriber, "Publisher", to, raw, format)
+        return await self._add(subscriber, "Publisher", to, raw, format, qos)
 
     async def service_client(self, tag: str, type_name: str, *, to: str = "", raw: bool = False) -> ServiceClient:
         """An interface that calls the service of the interface `to`."""
@@ -150,7 +160,9 @@ class Robot(Operations):
         """An interface that answers the calls of the interface `to` with what `handler` (plain or async) returns."""
         return await self._add(ServiceProvider(self, tag, type_name, handler), "ServiceClient", to, raw)
 
-    async def _add(self, interface: I, kind: str, to: str, raw: bool, format: Format = "png") -> I:
+    async def _add(
+        self, interface: I, kind: str, to: str, raw: bool, format: Format = "png", qos: Qos | None = None
+    ) -> I:
         """Add the interface and connect it; when that fails it is as if it had never been."""
         tag = interface.tag
         if tag in self._interfaces:
@@ -158,7 +170,9 @@ class Robot(Operations):
         self._interfaces[tag] = interface
         kind += "Forwarder" if raw else "Converter"
         try:
-            await self.configure(AddInterface(self.name, tag, kind, interface.type_name, format=format))
+            await self.configure(
+                AddInterface(self.name, tag, kind, interface.type_name, qos=qos or Qos(), format=format)
+            )
         except RceError:
             self._interfaces.pop(tag).ended(None)
             raise
