@@ -179,8 +179,12 @@ class RawSubscription(_Topic):
         super().__init__(ros, kind, topic, qos, complain)
         self._taken = taken  # gets a message and the gid of its publisher, returns whether it takes more
         self._flow = False
+        self._started = False
         self._seen: dict[bytes, int] = {}  # last sequence number of each publisher
-        self._make(for_subscription(qos, self._speakers()))
+        speakers = self._speakers()
+        self.found_speakers = bool(speakers)
+        """Whether somebody published on the topic already."""
+        self._make(for_subscription(qos, speakers))
         ros.watch(self)
         self._check([(info.qos_profile, self._profile) for info in self._speakers()])
 
@@ -212,10 +216,13 @@ class RawSubscription(_Topic):
         self._check([(info.qos_profile, self._profile) for info in speakers])
 
     def start(self) -> None:
-        """Take from now on. What came before is only for latched topics."""
-        while not self.latched and self._next() is not None:
+        """Take from now on. What came while there was no peer is only for latched topics.
+
+        The first time all is taken: the robot hears that it is connected a moment before this is called.
+        """
+        while self._started and not self.latched and self._next() is not None:
             pass
-        self._flow = True
+        self._started = self._flow = True
 
     def resume(self) -> None:
         """Take again, also what has come since `rest`."""

@@ -7,7 +7,7 @@ from collections import deque
 from uuid import uuid4
 
 from endpoints.environment.interfaces import RosInterface, Surroundings
-from endpoints.environment.ros_topics import RawPublisher, RawSubscription
+from endpoints.environment.ros_topics import SETTLING, RawPublisher, RawSubscription
 from endpoints.environment.ros_types import message_class
 from endpoints.frames import Buffer, Message
 from endpoints.link import Link
@@ -111,6 +111,9 @@ class SubscriberInterface(RosInterface):
                 self._take,
             )
         )
+        if self._subscription.found_speakers:
+            # They may take a moment to find us: what they said until then would be lost although the status is true.
+            await asyncio.sleep(SETTLING)
 
     def receive(self, message: Message, link: Link) -> None:
         self._complain(InvalidRequest(f"interface {self.spec.tag} sends messages, it takes none"))
