@@ -18,6 +18,7 @@ from twisted.logger import Logger
 from twisted.web.server import Site
 
 from master.entry import Entry
+from master.policies import IMAGES, Policy, parse, with_changes
 from master.records import Role
 from master.service import Master
 from master.store import Store
@@ -40,6 +41,10 @@ class Settings(Struct):
     database: Annotated[str, Meta(description="SQLAlchemy URL; a SQLite file in the data directory if empty")] = ""
     grace: Annotated[float, Meta(ge=0, description="seconds for which a robot without a socket keeps its session")] = 10
     dev: Annotated[bool, Meta(description="create the users admin/admin and testUser/testUser")] = False
+    limits: Annotated[
+        list[str], Meta(description="limits of users who have none of their own, key=value as in `rce user limits`")
+    ] = []
+    images: Annotated[list[str], Meta(description="images that environments of all users may run")] = list(IMAGES)
     tokens: Annotated[list[str], Meta(description="one-time join tokens role:process:token of processes to come")] = []
 
 
@@ -49,7 +54,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     options.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
     store = Store(options.database or f"sqlite:///{options.data_dir / 'master.db'}")
     await store.open()
-    master = Master(store, options.grace)
+    master = Master(store, options.grace, with_changes(Policy(images=options.images), parse(options.limits)))
     await first_users(master.users, options.dev)
     for entry in options.tokens:
         role, process, token = _token(entry)

@@ -12,9 +12,11 @@ from typing import get_args
 
 import msgspec
 
+from master.limits import Limits
+from master.policies import parse
 from master.store import Store
 from master.users import UserRole, Users
-from rce.errors import RceError
+from rce.errors import NotFound, RceError
 
 DAY = 86_400.0
 
@@ -33,6 +35,10 @@ def parser() -> argparse.ArgumentParser:
     remove.add_argument("user")
     listing = commands.add_parser("list", help="list the users")
     listing.add_argument("--json", action="store_true")
+    limits = commands.add_parser("limits", help="show or change what a user may have")
+    limits.add_argument("user")
+    limits.add_argument("changes", nargs="*", metavar="key=value", help="as memory=2GiB; `memory=` as for all users")
+    limits.add_argument("--json", action="store_true")
     key_add = commands.add_parser("key-add", help="make an API key and print it; it is shown this once")
     key_add.add_argument("user")
     key_add.add_argument("--role", choices=get_args(UserRole), default="robot")
@@ -63,9 +69,28 @@ async def run(words: argparse.Namespace) -> None:
     store = Store(words.database or f"sqlite:///{directory / 'master.db'}")
     await store.open()
     try:
-        await _act(Users(store), words)
+        if words.command == "limits":
+            await _limits(store, words)
+        else:
+            await _act(Users(store), words)
     finally:
         await store.close()
+
+
+async def _limits(store: Store, words: argparse.Namespace) -> None:
+    limits = Limits(store)
+    await limits.open()
+    if words.user not in await Users(store).names():
+        raise NotFound(f"there is no user {words.user}", field="userID")
+    if words.changes:
+        await limits.change(words.user, parse(words.changes))
+    own, whole = limits.own(words.user), msgspec.structs.asdict(limits.of(words.user))
+    if words.json:
+        print(msgspec.json.encode(whole).decode())
+        return
+    for name, value in whole.items():
+        text = ", ".join(value) if isinstance(value, list) else str(value or "-")
+        print(f"{name:18} {text:16} {'own' if name in own else ''}".rstrip())
 
 
 async def _act(users: Users, words: argparse.Namespace) -> None:

@@ -11,6 +11,7 @@ from typing import Any, TypeVar, get_args
 
 from master.effects import Outcome, Plan, Send, Settle
 from master.placement import group_address, place
+from master.policies import UNLIMITED, Policy, check_connections, check_totals, granted
 from master.records import Connection, Environment, Interface, Node, Parameter, State, what
 from master.wiring import Ids, activate, connections_of, deactivate
 from rce import messages as m
@@ -38,15 +39,27 @@ SENDERS = {"Subscriber", "ServiceProvider"}  # the side that topics, or requests
 C = TypeVar("C")
 
 
-def execute(state: State, user: str, command: m.Command, ids: Ids, again: bool = False) -> Outcome:
-    """Apply one command of `user`. Raises the error that the user shall see; then nothing has changed."""
+def execute(
+    state: State, user: str, command: m.Command, ids: Ids, again: bool = False, policy: Policy = UNLIMITED
+) -> Outcome:
+    """Apply one command of `user`. Raises the error that the user shall see; then nothing has changed.
+
+    What goes beyond the user's `policy` is refused with LimitExceeded.
+    """
+    match command:
+        case m.CreateContainer():
+            return create_container(state, user, command, ids, again, policy)
+        case m.Connect():
+            return connect(state, user, command, ids, again, policy)
     return _actions[type(command)](state, user, command, ids, again)
 
 
 # --- environments -----------------------------------------------------------------------------------------------------
 
 
-def create_container(state: State, user: str, command: m.CreateContainer, ids: Ids, again: bool) -> Outcome:
+def create_container(
+    state: State, user: str, command: m.CreateContainer, ids: Ids, again: bool, policy: Policy
+) -> Outcome:
     check_tag(command.containerTag, "containerTag")
     name = f"{user}/{command.containerTag}"
     if again and name in state.environments:
@@ -54,9 +67,11 @@ def create_container(state: State, user: str, command: m.CreateContainer, ids: I
     if name in state.environments or name in state.robots:
         kind = "environment" if name in state.environments else "robot"
         raise AlreadyExists(f"containerTag {command.containerTag} is in use by a {kind} of yours", field="containerTag")
-    address = group_address(state, user, command.containerData)
-    machine = place(state, user, command.containerData)
-    environment = Environment(name, command.containerData, ids(), machine, address)
+    options = granted(policy, command.containerData)
+    check_totals(state, user, policy, options)
+    address = group_address(state, user, options)
+    machine = place(state, user, options)
+    environment = Environment(name, options, ids(), machine, address)
     state.environments.put(environment)
     return Outcome([[start(environment)]], [what(environment)])
 
@@ -216,7 +231,7 @@ def remove_interfaces(state: State, owner: str) -> Plan:
 # --- connections ------------------------------------------------------------------------------------------------------
 
 
-def connect(state: State, user: str, command: m.Connect, ids: Ids, again: bool) -> Outcome:
+def connect(state: State, user: str, command: m.Connect, ids: Ids, again: bool, policy: Policy) -> Outcome:
     one, other = _pair(state, user, command.tagA, command.tagB)
     (prefix, _), (opposite, _) = split_kind(one.spec.kind), split_kind(other.spec.kind)
     if OPPOSITE.get(prefix) != opposite and OPPOSITE.get(opposite) != prefix:
@@ -234,6 +249,7 @@ def connect(state: State, user: str, command: m.Connect, ids: Ids, again: bool) 
         raise AlreadyExists(f"{command.tagA} and {command.tagB} are connected already")
     if sender.spec.kind.startswith("ServiceProvider") and state.connections.by(sender.key):
         raise NotConnectable(f"{sender.key.partition('/')[2]} is a {sender.spec.kind}: it takes one connection only")
+    check_connections(state, user, policy)
     state.connections.put(connection)
     return Outcome(activate(state, connection, ids), [what(connection)])
 
@@ -309,7 +325,6 @@ def _take_back(state: State, awaited: str) -> Plan:
 
 
 _actions: dict[type[m.Command], Callable[[State, str, Any, Ids, bool], Outcome]] = {
-    m.CreateContainer: create_container,
     m.DestroyContainer: destroy_container,
     m.AddNode: add_node,
     m.RemoveNode: remove_node,
@@ -317,6 +332,5 @@ _actions: dict[type[m.Command], Callable[[State, str, Any, Ids, bool], Outcome]]
     m.RemoveInterface: remove_interface,
     m.SetParameter: set_parameter,
     m.DeleteParameter: delete_parameter,
-    m.Connect: connect,
     m.Disconnect: disconnect,
 }

@@ -7,6 +7,7 @@ from msgspec.structs import replace
 from master.effects import Outcome, Plan, Send
 from master.graph import remove_environment, remove_interfaces, start
 from master.placement import place
+from master.policies import UNLIMITED, Policy, check_robots
 from master.records import Environment, Process, Robot, State, at, user_of
 from master.wiring import Ids, bring_up, connections_of, deactivate, link_spec, routes_of, take_down
 from rce.calls import Bind, DropRobot, Hello, KeepEnvironments, Sync
@@ -98,12 +99,20 @@ def restart(state: State, environment: Environment, ids: Ids) -> Plan:
 
 
 def robot_arrived(
-    state: State, user: str, tag: str, endpoint: str, session: str, resume: str, ids: Ids
+    state: State,
+    user: str,
+    tag: str,
+    endpoint: str,
+    session: str,
+    resume: str,
+    ids: Ids,
+    policy: Policy = UNLIMITED,
 ) -> tuple[Outcome, bool]:
     """A robot's socket at `endpoint`; `session` and `resume` are digests of its new and its presented token.
 
     Returns what to do before the robot may go on, and whether it took its earlier session over.
-    Raises AlreadyExists if the robotID is in use: by an environment, or by a session that was not resumed.
+    Raises AlreadyExists if the robotID is in use: by an environment, or by a session that was not resumed;
+    LimitExceeded if the user has all the robots that `policy` allows.
     """
     check_tag(tag, "robotID")
     name = f"{user}/{tag}"
@@ -111,6 +120,7 @@ def robot_arrived(
         raise AlreadyExists(f"robotID {tag} is in use by an environment of yours", field="robotID")
     present = state.robots.get(name)
     if present is None:
+        check_robots(state, user, policy)
         state.robots.put(Robot(name, endpoint, session))
         return Outcome([]), False
     if not resume or resume != present.session:

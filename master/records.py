@@ -209,6 +209,11 @@ def at(process: str) -> str:
     return f"@{process}"
 
 
+def _all_of(user: str) -> str:
+    """The term of a user's connections, which no link and no interface has."""
+    return f"user {user}"
+
+
 def what(record: Record) -> str:
     """Names a record among all kinds: what effects settle and what commands wait for."""
     return f"{type(record).__name__} {record.key}"
@@ -223,7 +228,10 @@ class State:
         self.nodes = Table(Node, lambda record: (record.owner,))
         self.parameters = Table(Parameter, lambda record: (record.owner,))
         self.interfaces = Table(Interface, lambda record: (record.spec.owner,))
-        self.connections = Table(Connection, lambda record: {record.sender, record.receiver, record.link} - {""})
+        self.connections = Table(
+            Connection,
+            lambda record: {record.sender, record.receiver, record.link, _all_of(user_of(record.sender))} - {""},
+        )
         self.processes = Table(Process, lambda record: (record.role,))
         self.links = Table(Link, lambda record: {record.listener, record.dialler})
         self.joined: set[str] = set()  # processes with a control connection
@@ -239,6 +247,10 @@ class State:
             self.processes,
             self.links,
         ]
+
+    def connections_of_user(self, user: str) -> int:
+        """How many."""
+        return len(self.connections.by(_all_of(user)))
 
     def host(self, owner: str) -> str:
         """The endpoint process of a robot or environment if it is joined, else an empty string."""

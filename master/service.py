@@ -14,6 +14,8 @@ import rce
 from master import graph, presence, wiring
 from master.carrier import Carrier
 from master.effects import Plan, Send
+from master.limits import Limits
+from master.policies import UNLIMITED, Policy
 from master.records import Environment, Process, Robot, State, user_of, what
 from master.store import Store
 from master.users import Processes, Users, digest, must_drive
@@ -35,11 +37,14 @@ def ids() -> str:
 
 
 class Master:
-    """`grace` is how long a robot that lost its socket keeps its session, in seconds."""
+    """`grace` is how long a robot that lost its socket keeps its session, in seconds; `policy` is that of users who
+    have none of their own.
+    """
 
-    def __init__(self, store: Store, grace: float) -> None:
+    def __init__(self, store: Store, grace: float, policy: Policy = UNLIMITED) -> None:
         self.state = State()
         self.users = Users(store)
+        self.limits = Limits(store, policy)
         self.processes = Processes(store)
         self.grace = grace
         self._store = store
@@ -51,6 +56,8 @@ class Master:
     async def start(self) -> None:
         """Take up where an earlier Master ended: processes join again, and who does not is gone after a while."""
         await self._store.load(self.state)
+        await self.limits.open()
+        self._keep(asyncio.create_task(self.limits.follow()))
         for process in self.state.processes.by("robot"):
             self._expect(process.name, 2 * self.grace)
         self._drop_later(2 * self.grace)
@@ -152,7 +159,7 @@ class Master:
         token = secrets.token_hex(32)
         resume = digest(call.resume) if call.resume else ""
         outcome, resumed = presence.robot_arrived(
-            self.state, call.user, call.robot, process.name, digest(token), resume, ids
+            self.state, call.user, call.robot, process.name, digest(token), resume, ids, self.limits.of(call.user)
         )
         saved = self._save()
         try:
@@ -176,7 +183,7 @@ class Master:
 
     async def execute(self, user: str, command: Command, again: bool = False) -> c.Nothing:
         """Carry a user's command out to its completion; what did not become real is taken back."""
-        outcome = graph.execute(self.state, user, command, ids, again)
+        outcome = graph.execute(self.state, user, command, ids, again, self.limits.of(user))
         saved = self._save(by_command=True)
         expected = {key: self._carrier.expect(key) for key in outcome.awaits}
         try:

@@ -47,6 +47,14 @@ api_keys = sa.Table(
     sa.Column("created", sa.Float, nullable=False),
     sa.Column("expires", sa.Float),
 )
+limits = (
+    sa.Table(  # of users who do not have those of the platform; what the running Master takes for these stands at ""
+        "limits",
+        tables,
+        sa.Column("user", sa.String(255), primary_key=True),
+        sa.Column("value", sa.Text, nullable=False),
+    )
+)
 credentials = sa.Table(  # of processes: what they got for their join token
     "credentials",
     tables,

@@ -72,10 +72,11 @@ class Users:
         return sorted(found)
 
     async def remove(self, name: str) -> None:
-        gone = await self._store.run(
-            lambda connection: connection.execute(db.users.delete().where(db.users.c.name == name)).rowcount
-        )
-        if not gone:
+        def drop(connection: sa.Connection) -> int:
+            connection.execute(db.limits.delete().where(db.limits.c.user == name))
+            return connection.execute(db.users.delete().where(db.users.c.name == name)).rowcount
+
+        if not await self._store.run(drop):
             raise NotFound(f"there is no user {name}", field="userID")
 
     async def check(self, name: str, secret: str) -> Principal:

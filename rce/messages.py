@@ -37,14 +37,37 @@ class Frame(Struct, frozen=True):
 # --- CC, DC -----------------------------------------------------------------------------------------------------------
 
 
-class ContainerData(Struct, frozen=True, omit_defaults=True):
-    """Options of an environment (`containerData` of CC)."""
+class Rates(Struct, frozen=True, omit_defaults=True):
+    """What an environment reads from and writes to its disk at most, each in bytes a second; 0: no limit."""
 
+    read: Amount = 0
+    write: Amount = 0
+
+
+Name = Annotated[str, Meta(min_length=1, max_length=255)]
+VariableName = Annotated[str, Meta(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=255)]
+VariableValue = Annotated[str, Meta(pattern=r"^[^\x00]*$", max_length=32_768)]
+
+
+class ContainerData(Struct, frozen=True, omit_defaults=True):
+    """Options of an environment (`containerData` of CC); what is left at 0 or empty is as its user's defaults say.
+
+    `size` is in slots of a machine, `cpu` in cores; `memory` and `disk` are in bytes, `bandwidth` (of all that the
+    environment sends) in bytes a second.
+    """
+
+    image: Annotated[str, Meta(max_length=255)] = ""
     size: Annotated[int, Meta(ge=1, le=1000)] = 1
     cpu: Annotated[float, Meta(ge=0)] = 0
     memory: Amount = 0
+    pids: Amount = 0
+    disk: Amount = 0
     bandwidth: Amount = 0
+    io: Rates = Rates()
+    gpus: Annotated[int, Meta(ge=0, le=1000)] = 0
     specialFeatures: list[str] = []
+    env: Annotated[dict[VariableName, VariableValue], Meta(max_length=100)] = {}
+    packages: Annotated[list[Name], Meta(max_length=100)] = []
     group: str = ""
     groupIP: str = ""
     groupIp: str = ""

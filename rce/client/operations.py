@@ -26,6 +26,7 @@ from rce.messages import (
     InterfaceType,
     ParameterValue,
     Qos,
+    Rates,
     RemoveInterface,
     RemoveNode,
     SetParameter,
@@ -35,15 +36,25 @@ Format = Literal["png", "jpeg", "json"]
 
 
 class EnvironmentOptions(TypedDict, total=False):
-    """What an environment may be asked for: `size` in slots of a machine, `cpu` in cores, `memory` and `bandwidth` in
-    bytes (a second), the network `group` it joins with `group_ip` in it, and whether it is started again when lost.
+    """What an environment may be asked for; see `containerData` in docs/protocol.md.
+
+    The `image` that it runs, `size` in slots of a machine, `cpu` in cores, `pids` as processes and threads, `memory`
+    and `disk` in bytes, `bandwidth` and `io` in bytes a second, `env` for its nodes, `packages` of ROS 2, the network
+    `group` it joins with `group_ip` in it, and whether it is started again when lost.
     """
 
+    image: str
     size: int
     cpu: float
     memory: int
+    pids: int
+    disk: int
     bandwidth: int
+    io: Rates
+    gpus: int
     special_features: list[str]
+    env: dict[str, str]
+    packages: list[str]
     group: str
     group_ip: str
     restart: Literal["always", "no"]

@@ -27,7 +27,7 @@ from msgspec import UNSET, Struct, UnsetType
 from rce.blobs import Buffer
 from rce.client.interface import Interface
 from rce.client.robot import Robot
-from rce.client.robotformat import Container, InterfaceEntry, RobotFile, read
+from rce.client.robotformat import InterfaceEntry, RobotFile, read
 from rce.client.services import ServiceClient, ServiceProvider
 from rce.client.topics import Publisher
 from rce.client.values import encode
@@ -88,7 +88,7 @@ class Runner:
         """Containers, parameters, nodes, interfaces, connections, in this order; `stack` undoes it."""
         robot, file = self._robot, self._file
         for container in file.containers:
-            await self._create(container)
+            await robot.configure(container.command)
             stack.push_async_callback(_quietly, partial(robot.destroy_environment, container.cTag))
         for parameter in file.parameters:
             await robot.configure(parameter.command)
@@ -103,19 +103,6 @@ class Runner:
                 await robot.configure(entry.command)
         for connection in file.connections:
             await robot.configure(connection.command)
-
-    async def _create(self, container: Container) -> None:
-        await self._robot.create_environment(
-            container.cTag,
-            size=container.size,
-            cpu=container.cpu,
-            memory=container.memory,
-            bandwidth=container.bandwidth,
-            special_features=container.specialFeatures,
-            group=container.group,
-            group_ip=container.groupIp,
-            restart=container.restart,
-        )
 
     async def _own(self, entry: InterfaceEntry) -> Interface:
         """What the robot is at the other end of an interface that is named from the cloud's point of view."""

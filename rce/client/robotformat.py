@@ -14,21 +14,29 @@ import yaml
 from msgspec import Struct
 
 from rce.errors import InvalidRequest
-from rce.messages import ALIASES, AddInterface, AddNode, Connect, InterfaceType, ParameterValue, Qos, SetParameter
+from rce.messages import (
+    ALIASES,
+    AddInterface,
+    AddNode,
+    Connect,
+    ContainerData,
+    CreateContainer,
+    InterfaceType,
+    ParameterValue,
+    Qos,
+    SetParameter,
+)
 
 
-class Container(Struct, frozen=True, forbid_unknown_fields=True):
-    """An entry of `containers`."""
+class Container(ContainerData, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """An entry of `containers`: the options of an environment beside its tag."""
 
     cTag: str
-    group: str = ""
-    groupIp: str = ""
-    size: int = 1
-    cpu: float = 0
-    memory: int = 0
-    bandwidth: int = 0
-    specialFeatures: list[str] = []
-    restart: Literal["always", "no"] = "always"
+
+    @property
+    def command(self) -> CreateContainer:
+        options = {name: getattr(self, name) for name in ContainerData.__struct_fields__}
+        return CreateContainer(self.cTag, ContainerData(**options))
 
 
 class Parameter(Struct, frozen=True, forbid_unknown_fields=True):

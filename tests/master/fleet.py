@@ -8,6 +8,7 @@ from typing import Any
 
 from master import graph, presence
 from master.effects import Outcome, Plan, Send
+from master.policies import UNLIMITED
 from master.records import Process, Role, State
 from rce import messages as m
 from rce.calls import Call, Hello
@@ -25,6 +26,7 @@ class Fleet:
     def __init__(self) -> None:
         self.state = State()
         self.ids = numbers()
+        self.policy = UNLIMITED
 
     def join(self, name: str, role: Role, incarnation: str = "1", **hello: Any) -> Plan:
         said = Hello(role, name, "", "", incarnation, **hello)
@@ -32,11 +34,11 @@ class Fleet:
         return presence.joined(self.state, process, said, self.ids)
 
     def do(self, user: str, command: m.Command, again: bool = False) -> Outcome:
-        return graph.execute(self.state, user, command, self.ids, again)
+        return graph.execute(self.state, user, command, self.ids, again, self.policy)
 
     def robot(self, name: str, endpoint: str = "west", session: str = "s", resume: str = "") -> tuple[Outcome, bool]:
         user, _, tag = name.partition("/")
-        return presence.robot_arrived(self.state, user, tag, endpoint, session, resume, self.ids)
+        return presence.robot_arrived(self.state, user, tag, endpoint, session, resume, self.ids, self.policy)
 
 
 def furnished() -> Fleet:

@@ -1,0 +1,80 @@
+"""The limits of users, as the database has them: those of the platform, and what was changed for one user."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import msgspec
+import sqlalchemy as sa
+from msgspec.structs import replace
+from twisted.logger import Logger
+
+from master import store as db
+from master.policies import Policy, with_changes
+
+PLATFORM = ""  # stands where a user's name does for the policy of all who have none of their own
+REFRESH = 3.0  # seconds until what another process changed (`rce user limits`) is seen
+log = Logger()
+
+
+class Limits:
+    """What every user may have. `platform` is given by the Master; other programs find what the last Master had."""
+
+    def __init__(self, store: db.Store, platform: Policy | None = None) -> None:
+        self._store = store
+        self._given = platform
+        self._platform = platform or Policy()
+        self._own: dict[str, dict[str, Any]] = {}
+
+    async def open(self) -> None:
+        """Once, before all else."""
+        if self._given is not None:
+            await self._put(PLATFORM, msgspec.to_builtins(self._given))
+        await self._load()
+
+    async def follow(self) -> None:
+        """See what other processes change, until cancelled."""
+        while True:
+            await asyncio.sleep(REFRESH)
+            try:
+                await self._load()
+            except sa.exc.SQLAlchemyError as error:
+                log.warn("the limits of users are as they were: {error}", error=str(error))
+
+    def of(self, user: str) -> Policy:
+        """The limits of a user."""
+        own = self._own.get(user)
+        if own is None:
+            return self._platform
+        policy = with_changes(self._platform, own)
+        return replace(policy, images=[*self._platform.images, *own.get("images", ())])
+
+    def own(self, user: str) -> dict[str, Any]:
+        """What was changed for a user alone."""
+        return dict(self._own.get(user, {}))
+
+    async def change(self, user: str, changes: dict[str, Any]) -> None:
+        """Change some limits of a user; None makes one that of the platform again."""
+        await self._load()
+        own = {name: value for name, value in (self.own(user) | changes).items() if value is not None}
+        await self._put(user, own)
+        await self._load()
+
+    async def _load(self) -> None:
+        rows = await self._store.run(lambda connection: list(connection.execute(sa.select(db.limits))))
+        found: dict[str, dict[str, Any]] = {row.user: msgspec.json.decode(row.value) for row in rows}
+        platform = found.pop(PLATFORM, {})
+        if self._given is None:
+            self._platform = with_changes(Policy(), platform)
+        self._own = found
+
+    async def _put(self, user: str, value: dict[str, Any]) -> None:
+        row = {"user": user, "value": msgspec.json.encode(value).decode()}
+
+        def put(connection: sa.Connection) -> None:
+            connection.execute(db.limits.delete().where(db.limits.c.user == user))
+            if value:
+                connection.execute(db.limits.insert(), row)
+
+        await self._store.run(put)

@@ -1,0 +1,91 @@
+"""The limits of users in the database: of the platform, of one user, seen by a Master that runs."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import subprocess
+import sys
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from master import limits as module
+from master.limits import Limits
+from master.policies import Policy
+from master.store import Store
+from master.users import Users
+
+
+@pytest.fixture
+async def store(tmp_path: Path) -> AsyncIterator[Store]:
+    store = Store(f"sqlite:///{tmp_path / 'master.db'}")
+    await store.open()
+    await Users(store).add("ann", "secret")
+    yield store
+    await store.close()
+
+
+async def test_a_user_has_those_of_the_platform_but_for_what_was_changed(store: Store) -> None:
+    limits = Limits(store, Policy(size=2, memory=100, images=["rce/base"]))
+    await limits.open()
+    await limits.change("ann", {"memory": 200, "images": ["mine/*"], "cpu": 1.5})
+    assert limits.of("ann") == Policy(size=2, memory=200, cpu=1.5, images=["rce/base", "mine/*"])
+    assert limits.of("bob") == Policy(size=2, memory=100, images=["rce/base"])
+    await limits.change("ann", {"memory": None, "images": None, "cpu": None})
+    assert limits.of("ann") == limits.of("bob")
+
+
+async def test_they_outlive_the_master_and_the_platforms_do_not(store: Store) -> None:
+    first = Limits(store, Policy(size=2))
+    await first.open()
+    await first.change("ann", {"memory": 200})
+    second = Limits(store, Policy(size=3))
+    await second.open()
+    assert second.of("ann") == Policy(size=3, memory=200)
+
+
+async def test_a_running_master_sees_a_change(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "REFRESH", 0.001)
+    running, other = Limits(store, Policy(size=2)), Limits(store)
+    await running.open()
+    await other.open()
+    following = asyncio.create_task(running.follow())
+    await other.change("ann", {"size": 5})
+
+    async def seen() -> None:
+        while running.of("ann").size != 5:  # noqa: ASYNC110  # what is looked at has no event of its own
+            await asyncio.sleep(0.001)
+
+    await asyncio.wait_for(seen(), 20)
+    following.cancel()
+    assert other.of("bob").size == 2
+
+
+async def test_a_removed_user_leaves_none(store: Store) -> None:
+    limits = Limits(store, Policy())
+    await limits.open()
+    await limits.change("ann", {"size": 5})
+    await Users(store).remove("ann")
+    await limits.open()
+    assert limits.of("ann") == Policy()
+
+
+async def test_the_command(store: Store, tmp_path: Path) -> None:
+    def command(*words: str) -> subprocess.CompletedProcess[str]:
+        line = [sys.executable, "-P", "-m", "master.accounts", "--data-dir", str(tmp_path), "limits", *words]
+        return subprocess.run(line, capture_output=True, text=True, timeout=60)
+
+    await Limits(store, Policy(size=4)).open()
+    changed = await asyncio.to_thread(command, "ann", "memory=2GiB", "images=mine/*")
+    assert changed.returncode == 0, changed.stderr
+    assert ["memory", "2147483648", "own"] in [line.split() for line in changed.stdout.splitlines()]
+    shown = await asyncio.to_thread(command, "ann", "--json")
+    assert json.loads(shown.stdout)["size"] == 4
+    assert json.loads(shown.stdout)["images"] == ["mine/*"]
+    for words, reason in ((("nobody",), "no user nobody"), (("ann", "memory=x"), "memory=x")):
+        refused = await asyncio.to_thread(command, *words)
+        assert refused.returncode == 1
+        assert reason in refused.stderr
+        assert "Traceback" not in refused.stderr
