@@ -99,6 +99,22 @@ def test_a_light_installation_can_import_what_it_needs(path: Path) -> None:
             assert extra_of(name.replace(".", "/") + ".py") is None, f"{relative(path)} imports {name}"
 
 
+def test_provisioning_starts_on_the_standard_library() -> None:
+    """The script and what it imports run before anything is installed."""
+    seen: set[Path] = set()
+    waiting = [ROOT / "provisioning" / "provision"]
+    while waiting:
+        path = waiting.pop()
+        seen.add(path)
+        for name in {name for name, at_once in imported(path) if at_once}:
+            own = ROOT / (name.replace(".", "/") + ".py")
+            if name.startswith("provisioning.") and own.exists():
+                waiting += [own] if own not in seen else []
+            else:
+                assert name.split(".")[0] in {*sys.stdlib_module_names, "provisioning"}, f"{name} in {relative(path)}"
+    assert len(seen) > 2
+
+
 def test_the_files_were_found_and_read() -> None:
     assert {relative(path).split("/")[0] for path in FILES} == set(MAY_IMPORT)
     seen = {name for path in FILES for name, _ in imported(path)}

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 import sys
-from importlib.machinery import SourceFileLoader
-from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
-from types import ModuleType
 
 import pytest
+
+from provisioning import development, steps
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "provisioning" / "provision"
@@ -20,23 +20,16 @@ SCRIPT = ROOT / "provisioning" / "provision"
 def checkout(tmp_path: Path) -> Path:
     """As much of a fresh checkout as the script looks at."""
     (tmp_path / "provisioning").mkdir()
-    shutil.copy(SCRIPT, tmp_path / "provisioning")
+    for path in [SCRIPT, *SCRIPT.parent.glob("*.py")]:
+        shutil.copy(path, tmp_path / "provisioning")
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
     return tmp_path
 
 
 @pytest.fixture
-def script(checkout: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """The script of the checkout as a module."""
-    monkeypatch.setattr(sys, "dont_write_bytecode", True)
-    loader = SourceFileLoader("provision", str(checkout / "provisioning" / "provision"))
-    spec = spec_from_loader("provision", loader)
-    assert spec is not None
-    module = module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, "provision", module)  # dataclasses look their module up
-    loader.exec_module(module)
-    module.begin_log()
-    return module
+def log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(steps, "LOG", tmp_path / "log")
+    return tmp_path / "log"
 
 
 def plan(checkout: Path, *arguments: str) -> str:
@@ -75,65 +68,74 @@ def test_dry_run_of_image(checkout: Path) -> None:
     assert lines[-1].endswith("-P -m provisioning.image")
 
 
-def test_steps_that_are_done_are_not_done_again(script: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+def test_steps_that_are_done_are_not_done_again(capsys: pytest.CaptureFixture[str]) -> None:
     done: list[str] = []
 
     def act() -> str:
         done.append("second")
         return "with a remark"
 
-    script.perform([script.Step("first", lambda: "", act), script.Step("second", lambda: "do it", act)])
+    steps.perform([steps.Step("first", lambda: "", act), steps.Step("second", lambda: "do it", act)])
     assert done == ["second"]
     first, second = capsys.readouterr().out.splitlines()
     assert first.split() == ["first", "already", "done"]
     assert second.startswith("second           with a remark (")
 
 
-def test_a_failed_step_shows_its_last_lines_and_the_log(script: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_failed_step_shows_its_last_lines_and_the_log(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     program = "import sys; print(*range(1000), sep='\\n'); sys.exit(3)"
-    steps = [script.check_step("doomed", sys.executable, "-c", program), script.check_step("never", "true")]
-    with pytest.raises(script.Failed) as caught:
-        script.perform(steps)
+    doomed = [steps.check_step("doomed", sys.executable, "-c", program), steps.check_step("never", "true")]
+    with pytest.raises(steps.Failed) as caught:
+        steps.perform(doomed)
     assert capsys.readouterr().out.split() == ["doomed", "failed"]
     text = str(caught.value)
     assert text.startswith("970\n971\n")
     assert "ended with status 3" in text
-    assert str(script.LOG) in text
-    assert "500" in script.LOG.read_text().splitlines()
+    assert str(log) in text
+    assert "500" in log.read_text().splitlines()
 
 
-def test_a_program_that_is_not_there(script: ModuleType) -> None:
-    with pytest.raises(script.Failed, match="no-such-program cannot be run"):
-        script.run("no-such-program")
+def test_secrets_stay_out_of_the_log(log: Path) -> None:
+    log.write_text("")
+    assert steps.run("echo", "s3cret", secret=True) == "s3cret\n"
+    assert log.read_text() == ""
 
 
-def test_installed_until_pyproject_changes(script: ModuleType, checkout: Path) -> None:
-    script.PYTHON.parent.mkdir(parents=True)
-    script.PYTHON.touch()
-    assert not script.is_installed(["ros"])
-    script.STAMP.write_text(script.json.dumps(script.wanted_stamp(["ros", "server"])))
-    assert script.is_installed(["ros"])
-    assert not script.is_installed(["ros", "dev"])
-    with (checkout / "pyproject.toml").open("a") as file:
+@pytest.mark.usefixtures("log")
+def test_a_program_that_is_not_there() -> None:
+    with pytest.raises(steps.Failed, match="no-such-program cannot be run"):
+        steps.run("no-such-program")
+
+
+def test_installed_until_pyproject_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    for name, path in {"ROOT": tmp_path, "PYTHON": tmp_path / "python", "STAMP": tmp_path / "stamp"}.items():
+        monkeypatch.setattr(development, name, path)
+    development.PYTHON.touch()
+    assert not development.is_installed(["ros"])
+    development.STAMP.write_text(json.dumps(development.wanted_stamp(["ros", "server"])))
+    assert development.is_installed(["ros"])
+    assert not development.is_installed(["ros", "dev"])
+    with (tmp_path / "pyproject.toml").open("a") as file:
         file.write("# changed\n")
-    assert not script.is_installed(["ros"])
+    assert not development.is_installed(["ros"])
 
 
-def test_without_root_it_says_what_is_missing(script: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(script, "IS_ROOT", False)
-    monkeypatch.setattr(script, "missing_debian", lambda tests: ["g++", "postgresql"])
-    assert "apt-get install g++ postgresql" in script.install_debian(tests=True)
-    monkeypatch.setattr(script, "missing_debian", lambda tests: ["python3.11-venv"])
-    with pytest.raises(script.Failed, match=r"as root: apt-get install python3\.11-venv"):
-        script.install_debian(tests=True)
+def test_without_root_it_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(development, "IS_ROOT", False)
+    monkeypatch.setattr(development, "missing_debian", lambda tests: ["g++", "postgresql"])
+    assert "apt-get install g++ postgresql" in development.install_debian(tests=True)
+    monkeypatch.setattr(development, "missing_debian", lambda tests: ["python3.11-venv"])
+    with pytest.raises(steps.Failed, match=r"as root: apt-get install python3\.11-venv"):
+        development.install_debian(tests=True)
 
 
-def test_an_old_python_is_refused(script: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_old_python_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "version_info", (3, 10, 2))
-    with pytest.raises(script.Failed, match=r"RCE runs on 3\.11 to 3\.13"):
-        script.check_python()
+    with pytest.raises(steps.Failed, match=r"RCE runs on 3\.11 to 3\.13"):
+        steps.check_python()
 
 
-def test_the_status_is_that_of_the_last_program(script: ModuleType) -> None:
+def test_the_status_is_that_of_the_last_program() -> None:
     program = "import os, sys; sys.exit(int(os.environ['STATUS']))"
-    assert script.hand_over([sys.executable, "-c", program], environment={"STATUS": "7"}) == 7
+    assert development.hand_over([sys.executable, "-c", program], environment={"STATUS": "7"}) == 7
