@@ -86,6 +86,8 @@ class FrameReader:
     def buffer(self) -> memoryview:
         if self._direct is not None:
             return memoryview(self._direct.buffer)[self._direct.filled : self._direct_end]
+        if self._streams and self._have < HEAD.size:  # the head alone, so that a payload which follows is read directly
+            return self._view[self._have : HEAD.size]
         return self._view[self._have :]
 
     def filled(self, count: int) -> list[Message]:

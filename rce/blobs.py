@@ -12,7 +12,7 @@ import struct
 import uuid
 from collections.abc import Iterator, Mapping
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 from msgspec import Raw
 
@@ -107,12 +107,22 @@ def _keep(blob: Buffer, blobs: dict[str, Buffer]) -> str:
     return name
 
 
-def binary_frames(blobs: Mapping[str, Buffer], parts: bool) -> Iterator[bytes]:
+class BinaryFrame(NamedTuple):
+    """A frame that carries a blob or a part of one: `head` and `data` apart, so that nobody need copy them together."""
+
+    head: bytes
+    data: memoryview
+
+    def join(self) -> bytes:
+        return b"".join(self)
+
+
+def binary_frames(blobs: Mapping[str, Buffer], parts: bool) -> Iterator[BinaryFrame]:
     """The binary frames that carry these blobs, in parts of `PART` bytes where the other side knows `parts`."""
     for name, blob in blobs.items():
-        if not parts:
-            yield b"".join((name.encode(), blob))
-            continue
         view = memoryview(blob).cast("B")
+        if not parts:
+            yield BinaryFrame(name.encode(), view)
+            continue
         for offset in range(0, len(view) or 1, PART):
-            yield b"".join((name.encode(), POSITION.pack(offset, len(view)), view[offset : offset + PART]))
+            yield BinaryFrame(name.encode() + POSITION.pack(offset, len(view)), view[offset : offset + PART])

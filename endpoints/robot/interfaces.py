@@ -107,12 +107,12 @@ class RobotInterface(Interface):
         key = b',"msg*":' if wire.whole else b',"msg":'
         text = b"".join((self._head, msgspec.json.encode(msg_id), key, cast(bytes, wire.raw), b"}}"))
         parts = self.session.parts
-        frames = ((frame, True) for frame in binary_frames(wire.blobs, parts))
+        frames = binary_frames(wire.blobs, parts)
         if parts:
-            yield [(text, False)]
+            yield [text]
             yield from ([frame] for frame in frames)
         else:  # one after the other, as old clients expect
-            yield [(text, False), *frames]
+            yield [text, *frames]
 
     def count_drops(self) -> None:
         """Tell the robot if the link dropped messages of this interface since last time."""

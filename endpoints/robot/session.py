@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import islice
 from typing import Protocol
 
@@ -12,13 +12,13 @@ from msgspec import UNSET, Raw, UnsetType
 from twisted.logger import Logger
 
 from rce import messages as m
-from rce.blobs import Buffer
+from rce.blobs import BinaryFrame, Buffer
 from rce.calls import Execute, InterfaceSpec, Nothing
 from rce.control import MasterLink
 from rce.errors import InvalidRequest, LimitExceeded, Lost, RceError
 from rce.outbox import Outbox
 
-Piece = list[tuple[bytes, bool]]
+Piece = Sequence[bytes | BinaryFrame]
 """WebSocket messages that go out together, each with whether it is binary."""
 
 CONTROL = b""  # the outbox's source for statuses and errors
@@ -234,7 +234,7 @@ class Session:
 
 
 def _piece(message: m.Status | m.Failure) -> Piece:
-    return [(msgspec.json.encode(message), False)]
+    return [msgspec.json.encode(message)]
 
 
 def _items(frame: m.Frame) -> Iterator[tuple[str, m.Command]]:

@@ -158,7 +158,7 @@ class Connection:
     def _pieces(self, text: bytes, blobs: Mapping[str, Buffer]) -> Iterator[Piece]:
         yield Piece(text, True)
         for frame in binary_frames(blobs, "parts" in self.features):
-            yield Piece(frame, False)
+            yield Piece(frame.join(), False)
 
     def _next(self, piece: Piece) -> bool:
         self._piece = piece

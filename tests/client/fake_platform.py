@@ -276,9 +276,9 @@ class FakePlatform:
         if peer is None:
             return  # into an environment
         await self._send(peer, {"type": "DM", "data": {**data, "iTag": interface, "msgID": msg_id}})
-        for payload in binary_frames(blobs, "parts" in peer.features):
+        for frame in binary_frames(blobs, "parts" in peer.features):
             if peer.socket is not None:
-                await peer.socket.send(payload)
+                await peer.socket.send(frame.join())
 
     async def _send(self, peer: Peer, frame: dict[str, Any]) -> None:
         if peer.socket is not None:

@@ -79,7 +79,7 @@ def test_parts_of_several_blobs_may_interleave(first: str) -> None:
     each = [binary_frames({name: value}, parts=True) for name, value in blobs.items()]
     turns = [piece for turn in itertools.zip_longest(*each) for piece in turn if piece is not None]
     outcomes = [assembler.frame(frame(*blobs))] if first == "frame" else []
-    outcomes += [assembler.blob(piece) for piece in turns]
+    outcomes += [assembler.blob(piece.join()) for piece in turns]
     if first == "blobs":
         outcomes.append(assembler.frame(frame(*blobs)))
     assert [outcome.complete for outcome in outcomes[:-1]] == [None] * (len(outcomes) - 1)

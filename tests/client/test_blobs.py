@@ -74,9 +74,9 @@ def test_a_blob_without_a_key_is_refused(value: object) -> None:
 
 def test_binary_frames_whole_and_in_parts() -> None:
     blob = bytes(range(256)) * 1025
-    assert list(binary_frames({A: blob}, parts=False)) == [A.encode() + blob]
-    first, second = binary_frames({A: blob}, parts=True)
+    assert [frame.join() for frame in binary_frames({A: blob}, parts=False)] == [A.encode() + blob]
+    first, second = (frame.join() for frame in binary_frames({A: blob}, parts=True))
     total = len(blob).to_bytes(4, "big")
     assert first == A.encode() + b"\0\0\0\0" + total + blob[:PART]
     assert second == A.encode() + PART.to_bytes(4, "big") + total + blob[PART:]
-    assert list(binary_frames({A: b""}, parts=True)) == [A.encode() + bytes(8)]
+    assert [frame.join() for frame in binary_frames({A: b""}, parts=True)] == [A.encode() + bytes(8)]
