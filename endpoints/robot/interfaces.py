@@ -163,8 +163,8 @@ class Subscriber(RobotInterface):
             self.session.hold(room)
 
 
-class ServiceClient(RobotInterface):
-    """The cloud asks, the robot answers."""
+class ServiceInterface(RobotInterface):
+    """What both sides of a service share: the calls that wait for an answer, and how long they may."""
 
     def __init__(
         self,
@@ -179,15 +179,53 @@ class ServiceClient(RobotInterface):
         self._request = request
         self._response = response
         self._timeout = timeout
-        self._pending: dict[str, tuple[Message, asyncio.TimerHandle]] = {}
+        self._waiting: dict[str, tuple[Message, asyncio.TimerHandle]] = {}
+
+    def late(self, call: Message) -> None:
+        """No answer came in time."""
+        raise NotImplementedError
+
+    def parted(self, call: Message) -> None:
+        """The last peer is gone before the answer came."""
+        raise NotImplementedError
+
+    def _await(self, name: str, call: Message) -> None:
+        """Raises LimitExceeded when too many calls wait already."""
+        if len(self._waiting) >= MAX_PENDING:
+            raise LimitExceeded(f"{self.spec.tag}: {MAX_PENDING} calls wait already")
+        timer = asyncio.get_running_loop().call_later(self._timeout, self._expire, name)
+        self._waiting[name] = (call, timer)
+
+    def _take(self, name: str) -> Message | None:
+        """The call of this name, which waits no more; None if it does not wait."""
+        call, timer = self._waiting.pop(name, (None, None))
+        if timer is not None:
+            timer.cancel()
+        return call
+
+    def _expire(self, name: str) -> None:
+        call = self._take(name)
+        if call is not None:
+            self.late(call)
+
+    def stopped(self) -> None:
+        super().stopped()
+        for name in list(self._waiting):
+            call = self._take(name)
+            if call is not None:
+                self.parted(call)
+
+
+class ServiceClient(ServiceInterface):
+    """The cloud asks, the robot answers."""
 
     def receive(self, message: Message, link: Link) -> None:
-        if len(self._pending) >= MAX_PENDING:
-            self.fail(message, LimitExceeded(f"{self.spec.tag}: {MAX_PENDING} calls wait for the robot already"))
-            return
         name = uuid.uuid4().hex
-        timer = asyncio.get_running_loop().call_later(self._timeout, self._late, name)
-        self._pending[name] = (message, timer)
+        try:
+            self._await(name, message)
+        except LimitExceeded as error:
+            self.fail(message, error)
+            return
         self.to_robot(self._request, name, message.payload, None)
 
     def from_robot(self, message: DataMessage, blobs: dict[str, Buffer]) -> None:
@@ -206,78 +244,44 @@ class ServiceClient(RobotInterface):
             raise
         self.request(Message(self.id, request.msg_id, payload, destination=request.source))
 
-    def _take(self, name: str) -> Message | None:
-        request, timer = self._pending.pop(name, (None, None))
-        if timer is not None:
-            timer.cancel()
-        return request
+    def late(self, call: Message) -> None:
+        self.fail(call, TimedOut(f"robot {self.spec.owner} did not answer within {self._timeout:g} s"))
 
-    def _late(self, name: str) -> None:
-        request = self._take(name)
-        if request is not None:
-            self.fail(request, TimedOut(f"robot {self.spec.owner} did not answer within {self._timeout:g} s"))
-
-    def stopped(self) -> None:
-        super().stopped()
-        for name in list(self._pending):
-            self._take(name)
+    def parted(self, call: Message) -> None:
+        """Whoever asked is gone."""
 
 
-class ServiceProvider(RobotInterface):
+class ServiceProvider(ServiceInterface):
     """The robot asks, the cloud answers."""
 
-    def __init__(
-        self,
-        spec: InterfaceSpec,
-        switchboard: Switchboard,
-        session: Session,
-        request: Codec,
-        response: Codec,
-        timeout: float,
-    ) -> None:
-        super().__init__(spec, switchboard, session)
-        self._request = request
-        self._response = response
-        self._timeout = timeout
-        self._pending: dict[str, asyncio.TimerHandle] = {}
-
     def from_robot(self, message: DataMessage, blobs: dict[str, Buffer]) -> None:
-        if message.msgID in self._pending:
+        if message.msgID in self._waiting:
             raise InvalidRequest(f"{self.spec.tag}: a call with this msgID waits already", field="msgID")
-        if len(self._pending) >= MAX_PENDING:
-            raise LimitExceeded(f"{self.spec.tag}: {MAX_PENDING} calls wait already")
         payload = self._request.encode(self.wire(message, blobs))
-        timer = asyncio.get_running_loop().call_later(self._timeout, self._late, message.msgID)
-        self._pending[message.msgID] = timer  # before the request leaves: within this process it may fail at once
+        # Before the request leaves: within this process it may fail at once.
+        self._await(message.msgID, Message(self.id, message.msgID, b""))
         try:
             self.request(Message(self.id, message.msgID, payload))
         except RceError:
-            self._pending.pop(message.msgID).cancel()
+            self._take(message.msgID)
             raise
 
     def receive(self, message: Message, link: Link) -> None:
-        timer = self._pending.pop(message.msg_id, None)
-        if timer is None:
+        if self._take(message.msg_id) is None:
             return  # it came too late: the robot has been told
-        timer.cancel()
         if message.error:
-            self._fail(message.msg_id, error_of(message))
+            self._fail(message, error_of(message))
         else:
             self.to_robot(self._response, message.msg_id, message.payload, None)
 
-    def _late(self, msg_id: str) -> None:
-        del self._pending[msg_id]
-        self._fail(msg_id, TimedOut(f"no answer from the service within {self._timeout:g} s"))
+    def late(self, call: Message) -> None:
+        self._fail(call, TimedOut(f"no answer from the service within {self._timeout:g} s"))
 
-    def _fail(self, msg_id: str, error: RceError) -> None:
-        self.session.call_failed(self.spec.tag, msg_id, error)
+    def parted(self, call: Message) -> None:
+        self._fail(call, NotConnected(f"{self.spec.tag} lost its connection before the answer came"))
 
-    def stopped(self) -> None:
-        super().stopped()
-        for msg_id, timer in list(self._pending.items()):
-            timer.cancel()
-            self._fail(msg_id, NotConnected(f"{self.spec.tag} lost its connection before the answer came"))
-        self._pending.clear()
+    def _fail(self, call: Message, error: RceError) -> None:
+        self.session.call_failed(self.spec.tag, call.msg_id, error)
 
 
 def make(
