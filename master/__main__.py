@@ -15,11 +15,11 @@ from twisted.internet.address import IPv4Address, IPv6Address
 from twisted.internet.base import ReactorBase
 from twisted.internet.interfaces import IListeningPort
 from twisted.logger import Logger
-from twisted.web.server import Site
 
 from master.entry import Entry
 from master.policies import IMAGES, Policy, parse, with_changes
 from master.records import Role
+from master.redirect import EntrySite
 from master.service import Master
 from master.store import Store
 from master.users import Users
@@ -63,7 +63,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     ports = [await control.listen(reactor, options.control, master)]
     try:
         endpoint = endpoints.serverFromString(reactor, http)
-        ports.append(await endpoint.listen(Site(Entry(master.state))).asFuture(asyncio.get_running_loop()))
+        ports.append(await endpoint.listen(EntrySite(Entry(master.state))).asFuture(asyncio.get_running_loop()))
         scheme = "https" if http.startswith("ssl") else "http"
         inside, outside = (f"{address.host}:{address.port}" for address in map(_address, ports))
         log.info("Master serves robots at {http}, its processes at {control}", http=outside, control=inside)
@@ -106,9 +106,9 @@ def loopback_only(description: str) -> str:
 
 def _token(entry: str) -> tuple[Role, str, str]:
     match entry.split(":"):
-        case ["robot" | "container" as role, process, token] if process and token:
+        case ["robot" | "container" | "service" as role, process, token] if process and token:
             return role, process, token
-    raise InvalidRequest("setting tokens: write each as role:process:token, role being robot or container")
+    raise InvalidRequest("setting tokens: write each as role:process:token, role being robot, container or service")
 
 
 def main() -> int:

@@ -1,5 +1,7 @@
 """The HTTP entry: `GET /?userID=…&version=…` tells a robot the WebSocket address of a Robot endpoint.
 
+What begins with the name of a service (`/map-service/…`) is redirected there.
+
 Status codes and their order are the original's: version before userID; 400 for a missing or repeated parameter, 410 for
 a client that is too old, 501 for one that is too new.
 """
@@ -26,6 +28,27 @@ class Entry(Resource):
         super().__init__()  # type: ignore[no-untyped-call]  # Twisted's
         self._state = state
 
+    def render(self, request: Request) -> bytes | int:
+        try:
+            location = self.location(request.uri, request.getRequestHostname())
+        except Unavailable as error:
+            return _refuse(request, http.SERVICE_UNAVAILABLE, str(error))
+        if not location:
+            return super().render(request)  # type: ignore[no-any-return, no-untyped-call]  # Twisted's
+        request.setResponseCode(http.TEMPORARY_REDIRECT)
+        request.setHeader("location", location)
+        return b""
+
+    def location(self, uri: bytes, host: bytes) -> bytes:
+        """Where a service answers this, if its path begins with the name of one. Unavailable while that is away."""
+        name = uri.lstrip(b"/").partition(b"?")[0].partition(b"/")[0].decode("ascii", "replace")
+        service = self._state.processes.get(name)
+        if service is None or service.role != "service":
+            return b""
+        if name not in self._state.joined:
+            raise Unavailable(f"the service {name} is away at present; try again in a moment")
+        return _absolute(service.url, host).rstrip("/").encode() + b"/" + uri.lstrip(b"/")
+
     def render_GET(self, request: Request) -> bytes:
         try:
             version = _parameter(request, "version")
@@ -45,12 +68,16 @@ class Entry(Resource):
         return msgspec.json.encode(answer)
 
     def _url(self, request: Request) -> str:
-        url = robot_endpoint(self._state).url
-        scheme, _, rest = url.partition("://")
-        if rest.startswith(":"):  # no public address configured: the one that brought the robot here
-            host = request.getRequestHostname().decode("ascii", "replace")
-            rest = (f"[{host}]" if ":" in host else host) + rest
-        return f"{scheme}://{rest}"
+        return _absolute(robot_endpoint(self._state).url, request.getRequestHostname())
+
+
+def _absolute(url: str, host: bytes) -> str:
+    """The address of a process; where none is configured, on the host that brought the client here."""
+    scheme, _, rest = url.partition("://")
+    if rest.startswith(":"):
+        name = host.decode("ascii", "replace")
+        rest = (f"[{name}]" if ":" in name else name) + rest
+    return f"{scheme}://{rest}"
 
 
 def _parameter(request: Request, name: str) -> str:

@@ -25,6 +25,8 @@ def joined(state: State, process: Process, hello: Hello, ids: Ids) -> Plan:
     state.joined.add(process.name)
     if process.role == "container":
         return plan + _machine_joined(state, process, hello, ids)
+    if process.role == "service":  # it has nothing of the graph
+        return plan
     if process.role == "robot":
         plan += _settle_robots(state, process, hello)
     owners = owners_at(state, process)

@@ -21,7 +21,7 @@ from msgspec import Struct
 from rce.calls import InterfaceSpec, NodeSpec, ParameterSpec
 from rce.messages import ContainerData
 
-Role = Literal["robot", "container", "environment"]
+Role = Literal["robot", "container", "environment", "service"]
 
 
 class Environment(Struct, frozen=True):

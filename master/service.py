@@ -14,14 +14,15 @@ import rce
 from master import graph, presence, wiring
 from master.carrier import Carrier
 from master.effects import Plan, Send
+from master.grants import digest
 from master.limits import Limits
 from master.policies import UNLIMITED, Policy
 from master.records import Environment, Process, Robot, State, user_of, what
 from master.store import Store
-from master.users import Processes, Users, digest, must_drive
+from master.users import Principal, Processes, Users, must_drive
 from rce import calls as c
 from rce.control import Control, Handlers
-from rce.errors import ErrorInfo, InvalidRequest, NotFound, RceError, StartFailed, Unauthorized, UnknownType
+from rce.errors import ErrorInfo, Forbidden, InvalidRequest, NotFound, RceError, StartFailed, Unauthorized, UnknownType
 from rce.messages import Command, EnvironmentEvent, NodeEvent, StatusData
 
 START_TIMEOUT = 60.0
@@ -143,6 +144,11 @@ class Master:
             handlers.on(c.Leave, lambda call: self._leave(process, call))
             handlers.on(c.Execute, lambda call: self._execute(process, call))
             handlers.on(c.Describe, self._describe)
+        elif process.role == "service":
+            handlers.on(c.Vouch, self._vouch)
+            handlers.on(c.Delegate, lambda call: self._delegate(process, call))
+            handlers.on(c.Borrow, lambda call: self.users.grants.borrow(process.name, call.grant, call.seconds))
+            handlers.on(c.EndGrant, lambda call: self._end_grant(process, call))
         elif process.role == "environment":
             handlers.on(c.NodeDied, lambda call: self._node_died(process, call))
             handlers.on(c.Report, lambda call: self._report(process, call))
@@ -150,6 +156,28 @@ class Master:
             handlers.on(c.EnvironmentDied, self._environment_died)
         handlers.on(c.LinkLost, lambda call: self._link_lost(process, call))
         return handlers
+
+    # --- services that act for users ----------------------------------------------------------------------------------
+
+    async def _vouch(self, call: c.Vouch) -> c.Person:
+        principal = await self._client(call.user, call.secret)
+        return c.Person(principal.user, principal.role)
+
+    async def _delegate(self, process: Process, call: c.Delegate) -> c.Grant:
+        principal = await self._client(call.user, call.secret)
+        return c.Grant(await self.users.grants.give(process.name, principal.user, principal.key))
+
+    async def _end_grant(self, process: Process, call: c.EndGrant) -> c.Nothing:
+        await self.users.grants.end(process.name, call.grant)
+        return c.Nothing()
+
+    async def _client(self, user: str, secret: str) -> Principal:
+        """Who may have a service act as a robot of theirs: not a service that acts for somebody already."""
+        principal = await self.users.check(user, secret)
+        if principal.lent:
+            raise Forbidden("this key was lent to a service and is for robots only")
+        must_drive(principal)
+        return principal
 
     # --- robots -------------------------------------------------------------------------------------------------------
 

@@ -55,6 +55,17 @@ limits = (
         sa.Column("value", sa.Text, nullable=False),
     )
 )
+grants = sa.Table(  # rights of services to act for users: gone with the user, or the API key that they were given with
+    "grants",
+    tables,
+    sa.Column("id", sa.String(32), primary_key=True),
+    sa.Column("service", sa.String(600), nullable=False),
+    sa.Column("user", sa.String(255), sa.ForeignKey("users.name", ondelete="CASCADE"), index=True, nullable=False),
+    sa.Column("key", sa.String(32), sa.ForeignKey("api_keys.id", ondelete="CASCADE"), index=True),  # none: a password
+    sa.Column("created", sa.Float, nullable=False),
+    sa.Column("lent", sa.String(64), unique=True),  # SHA-256 of the key that the service has now
+    sa.Column("expires", sa.Float),  # of that key
+)
 credentials = sa.Table(  # of processes: what they got for their join token
     "credentials",
     tables,

@@ -7,7 +7,6 @@ SHA-256: they are random, so a slow hash would add nothing. An argon2 check is s
 from __future__ import annotations
 
 import asyncio
-import hashlib
 import secrets
 import time
 from typing import Any, Literal
@@ -17,6 +16,8 @@ import sqlalchemy as sa
 from msgspec import Struct
 
 from master import store as db
+from master.grants import LENT_PREFIX, Grants
+from master.grants import digest as digest
 from master.records import Role
 from rce.errors import AlreadyExists, Forbidden, InvalidRequest, NotFound, Unauthorized
 from rce.names import check_tag
@@ -28,11 +29,12 @@ CHECKS_AT_ONCE = 2
 
 
 class Principal(Struct, frozen=True):
-    """Who somebody has proved to be; `key` is the id of the API key, empty for a password."""
+    """Who somebody has proved to be; `key` is the id of the API key, empty for a password or a lent key."""
 
     user: str
     role: UserRole
     key: str = ""
+    lent: bool = False  # by the user to a service that acts for them
 
 
 class ApiKey(Struct, frozen=True):
@@ -46,14 +48,11 @@ class ApiKey(Struct, frozen=True):
     expires: float | None
 
 
-def digest(secret: str) -> str:
-    return hashlib.sha256(secret.encode()).hexdigest()
-
-
 class Users:
     """People and programs that may use the platform."""
 
     def __init__(self, store: db.Store) -> None:
+        self.grants = Grants(store)
         self._store = store
         self._hasher = argon2.PasswordHasher(time_cost=2, memory_cost=19_456, parallelism=1)  # OWASP's minimum
         self._checks = asyncio.Semaphore(CHECKS_AT_ONCE)
@@ -80,7 +79,12 @@ class Users:
             raise NotFound(f"there is no user {name}", field="userID")
 
     async def check(self, name: str, secret: str) -> Principal:
-        """`secret` is an API key or the SHA-256 hex of the password. Unauthorized says no more than that."""
+        """`secret` is an API key or the SHA-256 hex of the password. Unauthorized says no more than that.
+
+        With an API key the name may be empty: the key knows its user.
+        """
+        if secret.startswith(LENT_PREFIX):
+            return Principal(await self.grants.check(name, secret), "robot", lent=True)
         if secret.startswith(KEY_PREFIX):
             return await self._check_key(name, secret)
         query = sa.select(db.users.c.password, db.users.c.role).where(db.users.c.name == name)
@@ -105,9 +109,9 @@ class Users:
     async def _check_key(self, name: str, secret: str) -> Principal:
         query = sa.select(db.api_keys).where(db.api_keys.c.digest == digest(secret))
         row = await self._store.run(lambda connection: connection.execute(query).first())
-        if row is None or row.user != name or (row.expires is not None and row.expires < time.time()):
+        if row is None or name not in ("", row.user) or (row.expires is not None and row.expires < time.time()):
             raise Unauthorized("the API key is wrong, expired or revoked, or another user's")
-        return Principal(name, row.role, row.id)
+        return Principal(row.user, row.role, row.id)
 
     async def add_key(
         self, user: str, role: UserRole = "robot", label: str = "", expires: float | None = None

@@ -242,14 +242,14 @@ class Hello(Struct, frozen=True):
     `token` is a one-time join token, or the credential that the Master gave in exchange for one.
     """
 
-    role: str  # robot | container | environment
+    role: str  # robot | container | environment | service
     name: str
     token: str
     version: str
     incarnation: str = ""  # made at the process's start: tells a restarted process from the one before
     host: str = ""  # identity of the machine: endpoints on one host link over UNIX sockets
     addresses: list[str] = []  # where the other endpoints reach this one's data port
-    url: str = ""  # Robot endpoint: where robots connect (ws://host:port/); an empty host is that of their request
+    url: str = ""  # Robot endpoint, service: where they are reached (ws://host:port/); an empty host is the request's
     capacity: int = 0  # task set: slots
     features: list[str] = []  # task set: special features of the machine
     robots: list[str] = []  # Robot endpoint: those with a session, connected or in their grace time
@@ -278,6 +278,53 @@ class Login(Call[LoggedIn], frozen=True):
     resume: str = ""  # token of the session to take over
     features: list[str] = []
     address: str = ""
+
+
+class Person(Struct, frozen=True):
+    """Who has proved to be a user that may use robots."""
+
+    user: str
+    role: str
+
+
+class Vouch(Call[Person], frozen=True):
+    """A service asks who its client is. With an API key the user may be left out. Unauthorized, Forbidden."""
+
+    user: str
+    secret: str  # API key, or SHA-256 hex of the password
+
+
+class Grant(Struct, frozen=True):
+    """The right of one service to act for one user, by name: the name alone opens nothing."""
+
+    grant: str
+
+
+class Delegate(Call[Grant], frozen=True):
+    """A service asks to act for a client later: until it says `EndGrant`, or the user or the API key is gone."""
+
+    user: str
+    secret: str
+
+
+class LentKey(Struct, frozen=True):
+    """A key with which the service connects as a robot of this user."""
+
+    user: str
+    key: str
+
+
+class Borrow(Call[LentKey], frozen=True):
+    """The service that holds a grant takes a new key for it; the one before is void. Unauthorized."""
+
+    grant: str
+    seconds: float  # until it expires
+
+
+class EndGrant(Call[Nothing], frozen=True):
+    """The grant and its key are void from now on."""
+
+    grant: str
 
 
 class Leave(Call[Nothing], frozen=True):

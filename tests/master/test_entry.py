@@ -12,9 +12,9 @@ import pytest
 from fleet import Fleet
 from twisted.internet import endpoints
 from twisted.internet.base import ReactorBase
-from twisted.web.server import Site
 
 from master.entry import Entry
+from master.redirect import EntrySite
 from rce.messages import CURRENT_VERSION, MINIMAL_VERSION
 
 GOOD = f"/?userID=ann&version={CURRENT_VERSION}"
@@ -25,6 +25,7 @@ class Answer(NamedTuple):
     status: int
     kind: str | None
     body: bytes
+    location: str | None = None
 
 
 Ask = Callable[..., Awaitable[Answer]]
@@ -38,29 +39,34 @@ def fleet() -> Fleet:
 
 
 @pytest.fixture
-async def ask(reactor: ReactorBase, fleet: Fleet) -> AsyncIterator[Ask]:
+async def port(reactor: ReactorBase, fleet: Fleet) -> AsyncIterator[int]:
     loop = asyncio.get_running_loop()
     endpoint = endpoints.serverFromString(reactor, "tcp:0:interface=127.0.0.1")
-    port = await endpoint.listen(Site(Entry(fleet.state))).asFuture(loop)
-    number = port.getHost().port
+    port = await endpoint.listen(EntrySite(Entry(fleet.state))).asFuture(loop)
+    yield port.getHost().port
+    await port.stopListening().asFuture(loop)
 
+
+@pytest.fixture
+def ask(port: int) -> Ask:
     def request(path: str, method: str = "GET", **headers: str) -> Answer:
-        connection = http.client.HTTPConnection("127.0.0.1", number, timeout=20)
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
         connection.request(method, path, headers={"Connection": "close", **headers})
         response = connection.getresponse()
-        answer = Answer(response.status, response.getheader("content-type"), response.read())
+        answer = Answer(
+            response.status, response.getheader("content-type"), response.read(), response.getheader("location")
+        )
         connection.close()
         return answer
 
     async def ask(path: str, method: str = "GET", **headers: str) -> Answer:
         return await asyncio.to_thread(request, path, method, **headers)
 
-    yield ask
-    await port.stopListening().asFuture(loop)
+    return ask
 
 
 async def test_the_address_of_a_robot_endpoint(ask: Ask) -> None:
-    status, kind, body = await ask(GOOD, Host="cloud.example:9000")
+    status, kind, body, _ = await ask(GOOD, Host="cloud.example:9000")
     assert (status, kind) == (200, "application/json; charset=utf-8")
     assert json.loads(body) == {"url": "ws://cloud.example:9010/"}
 
@@ -72,7 +78,7 @@ async def test_any_path_will_do(ask: Ask, path: str) -> None:
 
 @pytest.mark.parametrize("version", [MINIMAL_VERSION, "20130901"])
 async def test_an_older_client_is_told_the_current_version(ask: Ask, version: str) -> None:
-    _, _, body = await ask(f"/?userID=anybody&version={version}", Host="c")
+    _, _, body, _ = await ask(f"/?userID=anybody&version={version}", Host="c")
     assert json.loads(body) == {"url": "ws://c:9010/", "current": CURRENT_VERSION}
 
 
@@ -102,13 +108,13 @@ async def test_refusals(ask: Ask, query: str, status: int, named: str) -> None:
 
 async def test_no_robot_endpoint(ask: Ask, fleet: Fleet) -> None:
     fleet.state.joined.clear()
-    status, kind, body = await ask(GOOD)
+    status, kind, body, _ = await ask(GOOD)
     assert (status, kind) == (503, PLAIN)
     assert b"Robot endpoint" in body
 
 
 async def test_head_has_no_body_and_post_is_not_allowed(ask: Ask) -> None:
-    assert await ask(GOOD, "HEAD") == (200, "application/json; charset=utf-8", b"")
+    assert (await ask(GOOD, "HEAD"))[:3] == (200, "application/json; charset=utf-8", b"")
     assert (await ask(GOOD, "POST")).status == 405
 
 
@@ -138,3 +144,52 @@ async def test_the_endpoint_with_the_fewest_robots(ask: Ask, fleet: Fleet) -> No
         urls.append(url)
         fleet.robot(f"ann/r{number}", "east" if "east" in url else "west")
     assert urls == ["ws://east:1/", "ws://west:9010/"] * 2
+
+
+# --- services ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def service(fleet: Fleet) -> None:
+    fleet.join("map-service", "service", url="http://:9020/")
+
+
+@pytest.mark.parametrize("method", ["GET", "HEAD", "POST", "PATCH", "DELETE", "OPTIONS"])
+async def test_a_service_is_redirected_to(ask: Ask, service: None, method: str) -> None:
+    answer = await ask("/map-service/uploads/1?key=rce_1", method, Host="cloud:9000")
+    assert (answer.status, answer.location) == (307, "http://cloud:9020/map-service/uploads/1?key=rce_1")
+    assert (await ask("/map-service", Host="[::1]:9000")).location == "http://[::1]:9020/map-service"
+
+
+async def test_a_service_with_an_address_of_its_own(ask: Ask, fleet: Fleet) -> None:
+    fleet.join("map-service", "service", url="https://maps.example/")
+    assert (await ask("//map-service/a%20b", Host="c")).location == "https://maps.example/map-service/a%20b"
+
+
+async def test_a_service_that_is_away(ask: Ask, fleet: Fleet, service: None) -> None:
+    fleet.state.joined.discard("map-service")
+    answer = await ask("/map-service/jobs")
+    assert (answer.status, answer.location) == (503, None)
+    assert b"map-service is away" in answer.body
+
+
+async def test_only_services_are_redirected_to(ask: Ask) -> None:
+    assert (await ask("/west/")).status == 400
+    assert (await ask("/map-service/")).status == 400
+
+
+@pytest.mark.parametrize("framing", ["Content-Length: 4000000000", "Transfer-Encoding: chunked"])
+@pytest.mark.parametrize(
+    ("path", "status", "location"),
+    [("/map-service/uploads", b"307", b"http://c:9020/map-service/uploads"), ("/", b"413", b"")],
+)
+async def test_a_recording_is_turned_away_by_its_headers(
+    port: int, service: None, path: str, framing: str, status: bytes, location: bytes
+) -> None:
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    writer.write(f"POST {path} HTTP/1.1\r\nHost: c:9000\r\nExpect: 100-continue\r\n{framing}\r\n\r\n".encode())
+    answer = await asyncio.wait_for(reader.read(), 20)
+    assert answer.split()[1] == status
+    assert location in answer
+    assert b"100 Continue" not in answer
+    writer.close()

@@ -18,7 +18,7 @@ from master.users import digest
 from rce import calls as c
 from rce import messages as m
 from rce.control import Control, Handlers, connect, listen
-from rce.errors import AlreadyExists, ErrorInfo, InvalidRequest, NotFound, StartFailed, Unauthorized
+from rce.errors import AlreadyExists, ErrorInfo, Forbidden, InvalidRequest, NotFound, StartFailed, Unauthorized
 
 T = TypeVar("T", bound=c.Call[Any])
 PATIENCE = 20.0  # seconds until a test that hangs fails
@@ -574,3 +574,41 @@ async def test_an_environment_that_was_removed_may_not_join(furnished: Furnished
     await execute(furnished.west, "ann/r1", m.DestroyContainer("brain"))
     with pytest.raises(Unauthorized):
         await furnished.platform.process("environment", "ann/brain", token=furnished.brain.credential)
+
+
+# --- services ---------------------------------------------------------------------------------------------------------
+
+
+async def test_a_service_acts_for_a_user_as_a_robot_of_theirs(platform: Platform) -> None:
+    maps = await platform.process("service", "map-service", url="http://:9020/")
+    west = await platform.endpoint()
+    assert await maps.call(c.Vouch("ann", digest("secret"))) == c.Person("ann", "user")
+    grant = await maps.call(c.Delegate("ann", digest("secret")))
+    lent = await maps.call(c.Borrow(grant.grant, 60))
+    assert await west.call(c.Login("ann", "mapper", lent.key))
+    for call in (c.Vouch("ann", lent.key), c.Delegate("ann", lent.key)):
+        with pytest.raises(Forbidden):
+            await maps.call(call)
+    await maps.call(c.EndGrant(grant.grant))
+    with pytest.raises(Unauthorized):
+        await west.call(c.Login("ann", "other", lent.key))
+
+
+async def test_a_service_acts_for_those_only_who_prove_themselves_and_may_use_robots(platform: Platform) -> None:
+    maps = await platform.process("service", "map-service")
+    await platform.master.users.add("root", "secret", "admin")
+    key, _ = await platform.master.users.add_key("ann", "viewer")
+    for call, error in (
+        (c.Delegate("ann", digest("wrong")), Unauthorized),
+        (c.Delegate("root", digest("secret")), InvalidRequest),
+        (c.Vouch("", key), Forbidden),
+        (c.Borrow("0" * 32, 60), Unauthorized),
+    ):
+        with pytest.raises(error):
+            await maps.call(call)
+
+
+async def test_only_services_act_for_users(platform: Platform) -> None:
+    west = await platform.endpoint()
+    with pytest.raises(InvalidRequest, match="does not answer"):
+        await west.call(c.Delegate("ann", digest("secret")))
