@@ -44,7 +44,7 @@ class Settings(Struct):
     limits: Annotated[
         list[str], Meta(description="limits of users who have none of their own, key=value as in `rce user limits`")
     ] = []
-    images: Annotated[list[str], Meta(description="images that environments of all users may run")] = list(IMAGES)
+    images: Annotated[list[str], Meta(description="images that all users may run, beside the platform's own")] = []
     tokens: Annotated[list[str], Meta(description="one-time join tokens role:process:token of processes to come")] = []
 
 
@@ -54,7 +54,9 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     options.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
     store = Store(options.database or f"sqlite:///{options.data_dir / 'master.db'}")
     await store.open()
-    master = Master(store, options.grace, with_changes(Policy(images=options.images), parse(options.limits)))
+    master = Master(
+        store, options.grace, with_changes(Policy(images=[*IMAGES, *options.images]), parse(options.limits))
+    )
     await first_users(master.users, options.dev)
     for entry in options.tokens:
         role, process, token = _token(entry)
