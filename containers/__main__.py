@@ -11,6 +11,7 @@ from pathlib import Path
 
 from twisted.internet.base import ReactorBase
 
+from containers.data_relay import DataRelay
 from containers.engine import Ended, Engine
 from containers.process import ProcessEngine
 from containers.settings import Settings, check_isolation
@@ -39,13 +40,24 @@ async def serve(reactor: ReactorBase, settings: Settings) -> None:
     directory = settings.data_dir.absolute()
     with _sole_user(directory):
         credential = Credential(directory / "container.credential", settings.token)
+        relay = DataRelay()
         task_set = TaskSet(
-            reactor, settings.master, settings.own_name, credential, lambda ended: make_engine(reactor, settings, ended)
+            reactor,
+            settings.master,
+            settings.own_name,
+            credential,
+            lambda ended: make_engine(reactor, settings, relay, ended),
+            relay,
         )
-        await task_set.run(stop_environments=settings.stop_environments)
+        try:
+            if settings.data_host:
+                await relay.listen(settings.data_host, settings.data_port, settings.data_address)
+            await task_set.run(stop_environments=settings.stop_environments)
+        finally:
+            await relay.close()
 
 
-def make_engine(reactor: ReactorBase, settings: Settings, ended: Callable[[Ended], None]) -> Engine:
+def make_engine(reactor: ReactorBase, settings: Settings, relay: DataRelay, ended: Callable[[Ended], None]) -> Engine:
     """The engine that `settings` name."""
     directory = settings.data_dir.absolute()
     packages = [os.path.abspath(path) for path in settings.package_path]
@@ -56,7 +68,8 @@ def make_engine(reactor: ReactorBase, settings: Settings, ended: Callable[[Ended
             settings.features,
             ended,
             root=directory / "environments",
-            settings={"master": settings.master, **surroundings},
+            settings={"master": settings.master, "host": settings.host, **surroundings},
+            relay=relay,
         )
     try:
         from containers.docker import DockerEngine
@@ -72,6 +85,8 @@ def make_engine(reactor: ReactorBase, settings: Settings, ended: Callable[[Ended
         master=settings.master,
         image=settings.image,
         settings=surroundings,
+        relay=relay,
+        host=settings.host,
         read_only=[path for path in (*packages, settings.typesupport) if path],
     )
 

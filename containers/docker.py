@@ -21,9 +21,10 @@ from pathlib import Path
 from twisted.internet.base import ReactorBase
 from twisted.logger import Logger
 
+from containers.data_relay import GATE, DataRelay
 from containers.docker_daemon import RUN, Daemon, Found
 from containers.docker_events import Event
-from containers.docker_options import MB, USER, Places, limits, variables, walls
+from containers.docker_options import CONTROL, MB, USER, Places, limits, variables, walls
 from containers.engine import LAST_LINES, Ended, Engine, Life
 from containers.logfile import LONGEST_LINE
 from containers.processes import describe_end
@@ -65,6 +66,8 @@ class DockerEngine(Engine):
         image: str,
         settings: Mapping[str, str],
         read_only: Sequence[str] = (),
+        relay: DataRelay | None = None,
+        host: str = "",
         command: Sequence[str] = COMMAND,
     ) -> None:
         super().__init__(capacity, features, ended)
@@ -73,7 +76,9 @@ class DockerEngine(Engine):
         self._sockets = directory / "sockets"
         self._master = master
         self._image = image
-        self._settings = settings
+        self._settings = {**settings, "relay": f"{CONTROL}/{GATE}"}
+        self._data_relay = relay or DataRelay()
+        self._host = host or host_identity()
         self._read_only = read_only
         self._command = command
         self._daemon = Daemon({"rce.platform": platform, "rce.directory": str(directory)})
@@ -91,11 +96,12 @@ class DockerEngine(Engine):
             Found("", spec.name, spec.run, spec.options.size, running=False),
             self._image,
             self._command,
-            variables(spec, environment.places, host_identity(), self._settings),
+            variables(spec, environment.places, self._host, self._settings),
             walls(granted, environment.places, self._read_only),
         )
 
     async def remove(self, name: str) -> None:
+        self._data_relay.dismiss(name)
         await self._daemon.remove(name)
         environment = self._environments.get(name)
         if environment is not None:
@@ -133,6 +139,8 @@ class DockerEngine(Engine):
             task.cancel()
         for environment in self._environments.values():
             environment.relay.close()
+        for name in self._environments:
+            self._data_relay.dismiss(name)
         self._environments.clear()
 
     # --- places on the host -------------------------------------------------------------------------------------------
@@ -152,6 +160,7 @@ class DockerEngine(Engine):
             if os.geteuid() == 0:
                 os.chown(sockets, USER, USER)
         await environment.relay.open(places.control)
+        await self._data_relay.admit(name, places.socket, places.control)
         return environment
 
     async def _remove_leftovers(self) -> None:

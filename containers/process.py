@@ -21,6 +21,7 @@ from msgspec import Struct
 from twisted.logger import Logger
 
 from containers import logfile, shared_memory
+from containers.data_relay import GATE, DataRelay
 from containers.domains import Domains
 from containers.engine import LAST_LINES, Ended, Engine, Life
 from containers.limits import check_limits
@@ -32,6 +33,7 @@ log = Logger()
 COMMAND: Sequence[str] = (sys.executable, "-P", "-m", "endpoints.environment")
 STOP_TIMEOUT = 10.0  # the endpoint stops its nodes by SIGINT, SIGTERM, SIGKILL in this time
 TRIM_EVERY = 5.0
+SOCKET = "data.sock"
 # What a process needs of the machine, its network and a system ROS 2; everything else may be a secret.
 KEPT = (
     *("PATH", "LANG", "LC_ALL", "LC_CTYPE", "TZ"),
@@ -75,12 +77,14 @@ class ProcessEngine(Engine):
         settings: Mapping[str, str],
         command: Sequence[str] | None = None,
         domains: Domains | None = None,
+        relay: DataRelay | None = None,
     ) -> None:
         super().__init__(capacity, features, ended)
         self._root = root
         self._settings = settings
         self._command = command or COMMAND
         self._domains = domains or Domains()
+        self._relay = relay or DataRelay()
         self._environments: dict[str, _Environment] = {}
         self._trimmer: asyncio.Task[None] | None = None
 
@@ -89,11 +93,14 @@ class ProcessEngine(Engine):
         try:
             domain, lock = self._domains.take()
             state = self._start_process(spec, domain, lock)
-            _write(self._environments[spec.name].directory / "state.json", msgspec.json.encode(state))
+            directory = self._environments[spec.name].directory
+            _write(directory / "state.json", msgspec.json.encode(state))
+            await self._relay.admit(spec.name, directory / SOCKET, directory)
         except OSError as error:
             raise StartFailed(f"environment {spec.name} did not start: {error}") from None
 
     async def remove(self, name: str) -> None:
+        self._relay.dismiss(name)
         environment = self._environments.get(name)
         if environment is not None and not environment.watch.ended.is_set():
             await self._terminate(environment)
@@ -109,7 +116,7 @@ class ProcessEngine(Engine):
         self._root.mkdir(parents=True, exist_ok=True, mode=0o700)
         for parent in [tag for user in _directories(self._root) for tag in _directories(user)]:
             for directory in _directories(parent):
-                if not self._adopt(directory):
+                if not await self._adopt(directory):
                     log.info("removing what is left of {directory}", directory=str(directory))
                     await kill_marked(directory.name)
                     await asyncio.to_thread(shutil.rmtree, directory)
@@ -125,7 +132,8 @@ class ProcessEngine(Engine):
         if self._trimmer is not None:
             self._trimmer.cancel()
         while self._environments:
-            _, environment = self._environments.popitem()
+            name, environment = self._environments.popitem()
+            self._relay.dismiss(name)
             self._let_go(environment)
 
     def _let_go(self, environment: _Environment) -> None:
@@ -166,6 +174,8 @@ class ProcessEngine(Engine):
             "RCE_NAME": spec.name,
             "RCE_TOKEN": spec.token,
             "RCE_DATA_DIR": str(directory),
+            "RCE_SOCKET": str(directory / SOCKET),
+            "RCE_RELAY": str(directory / GATE),
             "ROS_DOMAIN_ID": str(domain),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
@@ -175,7 +185,7 @@ class ProcessEngine(Engine):
         watch = Watch(state.pid, lambda: self._process_ended(state.name))
         self._environments[state.name] = _Environment(state, directory, watch, child, lock)
 
-    def _adopt(self, directory: Path) -> bool:
+    async def _adopt(self, directory: Path) -> bool:
         """Whether the process of this directory lives; then it is watched from now on."""
         try:
             state = msgspec.json.decode((directory / "state.json").read_bytes(), type=_State)
@@ -186,6 +196,7 @@ class ProcessEngine(Engine):
         except ProcessLookupError:
             return False
         if has_marker(state.pid, state.run):  # after the watch holds the pid: it may be another's by now
+            await self._relay.admit(state.name, directory / SOCKET, directory)
             return True
         self._environments.pop(state.name).watch.close()
         return False

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import socket
 from pathlib import Path
 from typing import cast
 
@@ -14,6 +12,8 @@ from twisted.internet.protocol import Factory, Protocol, connectionDone
 from twisted.internet.tcp import Connection
 from twisted.logger import Logger
 from twisted.python.failure import Failure
+
+from rce.sockets import bound
 
 log = Logger()
 SOCKET = "control.sock"
@@ -113,7 +113,7 @@ class Relay:
 
     async def open(self, directory: Path) -> None:
         """Raises OSError."""
-        listener = _listener(directory)
+        listener = bound(directory / SOCKET, 0o666)  # everybody who sees the directory may use it
         self._server = await asyncio.get_running_loop().create_unix_server(lambda: _Visitor(self), sock=listener)
 
     def close(self) -> None:
@@ -130,19 +130,3 @@ class Relay:
 
     def dismiss(self, visitor: _Visitor) -> None:
         self._visitors.discard(visitor)
-
-
-def _listener(directory: Path) -> socket.socket:
-    """A bound socket that everybody who sees the directory may use."""
-    listener = socket.socket(socket.AF_UNIX)
-    handle = os.open(directory, os.O_PATH | os.O_DIRECTORY)  # the whole path may be too long for a socket's
-    try:
-        (directory / SOCKET).unlink(missing_ok=True)
-        listener.bind(f"/proc/self/fd/{handle}/{SOCKET}")
-        (directory / SOCKET).chmod(0o666)
-    except OSError:
-        listener.close()
-        raise
-    finally:
-        os.close(handle)
-    return listener

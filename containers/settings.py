@@ -31,6 +31,12 @@ class Settings(Struct, frozen=True):
         Literal["process", "docker"], Meta(description="what runs the environments: process or docker")
     ] = "process"
     image: Annotated[str, Meta(description="docker engine: image of the environments")] = f"rce/mapping:{__version__}"
+    data_host: Annotated[
+        str, Meta(description="address for data links of its environments from other machines; empty: none")
+    ] = ""
+    data_port: Annotated[int, Meta(ge=0, le=65535, description="port for them; 0 takes a free one")] = 0
+    data_address: Annotated[str, Meta(description="name or address by which they dial it; empty: data_host")] = ""
+    host: Annotated[str, Meta(description="identity of this machine; empty: found out")] = ""
     size: Annotated[int, Meta(ge=1, description="slots for environments on this machine")] = 10
     features: Annotated[list[str], Meta(description="special features of this machine, comma-separated")] = []
     package_path: Annotated[list[str], Meta(description="directories with ROS 2 packages, comma-separated")] = []

@@ -10,8 +10,18 @@ from uuid import uuid4
 from twisted.internet.base import ReactorBase
 from twisted.logger import Logger
 
+from containers.data_relay import DataRelay
 from containers.engine import Ended, Engine
-from rce.calls import EnvironmentDied, Hello, KeepEnvironments, Nothing, StartEnvironment, StopEnvironment, Welcome
+from rce.calls import (
+    EnvironmentDied,
+    Hello,
+    KeepEnvironments,
+    KnowRelays,
+    Nothing,
+    StartEnvironment,
+    StopEnvironment,
+    Welcome,
+)
 from rce.control import Handlers, MasterLink
 from rce.credential import Credential, stay_joined
 from rce.errors import RceError
@@ -25,9 +35,17 @@ class TaskSet:
     """One machine's environments, in the Master's service."""
 
     def __init__(
-        self, reactor: ReactorBase, master: str, name: str, credential: Credential, make_engine: MakeEngine
+        self,
+        reactor: ReactorBase,
+        master: str,
+        name: str,
+        credential: Credential,
+        make_engine: MakeEngine,
+        relay: DataRelay | None = None,
     ) -> None:
+        """`relay` is the one that the engine's environments are admitted to."""
         self._name = name
+        self._relay = relay or DataRelay()
         self._credential = credential
         self._incarnation = uuid4().hex
         self._engine = make_engine(self._ended)
@@ -36,6 +54,7 @@ class TaskSet:
         handlers.on(StartEnvironment, self._start)
         handlers.on(StopEnvironment, self._stop)
         handlers.on(KeepEnvironments, self._keep)
+        handlers.on(KnowRelays, self._know)
         self._link = MasterLink(reactor, master, self._hello, handlers, self._welcomed)
 
     async def run(self, *, stop_environments: bool) -> None:
@@ -67,6 +86,7 @@ class TaskSet:
             token=self._credential.secret,
             version=version("rce"),
             incarnation=self._incarnation,
+            addresses=[self._relay.address] if self._relay.address else [],
             capacity=self._engine.capacity,
             features=sorted(self._engine.features),
             environments={name: life.run for name, life in self._engine.running().items()},
@@ -89,6 +109,10 @@ class TaskSet:
 
     async def _keep(self, call: KeepEnvironments) -> Nothing:
         await self._engine.keep(call.runs)
+        return Nothing()
+
+    async def _know(self, call: KnowRelays) -> Nothing:
+        self._relay.know(call.relays)
         return Nothing()
 
     def _ended(self, ended: Ended) -> None:

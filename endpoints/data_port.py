@@ -1,7 +1,8 @@
 """Where an endpoint takes and makes data links.
 
 A link opens with the key that the Master gave to both ends: the side that dials sends it, the other proves that it
-knows it too by answering with its digest. A key is good for one opening.
+knows it too by answering with its digest. A key is good for one opening. Environments on other machines are reached
+through the relay there; an environment, which has no network, dials through its gate (see rce/passage.py).
 """
 
 from __future__ import annotations
@@ -9,22 +10,21 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import hmac
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import cast
 
 from twisted.logger import Logger
 
 from endpoints.link import StreamLink
+from rce import passage
 from rce.errors import Unavailable
+from rce.passage import Passage
+from rce.sockets import bound, reaching, split
 
 MAGIC = b"RCE1"
-GREETING = len(MAGIC) + 16
+GREETING = passage.GREETING
 OPEN_TIMEOUT = 10.0
 EXPECT_TIMEOUT = 30.0  # the other side may have several addresses to try
-LONGEST_SOCKET_PATH = 100  # sun_path has 108 bytes
 
 log = Logger()
 
@@ -89,21 +89,25 @@ class _Doorman(_Greeter):
 class _Caller(_Greeter):
     """Dialling side: says the key, and hands the connection to `link` when the other side answers with its digest."""
 
-    def __init__(self, link: StreamLink, key: bytes) -> None:
+    def __init__(self, link: StreamLink, key: bytes, first_words: bytes = b"") -> None:
+        """`first_words` are for a relay on the way."""
         super().__init__()
         self.outcome: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._link = link
         self._key = key
+        self._first_words = first_words
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
-        cast(asyncio.Transport, transport).write(MAGIC + self._key)
+        cast(asyncio.Transport, transport).write(self._first_words + MAGIC + self._key)
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._refuse(str(exc) if exc else "closed by the other side")
 
     def greeted(self, greeting: bytes, transport: asyncio.Transport) -> None:
-        if not hmac.compare_digest(greeting, MAGIC + answer_to(self._key)):
+        if reason := passage.refused(greeting):
+            self._refuse(f"the relay says: {reason}")
+        elif not hmac.compare_digest(greeting, MAGIC + answer_to(self._key)):
             self._refuse("the other side does not know the key")
         elif not self.outcome.done():
             self.outcome.set_result(None)
@@ -116,10 +120,11 @@ class _Caller(_Greeter):
 
 
 class DataPort:
-    """Where an endpoint takes and makes links."""
+    """Where an endpoint takes and makes links; `gate` is the socket by which to reach relays without a network."""
 
-    def __init__(self) -> None:
+    def __init__(self, gate: Path | None = None) -> None:
         self.expected: dict[bytes, StreamLink] = {}
+        self._gate = gate
         self._servers: list[asyncio.Server] = []
 
     async def listen_tcp(self, host: str, port: int) -> int:
@@ -130,10 +135,10 @@ class DataPort:
         taken: int = server.sockets[0].getsockname()[1]
         return taken
 
-    async def listen_unix(self, path: str) -> None:
+    async def listen_unix(self, path: Path) -> None:
+        """Listen at a socket of the file system, in the place of an earlier one."""
         loop = asyncio.get_running_loop()
-        with _short(path) as short:
-            self._servers.append(await loop.create_unix_server(lambda: _Doorman(self.expected), short))
+        self._servers.append(await loop.create_unix_server(lambda: _Doorman(self.expected), sock=bound(path)))
 
     def expect(self, link: StreamLink, key: bytes) -> None:
         """Take the connection that says `key` for `link`; it fails when none comes."""
@@ -151,43 +156,43 @@ class DataPort:
         """Open `link` at the first address that answers; it fails, with the reason of each, when none does."""
         reasons = []
         for address in addresses:
-            caller = _Caller(link, key)
             try:
-                async with asyncio.timeout(OPEN_TIMEOUT):
-                    await self._connect(caller, address)
-                    await caller.outcome
+                await self._try(link, key, address)
                 return
             except (OSError, TimeoutError, ValueError, Unavailable) as error:
                 reasons.append(f"{address}: {str(error) or 'no answer'}")
-            finally:
-                if caller.transport is not None:
-                    caller.transport.abort()
         link.fail("; ".join(reasons) or "it has no address")
 
-    async def _connect(self, caller: _Caller, address: str) -> None:
-        loop = asyncio.get_running_loop()
+    async def _try(self, link: StreamLink, key: bytes, address: str) -> None:
         kind, _, rest = address.partition(":")
-        if kind == "unix":
-            with _short(rest) as path:
+        way, words = self._through_relay(rest) if kind == "relay" else (rest, b"")
+        caller = _Caller(link, key, words)
+        try:
+            async with asyncio.timeout(OPEN_TIMEOUT):
+                await self._connect(caller, way)
+                await caller.outcome
+        finally:
+            if caller.transport is not None:
+                caller.transport.abort()
+
+    def _through_relay(self, address: str) -> tuple[str, bytes]:
+        """Where to connect, and what to say first."""
+        way = passage.split(address)
+        if self._gate is not None:
+            return str(self._gate), way.line()
+        return way.relay, Passage(way.to).line()
+
+    async def _connect(self, caller: _Caller, way: str) -> None:
+        """`way` is the absolute path of a socket, or HOST:PORT."""
+        loop = asyncio.get_running_loop()
+        if way.startswith("/"):
+            with reaching(Path(way)) as path:
                 await loop.create_unix_connection(lambda: caller, path)
         else:
-            host, _, port = rest.rpartition(":")
-            await loop.create_connection(lambda: caller, host, int(port))
+            host, port = split(way)
+            await loop.create_connection(lambda: caller, host, port)
 
     async def close(self) -> None:
         for server in self._servers:
             server.close()
         self._servers.clear()
-
-
-@contextmanager
-def _short(path: str) -> Iterator[str]:
-    """The path of a socket, or where it is too long for a UNIX socket, one by way of its opened directory."""
-    if len(os.fsencode(path)) <= LONGEST_SOCKET_PATH:
-        yield path
-        return
-    directory = os.open(Path(path).parent, os.O_PATH | os.O_DIRECTORY)
-    try:
-        yield f"/proc/self/fd/{directory}/{Path(path).name}"
-    finally:
-        os.close(directory)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-import socket
 from collections.abc import Callable
 from typing import Protocol
 
@@ -13,9 +12,9 @@ from twisted.logger import Logger
 from endpoints.frames import Buffer, FrameReader, Message, pieces
 from rce.errors import LimitExceeded, Unavailable
 from rce.outbox import Outbox
+from rce.sockets import tune
 
 HIGH_WATER = 256 * 1024  # bytes in the transport at which the outbox keeps what follows, where it can be overtaken
-SOCKET_BUFFER = 1024 * 1024  # four times this doubles the time for which a small message waits, and carries no more
 
 log = Logger()
 
@@ -194,14 +193,3 @@ class StreamLink(asyncio.BufferedProtocol):
         assert self._transport is not None
         self._transport.writelines(buffers)
         return not self._full
-
-
-def tune(transport: asyncio.BaseTransport) -> None:
-    """Large socket buffers for large messages, no delay for small ones."""
-    sock: socket.socket | None = transport.get_extra_info("socket")
-    if sock is None:
-        return
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BUFFER)
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SOCKET_BUFFER)
-    if sock.family in (socket.AF_INET, socket.AF_INET6):
-        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

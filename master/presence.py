@@ -9,8 +9,8 @@ from master.graph import remove_environment, remove_interfaces, start
 from master.placement import place
 from master.policies import UNLIMITED, Policy, check_robots
 from master.records import Environment, Process, Robot, State, at, user_of
-from master.wiring import Ids, bring_up, connections_of, deactivate, link_spec, routes_of, take_down
-from rce.calls import Bind, DropRobot, Hello, KeepEnvironments, Sync
+from master.wiring import RELAY, Ids, bring_up, connections_of, deactivate, link_spec, routes_of, take_down
+from rce.calls import Bind, DropRobot, Hello, KeepEnvironments, KnowRelays, Sync
 from rce.errors import AlreadyExists, NoCapacity
 from rce.names import check_tag
 
@@ -21,10 +21,11 @@ def joined(state: State, process: Process, hello: Hello, ids: Ids) -> Plan:
     before = state.processes.get(process.name)
     if before is not None and before.incarnation != process.incarnation:
         plan += take_down(state, process.name)
+    relays = known_relays(state)
     state.processes.put(process)
     state.joined.add(process.name)
     if process.role == "container":
-        return plan + _machine_joined(state, process, hello, ids)
+        return plan + _machine_joined(state, process, hello, ids) + _make_known(state, process, relays)
     if process.role == "service":  # it has nothing of the graph
         return plan
     if process.role == "robot":
@@ -72,6 +73,24 @@ def _machine_joined(state: State, process: Process, hello: Hello, ids: Ids) -> P
             if environment.name in state.environments:
                 plan += restart(state, environment, ids)
     return plan
+
+
+def known_relays(state: State) -> list[str]:
+    """The data relays of all machines, HOST:PORT."""
+    return sorted(
+        address.removeprefix(RELAY)
+        for machine in state.processes.by("container")
+        for address in machine.addresses
+        if address.startswith(RELAY)
+    )
+
+
+def _make_known(state: State, process: Process, before: list[str]) -> Plan:
+    """Tell a machine that has joined of the relays, and the others if there is a new one."""
+    relays = known_relays(state)
+    machines = [machine.name for machine in state.processes.by("container") if machine.name in state.joined]
+    told = machines if relays != before else [process.name] if relays else []
+    return [[Send(name, KnowRelays(relays), "relays")] for name in told]
 
 
 def environment_down(state: State, environment: Environment) -> Plan:

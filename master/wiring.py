@@ -14,6 +14,7 @@ from master.effects import Plan, Send, Sequence, Settle
 from master.records import Connection, Interface, Link, Process, State, what
 from rce.calls import AddRoute, CloseLink, LinkSpec, OpenLink, RemoveRoute, Route
 
+RELAY, UNIX = "relay:", "unix:"
 Ids = Callable[[], str]
 """Makes 32 random hex digits."""
 
@@ -119,9 +120,20 @@ def link_spec(state: State, link: Link, end: str) -> LinkSpec:
     if link.listener == link.dialler or end == link.listener:
         return LinkSpec(link.name, link.key_hex)
     listener, dialler = state.processes.get(link.listener), state.processes.get(link.dialler)
-    same_host = listener is not None and dialler is not None and bool(listener.host) and listener.host == dialler.host
-    addresses = listener.addresses if listener else []
-    return LinkSpec(link.name, link.key_hex, [item for item in addresses if same_host or not item.startswith("unix:")])
+    ways = _ways(state, listener, dialler) if listener and dialler else []
+    return LinkSpec(link.name, link.key_hex, ways)
+
+
+def _ways(state: State, to: Process, of: Process) -> list[str]:
+    """The addresses at which one process can dial another, the best first."""
+    if to.host and to.host == of.host:
+        return to.addresses
+    ways = [address for address in to.addresses if not address.startswith(UNIX)]
+    environment = state.environments.get(to.name)
+    machine = state.processes.get(environment.machine) if environment else None
+    if machine is not None:
+        ways += [f"{address}/{to.name}" for address in machine.addresses if address.startswith(RELAY)]
+    return ways
 
 
 def opening(state: State, link: Link) -> Sequence:
@@ -134,12 +146,9 @@ def _link(state: State, one: Process, other: Process, alone_for: str, ids: Ids) 
     for link in state.links.by(one.name):
         if {link.listener, link.dialler} == {one.name, other.name} and link.alone_for == alone_for:
             return link
-    # An environment may be walled in. On one host its UNIX socket is the way in, so there the Robot endpoint dials;
-    # from afar the environment dials, because a Robot endpoint has addresses that others reach.
-    host = one.host if one.host == other.host else ""
-    preferred = "environment" if host else "robot"
-    listener, dialler = sorted((one, other), key=lambda process: (process.role != preferred, process.name))
-    if not listener.addresses:
+    # An environment may be walled in: it is dialled, at its socket or through its machine's relay, where that can be.
+    listener, dialler = sorted((one, other), key=lambda process: (process.role != "environment", process.name))
+    if not _ways(state, listener, dialler):
         listener, dialler = dialler, listener
     within = listener.name == dialler.name
     link = Link(

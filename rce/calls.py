@@ -71,7 +71,7 @@ class LinkSpec(Struct, frozen=True):
 
     name: str
     key: str  # 32 hex, known to both ends, good for one opening
-    dial: list[str] = []  # "unix:/path", "tcp:host:port"; empty: wait for the other side
+    dial: list[str] = []  # unix:/PATH, tcp:HOST:PORT, relay:HOST:PORT/user/tag; empty: wait for the other side
 
 
 class NodeSpec(Struct, frozen=True):
@@ -233,6 +233,12 @@ class KeepEnvironments(Call[Nothing], frozen=True):
     runs: list[str]
 
 
+class KnowRelays(Call[Nothing], frozen=True):
+    """The data relays of all machines, HOST:PORT: to these, and no others, environments here may be taken."""
+
+    relays: list[str]
+
+
 # --- to the Master ----------------------------------------------------------------------------------------------------
 
 
@@ -248,7 +254,7 @@ class Hello(Struct, frozen=True):
     version: str
     incarnation: str = ""  # made at the process's start: tells a restarted process from the one before
     host: str = ""  # identity of the machine: endpoints on one host link over UNIX sockets
-    addresses: list[str] = []  # where the other endpoints reach this one's data port
+    addresses: list[str] = []  # where others reach its data port (unix:, tcp:); task set: its machine's relay (relay:)
     url: str = ""  # Robot endpoint, service: where they are reached (ws://host:port/); an empty host is the request's
     capacity: int = 0  # task set: slots
     features: list[str] = []  # task set: special features of the machine

@@ -42,7 +42,7 @@ class Endpoint:
         from endpoints.environment.endpoint import Environment
         from endpoints.environment.ros import RosThread
 
-        port = DataPort()
+        port = DataPort(self._settings.relay)
         socket = self._settings.socket or self._settings.data_dir.absolute() / "data.sock"
         self._addresses = await listen(port, socket, self._settings.listen)
         ros = RosThread(asyncio.get_running_loop())

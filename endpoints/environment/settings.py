@@ -24,6 +24,9 @@ class Settings(Struct, frozen=True):
     socket: Annotated[
         Path | None, Meta(description="UNIX socket for data links, a path that is the same for who dials it")
     ] = None
+    relay: Annotated[
+        Path | None, Meta(description="UNIX socket by which data links reach other machines; empty: the network")
+    ] = None
     package_path: Annotated[
         list[Path], Meta(description="directories of packages with nodes: prefixes of ROS 2, or sources")
     ] = []

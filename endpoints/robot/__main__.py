@@ -48,6 +48,8 @@ class Settings(Struct):
     private_key: Annotated[str, Meta(description="PEM file of its key")] = ""
     data_host: Annotated[str, Meta(description="address for data links from other machines; empty: none")] = ""
     data_port: Annotated[int, Meta(ge=0, le=65535, description="port for them; 0 takes a free one")] = 0
+    data_address: Annotated[str, Meta(description="name or address by which they dial it; empty: data_host")] = ""
+    host: Annotated[str, Meta(description="identity of this machine; empty: found out")] = ""
     grace: Annotated[float, Meta(ge=0, description="seconds for which a robot without a socket keeps its session")] = 10
     service_timeout: Annotated[float, Meta(gt=0, description="seconds until a service call fails")] = 30
     message_size: Annotated[int, Meta(ge=1, le=1024, description="largest message in MB")] = 64
@@ -61,7 +63,8 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     options.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
     credential = Credential(options.data_dir / "credential", options.token)
     port = DataPort()
-    addresses = await listen_data(port, options.data_dir.absolute() / "data.sock", options.data_host, options.data_port)
+    socket = options.data_dir.absolute() / "data.sock"
+    addresses = await listen_data(port, socket, options.data_host, options.data_port, options.data_address)
     limits = ServerLimits(
         options.message_size * MEGABYTE,
         options.bad_messages,
@@ -80,7 +83,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
             credential.secret,
             rce.__version__,
             incarnation,
-            host_identity(),
+            options.host or host_identity(),
             addresses,
             url,
             robots=list(endpoint.sessions),

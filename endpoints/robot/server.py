@@ -15,7 +15,6 @@ from msgspec import UNSET, Meta, Struct
 from twisted.logger import Logger
 from websockets.speedups import apply_mask
 
-from endpoints.link import tune
 from endpoints.robot.session import Piece, Session
 from rce import messages as m
 from rce.assembler import Assembler, Limits, Outcome
@@ -31,6 +30,7 @@ from rce.errors import (
     Unauthorized,
     Unavailable,
 )
+from rce.sockets import tune
 
 txaio.use_asyncio()  # before Autobahn is imported: it asks once which of the two it runs on
 from autobahn.asyncio.websocket import WebSocketServerFactory, WebSocketServerProtocol  # noqa: E402

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from raw_robot import WAIT
 
+from containers.data_relay import GATE, DataRelay
 from endpoints import data_port as module
 from endpoints.data_port import GREETING, MAGIC, DataPort, answer_to
 from endpoints.frames import Message
@@ -50,7 +51,7 @@ class Listener(DataPort):
 
     async def start(self, directory: Path) -> list[str]:
         path = directory / "data.sock"
-        await self.listen_unix(str(path))
+        await self.listen_unix(path)
         return [f"unix:{path}", f"tcp:127.0.0.1:{await self.listen_tcp('127.0.0.1', 0)}"]
 
 
@@ -61,12 +62,31 @@ async def port(tmp_path: Path) -> AsyncIterator[tuple[Listener, list[str]]]:
     await made.close()
 
 
-@pytest.fixture(params=["unix", "tcp"])
-async def pair(request: pytest.FixtureRequest, port: tuple[Listener, list[str]]) -> AsyncIterator[tuple[End, End]]:
+@pytest.fixture
+async def relays(port: tuple[Listener, list[str]], tmp_path: Path) -> AsyncIterator[tuple[str, Path]]:
+    """The port as an environment's on another machine: its address there, and the gate of one on this machine."""
+    far, near = DataRelay(), DataRelay()
+    await far.listen("127.0.0.1", 0)
+    for name, relay in (("far", far), ("near", near)):
+        (tmp_path / name).mkdir()
+        await relay.admit(f"ann/{name}", tmp_path / "data.sock", tmp_path / name)
+    near.know([far.address.removeprefix("relay:")])
+    yield f"{far.address}/ann/far", tmp_path / "near" / GATE
+    await near.close()
+    await far.close()
+
+
+@pytest.fixture(params=["unix", "tcp", "relay", "gate"])
+async def pair(
+    request: pytest.FixtureRequest, port: tuple[Listener, list[str]], relays: tuple[str, Path]
+) -> AsyncIterator[tuple[End, End]]:
     listener, addresses = port
+    relayed, gate = relays
     here, there = End("here"), End("there")
     listener.expect(there.link, KEY)
-    await listener.dial(here.link, KEY, [each for each in addresses if each.startswith(request.param)])
+    dialler = DataPort(gate) if request.param == "gate" else DataPort()
+    kind = "relay" if request.param == "gate" else request.param
+    await dialler.dial(here.link, KEY, [each for each in (*addresses, relayed) if each.startswith(kind)])
     await asyncio.wait_for(asyncio.gather(here.link.opened, there.link.opened), WAIT)
     yield here, there
     here.link.close()
@@ -121,6 +141,13 @@ async def test_a_key_is_good_for_one_opening(pair: tuple[End, End], port: tuple[
     here, there = pair
     here.link.send(Message(A, "still", b""), None)
     await there.until(lambda: bool(there.got))
+
+
+async def test_a_relay_that_refuses_says_why(relays: tuple[str, Path]) -> None:
+    relayed, gate = relays
+    end = End()
+    await DataPort(gate).dial(end.link, KEY, [relayed.replace("/ann/", "/bob/")])
+    assert "another user's" in end.lost[0]
 
 
 async def test_a_closed_link_takes_nobody_in(port: tuple[Listener, list[str]]) -> None:

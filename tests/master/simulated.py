@@ -95,6 +95,8 @@ class TaskSet:
                     self.runs[spec.name] = spec.run
             case c.StopEnvironment(name):
                 self._end(name)
+            case c.KnowRelays():
+                pass
             case c.KeepEnvironments(runs):
                 for name in [name for name, run in self.runs.items() if run not in runs]:
                     self._end(name)

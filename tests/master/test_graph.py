@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from fleet import Fleet, calls, everything, furnished, interface, sends, wired
 
-from master import graph
+from master import graph, wiring
 from master.effects import Settle
 from master.records import what
 from rce import messages as m
@@ -250,6 +250,33 @@ def test_only_ends_on_one_host_learn_the_socket_file() -> None:
     )
     assert far.dial == ["tcp:w:1"]
     assert near.key != far.key
+
+
+def dialled(fleet: Fleet, one: str, other: str) -> tuple[str, list[str]]:
+    """Who dials for the only link of these two, and where."""
+    (link,) = [each for each in fleet.state.links if {each.listener, each.dialler} == {one, other}]
+    return link.dialler, wiring.link_spec(fleet.state, link, link.dialler).dial
+
+
+def test_from_afar_an_environment_is_dialled_through_the_relay_of_its_machine() -> None:
+    fleet = wired()
+    fleet.join("m1", "container", capacity=4, addresses=["relay:m1:2"], environments=runs(fleet))
+    fleet.join("ann/brain", "environment", "2", host="h2", addresses=["unix:/b"])
+    assert dialled(fleet, "west", "ann/brain") == ("west", ["relay:m1:2/ann/brain"])
+    fleet.join("m2", "container", capacity=9, addresses=["relay:m2:2"])
+    fleet.do("ann", m.CreateContainer("eye", m.ContainerData(size=4)))
+    fleet.join("ann/eye", "environment", "2", host="h1", addresses=["unix:/e"])
+    for tag, end in (("brain", "Publisher"), ("eye", "Subscriber")):
+        fleet.do("ann", interface(tag, "view", f"{end}Interface"))
+    fleet.do("ann", m.Connect("eye/view", "brain/view"))
+    assert dialled(fleet, "ann/brain", "ann/eye") == ("ann/eye", ["relay:m1:2/ann/brain"])
+    fleet.do("ann", interface("eye", "pose", "PublisherInterface"))
+    fleet.do("ann", m.Connect("r1/pose", "eye/pose"))
+    assert dialled(fleet, "west", "ann/eye") == ("west", ["unix:/e"])  # on one host
+
+
+def runs(fleet: Fleet) -> dict[str, str]:
+    return {each.name: each.run for each in fleet.state.environments}
 
 
 def test_connections_share_a_link_but_keep_all_has_its_own() -> None:

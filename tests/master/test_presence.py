@@ -14,6 +14,7 @@ from rce.calls import (
     CloseLink,
     DropRobot,
     KeepEnvironments,
+    KnowRelays,
     OpenLink,
     RemoveRoute,
     StartEnvironment,
@@ -166,6 +167,18 @@ def test_without_a_machine_it_waits_for_its_own() -> None:
         KeepEnvironments,
         StartEnvironment,
     ]
+
+
+def test_machines_are_told_of_each_others_relays() -> None:
+    fleet = Fleet()
+    assert KnowRelays not in map(type, calls(fleet.join("m1", "container")))
+    plan = fleet.join("m2", "container", addresses=["relay:m2:1"])
+    assert [calls(plan, name)[-1] for name in ("m1", "m2")] == [KnowRelays(["m2:1"])] * 2
+    plan = fleet.join("m3", "container", addresses=["relay:m3:1"])
+    assert [calls(plan, name)[-1] for name in ("m1", "m2", "m3")] == [KnowRelays(["m2:1", "m3:1"])] * 3
+    presence.left(fleet.state, "m3")
+    plan = fleet.join("m3", "container", "2", addresses=["relay:m3:1"])
+    assert (calls(plan, "m1"), calls(plan, "m3")[-1]) == ([], KnowRelays(["m2:1", "m3:1"]))
 
 
 # --- placement --------------------------------------------------------------------------------------------------------

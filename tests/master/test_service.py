@@ -42,7 +42,7 @@ class Peer:
         for kind in (
             *(c.Bind, c.Unbind, c.OpenLink, c.CloseLink, c.AddRoute, c.RemoveRoute, c.StartNode, c.StopNode),
             *(c.PutParameter, c.DropParameter, c.Tell, c.DropRobot),
-            *(c.StartEnvironment, c.StopEnvironment, c.KeepEnvironments),
+            *(c.StartEnvironment, c.StopEnvironment, c.KeepEnvironments, c.KnowRelays),
         ):
             handlers.on(kind, self._take)
         handlers.on(c.Sync, self._sync)

@@ -1,0 +1,152 @@
+"""A platform of several machines: Master, and a Robot endpoint and a Container task set on each of the others.
+
+The machines are this one under several names, or network namespaces of it (namespaces.py).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import secrets
+import signal
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from real_platform import USER, processes_of
+
+from rce.client import Robot
+
+MODULES = {"master": "master", "robot": "endpoints.robot", "container": "containers"}
+START_TIMEOUT = 60.0
+STOP_TIMEOUT = 60.0
+
+
+@dataclass(frozen=True)
+class Host:
+    """A machine: where it is reached, and how a command is run there."""
+
+    name: str
+    address: str = "127.0.0.1"
+    entered_by: tuple[str, ...] = ()
+
+
+class Program:
+    """One program on a machine."""
+
+    def __init__(self, kind: str, host: Host, log: Path, token: str) -> None:
+        self.kind = kind
+        self.host = host
+        self.log = log
+        self.ready: dict[str, str] = {}
+        self.process: asyncio.subprocess.Process
+        self._token = token
+        self._words: Sequence[str] = ()
+
+    async def start(self, *words: str) -> None:
+        """Started again without words, it gets those of before."""
+        self._words = words or self._words
+        environment = {**os.environ, ("RCE_TOKENS" if self.kind == "master" else "RCE_TOKEN"): self._token}
+        command = [*self.host.entered_by, sys.executable, "-P", "-m", MODULES[self.kind], *self._words]
+        with self.log.open("a") as log:
+            self.process = await asyncio.create_subprocess_exec(
+                *command, stdout=asyncio.subprocess.PIPE, stderr=log, env=environment
+            )
+        assert self.process.stdout is not None
+        line = await asyncio.wait_for(self.process.stdout.readline(), START_TIMEOUT)
+        assert line, self.log.read_text()[-4000:]
+        self.ready = json.loads(line)
+
+    async def stop(self) -> None:
+        if self.process.returncode is None:
+            self.process.send_signal(signal.SIGTERM)
+            status = await asyncio.wait_for(self.process.wait(), STOP_TIMEOUT)
+            assert status == 0, self.log.read_text()[-4000:]
+
+    async def kill(self) -> None:
+        self.process.kill()
+        await self.process.wait()
+
+
+class Machines:
+    """The platform; each machine has `size` slots. `arguments` are the task sets'."""
+
+    def __init__(
+        self,
+        directory: Path,
+        master: Host,
+        hosts: Sequence[Host],
+        arguments: Sequence[str],
+        size: int,
+        grace: float = 2,
+    ) -> None:
+        self.directory = directory
+        self.hosts = {host.name: host for host in hosts}
+        self.grace = grace
+        self._arguments = arguments
+        self._size = size
+        self._tokens = {
+            f"{kind}-{name}": secrets.token_hex(32) for kind in ("robot", "container") for name in self.hosts
+        }
+        allowed = ",".join(f"{name.partition('-')[0]}:{name}:{token}" for name, token in self._tokens.items())
+        self.master = Program("master", master, directory / "master.log", allowed)
+        self.programs = {
+            name: Program(kind, self.hosts[host], directory / f"{name}.log", token)
+            for name, token in self._tokens.items()
+            for kind, _, host in [name.partition("-")]
+        }
+
+    async def start(self) -> None:
+        host = self.master.host
+        await self.master.start(
+            f"--data-dir={self.directory / 'master'}",
+            "--http=tcp:0:interface=127.0.0.1",
+            f"--control=tcp:0:interface={host.address}",
+            "--dev",
+            f"--grace={self.grace}",
+        )
+        await asyncio.gather(*map(self.start_program, self.programs))
+
+    async def start_program(self, name: str) -> None:
+        program = self.programs[name]
+        host = program.host
+        words = [
+            f"--data-dir={self.directory / name}",
+            f"--name={name}",
+            f"--master={self.master.ready['control']}",
+            f"--host={host.name}",
+            f"--data-host={host.address}",
+        ]
+        if program.kind == "robot":
+            words += [f"--ws-host={host.address}", "--ws-port=0", f"--grace={self.grace}"]
+        else:
+            words += ["--allow-unisolated", f"--size={self._size}", "--stop-environments", *self._arguments]
+        await program.start(*words)
+
+    async def stop(self) -> None:
+        """The task sets first, which stop their environments; nothing may be left."""
+        for kind in ("container", "robot"):
+            await asyncio.gather(*(program.stop() for program in self.programs.values() if program.kind == kind))
+        await self.master.stop()
+        left = processes_of(self.directory)
+        for pid in left:
+            os.kill(pid, signal.SIGKILL)
+        assert not left, "processes are left"
+
+    def robot(self, name: str, timeout: float = 40.0) -> Robot:
+        return Robot(self.master.ready["url"], user=USER, robot=name, password=USER, timeout=timeout)
+
+    def log(self, name: str) -> str:
+        return (self.directory / f"{name}.log").read_text()
+
+    def machine_of(self, tag: str) -> str:
+        """The host on which an environment was started last."""
+        started = [
+            (json.loads(line)["time"], name)
+            for name in self.hosts
+            for line in self.log(f"container-{name}").splitlines()
+            if f"{USER}/{tag} is started" in line
+        ]
+        return max(started)[1]
