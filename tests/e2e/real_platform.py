@@ -75,11 +75,7 @@ class RealPlatform:
 
     def processes(self) -> dict[int, str]:
         """The command lines of all processes whose command line or environment names our directory, by pid."""
-        return {
-            pid: words
-            for pid in map(int, filter(str.isdigit, os.listdir("/proc")))
-            if (words := _words(pid, str(self.directory))) is not None
-        }
+        return processes_of(self.directory)
 
     def pid(self, pattern: str, but: int = 0) -> int:
         """The one process whose command line this matches; 0 if there is none other than `but`."""
@@ -111,6 +107,15 @@ class RealPlatform:
 
     def robot(self, name: str, timeout: float = 30.0) -> Robot:
         return Robot(self.url, user=USER, robot=name, password=USER, timeout=timeout)
+
+
+def processes_of(directory: Path) -> dict[int, str]:
+    """The command lines of all processes whose command line or environment names this directory, by pid."""
+    return {
+        pid: words
+        for pid in map(int, filter(str.isdigit, os.listdir("/proc")))
+        if (words := _words(pid, str(directory))) is not None
+    }
 
 
 def _words(pid: int, mark: str) -> str | None:
