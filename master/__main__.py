@@ -6,6 +6,7 @@ import asyncio
 import os
 import secrets
 import sys
+from ipaddress import IPv4Network
 from pathlib import Path
 from typing import Annotated
 
@@ -17,8 +18,9 @@ from twisted.internet.interfaces import IListeningPort
 from twisted.logger import Logger
 
 from master.entry import Entry
+from master.groups import PREFIX
 from master.policies import IMAGES, Policy, parse, with_changes
-from master.records import Role
+from master.records import GROUP_POOL, Role
 from master.redirect import EntrySite
 from master.service import Master
 from master.store import Store
@@ -39,6 +41,7 @@ class Settings(Struct):
         "tcp:8080:interface=127.0.0.1"
     )
     database: Annotated[str, Meta(description="SQLAlchemy URL; a SQLite file in the data directory if empty")] = ""
+    group_pool: Annotated[str, Meta(description="network of which each network group gets a /24")] = str(GROUP_POOL)
     grace: Annotated[float, Meta(ge=0, description="seconds for which a robot without a socket keeps its session")] = 10
     dev: Annotated[bool, Meta(description="create the users admin/admin and testUser/testUser")] = False
     limits: Annotated[
@@ -57,6 +60,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     master = Master(
         store, options.grace, with_changes(Policy(images=[*IMAGES, *options.images]), parse(options.limits))
     )
+    master.state.group_pool = _pool(options.group_pool)
     await first_users(master.users, options.dev)
     for entry in options.tokens:
         role, process, token = _token(entry)
@@ -104,6 +108,16 @@ def loopback_only(description: str) -> str:
     if description.partition("interface=")[2].partition(":")[0] not in ("127.0.0.1", "localhost"):
         raise InvalidRequest(f"--dev serves this machine only, and --http={description} does not: leave one out")
     return description
+
+
+def _pool(text: str) -> IPv4Network:
+    try:
+        pool = IPv4Network(text)
+    except ValueError as error:
+        raise InvalidRequest(f"setting group_pool: {error}", field="group_pool") from None
+    if pool.prefixlen > PREFIX:
+        raise InvalidRequest(f"setting group_pool: {text} is smaller than a /{PREFIX}", field="group_pool")
+    return pool
 
 
 def _token(entry: str) -> tuple[Role, str, str]:

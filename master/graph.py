@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TypeVar, get_args
 
+from master import groups
 from master.effects import Outcome, Plan, Send, Settle
-from master.placement import group_address, place
+from master.placement import place
 from master.policies import UNLIMITED, Policy, check_connections, check_totals, granted
 from master.records import Connection, Environment, Interface, Node, Parameter, State, what
 from master.wiring import Ids, activate, connections_of, deactivate
@@ -69,16 +70,16 @@ def create_container(
         raise AlreadyExists(f"containerTag {command.containerTag} is in use by a {kind} of yours", field="containerTag")
     options = granted(policy, command.containerData)
     check_totals(state, user, policy, options)
-    address = group_address(state, user, options)
+    subnet, address = groups.join(state, user, options)
     machine = place(state, user, options)
-    environment = Environment(name, options, ids(), machine, address)
+    environment = Environment(name, options, ids(), machine, subnet, address)
     state.environments.put(environment)
-    return Outcome([[start(environment)]], [what(environment)])
+    return Outcome([[start(state, environment)]], [what(environment)])
 
 
-def start(environment: Environment) -> Send:
+def start(state: State, environment: Environment) -> Send:
     """The token is made when the call leaves: it belongs to that call alone."""
-    spec = EnvironmentSpec(environment.name, environment.run, "", environment.options)
+    spec = EnvironmentSpec(environment.name, environment.run, "", environment.options, groups.spec(state, environment))
     return Send(environment.machine, StartEnvironment(spec), environment.name)
 
 

@@ -113,7 +113,7 @@ def restart(state: State, environment: Environment, ids: Ids) -> Plan:
         machine = environment.machine
     again = replace(environment, run=ids(), machine=machine)
     state.environments.put(again)
-    return [[start(again)]] if machine in state.joined else []
+    return [[start(state, again)]] if machine in state.joined else []
 
 
 # --- robots -----------------------------------------------------------------------------------------------------------

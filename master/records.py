@@ -14,6 +14,7 @@ keep them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from ipaddress import IPv4Network
 from typing import Any, Generic, Literal, Protocol, TypeVar
 
 from msgspec import Struct
@@ -22,6 +23,7 @@ from rce.calls import InterfaceSpec, NodeSpec, ParameterSpec
 from rce.messages import ContainerData
 
 Role = Literal["robot", "container", "environment", "service"]
+GROUP_POOL = IPv4Network("10.128.0.0/10")  # the upper half of 10/8 is seldom used; 16384 groups
 
 
 class Environment(Struct, frozen=True):
@@ -31,7 +33,8 @@ class Environment(Struct, frozen=True):
     options: ContainerData
     run: str
     machine: str
-    address: str = ""  # in its network group
+    subnet: str = ""  # of its network group, as 10.128.0.0/24
+    address: str = ""  # in it
 
     @property
     def key(self) -> str:
@@ -220,9 +223,10 @@ def what(record: Record) -> str:
 
 
 class State:
-    """All records, and which processes are there right now."""
+    """All records, and which processes are there right now. Each network group gets a subnet out of `group_pool`."""
 
     def __init__(self) -> None:
+        self.group_pool = GROUP_POOL
         self.environments = Table(Environment, lambda record: {user_of(record.name), at(record.machine)})
         self.robots = Table(Robot, lambda record: {user_of(record.name), at(record.endpoint)})
         self.nodes = Table(Node, lambda record: (record.owner,))

@@ -384,7 +384,7 @@ class Master:
             if parameter.spec in sync.parameters:
                 self._conclude(what(parameter), failed.get(f"parameter:{parameter.spec.key}"), process)
         self._carrier.settle(what(environment))
-        self.tell(user_of(process), EnvironmentEvent(process.partition("/")[2], "ready"))
+        self.tell(user_of(process), EnvironmentEvent(process.partition("/")[2], "ready", address=environment.address))
 
     def _conclude(self, key: str, error: ErrorInfo | None, owner: str) -> None:
         if error is None:

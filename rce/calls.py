@@ -206,6 +206,15 @@ class DropRobot(Call[Nothing], frozen=True):
 # --- Master to task sets ----------------------------------------------------------------------------------------------
 
 
+class Group(Struct, frozen=True):
+    """The network group of an environment. `name` is `userID/group`; `members` are addresses by containerTag."""
+
+    name: str
+    subnet: str  # as 10.128.0.0/24; no other group of the platform has it
+    address: str  # of the environment, in the subnet
+    members: dict[str, str] = {}  # all of now, this one too; others may come later
+
+
 class EnvironmentSpec(Struct, frozen=True):
     """An environment to run. `name` is `userID/containerTag`; `run` (32 hex) tells its lives apart."""
 
@@ -213,6 +222,7 @@ class EnvironmentSpec(Struct, frozen=True):
     run: str
     token: str  # one-time join token of its Environment endpoint
     options: ContainerData
+    group: Group | None = None
 
 
 class StartEnvironment(Call[Nothing], frozen=True):

@@ -293,11 +293,15 @@ class Session(Struct, frozen=True, tag_field="topic", tag="session"):
 
 
 class EnvironmentEvent(Struct, frozen=True, tag_field="topic", tag="environment"):
-    """An environment of this user is ready, failed to start, was lost, is restored, or is gone."""
+    """An environment of this user is ready, failed to start, was lost, is restored, or is gone.
+
+    With `ready` comes its address in its network group, if it is in one.
+    """
 
     containerTag: str
     state: Literal["ready", "failed", "lost", "gone"]
     reason: str = ""
+    address: str = ""
 
 
 class NodeEvent(Struct, frozen=True, tag_field="topic", tag="node"):

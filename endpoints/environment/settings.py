@@ -27,6 +27,8 @@ class Settings(Struct, frozen=True):
     relay: Annotated[
         Path | None, Meta(description="UNIX socket by which data links reach other machines; empty: the network")
     ] = None
+    address: Annotated[str, Meta(description="of this environment in its network group, if it is in one")] = ""
+    peers: Annotated[list[str], Meta(description="addresses of the group's members, comma-separated")] = []
     package_path: Annotated[
         list[Path], Meta(description="directories of packages with nodes: prefixes of ROS 2, or sources")
     ] = []

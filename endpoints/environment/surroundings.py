@@ -32,7 +32,7 @@ PROFILE = """\
       </transport_descriptor>
       <transport_descriptor>
         <transport_id>network</transport_id>
-        <type>UDPv4</type>
+        <type>UDPv4</type>{interface}
       </transport_descriptor>
     </transport_descriptors>
     <participant profile_name="rce" is_default_profile="true">
@@ -52,7 +52,7 @@ PROFILE = """\
                 <nanosec>100000000</nanosec>
               </period>
             </initialAnnouncements>
-          </discovery_config>
+          </discovery_config>{peers}
         </builtin>
       </rtps>
     </participant>
@@ -68,6 +68,27 @@ PROFILE = """\
 </dds>
 """
 
+# In a network group: that interface only, and the members' addresses beside multicast, which not all networks carry.
+# Later members have ours, and they announce themselves to every participant here.
+INTERFACE = """
+        <interfaceWhiteList>
+          <address>{address}</address>
+          <address>{loopback}</address>
+        </interfaceWhiteList>
+        <maxInitialPeersRange>{participants}</maxInitialPeersRange>"""
+PEERS = """
+          <initialPeersList>{locators}
+          </initialPeersList>"""
+LOCATOR = """
+            <locator>
+              <udpv4>
+                <address>{address}</address>
+              </udpv4>
+            </locator>"""
+MULTICAST = "239.255.0.1"  # RTPS 2.5, 9.6.2.4
+LOOPBACK = "127.0.0.1"  # without it nodes of one environment do not find each other, or a second later
+PARTICIPANTS = 32  # processes with ROS of one environment that others find without multicast
+
 
 def prepare(settings: Settings) -> None:
     """Directories, profile and type support of this very process; before rclpy is imported."""
@@ -75,16 +96,28 @@ def prepare(settings: Settings) -> None:
     profile = settings.data_dir / "fastdds.xml"
     if os.environ.get(RANGE) == "LOCALHOST":
         os.environ[RANGE] = ALONE
-    profile.write_text(_profile(settings.shared_memory * MB))
+    profile.write_text(_profile(settings))
     os.environ["FASTDDS_DEFAULT_PROFILES_FILE"] = str(profile)
     sys.path += [str(prefix / "python") for prefix in settings.typesupport]
     memory.keep_large_blocks()
 
 
-def _profile(segment: int) -> str:
-    names = ["shared_memory"] if os.environ.get(RANGE) == ALONE else ["shared_memory", "network"]
-    transports = "".join(f"<transport_id>{name}</transport_id>" for name in names)
-    return PROFILE.format(segment=segment, heartbeat=HEARTBEAT, transports=transports)
+def _profile(settings: Settings) -> str:
+    address, alone = settings.address, os.environ.get(RANGE) == ALONE
+    names = ["shared_memory", "network"] if address or not alone else ["shared_memory"]
+    peers = [MULTICAST, LOOPBACK, *dict.fromkeys([address, *settings.peers])] if address else []
+    locators = "".join(map(_locator, peers))
+    return PROFILE.format(
+        segment=settings.shared_memory * MB,
+        heartbeat=HEARTBEAT,
+        transports="".join(f"<transport_id>{name}</transport_id>" for name in names),
+        interface=INTERFACE.format(address=address, loopback=LOOPBACK, participants=PARTICIPANTS) if address else "",
+        peers=PEERS.format(locators=locators) if address else "",
+    )
+
+
+def _locator(address: str) -> str:
+    return LOCATOR.format(address=address)
 
 
 def prefixes(settings: Settings, environment: Mapping[str, str] = os.environ) -> list[Path]:

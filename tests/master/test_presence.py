@@ -218,21 +218,3 @@ def test_no_machine_and_no_endpoint() -> None:
         placed(Fleet(), "ann", "a")
     with pytest.raises(Unavailable):
         placement.robot_endpoint(State())
-
-
-def test_addresses_in_a_group() -> None:
-    fleet = machines(big=300)
-    for number in range(253):
-        placed(fleet, "ann", f"e{number}", group="g")
-    given = [each.address for each in fleet.state.environments]
-    assert (given[0], given[-1], len(set(given))) == ("192.168.1.2", "192.168.1.254", 253)
-    with pytest.raises(NoCapacity, match="full"):
-        placed(fleet, "ann", "more", group="g")
-    placed(fleet, "ann", "elsewhere", group="h", groupIp="192.168.1.2")
-    placed(fleet, "bob", "e0", group="g", groupIP="192.168.1.2")
-    fleet.do("ann", m.DestroyContainer("e7"))
-    with pytest.raises(AlreadyExists, match=r"192\.168\.1\.8"):
-        placed(fleet, "ann", "again", group="g", groupIP="192.168.1.8")
-    placed(fleet, "ann", "again", group="g", groupIP="192.168.1.9")  # that of e7
-    assert placement.groups(fleet.state, "bob") == {"g": {"bob/e0": "192.168.1.2"}}
-    assert fleet.state.environments["ann/elsewhere"].address == "192.168.1.2"
