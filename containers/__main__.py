@@ -87,6 +87,7 @@ def make_engine(reactor: ReactorBase, settings: Settings, relay: DataRelay, ende
         settings=surroundings,
         relay=relay,
         host=settings.host,
+        gpus=settings.gpus,
         read_only=[path for path in (*packages, settings.typesupport) if path],
     )
 

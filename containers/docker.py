@@ -21,17 +21,19 @@ from pathlib import Path
 from twisted.internet.base import ReactorBase
 from twisted.logger import Logger
 
+from containers import docker_disks
 from containers.data_relay import GATE, DataRelay
 from containers.docker_daemon import RUN, Daemon, Found
 from containers.docker_events import Event
-from containers.docker_options import CONTROL, MB, USER, Places, limits, variables, walls
+from containers.docker_options import CONTROL, Machine, Places, limits, owner, reference, variables, walls
 from containers.engine import LAST_LINES, Ended, Engine, Life
 from containers.logfile import LONGEST_LINE
 from containers.processes import describe_end
 from containers.relay import Relay
 from rce.calls import EnvironmentSpec
-from rce.errors import StartFailed
+from rce.errors import NoCapacity, StartFailed, Unavailable
 from rce.host import host_identity
+from rce.slots import MB
 
 log = Logger()
 COMMAND: Sequence[str] = ("python3", "-P", "-m", "endpoints.environment")
@@ -44,6 +46,7 @@ class _Environment:
     run: str
     places: Places
     relay: Relay
+    gpus: Sequence[str]
 
 
 class DockerEngine(Engine):
@@ -65,12 +68,14 @@ class DockerEngine(Engine):
         master: str,
         image: str,
         settings: Mapping[str, str],
+        gpus: int = 0,
         read_only: Sequence[str] = (),
         relay: DataRelay | None = None,
         host: str = "",
         command: Sequence[str] = COMMAND,
     ) -> None:
         super().__init__(capacity, features, ended)
+        self.gpus = gpus
         self._reactor = reactor
         self._root = directory / "environments"
         self._sockets = directory / "sockets"
@@ -85,20 +90,48 @@ class DockerEngine(Engine):
         self._environments: dict[str, _Environment] = {}
         self._looking: set[asyncio.Task[None]] = set()
         self._following = asyncio.Event()
+        self._machine = Machine()
 
     async def launch(self, spec: EnvironmentSpec) -> None:
-        granted = limits(spec)
+        gpus = self._free_gpus(spec)
+        granted = limits(spec, gpus)
+        if spec.options.disk:
+            docker_disks.check(spec.options.disk)
         try:
-            environment = await self._furnish(spec.name, spec.run)
-        except OSError as error:
+            environment = await self._furnish(spec.name, spec.run, gpus)
+            disk = await self._disk(spec)
+            try:
+                await self._daemon.start(
+                    Found("", spec.name, spec.run, spec.options.size, running=False, gpus=gpus),
+                    reference(spec.options.image) if spec.options.image else self._image,
+                    self._command,
+                    variables(spec, environment.places, self._host, self._settings),
+                    walls(granted, environment.places, self._read_only, disk, self._machine),
+                )
+            finally:
+                if disk is not None:  # it stays as long as it is mounted
+                    await asyncio.to_thread(docker_disks.let_go, disk)
+        except (OSError, Unavailable) as error:
             raise StartFailed(f"environment {spec.name} did not start: {error}") from None
-        await self._daemon.start(
-            Found("", spec.name, spec.run, spec.options.size, running=False),
-            self._image,
-            self._command,
-            variables(spec, environment.places, self._host, self._settings),
-            walls(granted, environment.places, self._read_only),
-        )
+
+    def _free_gpus(self, spec: EnvironmentSpec) -> list[str]:
+        """Each is one environment's at a time. NoCapacity with the numbers."""
+        used = {gpu for environment in self._environments.values() for gpu in environment.gpus}
+        free = [str(number) for number in range(self.gpus) if str(number) not in used]
+        if spec.options.gpus > len(free):
+            raise NoCapacity(
+                f"environment {spec.name} needs {spec.options.gpus} GPUs; {len(free)} of this machine's {self.gpus} "
+                "are free",
+                asked=spec.options.gpus,
+                free=len(free),
+            )
+        return free[: spec.options.gpus]
+
+    async def _disk(self, spec: EnvironmentSpec) -> docker_disks.Disk | None:
+        if not spec.options.disk:
+            return None
+        file = self._root / spec.name / f"{spec.run}.disk"
+        return await asyncio.to_thread(docker_disks.make, file, spec.options.disk, owner())
 
     async def remove(self, name: str) -> None:
         self._data_relay.dismiss(name)
@@ -117,11 +150,12 @@ class DockerEngine(Engine):
         for directory in (self._root, self._sockets):
             directory.mkdir(parents=True, exist_ok=True, mode=0o700)
         await self._daemon.connect(self._happened, self._taken_up)
+        self._machine = await self._daemon.machine()
         await self._following.wait()  # before the list is made, so that no end is missed
         lives: dict[str, Life] = {}
         for found in await self._daemon.present():
             if found.running and self._places(found.name, found.run).control.is_dir():
-                await self._furnish(found.name, found.run)
+                await self._furnish(found.name, found.run, found.gpus)
                 lives[found.name] = Life(found.run, found.size)
             else:
                 log.info("removing what is left of {name}", name=found.name)
@@ -148,23 +182,24 @@ class DockerEngine(Engine):
     def _places(self, name: str, run: str) -> Places:
         return Places(self._root / name / run, self._sockets / name.partition("/")[0] / f"{run}.sock")
 
-    async def _furnish(self, name: str, run: str) -> _Environment:
+    async def _furnish(self, name: str, run: str, gpus: Sequence[str]) -> _Environment:
         """Make the directories of an environment, unless they are there, and open its way to the Master."""
         places = self._places(name, run)
-        environment = _Environment(run, places, Relay(self._reactor, self._master))
+        environment = _Environment(run, places, Relay(self._reactor, self._master), gpus)
         self._environments[name] = environment  # from now on nobody sweeps the directory of its user
         places.control.mkdir(parents=True, exist_ok=True)
         sockets = places.socket.parent
         if not sockets.is_dir():
             sockets.mkdir(mode=0o700)
             if os.geteuid() == 0:
-                os.chown(sockets, USER, USER)
+                os.chown(sockets, owner(), owner())
         await environment.relay.open(places.control)
         await self._data_relay.admit(name, places.socket, places.control)
         return environment
 
     async def _remove_leftovers(self) -> None:
-        """Directories and sockets of environments that are no more."""
+        """Directories, sockets and disks of environments that are no more."""
+        await asyncio.to_thread(docker_disks.sweep, self._root)
         for path in [tag for user in _directories(self._root) for tag in _directories(user)]:
             if str(path.relative_to(self._root)) not in self._environments:
                 await asyncio.to_thread(shutil.rmtree, path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import TypeVar
 
 import docker
@@ -13,12 +14,15 @@ from docker.errors import APIError, DockerException, ImageNotFound, NotFound
 from msgspec import Struct
 from twisted.logger import Logger
 
+from containers.docker_disks import device_below
 from containers.docker_events import Event, Events
-from containers.docker_options import Walls
+from containers.docker_options import Machine, Walls
+from rce import __version__
 from rce.errors import StartFailed, Unavailable
 
 log = Logger()
-ENVIRONMENT, RUN, SIZE = "rce.environment", "rce.run", "rce.size"
+ENVIRONMENT, RUN, SIZE, GPUS = "rce.environment", "rce.run", "rce.size", "rce.gpus"
+VERSION = "rce.version"  # of images
 STOP_TIMEOUT = 12  # seconds; the endpoint stops its nodes by SIGINT, SIGTERM, SIGKILL in less
 ANSWER_TIMEOUT = 60  # seconds for one answer of the daemon
 THREADS = 8
@@ -34,6 +38,7 @@ class Found(Struct, frozen=True):
     run: str
     size: int
     running: bool
+    gpus: list[str] = []
 
 
 class State(Struct, frozen=True):
@@ -76,6 +81,10 @@ class Daemon:
         """Make a container and start it. StartFailed; what was made of it by then stays."""
         await self._call(lambda: self._start(found, image, list(command), dict(variables), walls))
 
+    async def machine(self) -> Machine:
+        """What the walls must know of it."""
+        return await self._call(self._machine)
+
     async def present(self) -> list[Found]:
         """All containers, alive or dead."""
         return await self._call(lambda: self._list(self._filter))
@@ -111,23 +120,42 @@ class Daemon:
 
     def _start(self, found: Found, image: str, command: list[str], variables: dict[str, str], walls: Walls) -> None:
         try:
+            self._check_image(image)
             made = self._api.create_container(
                 image,
                 command,
                 name=_container(found.run),
                 user=walls.user,
                 environment=variables,
-                labels={**self._labels, ENVIRONMENT: found.name, RUN: found.run, SIZE: str(found.size)},
+                labels={**self._labels, **_labels(found)},
                 host_config=self._api.create_host_config(**walls.host_config),
             )
             self._api.start(made["Id"])
         except ImageNotFound:
             raise StartFailed(
                 f"environment {found.name} did not start: this machine has no image {image}; "
-                "`provisioning/provision image` builds it"
+                "`provisioning/provision image` builds those of the platform"
             ) from None
         except APIError as error:
             raise StartFailed(f"environment {found.name} did not start: {said(error)}") from None
+
+    def _check_image(self, image: str) -> None:
+        """Refuse one that was not built for this version: its endpoint would not be let in."""
+        made_for = (self._api.inspect_image(image)["Config"]["Labels"] or {}).get(VERSION)
+        if made_for != __version__:
+            fault = f"was made for RCE {made_for}" if made_for else f"has no label {VERSION}"
+            raise StartFailed(
+                f"image {image} {fault}, and this is RCE {__version__}: `provisioning/provision image` builds the "
+                "platform's images anew, and yours are to be built on them"
+            )
+
+    def _machine(self) -> Machine:
+        known = self._api.info()
+        try:
+            ground = device_below(Path(known["DockerRootDir"]))
+        except OSError:  # it is another machine's, or another mount name space's
+            ground = ""
+        return Machine(ground, known.get("CgroupVersion") == "2")
 
     def _list(self, labels: list[str]) -> list[Found]:
         return [
@@ -137,6 +165,7 @@ class Daemon:
                 run=each["Labels"][RUN],
                 size=int(each["Labels"][SIZE]),
                 running=each["State"] == "running",
+                gpus=[id for id in each["Labels"].get(GPUS, "").split(",") if id],
             )
             for each in self._api.containers(all=True, filters={"label": labels})
         ]
@@ -170,6 +199,11 @@ class Daemon:
 
 def _connect() -> docker.APIClient:
     return docker.APIClient(**docker.utils.kwargs_from_env(), version="auto", timeout=ANSWER_TIMEOUT)
+
+
+def _labels(found: Found) -> dict[str, str]:
+    labels = {ENVIRONMENT: found.name, RUN: found.run, SIZE: str(found.size)}
+    return {**labels, GPUS: ",".join(found.gpus)} if found.gpus else labels
 
 
 def _container(run: str) -> str:

@@ -7,14 +7,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from docker.types import LogConfig, Mount, Ulimit
+import msgspec
+from docker.types import DeviceRequest, DriverConfig, LogConfig, Mount, Ulimit
 from msgspec import Struct
 
+from containers.docker_disks import Disk
+from rce import __version__, slots
 from rce.calls import EnvironmentSpec
 from rce.errors import InvalidRequest, LimitExceeded
+from rce.messages import Rates
+from rce.slots import MB
 
-MB = 1024 * 1024
-MEMORY, PIDS = 1024 * MB, 512  # of one slot, unless the environment asks for other memory
 SHARED_MEMORY, HOME_SIZE, TEMPORARY_SIZE = 256 * MB, 256 * MB, 128 * MB  # all in memory, and counted in its limit
 INODES = 50_000  # of each file system in memory
 OPEN_FILES = 4096
@@ -25,11 +28,22 @@ HOME = "/home/rce"
 
 
 class Limits(Struct, frozen=True):
-    """What one environment may use: memory in bytes, cores, processes and threads."""
+    """What one environment may use: memory in bytes, cores, processes and threads, bytes a second, GPUs."""
 
     memory: int
     cpu: float
     pids: int
+    io: Rates = Rates()
+    gpus: list[str] = []  # their numbers
+
+
+class Machine(Struct, frozen=True):
+    """What of a machine's Docker matters for the walls."""
+
+    ground: str = ""
+    """The device that images are on, empty if unknown."""
+    buffered: bool = False
+    """Whether a limit on writes holds for those that pass the kernel's cache (cgroup v2); else none may pass it."""
 
 
 class Places(Struct, frozen=True):
@@ -48,7 +62,7 @@ class Walls(Struct, frozen=True):
     host_config: dict[str, Any]
 
 
-def limits(spec: EnvironmentSpec) -> Limits:
+def limits(spec: EnvironmentSpec, gpus: list[str]) -> Limits:
     """The limits that an environment asks for, or those of its slots. LimitExceeded, InvalidRequest."""
     options = spec.options
     if options.group:
@@ -66,31 +80,51 @@ def limits(spec: EnvironmentSpec) -> Limits:
                 limit=limit,
             )
     return Limits(
-        int(options.memory) or min(MEMORY * options.size, memory),
-        options.cpu or min(float(options.size), cores),
-        PIDS * options.size,
+        int(options.memory) or min(slots.MEMORY * options.size, memory),
+        options.cpu or min(slots.CORES * options.size, cores),
+        options.pids or slots.PIDS * options.size,
+        options.io,
+        gpus,
     )
 
 
-def walls(granted: Limits, places: Places, read_only: Sequence[str]) -> Walls:
+def reference(image: str) -> str:
+    """An image with its tag: the platform's version, unless it says another."""
+    return image if ":" in image.rpartition("/")[2] or "@" in image else f"{image}:{__version__}"
+
+
+def owner() -> int:
+    """The user that environments run as."""
+    return USER if os.geteuid() == 0 else os.geteuid()
+
+
+def walls(
+    granted: Limits,
+    places: Places,
+    read_only: Sequence[str],
+    disk: Disk | None = None,
+    machine: Machine = Machine(),  # noqa: B008  # frozen
+) -> Walls:
     """What a container may do, use and see; `read_only` are further directories that it sees."""
-    user = USER if os.geteuid() == 0 else os.geteuid()
+    user = owner()
     sockets = str(places.socket.parent)
     mounts = [
         Mount(CONTROL, str(places.control), type="bind", read_only=True),
         Mount(sockets, sockets, type="bind"),
         *(Mount(path, path, type="bind", read_only=True) for path in read_only),
     ]
+    tmpfs = {"/tmp": f"size={TEMPORARY_SIZE},nr_inodes={INODES},mode=1777"}
+    if disk is None:
+        tmpfs[HOME] = f"exec,size={HOME_SIZE},nr_inodes={INODES},uid={user},gid={user},mode=0700"
+    else:
+        mounts.append(_mounted(disk, synchronous=bool(granted.io.write) and not machine.buffered))
     config = {
         "network_mode": "none",
         "cap_drop": ["ALL"],
         "security_opt": ["no-new-privileges"],
         "read_only": True,
         "mounts": mounts,
-        "tmpfs": {
-            HOME: f"exec,size={HOME_SIZE},nr_inodes={INODES},uid={user},gid={user},mode=0700",
-            "/tmp": f"size={TEMPORARY_SIZE},nr_inodes={INODES},mode=1777",
-        },
+        "tmpfs": tmpfs,
         "shm_size": SHARED_MEMORY,
         "mem_limit": granted.memory,
         "memswap_limit": granted.memory,
@@ -99,14 +133,33 @@ def walls(granted: Limits, places: Places, read_only: Sequence[str]) -> Walls:
         "ulimits": [Ulimit(name="nofile", soft=OPEN_FILES, hard=OPEN_FILES), Ulimit(name="core", soft=0, hard=0)],
         "log_config": LogConfig(type=LogConfig.types.JSON, config={"max-size": LOG_SIZE, "max-file": "2"}),
         "restart_policy": {"Name": "no"},
+        **_rates(granted.io, disk, machine),
     }
+    if granted.gpus:
+        config["device_requests"] = [DeviceRequest(device_ids=granted.gpus, capabilities=[["gpu"]])]
     return Walls(f"{user}:{user}", config)
+
+
+def _mounted(disk: Disk, synchronous: bool) -> Mount:
+    """A nameless volume: it goes with its container."""
+    options = {"type": "ext4", "device": disk.device, "o": "noatime,sync" if synchronous else "noatime"}
+    driver = DriverConfig("local", options)
+    return Mount(HOME, None, type="volume", no_copy=True, driver_config=driver)
+
+
+def _rates(io: Rates, disk: Disk | None, machine: Machine) -> dict[str, list[dict[str, Any]]]:
+    """Reads from the image count as well as those from the disk; it is read-only."""
+    own = [disk.device] if disk else []
+    read = [{"Path": device, "Rate": io.read} for device in (*own, machine.ground) if device and io.read]
+    write = [{"Path": device, "Rate": io.write} for device in own if io.write]
+    return {"device_read_bps": read, "device_write_bps": write}
 
 
 def variables(spec: EnvironmentSpec, places: Places, host: str, settings: Mapping[str, str]) -> dict[str, str]:
     """What the Environment endpoint finds in its environment."""
     return {
         **{f"RCE_{key.upper()}": value for key, value in settings.items()},
+        "RCE_ENV": msgspec.json.encode(spec.options.env).decode(),
         "HOME": f"{HOME}/home",
         "RCE_NAME": spec.name,
         "RCE_RUN": spec.run,

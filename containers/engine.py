@@ -60,6 +60,7 @@ class Engine(ABC):
     def __init__(self, capacity: int, features: Collection[str], ended: Callable[[Ended], None]) -> None:
         """`ended` is called after all that the environment left is removed; never for one that was told to stop."""
         self.capacity = capacity
+        self.gpus = 0
         self.features = frozenset(features)
         self._ended = ended
         self._lives: dict[str, Life] = {}

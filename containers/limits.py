@@ -1,7 +1,8 @@
 """Which options of an environment the process engine takes.
 
-It enforces none of them. `cpu`, `memory` and `bandwidth` are taken with a warning, so that what runs in containers
-elsewhere runs here too. RLIMIT_AS would break Fast DDS, whose shared memory counts as address space.
+It enforces none of those that bound what an environment uses: they are taken with a warning, so that what runs in
+containers elsewhere runs here too. What changes what an environment is, an image or a network group, is refused.
+RLIMIT_AS would break Fast DDS, whose shared memory counts as address space.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from twisted.logger import Logger
 
 from rce.calls import EnvironmentSpec
 from rce.errors import InvalidRequest, LimitExceeded
-from rce.messages import ContainerData
+from rce.messages import ContainerData, Rates
 
 log = Logger()
 
@@ -30,10 +31,13 @@ def check_limits(spec: EnvironmentSpec) -> None:
                 asked=asked,
                 limit=limit,
             )
-    if options.group:
-        raise InvalidRequest(
-            f"environment {spec.name}: the process engine has no network groups; use docker or swarm",
-            field="containerData.group",
-        )
-    if options.cpu or options.memory or options.bandwidth:
-        log.warn("{name}: the process engine does not enforce cpu, memory and bandwidth", name=spec.name)
+    for field in ("group", "image", "gpus"):
+        if getattr(options, field):
+            raise InvalidRequest(
+                f"environment {spec.name}: the process engine has no {field}; use docker or swarm",
+                field=f"containerData.{field}",
+            )
+    ignored = [name for name in ("cpu", "memory", "pids", "disk", "bandwidth") if getattr(options, name)]
+    ignored += ["io"] if options.io != Rates() else []
+    if ignored:
+        log.warn("{name}: the process engine does not enforce {options}", name=spec.name, options=", ".join(ignored))

@@ -176,6 +176,7 @@ class ProcessEngine(Engine):
             "RCE_DATA_DIR": str(directory),
             "RCE_SOCKET": str(directory / SOCKET),
             "RCE_RELAY": str(directory / GATE),
+            "RCE_ENV": msgspec.json.encode(spec.options.env).decode(),
             "ROS_DOMAIN_ID": str(domain),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",

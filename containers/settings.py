@@ -38,6 +38,7 @@ class Settings(Struct, frozen=True):
     data_address: Annotated[str, Meta(description="name or address by which they dial it; empty: data_host")] = ""
     host: Annotated[str, Meta(description="identity of this machine; empty: found out")] = ""
     size: Annotated[int, Meta(ge=1, description="slots for environments on this machine")] = 10
+    gpus: Annotated[int, Meta(ge=0, description="docker engine: graphics processors for environments")] = 0
     features: Annotated[list[str], Meta(description="special features of this machine, comma-separated")] = []
     package_path: Annotated[list[str], Meta(description="directories with ROS 2 packages, comma-separated")] = []
     typesupport: Annotated[str, Meta(description="directory with built type support of messages and services")] = ""

@@ -89,6 +89,7 @@ class TaskSet:
             addresses=[self._relay.address] if self._relay.address else [],
             capacity=self._engine.capacity,
             features=sorted(self._engine.features),
+            gpus=self._engine.gpus,
             environments={name: life.run for name, life in self._engine.running().items()},
         )
 

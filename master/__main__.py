@@ -57,9 +57,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     options.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
     store = Store(options.database or f"sqlite:///{options.data_dir / 'master.db'}")
     await store.open()
-    master = Master(
-        store, options.grace, with_changes(Policy(images=[*IMAGES, *options.images]), parse(options.limits))
-    )
+    master = Master(store, options.grace, platform_policy(options))
     master.state.group_pool = _pool(options.group_pool)
     await first_users(master.users, options.dev)
     for entry in options.tokens:
@@ -80,6 +78,11 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
             port.stopListening()  # type: ignore[misc]  # zope declares its methods without self
         await master.stop()
         await store.close()
+
+
+def platform_policy(options: Settings) -> Policy:
+    """What users may have who have no limits of their own. InvalidRequest."""
+    return with_changes(Policy(images=[*IMAGES, *options.images]), parse(options.limits))
 
 
 def _address(port: IListeningPort) -> IPv4Address | IPv6Address:

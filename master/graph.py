@@ -32,6 +32,7 @@ from rce.calls import (
 )
 from rce.errors import AlreadyExists, InvalidRequest, NotConnectable, NotFound
 from rce.names import check_tag, parse_type, split_interface
+from rce.variables import check_variables
 
 KINDS = get_args(m.InterfaceType)
 OPPOSITE = {"Publisher": "Subscriber", "ServiceClient": "ServiceProvider"}
@@ -68,6 +69,7 @@ def create_container(
     if name in state.environments or name in state.robots:
         kind = "environment" if name in state.environments else "robot"
         raise AlreadyExists(f"containerTag {command.containerTag} is in use by a {kind} of yours", field="containerTag")
+    check_variables(command.containerData.env)
     options = granted(policy, command.containerData)
     check_totals(state, user, policy, options)
     subnet, address = groups.join(state, user, options)

@@ -12,6 +12,10 @@ def free_slots(state: State, machine: Process) -> int:
     return machine.capacity - sum(other.options.size for other in state.environments.by(at(machine.name)))
 
 
+def free_gpus(state: State, machine: Process) -> int:
+    return machine.gpus - sum(other.options.gpus for other in state.environments.by(at(machine.name)))
+
+
 def place(state: State, user: str, options: ContainerData) -> str:
     """The machine for an environment, as in the original: one that has this user already, else the emptiest.
 
@@ -32,6 +36,15 @@ def place(state: State, user: str, options: ContainerData) -> str:
                 f"network group {options.group} is on machine {home}, which does not offer the special features "
                 f"{', '.join(sorted(wanted))}; a group is on one machine"
             )
+    spare = {machine.name: free_gpus(state, machine) for machine in able}
+    if options.gpus > max(spare.values()):
+        raise NoCapacity(
+            f"no machine has {options.gpus} free GPUs; the one with most has {max(0, *spare.values())}",
+            field="containerData.gpus",
+            asked=options.gpus,
+            free=max(0, *spare.values()),
+        )
+    able = [machine for machine in able if spare[machine.name] >= options.gpus]
     free = {machine.name: free_slots(state, machine) for machine in able}
     fitting = [name for name, slots in free.items() if slots >= options.size]
     if not fitting:

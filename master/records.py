@@ -112,6 +112,7 @@ class Process(Struct, frozen=True):
     url: str = ""
     capacity: int = 0
     features: list[str] = []
+    gpus: int = 0
 
     @property
     def key(self) -> str:

@@ -89,6 +89,7 @@ class Master:
             hello.url,
             hello.capacity,
             hello.features,
+            hello.gpus,
         )
         return c.Welcome(credential), self._handlers(process), lambda control: self._joined(process, hello, control)
 

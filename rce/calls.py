@@ -268,6 +268,7 @@ class Hello(Struct, frozen=True):
     url: str = ""  # Robot endpoint, service: where they are reached (ws://host:port/); an empty host is the request's
     capacity: int = 0  # task set: slots
     features: list[str] = []  # task set: special features of the machine
+    gpus: int = 0  # task set: graphics processors of the machine
     robots: list[str] = []  # Robot endpoint: those with a session, connected or in their grace time
     environments: dict[str, str] = {}  # task set: run of each environment that really runs, by name
 

@@ -30,7 +30,7 @@ def load(kind: type[S], program: str, arguments: Sequence[str], environment: Map
     for field in msgspec.structs.fields(kind):
         option = "--" + field.name.replace("_", "-")
         sort, text = described[field.name]
-        text += "" if field.required else f" (default: {field.default})"
+        text += "" if field.required else f" (default: {_default(field)})"
         if isinstance(sort, msgspec.inspect.BoolType):
             parser.add_argument(
                 option, action=argparse.BooleanOptionalAction, default=None, help=text.replace("%", "%%")
@@ -58,6 +58,12 @@ def load_or_exit(kind: type[S], program: str, arguments: Sequence[str] | None = 
     except InvalidRequest as error:
         print(f"{program}: {error}", file=sys.stderr)
         raise SystemExit(2) from None
+
+
+def _default(field: msgspec.structs.FieldInfo) -> Any:
+    if field.default_factory is msgspec.NODEFAULT:
+        return field.default
+    return ",".join(field.default_factory())  # a list is the one kind of setting that has to be made anew
 
 
 def _described(annotation: Any) -> tuple[msgspec.inspect.Type, str]:

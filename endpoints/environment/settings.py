@@ -33,6 +33,7 @@ class Settings(Struct, frozen=True):
         list[Path], Meta(description="directories of packages with nodes: prefixes of ROS 2, or sources")
     ] = []
     typesupport: Annotated[list[Path], Meta(description="prefixes that provisioning has built type support in")] = []
+    env: Annotated[str, Meta(description="JSON object of the user's variables for nodes")] = "{}"
     shared_memory: Annotated[
         int, Meta(description="MB of Fast DDS's shared-memory segment, of each process", ge=1, le=4096)
     ] = 64

@@ -7,6 +7,8 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+import msgspec
+
 from endpoints import memory
 from endpoints.environment.settings import Settings
 from endpoints.memory import MB
@@ -132,6 +134,7 @@ def for_nodes(settings: Settings, environment: Mapping[str, str] = os.environ) -
     ament = [str(path) for path in (*prefixes(settings, environment), *settings.package_path)]
     return {
         **{key: value for key, value in environment.items() if not key.startswith("RCE_")},
+        **msgspec.json.decode(settings.env, type=dict[str, str]),
         MARKER: settings.run,
         "PATH": _joined([str(Path(sys.executable).parent)], environment.get("PATH", os.defpath)),
         "PYTHONPATH": _joined(python, environment.get("PYTHONPATH", "")),

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from rce import __version__
+
 STAND_IN = "rce-test/stand-in:latest"
 
 
@@ -26,6 +28,11 @@ def stand_in_image(docker_host: str, tmp_path_factory: pytest.TempPathFactory) -
     with tarfile.open(fileobj=archive, mode="w") as tar:
         tar.add(program, "stand-in")
     api = docker.APIClient(base_url=docker_host, version="auto")
-    api.import_image_from_data(archive.getvalue(), repository=STAND_IN.partition(":")[0], tag="latest")
+    api.import_image_from_data(
+        archive.getvalue(),
+        repository=STAND_IN.partition(":")[0],
+        tag="latest",
+        changes=[f"LABEL rce.version={__version__}"],
+    )
     api.close()
     return STAND_IN

@@ -1,8 +1,10 @@
 /* Stands in for the Environment endpoint in a container that has nothing else. The argument is what it does. */
+#include <fcntl.h>
 #include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <time.h>
 #include <unistd.h>
 
 static void end(int number) {
@@ -25,6 +27,18 @@ int main(int count, char **words) {
         for (int child; made < 100000 && (child = fork()) >= 0; made++)
             if (child == 0) for (;;) pause();
         printf("%d processes\n", made);
+        fflush(stdout);
+        end(0);
+    }
+    if (!strcmp(behaviour, "fill")) { /* its home, then it says how many MB went in and how long that took */
+        static char block[1 << 20];
+        long most = count > 2 ? atol(words[2]) : 1 << 20, megabytes = 0;
+        int file = open("/home/rce/filled", O_CREAT | O_WRONLY, 0600);
+        struct timespec begin, now;
+        clock_gettime(CLOCK_MONOTONIC, &begin);
+        while (megabytes < most && write(file, block, sizeof block) == sizeof block) megabytes++;
+        clock_gettime(CLOCK_MONOTONIC, &now);
+        printf("%ld MB in %.2f s\n", megabytes, now.tv_sec - begin.tv_sec + (now.tv_nsec - begin.tv_nsec) / 1e9);
         fflush(stdout);
         end(0);
     }

@@ -18,11 +18,11 @@ from twisted.internet.base import ReactorBase
 docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
 
 from containers.docker import DockerEngine
-from containers.docker_options import MB, PIDS
 from containers.engine import Ended, Engine, Life
 from rce.calls import EnvironmentSpec
 from rce.errors import InvalidRequest, LimitExceeded, StartFailed, Unavailable
 from rce.messages import ContainerData
+from rce.slots import MB, PIDS
 
 COMMAND = ["/stand-in"]
 
@@ -35,7 +35,12 @@ class DockerWorld(World):
         self._reactor = reactor
 
     def engine(
-        self, ended: Callable[[Ended], None], *behaviour: str, image: str = "", master: str = "tcp:127.0.0.1:1"
+        self,
+        ended: Callable[[Ended], None],
+        *behaviour: str,
+        image: str = "",
+        master: str = "tcp:127.0.0.1:1",
+        gpus: int = 0,
     ) -> DockerEngine:
         return DockerEngine(
             CAPACITY,
@@ -47,6 +52,7 @@ class DockerWorld(World):
             master=master,
             image=image or self.image,
             settings={"typesupport": "/types"},
+            gpus=gpus,
             command=[*COMMAND, *behaviour],
         )
 
@@ -170,7 +176,12 @@ async def test_an_image_that_is_not_there(world: DockerWorld, endings: Endings) 
 
 @pytest.mark.parametrize(
     ("options", "error"),
-    [({"cpu": 10_000}, LimitExceeded), ({"memory": 2**60}, LimitExceeded), ({"group": "g"}, InvalidRequest)],
+    [
+        ({"cpu": 10_000}, LimitExceeded),
+        ({"memory": 2**60}, LimitExceeded),
+        ({"group": "g"}, InvalidRequest),
+        ({"disk": 1000}, InvalidRequest),
+    ],
 )
 async def test_what_this_engine_cannot_give_is_refused(
     engine: DockerEngine, options: dict[str, Any], error: type[LimitExceeded | InvalidRequest]

@@ -30,7 +30,9 @@ class Fleet:
 
     def join(self, name: str, role: Role, incarnation: str = "1", **hello: Any) -> Plan:
         said = Hello(role, name, "", "", incarnation, **hello)
-        process = Process(name, role, incarnation, said.host, said.addresses, said.url, said.capacity, said.features)
+        process = Process(
+            name, role, incarnation, said.host, said.addresses, said.url, said.capacity, said.features, said.gpus
+        )
         return presence.joined(self.state, process, said, self.ids)
 
     def do(self, user: str, command: m.Command, again: bool = False) -> Outcome:

@@ -23,7 +23,16 @@ from rce.calls import (
     StopNode,
     Unbind,
 )
-from rce.errors import AlreadyExists, InvalidName, InvalidRequest, NoCapacity, NotConnectable, NotFound, RceError
+from rce.errors import (
+    AlreadyExists,
+    InvalidName,
+    InvalidRequest,
+    LimitExceeded,
+    NoCapacity,
+    NotConnectable,
+    NotFound,
+    RceError,
+)
 
 REFUSED: list[tuple[m.Command, type[RceError], str]] = [
     (m.CreateContainer("brain"), AlreadyExists, "containerTag"),
@@ -33,6 +42,10 @@ REFUSED: list[tuple[m.Command, type[RceError], str]] = [
     (m.CreateContainer("a/b"), InvalidName, "containerTag"),
     (m.CreateContainer("big", m.ContainerData(size=4)), NoCapacity, ""),
     (m.CreateContainer("x", m.ContainerData(specialFeatures=["gpu"])), NoCapacity, ""),
+    (m.CreateContainer("x", m.ContainerData(gpus=1)), NoCapacity, "containerData.gpus"),
+    (m.CreateContainer("x", m.ContainerData(env={"LD_PRELOAD": "x"})), InvalidRequest, "containerData.env.LD_PRELOAD"),
+    (m.CreateContainer("x", m.ContainerData(env={"A": "", "RCE_X": ""})), InvalidRequest, "containerData.env.RCE_X"),
+    (m.CreateContainer("x", m.ContainerData(image="mine")), LimitExceeded, "containerData.image"),
     (m.CreateContainer("x", m.ContainerData(groupIP="192.168.1.9")), InvalidRequest, "containerData.groupIP"),
     (m.CreateContainer("x", m.ContainerData(group="g", groupIP="10.0.0.1")), InvalidRequest, "containerData.groupIP"),
     (m.CreateContainer("x", m.ContainerData(group="g", groupIp="1.2.3")), InvalidRequest, "containerData.groupIP"),
@@ -408,3 +421,18 @@ def test_an_interface_is_bound_where_its_robot_is() -> None:
     fleet = furnished()
     plan = fleet.do("ann", interface("r1", "x", "PublisherConverter")).plan
     assert [(send.to, type(send.call)) for send in sends(plan)] == [("west", Bind)]
+
+
+def test_gpus_are_found_where_they_are_free() -> None:
+    """A machine has them for itself; the one with more free slots has none."""
+    fleet = Fleet()
+    fleet.join("plain", "container", capacity=9)
+    fleet.join("graphic", "container", capacity=3, gpus=2)
+    fleet.do("ann", m.CreateContainer("one", m.ContainerData(gpus=1)))
+    fleet.do("bob", m.CreateContainer("two", m.ContainerData(gpus=1)))
+    assert {each.machine for each in fleet.state.environments} == {"graphic"}
+    with pytest.raises(NoCapacity) as raised:
+        fleet.do("bob", m.CreateContainer("three", m.ContainerData(gpus=1)))
+    assert raised.value.info.fields == {"asked": 1, "free": 0}
+    fleet.do("ann", m.DestroyContainer("one"))
+    fleet.do("bob", m.CreateContainer("three", m.ContainerData(gpus=1)))

@@ -7,10 +7,12 @@ from typing import Any
 import pytest
 from fleet import everything, furnished, interface, wired
 
+from master.__main__ import Settings, platform_policy
 from master.policies import UNLIMITED, Policy, granted, is_allowed, parse, with_changes
 from rce import messages as m
 from rce.errors import InvalidRequest, LimitExceeded
 from rce.messages import ContainerData, Rates
+from rce.settings import load
 
 GB = 10**9
 
@@ -139,3 +141,11 @@ def test_limits_that_are_none(wrong: str) -> None:
 
 def test_changes_of_a_later_version_are_left_out() -> None:
     assert with_changes(Policy(size=2), {"cpu": 1.0, "size": None, "unheard": 1}) == Policy(size=2, cpu=1.0)
+
+
+def test_limits_as_settings_of_the_master() -> None:
+    given = load(Settings, "rce master", ["--data-dir=/x", "--limits=memory=2GiB,robots=3", "--images=mine/*"], {})
+    policy = platform_policy(given)
+    assert (policy.memory, policy.robots, policy.images) == (2**31, 3, ["rce/base", "rce/mapping", "mine/*"])
+    with pytest.raises(InvalidRequest, match="speed"):
+        platform_policy(load(Settings, "rce master", ["--data-dir=/x", "--limits=speed=1"], {}))
