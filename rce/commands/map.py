@@ -8,6 +8,7 @@ import math
 import secrets
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 from rce.client import Robot
@@ -17,9 +18,11 @@ from rce.mapping.outputs import write_outputs
 from rce.mapping.recordings import Recording, open_recording
 from rce.mapping.robot import MappingRobot, Result
 from rce.mapping.simulation import Accuracy, Simulation, evaluate, simulate
+from rce.messages import ParameterValue
 
 Source = Recording | Simulation
 
+MAPPERS = ("graph", "particle")  # as in rce.mapping.mappers, which would compile all kernels here
 LINE_EVERY = 5.0  # seconds between lines of progress where there is no terminal
 TICK = 0.2
 
@@ -33,6 +36,11 @@ def parser() -> argparse.ArgumentParser:
     whole.add_argument("--simulate", action="store_true", help="a robot simulated in a floor plan instead")
     whole.add_argument("--out", type=Path, default=Path("map"), metavar="DIR", help="(default: %(default)s)")
     whole.add_argument("--resolution", type=float, default=0.05, help="metres a cell (default: %(default)s)")
+    whole.add_argument(
+        "--mapper", choices=MAPPERS, default="graph", help="how the map is made (default: %(default)s); docs/mapping.md"
+    )
+    whole.add_argument("--particles", type=int, default=30, help="of the mapper particle (default: %(default)s)")
+    whole.add_argument("--seed", type=int, default=0, help="of the mapper particle (default: %(default)s)")
     whole.add_argument("--scan-topic", default="", help="of a bag with several topics of laser scans")
     whole.add_argument("--odometry-topic", default="", help="of a bag with several topics of odometry")
     add_arguments(whole)
@@ -55,7 +63,7 @@ async def run(words: argparse.Namespace, sources: list[Source]) -> None:
     async with platform(words) as access:
         for source in sources:
             directory = words.out if len(sources) == 1 else words.out / source.name
-            result = await build(access, source, words.resolution)
+            result = await build(access, source, parameters(words))
             written = write_outputs(directory, result.grid, result.trajectory)
             print(f"{result.scans} scans mapped; map in {directory}: {', '.join(path.name for path in written)}")
             if isinstance(source, Simulation):
@@ -70,7 +78,17 @@ def describe(accuracy: Accuracy) -> str:
     )
 
 
-async def build(access: Access, source: Source, resolution: float) -> Result:
+def parameters(words: argparse.Namespace) -> dict[str, ParameterValue]:
+    """Of the mapping node."""
+    return {
+        "resolution": words.resolution,
+        "mapper": words.mapper,
+        "particles": words.particles,
+        "seed": words.seed,
+    }
+
+
+async def build(access: Access, source: Source, parameters: Mapping[str, ParameterValue]) -> Result:
     """Map one recording in an environment of its own, which is gone afterwards."""
     name = f"mapper_{secrets.token_hex(4)}"
     progress = Progress(source)
@@ -79,7 +97,7 @@ async def build(access: Access, source: Source, resolution: float) -> Result:
         robot.environment(f"env_{name}", restart="no") as environment,
         MappingRobot(robot, environment) as mapping,
     ):
-        await mapping.prepare({"resolution": resolution})
+        await mapping.prepare(parameters)
         progress.begin()
         result = await mapping.drive(source, progress.done)
         progress.end()

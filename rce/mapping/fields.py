@@ -16,7 +16,7 @@ class Field:
     """Walls within a rectangle of the map frame. Points outside are ignored.
 
     `likelihood`: (height, width) uint8, 255 on a wall, falling with SIGMA around it.
-    `normals`: (height / ratio, width / ratio, 6) float32, see `ndt`.
+    `tiles`, `table`: the cells, `ratio` times as wide, that hold normal distributions, see `ndt`.
     """
 
     def __init__(self, low: tuple[float, float], high: tuple[float, float], resolution: float) -> None:
@@ -27,7 +27,9 @@ class Field:
         self._corner = np.floor(np.array(low) / coarse) * self.ratio  # of cell [0, 0], cells from the map's origin
         width, height = np.ceil((np.array(high) / resolution - self._corner) / self.ratio).astype(int).tolist()
         self.likelihood = np.zeros((height * self.ratio, width * self.ratio), np.uint8)
-        self.normals = np.zeros((height, width, ndt.FIELDS), np.float32)
+        rows, columns = -(-height // ndt.TILE), -(-width // ndt.TILE)
+        self.table = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
+        self.tiles = np.zeros((rows * columns, ndt.TILE, ndt.TILE, ndt.FIELDS), np.float32)
 
     def to_cells(self, points: Points) -> Points:
         """Points (n, 2) of the map frame, metres, in cells of the arrays; the centre of cell [0, 0] is (0, 0)."""
@@ -51,7 +53,7 @@ class Field:
         """Enter the points (n, 2), metres, map frame, at which beams ended."""
         hits = np.ascontiguousarray(self.to_cells(points))
         kernels.stamp_hits(self.likelihood, hits, SIGMA / self.resolution)
-        ndt.learn(self.normals, hits, self.ratio)
+        ndt.learn(self.tiles, self.table, hits, self.ratio)
 
     def pyramid(self, levels: int) -> NDArray[np.uint8]:
         """(levels, height, width): at level h the largest likelihood in the 2^h by 2^h cells from each cell on (Hess

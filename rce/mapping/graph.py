@@ -39,7 +39,7 @@ class Node:
 
     def own_points(self) -> Points:
         """All points (n, 2), metres, frame of the node."""
-        return np.concatenate([sweep.points for sweep in self.sweeps]).astype(np.float64)
+        return np.concatenate([np.empty((0, 2)), *(sweep.points for sweep in self.sweeps)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +67,10 @@ class PoseGraph:
         self.nodes[number] = Node(pose)
         self._lengths[number] = {}
         return number
+
+    def poses(self) -> Matrix:
+        """(nodes, 3) x, y, theta of all nodes by number, map frame."""
+        return np.array([node.pose for node in self.nodes.values()]).reshape(-1, 3)
 
     def add_edges(self, edges: Iterable[Edge]) -> None:
         for edge in edges:

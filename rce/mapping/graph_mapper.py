@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +12,13 @@ from rce.mapping.geometry import ORIGIN, Points, Pose
 from rce.mapping.graph import Edge, PoseGraph, Sweep, information_of
 from rce.mapping.grid import GridMap, OccupancyGrid
 from rce.mapping.history import History
-from rce.mapping.local_map import LocalMap
+from rce.mapping.local_map import AROUND, WAY, LocalMap
 from rce.mapping.loops import LoopFinder
-from rce.mapping.mapper import Estimate, MapperSettings
+from rce.mapping.mapper import FEWEST_POINTS, UNCERTAIN, Estimate, MapperSettings
 from rce.mapping.motion import Motion
 from rce.mapping.optimisation import disagreement, optimise
 from rce.mapping.scans import Scan
 
-UNCERTAIN = np.diag([1.0, 1.0, 0.5])  # covariance of a pose that was not matched; square metres and radians
-FEWEST_POINTS = 10  # with fewer, nothing can be said about the pose
 MOVE, TURN = 0.2, 0.1  # metres, radians between scans that are kept
 NODE_MOVE, NODE_TURN = 1.0, 0.5  # metres, radians between nodes
 LINK_WAY, LINK_REACH = 5.0, 3.0  # metres along edges at least, and metres at most, to an old node linked in passing
@@ -41,7 +40,7 @@ class GraphMapper:
     def __init__(self, settings: MapperSettings | None = None) -> None:
         self.settings = settings or MapperSettings()
         self._graph = PoseGraph()
-        self._local = LocalMap(self._graph, self.settings.max_range)
+        self._local = LocalMap(self._around, self.settings.max_range)
         self._loops = LoopFinder(self._graph)
         self._motion = Motion()
         self._history = History()
@@ -78,13 +77,21 @@ class GraphMapper:
         return self._grid.render()
 
     def trajectory(self) -> NDArray[np.float64]:
-        return self._history.trajectory({number: node.pose for number, node in self._graph.nodes.items()})
+        return self._history.trajectory(self._graph.poses())
 
     def _late(self, scan: Scan) -> Estimate:
         if not len(self._history):
             return Estimate(scan.stamp, ORIGIN, UNCERTAIN, matched=False, taken=False)
         node, relative = self._history.at(scan.stamp)
         return Estimate(scan.stamp, self._graph.nodes[node].pose @ relative, UNCERTAIN, matched=False, taken=False)
+
+    def _around(self, pose: Pose) -> Iterator[tuple[int, Points]]:
+        """The nodes near a pose and near the robot along the edges: what was passed lately, and what was passed long
+        ago where a loop is closed."""
+        for number in sorted(self._graph.distances(self._reference, WAY)):
+            node = self._graph.nodes[number]
+            if math.dist(node.pose[:2], pose[:2]) < AROUND:
+                yield number, node.points()
 
     def _keep(self, pose: Pose, points: Points, covariance: NDArray[np.float64]) -> int | None:
         """Keep the scan if it shows something new. Returns a node that is complete thereby, if one is."""
@@ -96,7 +103,7 @@ class GraphMapper:
         if self._open is not None:
             self._enter(self._open, pose, points)
         self._kept = self._graph.nodes[self._reference].pose.to(pose)
-        self._local.follow(self._reference, pose)
+        self._local.follow(pose)
         return before if before != self._open else None
 
     def _choose_node(self, pose: Pose, relative: Pose, covariance: NDArray[np.float64]) -> None:
@@ -104,7 +111,7 @@ class GraphMapper:
         if not relative.moved(NODE_MOVE, NODE_TURN):
             return
         nodes = self._graph.nodes
-        near = [(math.dist(nodes[n].pose[:2], pose[:2]), n) for n in self._local.nodes]
+        near = [(math.dist(nodes[n].pose[:2], pose[:2]), n) for n in self._local.places]
         for _, number in sorted(near):
             if not nodes[number].pose.to(pose).moved(NODE_MOVE, NODE_TURN):
                 self._reference, self._open = number, None
@@ -118,7 +125,7 @@ class GraphMapper:
     def _link(self, new: int, pose: Pose, covariance: NDArray[np.float64]) -> None:
         """Tie a new node to one of an earlier pass, since its scan was matched with what was seen from there too."""
         nodes, ways = self._graph.nodes, self._graph.distances(new, LINK_WAY)
-        near = [(math.dist(nodes[n].pose[:2], pose[:2]), n) for n in self._local.nodes if n not in ways]
+        near = [(math.dist(nodes[n].pose[:2], pose[:2]), n) for n in self._local.places if n not in ways]
         apart, old = min(near, default=(math.inf, -1))
         if apart < LINK_REACH:
             information = information_of(covariance, nodes[old].pose.theta, LINK_FLOOR, SCALE)
@@ -158,4 +165,4 @@ class GraphMapper:
         if shift > SHIFTED:
             self._grid = None
         self._motion.correct(nodes[self._reference].pose @ relative)
-        self._local.renew(self._reference, self._motion.pose)
+        self._local.renew(self._motion.pose)

@@ -1,8 +1,6 @@
-"""The poses of all scans, each fixed to a node of the graph."""
+"""The poses of all scans, each fixed to a node of the graph (or another pose that may still be corrected)."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,11 +32,10 @@ class History:
         row = max(int(np.searchsorted(self._rows[: self._count, 0], stamp, side="right")) - 1, 0)
         return int(self._nodes[row]), Pose(*self._rows[row, 1:].tolist())
 
-    def trajectory(self, poses: Mapping[int, Pose]) -> NDArray[np.float64]:
-        """(n, 4) stamp, x, y, theta in the frame in which the poses of the nodes are given."""
-        table = np.array([poses[number] for number in range(len(poses))]).reshape(-1, 3)
+    def trajectory(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n, 4) stamp, x, y, theta in the frame in which the poses (nodes, 3) of all nodes are given."""
         rows = self._rows[: self._count].copy()
-        rows[:, 1:] = _compose(table[self._nodes[: self._count]], rows[:, 1:])
+        rows[:, 1:] = _compose(poses[self._nodes[: self._count]], rows[:, 1:])
         return rows
 
 

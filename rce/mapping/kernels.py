@@ -1,8 +1,8 @@
 """The inner loops, compiled by Numba.
 
 The signatures are given, so that importing compiles everything (a few seconds) and no scan waits for it; the machine
-code is cached on disk for the next process. Grids are indexed [row, column] = [y, x]. Coordinates are in cells: the
-centre of cell (row, column) is at (column, row).
+code is cached on disk for the next process. They release the GIL. Grids are indexed [row, column] = [y, x]. Coordinates
+are in cells: the centre of cell (row, column) is at (column, row).
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ def compiled(signature: str) -> Callable[[F], F]:
 
     def decorate(function: F) -> F:
         try:
-            return cast(F, numba.njit(signature, cache=True)(function))
+            return cast(F, numba.njit(signature, cache=True, nogil=True)(function))
         except RuntimeError as error:
             if "cannot cache" not in str(error):
                 raise
-            return cast(F, numba.njit(signature)(function))
+            return cast(F, numba.njit(signature, nogil=True)(function))
 
     return decorate
 

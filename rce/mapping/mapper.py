@@ -12,6 +12,9 @@ from rce.mapping.geometry import Pose
 from rce.mapping.grid import OccupancyGrid
 from rce.mapping.scans import Scan
 
+UNCERTAIN = np.diag([1.0, 1.0, 0.5])  # covariance of a pose that was not matched; square metres and radians
+FEWEST_POINTS = 10  # with fewer, nothing can be said about the pose
+
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
@@ -41,7 +44,14 @@ class Mapper(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class MapperSettings:
-    """`resolution` of the grid, metres per cell; `max_range`: beams longer than this are not used."""
+    """`resolution` of the grid, metres per cell; `max_range`: beams longer than this are not used, metres.
+
+    For mappers with particles, their number, the seed of their random numbers, and over how many cores they are spread
+    (0 for all; the result is the same for any number of them).
+    """
 
     resolution: float = 0.05
     max_range: float = 30.0
+    particles: int = 30
+    seed: int = 0
+    cores: int = 0

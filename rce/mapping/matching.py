@@ -62,7 +62,7 @@ def match(field: Field, points: Points, predictions: list[Pose], window: Window)
 def fit(field: Field, cells: Points, thinned: Points, start: Pose, expected: Pose) -> Match:
     """Fit points to the normal distributions, and score some of them; everything but the answer is in cells."""
     variance = (NOISE / field.resolution) ** 2
-    fitted = ndt.align(field.normals, cells, *start, *expected, field.ratio, variance, ITERATIONS).tolist()
+    fitted = ndt.align(field.tiles, field.table, cells, *start, *expected, field.ratio, variance, ITERATIONS).tolist()
     x, y, theta, *information = fitted
     score, before = _score(field, thinned, Pose(x, y, theta)), _score(field, thinned, start)
     if score < before - WORSE:

@@ -3,6 +3,9 @@
 Biber and Strasser, The Normal Distributions Transform: A New Approach to Laser Scan Matching (2003). The map is cut in
 coarse cells; each holds mean and covariance of the hits in it. Since they average over all scans, a wall stays as sharp
 as the sensor sees it, however often it is seen.
+
+The cells are stored in tiles of TILE by TILE, `tiles` (n, TILE, TILE, FIELDS) float32, and `table` (rows, columns)
+int32 says which tile lies where in the map, -1 where there is none. So several maps may share tiles.
 """
 
 from __future__ import annotations
@@ -15,6 +18,8 @@ from numpy.typing import NDArray
 from rce.mapping.kernels import compiled
 
 FIELDS = 6  # of a cell: count, mean x, mean y (from its centre), covariance xx, xy, yy; in fine cells
+SHIFT = 4
+TILE = 1 << SHIFT  # cells along each side of a tile
 FEWEST_HITS = 3.0  # a cell with fewer says nothing
 MOST_HITS = 100.0  # that a cell remembers, so that it can follow changes
 PULL, TURN_PULL = (
@@ -23,16 +28,19 @@ PULL, TURN_PULL = (
 )  # of the expected pose, per point on known walls: decides where the walls leave a direction open
 
 
-@compiled("void(float32[:,:,::1], float64[:,::1], int64)")
-def learn(normals: NDArray[np.float32], hits: NDArray[np.float64], ratio: int) -> None:
-    """Enter hits (n, 2), fine cells, in `normals` (rows, columns, FIELDS), whose cells are `ratio` fine cells wide."""
-    height, width, _ = normals.shape
+@compiled("void(float32[:,:,:,::1], int32[:,::1], float64[:,::1], int64)")
+def learn(tiles: NDArray[np.float32], table: NDArray[np.int32], hits: NDArray[np.float64], ratio: int) -> None:
+    """Enter hits (n, 2), fine cells, in cells that are `ratio` fine cells wide. Those where no tile is are ignored."""
+    height, width = table.shape[0] << SHIFT, table.shape[1] << SHIFT
     for i in range(hits.shape[0]):
         x, y = (hits[i, 0] + 0.5) / ratio - 0.5, (hits[i, 1] + 0.5) / ratio - 0.5
         column, row = math.floor(x + 0.5), math.floor(y + 0.5)
         if not (0 <= column < width and 0 <= row < height):
             continue
-        cell = normals[row, column]
+        tile = table[row >> SHIFT, column >> SHIFT]
+        if tile < 0:
+            continue
+        cell = tiles[tile, row & TILE - 1, column & TILE - 1]
         count = min(cell[0] + 1.0, MOST_HITS)
         dx, dy = (x - column) * ratio - cell[1], (y - row) * ratio - cell[2]
         rest = 1.0 - 1.0 / count
@@ -45,11 +53,12 @@ def learn(normals: NDArray[np.float32], hits: NDArray[np.float64], ratio: int) -
 
 
 @compiled(
-    "float64[::1](float32[:,:,::1], float64[:,::1], float64, float64, float64, float64, float64, float64, int64, "
-    "float64, int64)"
+    "float64[::1](float32[:,:,:,::1], int32[:,::1], float64[:,::1], float64, float64, float64, float64, float64, "
+    "float64, int64, float64, int64)"
 )
 def align(
-    normals: NDArray[np.float32],
+    tiles: NDArray[np.float32],
+    table: NDArray[np.int32],
     points: NDArray[np.float64],
     x: float,
     y: float,
@@ -70,7 +79,7 @@ def align(
     takes, would pull towards the centre of the cell. `variance`: of a single measurement, in square fine cells.
     Returns x, y, theta and the upper triangle of the information matrix: xx, xy, xt, yy, yt, tt. Unit: fine cells.
     """
-    height, width, _ = normals.shape
+    height, width = table.shape[0] << SHIFT, table.shape[1] << SHIFT
     count = points.shape[0]
     xx = xy = xt = yy = yt = tt = 0.0
     for _ in range(iterations):
@@ -87,7 +96,10 @@ def align(
             v -= low
             for corner in range(4):
                 column, row = corner & 1, corner >> 1
-                cell = normals[low + row, left + column]
+                tile = table[low + row >> SHIFT, left + column >> SHIFT]
+                if tile < 0:
+                    continue
+                cell = tiles[tile, low + row & TILE - 1, left + column & TILE - 1]
                 if cell[0] < FEWEST_HITS:
                     continue
                 ex, ey = cell[1] - (u - column) * ratio, cell[2] - (v - row) * ratio

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from rce.errors import InvalidRequest
-from rce.mapping.geometry import ORIGIN, Pose
 from rce.mapping.graph_mapper import GraphMapper
+from rce.mapping.mapper import Mapper
 from rce.mapping.outputs import trajectory_text
+from rce.mapping.particle_mapper import ParticleMapper
 from rce.mapping.recordings import open_recording
-from rce.mapping.scans import Scan
 from rce.mapping.simulation.evaluation import alignment
+from rce.mapping.trials import Odometry, error_of, read_relations, with_odometry
 
 
 def test_the_log_and_the_bag_of_a_run_give_the_same_scans(data: Path) -> None:
@@ -34,7 +33,7 @@ def test_the_log_and_the_bag_of_a_run_give_the_same_scans(data: Path) -> None:
         assert ours.angle_increment == pytest.approx(theirs.angle_increment)
 
 
-def error_of(mapper: GraphMapper, data: Path, directory: Path) -> tuple[float, float]:
+def error_by_tool(mapper: Mapper, data: Path, directory: Path) -> tuple[float, float]:
     """Mean error of the relations of MIT CSAIL: metres, degrees."""
     trajectory = directory / "trajectory.txt"
     trajectory.write_bytes(trajectory_text(mapper.trajectory()))
@@ -47,37 +46,33 @@ def error_of(mapper: GraphMapper, data: Path, directory: Path) -> tuple[float, f
     return metric["trans_abs"][0], metric["rot_abs_deg"][0]
 
 
-def worsened(scans: Iterable[Scan], scale: float, noise: float, slip: float) -> Iterator[Scan]:
-    """Scans with worse odometry: its distances `scale` times as long, each motion off by a share of about `noise`, and
-    after every 400 scans the robot is `slip` metres beside where the wheels say."""
-    random, last, pose = np.random.default_rng(0), ORIGIN, ORIGIN
-    for i, scan in enumerate(scans):
-        assert scan.odometry
-        motion = last.to(scan.odometry) if i else ORIGIN
-        along, across, turn = 1 + noise * random.normal(size=3)
-        drift = noise * 0.2 * math.hypot(motion.x, motion.y) * random.normal()
-        pose = pose @ Pose(motion.x * along * scale, motion.y * across * scale, motion.theta * turn + drift)
-        if i % 400 == 399:
-            pose = pose @ Pose(slip, 0.0, 0.2)
-        last = scan.odometry
-        yield dataclasses.replace(scan, odometry=pose)
-
-
-MAKING_WORSE: dict[str, Callable[[Iterable[Scan]], Iterable[Scan]]] = {
-    "as recorded": lambda scans: scans,
-    "worse odometry": lambda scans: worsened(scans, 1.1, 0.1, 1.0),
-    "no odometry": lambda scans: (dataclasses.replace(scan, odometry=None) for scan in scans),
+MAKING_WORSE = {
+    "as recorded": Odometry(),
+    "worse odometry": Odometry(scale=1.1, noise=0.1, slip=1.0),
+    "no odometry": Odometry(none=True),
 }
 
 
 @pytest.mark.parametrize("odometry", MAKING_WORSE)
 def test_the_map_of_mit_csail_is_better_than_those_of_others(data: Path, tmp_path: Path, odometry: str) -> None:
     mapper = GraphMapper()
-    for scan in MAKING_WORSE[odometry](open_recording(data / "mit-csail.clf.gz")):
+    for scan in with_odometry(open_recording(data / "mit-csail.clf.gz"), MAKING_WORSE[odometry]):
         mapper.add(scan)
-    metres, degrees = error_of(mapper, data, tmp_path)
+    metres, degrees = error_by_tool(mapper, data, tmp_path)
     assert metres < 0.030
     assert degrees < 0.45
+
+
+def test_particles_map_mit_csail_better_than_those_of_others(data: Path, tmp_path: Path) -> None:
+    mapper, scans = ParticleMapper(), list(open_recording(data / "mit-csail.clf.gz"))
+    for scan in scans:
+        mapper.add(scan)
+    metres, degrees = error_by_tool(mapper, data, tmp_path)
+    assert metres < 0.042
+    assert degrees < 1.5
+    relations = read_relations(data / "mit-csail.relations", np.array([scan.stamp for scan in scans]))
+    ours = error_of(mapper.trajectory(), relations)
+    assert (ours.translation, math.degrees(ours.rotation)) == pytest.approx((metres, degrees), rel=1e-3)
 
 
 @pytest.mark.parametrize(("name", "most"), [("aces", 0.2), ("infinite-corridor", 1.5)])
@@ -85,7 +80,7 @@ def test_large_loops_close(data: Path, name: str, most: float) -> None:
     """Off by metres if a loop stays open, by tens of metres if one is closed wrongly."""
     scans = list(open_recording(data / "corrected" / f"{name}-corrected.log.gz"))
     mapper = GraphMapper()
-    for scan in worsened(scans, 1.03, 0.1, 0.0):
+    for scan in with_odometry(scans, Odometry(1.03, 0.1)):
         mapper.add(scan)
     truth = np.array([scan.odometry for scan in scans])[:, :2]
     found = mapper.trajectory()[:, 1:3]

@@ -20,7 +20,7 @@ def test_likelihood_is_highest_on_a_wall_and_falls_around() -> None:
     assert across[0] > 240
     assert (np.diff(across) < 0).all()
     assert across[5] < 20
-    assert walls.normals[..., 0].sum() == len(WALL)
+    assert walls.tiles[..., 0].sum() == len(WALL)
 
 
 def test_points_outside_are_ignored() -> None:

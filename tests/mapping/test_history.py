@@ -17,7 +17,7 @@ def history(count: int) -> History:
 
 
 def test_poses_follow_their_nodes() -> None:
-    rows = history(3000).trajectory({0: ORIGIN, 1: Pose(1.0, 2.0, math.pi / 2)})
+    rows = history(3000).trajectory(np.array([ORIGIN, Pose(1.0, 2.0, math.pi / 2)]))
     assert rows.shape == (3000, 4)
     np.testing.assert_allclose(rows[2], [2.0, 0.2, 0.0, 0.0])
     np.testing.assert_allclose(rows[2999], [2999.0, 1.0, 301.9, math.pi / 2])
@@ -31,4 +31,4 @@ def test_the_scan_before_a_stamp_is_found(stamp: float, row: int) -> None:
 
 
 def test_empty() -> None:
-    assert History().trajectory({0: ORIGIN}).shape == (0, 4)
+    assert History().trajectory(np.array([ORIGIN])).shape == (0, 4)

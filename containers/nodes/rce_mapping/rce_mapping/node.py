@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -20,8 +19,8 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import LaserScan
 
-from rce.mapping.graph_mapper import GraphMapper
-from rce.mapping.mapper import Mapper, MapperSettings
+from rce.mapping.mapper import MapperSettings
+from rce.mapping.mappers import MAPPERS
 from rce.mapping.pairing import OdometryPairing
 from rce.mapping.scans import Scan
 
@@ -32,7 +31,6 @@ from .transforms import TransformSender
 EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 CHECK = 0.1  # seconds between looks at scans that wait for odometry
-MAPPERS: dict[str, Callable[[MapperSettings], Mapper]] = {"graph": GraphMapper}
 
 
 class MapperNode(Node):
@@ -41,7 +39,12 @@ class MapperNode(Node):
     def __init__(self) -> None:
         super().__init__("mapper")
         declare(self, list(MAPPERS))
-        settings = MapperSettings(resolution=number(self, "resolution"), max_range=number(self, "max_range"))
+        settings = MapperSettings(
+            resolution=number(self, "resolution"),
+            max_range=number(self, "max_range"),
+            particles=int(number(self, "particles")),
+            seed=int(number(self, "seed")),
+        )
         self._mapper = MAPPERS[choice(self, MAPPER, list(MAPPERS))](settings)
         self._pairing = OdometryPairing()
         self._arrivals: deque[tuple[Time, float]] = deque()  # stamp and monotonic time, of each scan that waits

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
 INTERVAL, MAPPER = "map_update_interval", "mapper"
@@ -13,6 +13,8 @@ def declare(node: Node, mappers: list[str]) -> None:
     _text(node, MAPPER, mappers[0], f"How the map is made: {', '.join(mappers)}.")
     _number(node, "resolution", 0.05, (0.01, 0.5), "Size of a cell of the map, m.")
     _number(node, "max_range", 30.0, (1.0, 200.0), "Beams longer than this are not used, m.")
+    _count(node, "particles", 30, (1, 1000), "Of the mapper particle: more close larger loops and take longer.")
+    _count(node, "seed", 0, (0, 2**31 - 1), "Of the random numbers of the mapper particle; the same map for the same.")
     _number(node, INTERVAL, 5.0, (0.1, 3600.0), "Wall time between two publications of map and path, s.", fixed=False)
     _number(
         node, "odom_timeout", 0.5, (0.0, 60.0), "How long a scan waits for the odometry of its stamp, wall time, s."
@@ -32,6 +34,13 @@ def _number(
     limits = [FloatingPointRange(from_value=low, to_value=high, step=0.0)]
     node.declare_parameter(
         name, default, ParameterDescriptor(description=description, floating_point_range=limits, read_only=fixed)
+    )
+
+
+def _count(node: Node, name: str, default: int, bounds: tuple[int, int], description: str) -> None:
+    limits = [IntegerRange(from_value=bounds[0], to_value=bounds[1], step=1)]
+    node.declare_parameter(
+        name, default, ParameterDescriptor(description=description, integer_range=limits, read_only=True)
     )
 
 

@@ -1,0 +1,78 @@
+"""How the robot moves, by its laser: each scan is matched with what was seen on the last metres of the way."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from rce.mapping.geometry import Points, Pose
+from rce.mapping.graph import TURN_LENGTH
+from rce.mapping.local_map import AROUND, WAY, LocalMap
+from rce.mapping.matching import Match
+from rce.mapping.motion import Motion
+from rce.mapping.scans import Scan
+
+MOVE, TURN = 0.2, 0.1  # metres, radians between scans that are kept
+
+
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    number: int
+    way: float  # metres that the robot had gone then
+    pose: Pose
+    points: Points  # (n, 2), metres, the frame of the poses
+
+
+class LaserOdometry:
+    """Corrects the wheels, or does without them. Its poses drift, but hardly within what it remembers: 20 m of way
+    (Hähnel et al., An Efficient FastSLAM Algorithm for Generating Maps of Large-Scale Cyclic Environments from Raw
+    Laser Range Measurements, 2003, do so in front of a particle filter)."""
+
+    def __init__(self, max_range: float) -> None:
+        self._motion = Motion()
+        self._local = LocalMap(self._around, max_range)
+        self._kept: deque[_Kept] = deque()
+        self._count = 0
+        self._way = 0.0
+        self._looked: Pose | None = None  # where it was last asked whether to keep a scan
+
+    @property
+    def pose(self) -> Pose:
+        return self._motion.pose
+
+    def add(self, scan: Scan, points: Points | None) -> Match | None:
+        """Take the next scan and its points (n, 2), metres, frame of the robot; None if they are too few to be matched.
+        None too if the pose is that of the wheels or the last motion alone."""
+        predictions = self._motion.predict(scan)
+        found = self._local.match(points, predictions) if points is not None else None
+        self._motion.follow(scan, found.pose if found else predictions[0])
+        if points is not None:
+            self._keep(points)
+        return found
+
+    def _keep(self, points: Points) -> None:
+        """Keep the scan if nothing near by looks the same way; forget what is too long ago."""
+        pose = self.pose
+        if self._looked is not None:
+            step = self._looked.to(pose)
+            if not step.moved(MOVE, TURN):
+                return
+            self._way += math.hypot(step.x, step.y) + TURN_LENGTH * abs(step.theta)
+        self._looked = pose
+        while self._kept and self._kept[0].way < self._way - WAY:
+            self._kept.popleft()
+        if all(kept.pose.to(pose).moved(MOVE, TURN) for kept in self._kept):
+            kept = _Kept(self._count, self._way, pose, pose.transform(points).astype(np.float64))
+            self._kept.append(kept)
+            self._count += 1
+            self._local.add(kept.number, kept.points)
+        self._local.follow(pose)
+
+    def _around(self, pose: Pose) -> Iterator[tuple[int, Points]]:
+        for kept in self._kept:
+            if math.dist(kept.pose[:2], pose[:2]) < AROUND:
+                yield kept.number, kept.points

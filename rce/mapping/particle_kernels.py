@@ -1,0 +1,154 @@
+"""The inner loops of the particle filter. Unit: fine cells, radians; frame: as in `tiles.TileMaps.to_cells`."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rce.mapping import ndt
+from rce.mapping.kernels import compiled
+
+OUTLIER = 0.1  # likelihood of a beam that ends where nothing is known, on a wall: 1
+NOBODY = 0
+
+
+@compiled("boolean(float32[:,:,:,::1], int32[:,:,::1], int32[::1], float64[:,::1], float64[:,::1], int64)")
+def claim(
+    tiles: NDArray[np.float32],
+    tables: NDArray[np.int32],
+    users: NDArray[np.int32],
+    poses: NDArray[np.float64],
+    points: NDArray[np.float64],
+    ratio: int,
+) -> bool:
+    """Give each map a tile of its own, copied if there was one, where its points lie. False if there are not enough
+    tiles: then it may be called again with more."""
+    free = 0
+    for k in range(poses.shape[0]):
+        table = tables[k]
+        c, s = math.cos(poses[k, 2]), math.sin(poses[k, 2])
+        for i in range(points.shape[0]):
+            x = poses[k, 0] + c * points[i, 0] - s * points[i, 1]
+            y = poses[k, 1] + s * points[i, 0] + c * points[i, 1]
+            column = math.floor((x + 0.5) / ratio) >> ndt.SHIFT
+            row = math.floor((y + 0.5) / ratio) >> ndt.SHIFT
+            if not (0 <= column < table.shape[1] and 0 <= row < table.shape[0]):
+                continue
+            old = table[row, column]
+            if old >= 0 and users[old] == 1:
+                continue
+            while free < users.shape[0] and users[free] != NOBODY:
+                free += 1
+            if free == users.shape[0]:
+                return False
+            if old >= 0:
+                tiles[free] = tiles[old]
+                users[old] -= 1
+            else:
+                tiles[free] = 0.0
+            users[free] = 1
+            table[row, column] = free
+    return True
+
+
+@compiled("void(float32[:,:,:,::1], int32[:,:,::1], float64[:,::1], float64[:,::1], int64, int64, int64)")
+def learn(
+    tiles: NDArray[np.float32],
+    tables: NDArray[np.int32],
+    poses: NDArray[np.float64],
+    points: NDArray[np.float64],
+    ratio: int,
+    begin: int,
+    end: int,
+) -> None:
+    """Enter the points in maps `begin` to `end`, each from its pose."""
+    hits = np.empty_like(points)
+    for k in range(begin, end):
+        c, s = math.cos(poses[k, 2]), math.sin(poses[k, 2])
+        for i in range(points.shape[0]):
+            hits[i, 0] = poses[k, 0] + c * points[i, 0] - s * points[i, 1]
+            hits[i, 1] = poses[k, 1] + s * points[i, 0] + c * points[i, 1]
+        ndt.learn(tiles, tables[k], hits, ratio)
+
+
+@compiled("float64(float32[:,:,:,::1], int32[:,::1], float64[:,::1], float64, float64, float64, int64, float64)")
+def log_likelihood(
+    tiles: NDArray[np.float32],
+    table: NDArray[np.int32],
+    points: NDArray[np.float64],
+    x: float,
+    y: float,
+    theta: float,
+    ratio: int,
+    variance: float,
+) -> float:
+    """Sum over the points of the logarithm of their likelihood: across a wall with a spread that is that of the
+    measurement (`variance`) and its own, so that a wall which has become thick explains less."""
+    height, width = table.shape[0] << ndt.SHIFT, table.shape[1] << ndt.SHIFT
+    c, s = math.cos(theta), math.sin(theta)
+    total = 0.0
+    for i in range(points.shape[0]):
+        u = (x + c * points[i, 0] - s * points[i, 1] + 0.5) / ratio - 0.5
+        v = (y + s * points[i, 0] + c * points[i, 1] + 0.5) / ratio - 0.5
+        left, low = math.floor(u), math.floor(v)
+        likelihood = 0.0
+        if 0 <= left < width - 1 and 0 <= low < height - 1:
+            u -= left
+            v -= low
+            for corner in range(4):
+                column, row = corner & 1, corner >> 1
+                tile = table[low + row >> ndt.SHIFT, left + column >> ndt.SHIFT]
+                if tile < 0:
+                    continue
+                cell = tiles[tile, low + row & ndt.TILE - 1, left + column & ndt.TILE - 1]
+                if cell[0] < ndt.FEWEST_HITS:
+                    continue
+                ex, ey = cell[1] - (u - column) * ratio, cell[2] - (v - row) * ratio
+                vxx, vxy, vyy = cell[3], cell[4], cell[5]
+                determinant, trace = vxx * vyy - vxy * vxy, vxx + vyy
+                scale = 1.0 / (determinant + variance * trace + 1e-6)
+                squared = scale * (vyy * ex * ex - 2.0 * vxy * ex * ey + vxx * ey * ey)
+                thick = max(determinant, 0.0) / (trace + 1e-6)  # variance across the wall
+                share = (u if column else 1.0 - u) * (v if row else 1.0 - v)
+                likelihood += share * math.sqrt(variance / (variance + thick)) * math.exp(-0.5 * squared)
+        total += math.log(OUTLIER + (1.0 - OUTLIER) * likelihood)
+    return total
+
+
+@compiled(
+    "void(float32[:,:,:,::1], int32[:,:,::1], float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1], "
+    "int64, float64, int64, int64, int64)"
+)
+def match(
+    tiles: NDArray[np.float32],
+    tables: NDArray[np.int32],
+    points: NDArray[np.float64],
+    starts: NDArray[np.float64],
+    expected: NDArray[np.float64],
+    found: NDArray[np.float64],
+    ratio: int,
+    variance: float,
+    iterations: int,
+    begin: int,
+    end: int,
+) -> None:
+    """For maps `begin` to `end`: write to `found` (n, 10) the likeliest pose of the points near its start, with the
+    information about it (as `ndt.align`), and the log-likelihood there."""
+    for k in range(begin, end):
+        found[k, :9] = ndt.align(
+            tiles,
+            tables[k],
+            points,
+            starts[k, 0],
+            starts[k, 1],
+            starts[k, 2],
+            expected[k, 0],
+            expected[k, 1],
+            expected[k, 2],
+            ratio,
+            variance,
+            iterations,
+        )
+        found[k, 9] = log_likelihood(tiles, tables[k], points, found[k, 0], found[k, 1], found[k, 2], ratio, variance)

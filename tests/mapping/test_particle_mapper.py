@@ -1,0 +1,122 @@
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from rce.mapping.geometry import Pose
+from rce.mapping.mapper import MapperSettings
+from rce.mapping.particle_mapper import ParticleMapper
+from rce.mapping.scans import Scan
+from rce.mapping.simulation import Simulation, evaluate
+
+
+def mapped(scans: Iterable[Scan], **settings: int) -> ParticleMapper:
+    mapper = ParticleMapper(MapperSettings(**settings))
+    for scan in scans:
+        mapper.add(scan)
+    return mapper
+
+
+def part_of(simulation: Simulation, count: int) -> Simulation:
+    return dataclasses.replace(simulation, records=simulation.records[:count], truth=simulation.truth[:count])
+
+
+def test_walls_are_found_single_and_straight(simulation: Simulation) -> None:
+    mapper = mapped(simulation)
+    accuracy = evaluate(mapper.grid(), mapper.trajectory(), simulation)
+    assert accuracy.translation < 0.05
+    assert accuracy.rotation < math.radians(0.5)
+    assert accuracy.walls_found > 0.95
+    assert accuracy.walls_true > 0.97
+
+
+def test_the_same_seed_gives_the_same_map_on_any_number_of_cores(simulation: Simulation) -> None:
+    scans = simulation.records[:300]
+    first, second, other = mapped(scans, cores=1), mapped(scans, cores=3), mapped(scans, seed=1)
+    np.testing.assert_array_equal(first.trajectory(), second.trajectory())
+    np.testing.assert_array_equal(first.grid().cells, second.grid().cells)
+    assert not np.array_equal(first.trajectory(), other.trajectory())
+
+
+def test_one_particle_maps_too(simulation: Simulation) -> None:
+    part = part_of(simulation, 200)
+    mapper = mapped(part, particles=1)
+    assert evaluate(mapper.grid(), mapper.trajectory(), part).translation < 0.05
+
+
+def test_odometry_is_optional_and_the_wheels_may_slip(simulation: Simulation) -> None:
+    part = part_of(simulation, 300)
+    without = [dataclasses.replace(scan, odometry=None) for scan in part]
+    slipped = list(part)
+    for i in range(150, 300):
+        odometry = slipped[i].odometry
+        assert odometry
+        slipped[i] = dataclasses.replace(slipped[i], odometry=Pose(1.0, -0.5, 0.2) @ odometry)
+    for scans in (without, slipped):
+        mapper = mapped(scans)
+        assert evaluate(mapper.grid(), mapper.trajectory(), part).translation < 0.05
+
+
+def test_the_grid_of_many_calls_is_that_of_one(simulation: Simulation) -> None:
+    """It is drawn step by step, and anew when another particle takes over."""
+    scans = simulation.records[:300]
+    often = ParticleMapper()
+    for i, scan in enumerate(scans):
+        often.add(scan)
+        if i % 20 == 0:
+            often.grid()
+    np.testing.assert_array_equal(often.grid().cells, mapped(scans).grid().cells)
+
+
+def test_memory_grows_with_the_building_and_not_with_time(simulation: Simulation) -> None:
+    scans = simulation.records[:400]
+    back = [dataclasses.replace(scan, stamp=2 * scans[-1].stamp - scan.stamp) for scan in scans[-2::-1]]
+    again = [dataclasses.replace(scan, stamp=scan.stamp + 100.0) for scan in scans[1:]]
+    mapper = mapped([*scans, *back])
+    before = memory(mapper)
+    for scan in again:
+        mapper.add(scan)
+    assert memory(mapper) <= 1.15 * before
+
+
+def memory(mapper: ParticleMapper) -> float:
+    """Bytes of all scans that are kept, and of all tiles."""
+    sweeps = sum(sweep.points.nbytes for sweep in mapper._sweeps.values())
+    return sweeps + mapper._filter.maps.used * mapper._filter.maps.tiles[0].nbytes
+
+
+@pytest.mark.parametrize("ranges", [[], [np.nan] * 360, [np.inf] * 360], ids=["empty", "nan", "inf"])
+def test_an_unusable_scan_moves_by_odometry(simulation: Simulation, ranges: list[float]) -> None:
+    mapper = mapped(simulation.records[:20])
+    last = simulation.records[19]
+    assert last.odometry
+    pose = Pose(*mapper.trajectory()[-1, 1:])
+    blind = dataclasses.replace(
+        last,
+        stamp=last.stamp + 0.1,
+        ranges=np.array(ranges, np.float32),
+        odometry=last.odometry @ Pose(0.1, 0.0, 0.05),
+    )
+    estimate = mapper.add(blind)
+    assert not estimate.matched
+    assert math.dist(estimate.pose[:2], (pose @ Pose(0.1, 0.0, 0.05))[:2]) < 1.0
+    assert len(mapper.trajectory()) == 21
+
+
+def test_scans_that_come_late_or_twice_are_answered_and_dropped(simulation: Simulation) -> None:
+    scans = simulation.records[:60]
+    mapper, plain = mapped([*scans, scans[-1], scans[10]]), mapped(scans)
+    late = mapper.add(scans[10])
+    assert (late.taken, late.matched, late.stamp) == (False, False, scans[10].stamp)
+    assert late.pose == pytest.approx(tuple(plain.trajectory()[10, 1:]))
+    np.testing.assert_array_equal(mapper.trajectory(), plain.trajectory())
+
+
+def test_before_the_first_scan_there_is_an_empty_map() -> None:
+    mapper = ParticleMapper()
+    assert mapper.trajectory().shape == (0, 4)
+    assert mapper.grid().cells.max() == -1
