@@ -15,6 +15,7 @@ PROGRAMS = {
     "robot": "run a Robot endpoint",
     "container": "run a Container task set",
     "environment": "run an Environment endpoint (the task set does this)",
+    "bridge": "carry topics of a robot that runs ROS 2 to an environment and back",
     "user": "users and API keys of a Master on this machine",
 }
 

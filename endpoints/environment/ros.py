@@ -51,8 +51,9 @@ class Waited(Protocol):
 class RosThread:
     """One context, one node, one thread."""
 
-    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, loop: asyncio.AbstractEventLoop, name: str = NODE) -> None:
         self.loop = loop
+        self._name = name
         self.node: Node
         self.prefix: bytes  # what the gids of all our own publishers begin with
         self._context = Context()
@@ -154,7 +155,7 @@ class RosThread:
     def _begin(self) -> None:
         rclpy.init(context=self._context, args=[], signal_handler_options=SignalHandlerOptions.NO)
         self.node = rclpy.create_node(
-            NODE,
+            self._name,
             context=self._context,
             use_global_arguments=False,
             enable_rosout=False,
@@ -163,7 +164,9 @@ class RosThread:
         assert self._context.handle is not None  # since init
         self._handle = self._context.handle
         self._guard = _rclpy.GuardCondition(self._handle)
-        own = [info for info in self.node.get_publishers_info_by_topic("/parameter_events") if info.node_name == NODE]
+        own = [
+            info for info in self.node.get_publishers_info_by_topic("/parameter_events") if info.node_name == self._name
+        ]
         self.prefix = bytes(own[0].endpoint_gid[:12])
 
     def _spin(self) -> None:

@@ -35,6 +35,7 @@ from rce.sockets import tune
 txaio.use_asyncio()  # before Autobahn is imported: it asks once which of the two it runs on
 from autobahn.asyncio.websocket import WebSocketServerFactory, WebSocketServerProtocol  # noqa: E402
 from autobahn.websocket import protocol  # noqa: E402
+from autobahn.websocket.compress import PerMessageDeflateOffer, PerMessageDeflateOfferAccept  # noqa: E402
 from autobahn.websocket.types import ConnectionDeny, ConnectionRequest  # noqa: E402
 
 HIGH_WATER = 256 * 1024  # bytes in the transport at which the outbox keeps what follows, where it can be overtaken
@@ -84,6 +85,7 @@ class Greeting(Struct, frozen=True):
     secret: str
     features: frozenset[str]
     resume: str
+    compress: bool
     address: str
 
 
@@ -107,6 +109,7 @@ def read_request(request: ConnectionRequest) -> Greeting:
         secret=secret,
         features=m.FEATURES & frozenset(offered),
         resume=_optional(request, "resume"),
+        compress=_compress(_optional(request, "compress")),
         address=str(request.peer),
     )
 
@@ -123,6 +126,17 @@ def _optional(request: ConnectionRequest, name: str) -> str:
     if len(values) != 1:
         raise InvalidRequest(f"parameter {name} must be given at most once, not {len(values)} times")
     return str(values[0])
+
+
+def _compress(value: str) -> bool:
+    if value not in ("", "deflate"):
+        raise InvalidRequest(f"parameter compress may be deflate, not {value[:40]!r}")
+    return bool(value)
+
+
+def _accept_deflate(offers: list[Any]) -> PerMessageDeflateOfferAccept | None:
+    offer = next((offer for offer in offers if isinstance(offer, PerMessageDeflateOffer)), None)
+    return PerMessageDeflateOfferAccept(offer) if offer is not None else None
 
 
 def _denial(error: RceError, features: frozenset[str]) -> ConnectionDeny:
@@ -188,6 +202,8 @@ class RobotSocket(WebSocketServerProtocol):
             self._admitted = await self._door.login(greeting)
         except RceError as error:
             raise _denial(error, features) from None
+        if greeting.compress:  # browsers offer it always; it costs more than it gains unless the line is slow
+            self.perMessageCompressionAccept = _accept_deflate
         session = self._admitted.session
         if self.transport is None:
             self._door.disconnected(session)
@@ -332,6 +348,9 @@ class RobotSocket(WebSocketServerProtocol):
 
     def _send_binary(self, frame: BinaryFrame) -> None:
         """As `sendMessage`, which would copy the frame twice (RFC 6455, section 5.2: one final, unmasked frame)."""
+        if self._perMessageCompress is not None:
+            self.sendMessage(frame.join(), True)
+            return
         size = len(frame.head) + len(frame.data)
         if size < 126:
             length = bytes([size])

@@ -46,8 +46,8 @@ log.setLevel(logging.INFO)
 class Address:
     """Where the platform is and who wants in. `url` is that of the Master's entry (http or https).
 
-    Give `password` (in clear; its SHA-256 is sent, as in the original) or `key` (an API key). `ssl` replaces the
-    system's certificates for https and wss.
+    Give `password` (in clear; its SHA-256 is sent, as in the original) or `key` (an API key). `compress` asks for
+    deflated messages. `ssl` replaces the system's certificates for https and wss.
     """
 
     url: str
@@ -55,6 +55,7 @@ class Address:
     robot: str
     password: str | None = None
     key: str | None = None
+    compress: bool = False
     ssl: ssl.SSLContext | None = None
 
     def __post_init__(self) -> None:
@@ -95,6 +96,8 @@ class Address:
         """
         secret = {"key": self.key} if self.key is not None else {"password": _hash(self.password or "")}
         query = {"userID": self.user, "robotID": self.robot, **secret, "features": ",".join(sorted(FEATURES))}
+        if self.compress:
+            query["compress"] = "deflate"
         if token:
             query["resume"] = token
         parts = urlsplit(endpoint)
@@ -104,7 +107,7 @@ class Address:
                 uri,
                 ssl=(self.ssl or True) if parts.scheme == "wss" else None,
                 proxy=None if _is_loopback(endpoint) else True,
-                compression=None,
+                compression="deflate" if self.compress else None,
                 open_timeout=OPEN_TIMEOUT,
                 ping_interval=10,
                 close_timeout=2,

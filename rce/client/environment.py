@@ -12,7 +12,7 @@ from rce.errors import AlreadyExists
 from rce.messages import InterfaceType, ParameterValue, Qos
 
 if TYPE_CHECKING:  # the robot makes environments
-    from rce.client.operations import EnvironmentOptions
+    from rce.client.operations import EnvironmentOptions, Format
     from rce.client.robot import Robot
     from rce.client.services import ServiceClient, ServiceProvider
     from rce.client.topics import Publisher, Subscriber
@@ -62,10 +62,12 @@ class Environment:
         """Forget a parameter."""
         await self.robot.delete_parameter(self.tag, name, node=node)
 
-    async def publisher(self, topic: str, type_name: str, *, qos: Qos | None = None, raw: bool = False) -> Publisher:
+    async def publisher(
+        self, topic: str, type_name: str, *, qos: Qos | None = None, raw: bool = False, format: Format = "png"
+    ) -> Publisher:
         """The robot publishes on a topic of the environment."""
         to = await self._interface(topic, "pub", "PublisherInterface", type_name, qos)
-        return await self.robot.publisher(to.replace("/", "_"), type_name, to=to, raw=raw, qos=qos)
+        return await self.robot.publisher(to.replace("/", "_"), type_name, to=to, raw=raw, format=format, qos=qos)
 
     async def subscriber(
         self,
@@ -76,11 +78,12 @@ class Environment:
         depth: int = 10,
         qos: Qos | None = None,
         raw: bool = False,
+        format: Format = "png",
     ) -> Subscriber:
         """The robot receives what is published on a topic of the environment."""
         to = await self._interface(topic, "sub", "SubscriberInterface", type_name, qos)
         return await self.robot.subscriber(
-            to.replace("/", "_"), type_name, to=to, callback=callback, depth=depth, raw=raw, qos=qos
+            to.replace("/", "_"), type_name, to=to, callback=callback, depth=depth, raw=raw, format=format, qos=qos
         )
 
     async def service_client(self, service: str, type_name: str, *, raw: bool = False) -> ServiceClient:

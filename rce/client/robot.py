@@ -53,12 +53,16 @@ class Robot(Operations):
         password: str | None = None,
         key: str | None = None,
         timeout: float = 60.0,
+        compress: bool = False,
         ssl: tls.SSLContext | None = None,
     ) -> None:
-        """`password` in clear or an API `key`; `timeout` in seconds is for each command; `ssl` for own certificates."""
+        """`password` in clear or an API `key`; `timeout` in seconds is for each command; `ssl` for own certificates.
+
+        `compress` deflates all messages both ways, for lines that are slower than that.
+        """
         check_tag(user, "user")
         self.name = check_tag(robot, "robot")
-        session = Session(Address(url, user, robot, password, key, ssl), self, timeout)
+        session = Session(Address(url, user, robot, password, key, compress, ssl), self, timeout)
         super().__init__(session, Declared(robot))
         self._interfaces: dict[str, Interface] = {}
         self._readers: set[Stream[Event]] = set()

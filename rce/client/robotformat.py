@@ -5,15 +5,12 @@ The keys of the entries are the argument names of the original's Python client. 
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-import msgspec
-import yaml
 from msgspec import Struct
 
-from rce.errors import InvalidRequest
+from rce import structfile
 from rce.messages import (
     ALIASES,
     AddInterface,
@@ -115,14 +112,4 @@ class RobotFile(Struct, frozen=True, forbid_unknown_fields=True):
 
 def read(path: Path) -> RobotFile:
     """The robot of a file: YAML if its name ends in `.yaml` or `.yml`, else JSON. InvalidRequest names the place."""
-    try:
-        text = path.read_text(encoding="utf-8")
-        content: Any = yaml.safe_load(text) if path.suffix in (".yaml", ".yml") else json.loads(text)
-    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
-        raise InvalidRequest(f"{path}: {error}") from None
-    try:
-        return msgspec.convert(content, RobotFile)
-    except msgspec.ValidationError as error:
-        reason, _, place = str(error).partition(" - at `$")
-        place = place.rstrip("`").lstrip(".")
-        raise InvalidRequest(f"{path}: {place + ': ' if place else ''}{reason}", field=place) from None
+    return structfile.read(path, RobotFile)

@@ -1,0 +1,125 @@
+"""The program of a bridge: `python -P -m endpoints.bridge`."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import os
+import sys
+from collections.abc import Coroutine
+from pathlib import Path
+
+from twisted.internet.base import ReactorBase
+
+from endpoints.bridge.config import (
+    Action,
+    BridgeConfig,
+    EndRecording,
+    Record,
+    StartOffloading,
+    StopOffloading,
+    read,
+)
+from rce import loop
+from rce.errors import InvalidRequest, NotFound
+from rce.up import default_typesupport
+
+PROGRAM = "rce bridge"
+NODE = "rce_bridge"
+
+
+def parser() -> argparse.ArgumentParser:
+    whole = argparse.ArgumentParser(
+        prog=PROGRAM,
+        description="Carry topics, services and transforms of this robot's ROS 2 to an environment of the platform "
+        "and back, as CONFIG says.",
+        epilog="The ROS domain is that of ROS_DOMAIN_ID, as for every node. docs/bridge.md describes CONFIG.",
+    )
+    whole.add_argument("config", type=Path, metavar="CONFIG", help="YAML or JSON")
+    whole.add_argument("--check", action="store_true", help="only say whether CONFIG is right")
+    whole.add_argument(
+        "--typesupport",
+        default=default_typesupport(),
+        metavar="DIRS",
+        help="directories with built type support, comma-separated (default: what provisioning has built)",
+    )
+    return whole
+
+
+async def serve(config: BridgeConfig, typesupport: list[Path]) -> None:
+    """Until cancelled, or until the platform refuses what the file wants."""
+    from endpoints.bridge.bridge import Offloading  # they load ROS 2
+    from endpoints.bridge.ends import LocalRos
+    from endpoints.bridge.recorder import Recording
+    from endpoints.bridge.requests import Desk
+    from endpoints.environment.ros import RosThread
+
+    ros = RosThread(asyncio.get_running_loop(), NODE)
+    await ros.start()
+    local = LocalRos(ros, [*typesupport, *_system_prefixes(), Path(sys.prefix)])
+    offloading = Offloading(config, local)
+    recording: Recording | None = None
+
+    async def perform(action: Action) -> str:
+        nonlocal recording
+        match action:
+            case StartOffloading():
+                await offloading.start()
+                return f"offloading to {config.environment.tag}"
+            case StopOffloading():
+                await offloading.stop()
+                return "offloading is off"
+            case Record(topics, directory):
+                if recording is not None:
+                    raise InvalidRequest(f"a recording runs already: {recording.path}")
+                recording = await Recording.begin(local, topics, directory)
+                return f"recording into {recording.path}"
+            case EndRecording():
+                if recording is None:
+                    raise NotFound("no recording runs")
+                ended, recording = recording, None
+                ended.end()
+                return f"{ended.messages} messages recorded in {ended.path}"
+        raise AssertionError("every action is one of these")
+
+    desk = Desk(config.requests, perform)
+    try:
+        if config.requests:
+            await desk.open(local)
+        if config.offload:
+            await offloading.start()
+        await offloading.failed
+    finally:
+        desk.close()
+        if recording is not None:
+            recording.end()
+        await offloading.stop()
+        local.close()
+        await ros.stop()
+
+
+def _system_prefixes() -> list[Path]:
+    return [Path(entry) for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if entry]
+
+
+def main() -> int:
+    words = parser().parse_args()
+    try:
+        config = read(words.config)
+    except InvalidRequest as error:
+        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        return 2
+    if words.check:
+        print(f"{words.config} is right")
+        return 0
+    typesupport = [Path(entry) for entry in words.typesupport.split(",") if entry]
+    sys.path += [str(prefix / "python") for prefix in typesupport]
+
+    def run(reactor: ReactorBase) -> Coroutine[None, None, None]:
+        return serve(config, typesupport)
+
+    return loop.run(run)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

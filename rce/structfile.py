@@ -1,0 +1,30 @@
+"""Files that people write: YAML or JSON, read as a struct, with errors that name the place."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+import yaml
+from msgspec import Struct
+
+from rce.errors import InvalidRequest
+
+S = TypeVar("S", bound=Struct)
+
+
+def read(path: Path, kind: type[S]) -> S:
+    """The content of a file: YAML if its name ends in `.yaml` or `.yml`, else JSON. InvalidRequest."""
+    try:
+        text = path.read_text(encoding="utf-8")
+        content: Any = yaml.safe_load(text) if path.suffix in (".yaml", ".yml") else json.loads(text)
+    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
+        raise InvalidRequest(f"{path}: {error}") from None
+    try:
+        return msgspec.convert(content, kind)
+    except msgspec.ValidationError as error:
+        reason, _, place = str(error).partition(" - at `$")
+        place = place.rstrip("`").lstrip(".")
+        raise InvalidRequest(f"{path}: {place + ': ' if place else ''}{reason}", field=place) from None
