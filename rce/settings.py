@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from rce.errors import InvalidRequest
+from rce.structfile import path_hook
 
 S = TypeVar("S", bound=msgspec.Struct)
 PREFIX = "RCE_"
@@ -46,7 +47,7 @@ def load(kind: type[S], program: str, arguments: Sequence[str], environment: Map
     _merge(kind, values, {key: value for key, value in from_environment.items() if value is not None}, "environment")
     _merge(kind, values, {key: value for key, value in given.items() if value is not None}, "command line")
     try:
-        return msgspec.convert(values, kind, strict=False, dec_hook=_path)
+        return msgspec.convert(values, kind, strict=False, dec_hook=path_hook)
     except msgspec.ValidationError as error:
         raise InvalidRequest(f"{program}: {error}") from None
 
@@ -76,12 +77,6 @@ def _described(annotation: Any) -> tuple[msgspec.inspect.Type, str]:
     return kind, description
 
 
-def _path(kind: type[Any], value: object) -> Path:
-    if kind is Path and isinstance(value, str | Path):
-        return Path(value).expanduser()
-    raise NotImplementedError(f"settings of type {kind} are not supported")
-
-
 def _read(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text())
@@ -97,6 +92,6 @@ def _merge(kind: type[msgspec.Struct], into: dict[str, Any], values: Mapping[str
         if isinstance(value, str) and isinstance(_described(fields[key])[0], msgspec.inspect.ListType):
             value = [part for part in value.split(",") if part]
         try:
-            into[key] = msgspec.convert(value, fields[key], strict=False, dec_hook=_path)
+            into[key] = msgspec.convert(value, fields[key], strict=False, dec_hook=path_hook)
         except msgspec.ValidationError as error:
             raise InvalidRequest(f"{source}: setting {key} = {value!r}: {error}", field=key) from None

@@ -23,8 +23,15 @@ def read(path: Path, kind: type[S]) -> S:
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise InvalidRequest(f"{path}: {error}") from None
     try:
-        return msgspec.convert(content, kind)
+        return msgspec.convert(content, kind, dec_hook=path_hook)
     except msgspec.ValidationError as error:
         reason, _, place = str(error).partition(" - at `$")
         place = place.rstrip("`").lstrip(".")
         raise InvalidRequest(f"{path}: {place + ': ' if place else ''}{reason}", field=place) from None
+
+
+def path_hook(kind: type[Any], value: object) -> Path:
+    """How msgspec makes paths, which it does not know, of strings; `~` is the user's home."""
+    if kind is Path and isinstance(value, str | Path):
+        return Path(value).expanduser()
+    raise NotImplementedError(f"fields of type {kind} are not supported")

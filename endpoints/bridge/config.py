@@ -96,19 +96,7 @@ class EndRecording(Struct, frozen=True, forbid_unknown_fields=True, tag_field="a
     """End the recording that runs."""
 
 
-class BuildMap(Struct, frozen=True, forbid_unknown_fields=True, tag_field="action", tag="build_map"):
-    """Have the cloud build a map of what was recorded last (ends a recording that runs).
-
-    The map is published on `topic`, latched; with `out` its files are written there.
-    """
-
-    topic: str = "/cloud_map"
-    scan: str = "/scan"
-    odometry: str = "/odom"
-    out: Path | None = None
-
-
-Action = StartOffloading | StopOffloading | Record | EndRecording | BuildMap
+Action = StartOffloading | StopOffloading | Record | EndRecording
 
 
 class BridgeConfig(Struct, frozen=True, forbid_unknown_fields=True):

@@ -32,8 +32,8 @@ class Pace:
         now = self._clock()
         if now < self._next:
             return False
-        # From when it was due, so that the mean rate is kept; from now on after a silence.
-        self._next = max(self._next, now - self._pause) + self._pause
+        following = self._next + self._pause  # not from now on, so that the mean rate is kept
+        self._next = following if following > now else now + self._pause
         return True
 
 

@@ -101,7 +101,7 @@ class Guests:
     async def robot(self, tag: str, features: str = "", **more: Any) -> Robot:
         query = f"userID={more.pop('user', USER)}&robotID={tag}&password={PASSWORD}"
         query += f"&features={features}" if features else ""
-        query += "".join(f"&{key}={more.pop(key)}" for key in ("resume",) if key in more)
+        query += "".join(f"&{key}={more.pop(key)}" for key in ("resume", "compress") if key in more)
         more = {"max_size": None, "compression": None, "close_timeout": 1, "ping_interval": None} | more
         socket = await connect(f"ws://127.0.0.1:{self.port}/?{query}", **more)
         self._open.append(socket)

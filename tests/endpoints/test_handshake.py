@@ -36,6 +36,7 @@ TABLE = [
     (f"{GOOD}&password=x", 400, "password"),
     (f"{GOOD}&key=x", 400, "password"),
     (f"{GOOD}&resume=a&resume=b", 400, "resume"),
+    (f"{GOOD}&compress=zip", 400, "compress"),
     (f"{GOOD}&features=ack&features=ack", 400, "features"),
     (f"userID={USER}&robotID=r&password={'0' * 64}", 401, ""),
     (f"userID={USER}&robotID=r&password=", 400, "password"),

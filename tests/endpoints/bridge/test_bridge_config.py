@@ -1,0 +1,52 @@
+"""The file of a bridge."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from endpoints.bridge.config import Record, read
+from rce.errors import InvalidRequest
+
+HEAD = "{url: 'http://cloud:9000/', user: u, robot: r, environment: {tag: e}"
+
+
+def config(tmp_path: Path, rest: str) -> Path:
+    path = tmp_path / "bridge.yaml"
+    path.write_text(f"{HEAD}{', ' if rest else ''}{rest}}}")
+    return path
+
+
+def test_a_credential_may_stand_in_the_environment(tmp_path: Path) -> None:
+    assert read(config(tmp_path, ""), {"RCE_KEY": "k", "RCE_PASSWORD": "p"}).key == "k"
+    assert read(config(tmp_path, ""), {"RCE_PASSWORD": "p"}).password == "p"
+    assert read(config(tmp_path, "key: own"), {"RCE_PASSWORD": "p"}).password is None
+
+
+def test_requests_by_their_ids(tmp_path: Path) -> None:
+    actions = "rec: {action: record, topics: {/scan: sensor_msgs/LaserScan}, directory: ~/bags}"
+    requests = read(config(tmp_path, f"key: k, requests: {{{actions}}}")).requests
+    assert requests == {
+        "rec": Record({"/scan": "sensor_msgs/LaserScan"}, Path("~/bags").expanduser()),
+    }
+
+
+@pytest.mark.parametrize(
+    ("rest", "where"),
+    [
+        ("", "give a key or a password"),
+        ("key: k, password: p", "give a key or a password"),
+        ("key: k, sned: {}", "unknown field `sned`"),
+        ("key: k, send: {topics: [{topic: /a}]}", "send.topics"),
+        ("key: k, send: {topics: [{topic: /a, type: a/B, rate: -1}]}", "rate"),
+        ("key: k, send: {topics: [{topic: /a, type: a/B, qos: {history: keep_all}}]}", r"send.topics\[0\].qos"),
+        ("key: k, receive: {topics: [{topic: /a, type: a/B, format: png}]}", r"receive.topics\[0\].format"),
+        ("key: k, send: {tf: {frames: []}}", "send.tf.frames"),
+        ("key: k, requests: {x: {action: dance}}", "dance"),
+    ],
+)
+def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, rest: str, where: str) -> None:
+    with pytest.raises(InvalidRequest, match=where) as caught:
+        read(config(tmp_path, rest), {})
+    assert str(tmp_path / "bridge.yaml") in str(caught.value)
