@@ -16,16 +16,19 @@ from twisted.internet.address import IPv4Address, IPv6Address
 from twisted.internet.base import ReactorBase
 from twisted.internet.interfaces import IListeningPort
 from twisted.logger import Logger
+from twisted.web.server import Site
 
 from master.entry import Entry
 from master.groups import PREFIX
+from master.machines import Registrar, Registry, SmallRequest, port_of
 from master.policies import IMAGES, Policy, parse, with_changes
 from master.records import GROUP_POOL, Role
 from master.redirect import EntrySite
 from master.service import Master
 from master.store import Store
-from master.users import Users
+from master.users import Processes, Users
 from rce import control, loop, settings
+from rce.certificates import CA, CERTIFICATE, KEY, Authority
 from rce.errors import InvalidRequest
 from rce.ready import Ready, announce
 
@@ -48,6 +51,11 @@ class Settings(Struct):
         list[str], Meta(description="limits of users who have none of their own, key=value as in `rce user limits`")
     ] = []
     images: Annotated[list[str], Meta(description="images that all users may run, beside the platform's own")] = []
+    tls: Annotated[str, Meta(description="directory with ca.pem, cert.pem, key.pem for control connections")] = ""
+    machines: Annotated[str, Meta(description="Twisted server endpoint where machines join (tcp:8081); needs tls")] = ""
+    authority_key: Annotated[str, Meta(description="PEM file: the key of ca.pem, which signs their certificates")] = ""
+    address: Annotated[str, Meta(description="HOST by which other machines reach this Master, for join codes")] = ""
+    source: Annotated[str, Meta(description="archive of RCE that machines may fetch where they join")] = ""
     tokens: Annotated[list[str], Meta(description="one-time join tokens role:process:token of processes to come")] = []
 
 
@@ -68,8 +76,10 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     try:
         endpoint = endpoints.serverFromString(reactor, http)
         ports.append(await endpoint.listen(EntrySite(Entry(master.state))).asFuture(asyncio.get_running_loop()))
+        if options.machines:
+            ports.append(await _registry(reactor, options, master.processes))
         scheme = "https" if http.startswith("ssl") else "http"
-        inside, outside = (f"{address.host}:{address.port}" for address in map(_address, ports))
+        inside, outside = (f"{address.host}:{address.port}" for address in map(_address, ports[:2]))
         log.info("Master serves robots at {http}, its processes at {control}", http=outside, control=inside)
         announce(Ready("master", f"{scheme}://{outside}/", f"tcp:{inside}"))
         await asyncio.Event().wait()
@@ -83,6 +93,23 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
 def platform_policy(options: Settings) -> Policy:
     """What users may have who have no limits of their own. InvalidRequest."""
     return with_changes(Policy(images=[*IMAGES, *options.images]), parse(options.limits))
+
+
+async def _registry(reactor: ReactorBase, options: Settings, processes: Processes) -> IListeningPort:
+    """Where new machines join."""
+    if not (options.tls and options.authority_key and options.address):
+        raise InvalidRequest("machines can join with the settings tls, authority_key and address only")
+    tls = Path(options.tls)
+    authority = Authority.load(tls / CA, Path(options.authority_key))
+    registrar = Registrar(processes, authority, f"{options.address}:{port_of(options.control)}")
+    registry = Registry(registrar, Path(options.source) if options.source else None)
+    key, certificate = (endpoints.quoteStringArgument(str(tls / name)) for name in (KEY, CERTIFICATE))
+    description = f"ssl:{options.machines.partition(':')[2]}:privateKey={key}:certKey={certificate}"
+    endpoint = endpoints.serverFromString(reactor, description)
+    port: IListeningPort = await endpoint.listen(Site(registry, requestFactory=SmallRequest)).asFuture(
+        asyncio.get_running_loop()
+    )
+    return port
 
 
 def _address(port: IListeningPort) -> IPv4Address | IPv6Address:

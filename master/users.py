@@ -26,6 +26,7 @@ UserRole = Literal["admin", "operator", "user", "viewer", "robot"]
 MAY_DRIVE: frozenset[UserRole] = frozenset({"operator", "user", "robot"})  # may connect as a robot
 KEY_PREFIX = "rce_"
 CHECKS_AT_ONCE = 2
+MACHINE = "machine"  # the role of a token that is a machine's invitation
 
 
 class Principal(Struct, frozen=True):
@@ -162,9 +163,33 @@ class Processes:
 
         await self._store.run(put)
 
+    async def invite(self, machine: str, invitation: str) -> None:
+        """Let a machine join once with an invitation of this digest; an earlier one of the same machine is void."""
+
+        def put(connection: sa.Connection) -> None:
+            unused = sa.and_(db.tokens.c.process == machine, db.tokens.c.role == MACHINE, db.tokens.c.used.is_(False))
+            connection.execute(db.tokens.delete().where(unused))
+            row = {"digest": invitation, "process": machine, "role": MACHINE, "used": False}
+            connection.execute(db.tokens.insert(), row)
+
+        await self._store.run(put)
+
+    async def redeem(self, machine: str, invitation: str) -> bool:
+        """Whether the invitation of this digest was good; it is used up."""
+        where = sa.and_(
+            db.tokens.c.digest == invitation,
+            db.tokens.c.process == machine,
+            db.tokens.c.role == MACHINE,
+            db.tokens.c.used.is_(False),
+        )
+        statement = db.tokens.update().where(where).values(used=True)
+        return bool(await self._store.run(lambda connection: connection.execute(statement).rowcount))
+
     async def admit(self, process: str, role: str, secret: str) -> str:
         """The credential of a process that presents its token or its earlier credential. Unauthorized."""
         fresh = secrets.token_hex(32)
+        if role == MACHINE:
+            raise Unauthorized("an invitation is for a machine, not for a process")
 
         def check(connection: sa.Connection) -> str | None:
             known = connection.execute(sa.select(db.credentials).where(db.credentials.c.process == process)).first()
@@ -187,6 +212,11 @@ class Processes:
         if credential is None:
             raise Unauthorized(f"{role} {process} may not join: its token is unknown or was used; get a new one")
         return credential
+
+    async def names(self) -> list[str]:
+        """The processes that have joined at least once; environments are not among them."""
+        query = sa.select(db.credentials.c.process).where(db.credentials.c.role != "environment")
+        return await self._store.run(lambda connection: sorted(connection.scalars(query)))
 
     async def forget(self, process: str) -> None:
         """The process shall not join again."""

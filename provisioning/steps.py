@@ -73,14 +73,14 @@ def begin_log() -> None:
     LOG.write_text("")
 
 
-def run(*command: str | Path, environment: Mapping[str, str] | None = None, secret: bool = False) -> str:
+def run(*command: str | Path, environment: Mapping[str, str] | None = None, secret: str | None = None) -> str:
     """Run a program with its output in the log; returns what it printed. Raises Failed.
 
-    With `secret` neither its arguments nor its output go to the log.
+    With `secret`, which becomes its input, neither its arguments nor its output go to the log.
     """
     words = list(map(str, command))
-    shown = f"{words[0]} …" if secret else shlex.join(words)
-    with tempfile.TemporaryFile() if secret else LOG.open("ab") as log:
+    shown = shlex.join(words[:1]) + " …" if secret is not None else shlex.join(words)
+    with tempfile.TemporaryFile() if secret is not None else LOG.open("ab") as log:
         log.write(f"\n$ {shown}\n".encode())
         log.flush()
         begin = log.tell()
@@ -89,20 +89,20 @@ def run(*command: str | Path, environment: Mapping[str, str] | None = None, secr
                 words,
                 cwd=ROOT,
                 env={**os.environ, **(environment or {})},
-                stdin=subprocess.DEVNULL,
+                input=(secret or "").encode(),
                 stdout=log,
                 stderr=log,
             )
         except OSError as error:
             raise Failed(f"{words[0]} cannot be run: {error}") from None
-        if secret:
+        if secret is not None:
             log.seek(begin)
             output = log.read().decode(errors="replace")
         else:
             output = LOG.read_bytes()[begin:].decode(errors="replace")
     if done.returncode:
         tail = "\n".join(output.splitlines()[-30:])
-        rest = "" if secret else f"; all of its output is in {LOG}"
+        rest = "" if secret is not None else f"; all of its output is in {LOG}"
         raise Failed(f"{tail}\n\n{shown}\nended with status {done.returncode}{rest}")
     return output
 

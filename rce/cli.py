@@ -17,6 +17,7 @@ PROGRAMS = {
     "environment": "run an Environment endpoint (the task set does this)",
     "bridge": "carry topics of a robot that runs ROS 2 to an environment and back",
     "user": "users and API keys of a Master on this machine",
+    "machine": "machines that may join a Master on this machine",
 }
 
 

@@ -1,0 +1,85 @@
+"""`rce machine`: invites machines, straight in the database of a Master on this machine, running or not."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import get_args
+
+import msgspec
+
+from master.__main__ import Settings
+from master.machines import HOURS, invite, port_of
+from master.store import Store
+from master.users import Processes
+from rce import settings
+from rce.certificates import CA, fingerprint
+from rce.errors import InvalidRequest, RceError
+from rce.joining import JoinCode, Role, process_name
+
+ROLES: tuple[Role, ...] = get_args(Role)
+CONFIG = Path("/etc/rce/master.toml")
+
+
+def parser() -> argparse.ArgumentParser:
+    whole = argparse.ArgumentParser(prog="rce machine", description="Machines of the platform.")
+    whole.add_argument("--config", type=Path, default=CONFIG, help="the Master's settings (default: %(default)s)")
+    commands = whole.add_subparsers(dest="command", required=True)
+    add = commands.add_parser("add", help="invite a machine: prints a code that is good for one machine, once")
+    add.add_argument("name")
+    add.add_argument("--role", action="append", choices=ROLES, help="what it shall run (default: all)")
+    add.add_argument("--address", default="", help="by which others reach it (default: the one that it comes from)")
+    add.add_argument("--hours", type=float, default=HOURS, help="for which the code is good (default: %(default)g)")
+    remove = commands.add_parser("remove", help="let a machine join no more")
+    remove.add_argument("name")
+    listing = commands.add_parser("list", help="list the machines, whether they run or not")
+    listing.add_argument("--json", action="store_true")
+    return whole
+
+
+async def run(words: argparse.Namespace) -> None:
+    options = settings.load(Settings, "rce machine", ["--config", str(words.config)], {})
+    store = Store(options.database or f"sqlite:///{options.data_dir / 'master.db'}")
+    await store.open()
+    try:
+        await _act(Processes(store), options, words)
+    finally:
+        await store.close()
+
+
+async def _act(processes: Processes, options: Settings, words: argparse.Namespace) -> None:
+    match words.command:
+        case "add":
+            if not options.machines:
+                raise InvalidRequest(f"{words.config} has no setting `machines`: this Master takes no machines in")
+            invitation = await invite(processes, words.name, words.role or ROLES, words.address, words.hours)
+            url = f"https://{_bracketed(options.address)}:{port_of(options.machines)}/"
+            print(JoinCode(url, fingerprint((Path(options.tls) / CA).read_text()), invitation).text())
+        case "remove":
+            for role in ROLES:
+                await processes.forget(process_name(words.name, role))
+            await processes.forget(words.name)
+        case "list":
+            names = await processes.names()
+            print(msgspec.json.encode(names).decode() if words.json else "\n".join(names))
+
+
+def _bracketed(host: str) -> str:
+    return f"[{host}]" if ":" in host else host
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    words = parser().parse_args(arguments)
+    try:
+        asyncio.run(run(words))
+    except (RceError, OSError) as error:
+        print(f"rce machine: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

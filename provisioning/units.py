@@ -1,0 +1,90 @@
+"""The services as systemd units, each with no more rights than it uses. Standard library only."""
+
+from __future__ import annotations
+
+from provisioning.system import CURRENT, ETC, USER, VAR
+
+WHAT = {"master": "Master", "robot": "Robot endpoint", "container": "Container task set"}
+SECRETS = {  # of the Master, which the other services on its machine do not see
+    "robot": (f"{ETC}/authority", f"{ETC}/master.toml", f"{ETC}/container.toml", f"{VAR}/master"),
+    "container": (f"{ETC}/authority", f"{ETC}/master.toml", f"{VAR}/master"),
+    "master": (),
+}
+HARDENING = """\
+NoNewPrivileges=yes
+CapabilityBoundingSet=
+AmbientCapabilities=
+ProtectSystem=strict
+ProtectHome=yes
+ProtectProc=invisible
+ProtectClock=yes
+ProtectHostname=yes
+ProtectKernelLogs=yes
+ProtectKernelModules=yes
+ProtectKernelTunables=yes
+ProtectControlGroups=yes
+PrivateTmp=yes
+PrivateDevices=yes
+RestrictNamespaces=yes
+RestrictRealtime=yes
+RestrictSUIDSGID=yes
+LockPersonality=yes
+KeyringMode=private
+UMask=0077
+SystemCallArchitectures=native
+SystemCallFilter=@system-service
+SystemCallErrorNumber=EPERM
+"""
+# The robots' and machines' ports are theirs; nothing that they run is a program of somebody else. An own user namespace
+# keeps them from the memory of the task set, which has the same user and may have Docker.
+FACING_THE_NETWORK = """\
+PrivateUsers=yes
+RemoveIPC=yes
+SystemCallFilter=~@privileged @resources
+RestrictAddressFamilies=AF_INET AF_INET6 AF_UNIX
+"""
+# Environments outlive the task set, which the next one adopts; the process engine sets their limits and DDS asks the
+# kernel for the network interfaces.
+WITH_ENVIRONMENTS = """\
+KillMode=process
+RestrictAddressFamilies=AF_INET AF_INET6 AF_UNIX AF_NETLINK
+"""
+
+
+def text(role: str, engine: str = "") -> str:
+    """The unit of a role."""
+    return (
+        f"[Unit]\n"
+        f"Description=RCE {WHAT[role]}\n"
+        f"After=network-online.target{_after(role, engine)}\n"
+        f"Wants=network-online.target\n"
+        f"StartLimitIntervalSec=0\n"  # it waits for a Master that is away, or upgraded first, as long as that takes
+        f"\n[Service]\n"
+        f"ExecStart={CURRENT}/bin/rce {role} --config {ETC}/{role}.toml\n"
+        f"User={USER}\nGroup={USER}\n"
+        f"{_docker(role, engine)}"
+        f"StateDirectory=rce/{role}\nStateDirectoryMode=0700\n"
+        f"Restart=always\nRestartSec=2\nTimeoutStopSec=60\n"
+        f"LimitNOFILE=65536\n"
+        f"{HARDENING}"
+        f"{WITH_ENVIRONMENTS if role == 'container' else FACING_THE_NETWORK}"
+        f"{''.join(f'InaccessiblePaths=-{path}{chr(10)}' for path in SECRETS[role])}"
+        f"\n[Install]\nWantedBy=multi-user.target\n"
+    )
+
+
+def _after(role: str, engine: str) -> str:
+    """Order only: each may run without the other, and finds it when it is there."""
+    first = "" if role == "master" else " rce-master.service"
+    return first + (" docker.service" if role == "container" and engine == "docker" else "")
+
+
+def _docker(role: str, engine: str) -> str:
+    """Who may speak to Docker is as good as root, so this one service may, not the user that it shares with others."""
+    return "SupplementaryGroups=docker\n" if role == "container" and engine == "docker" else ""
+
+
+def command(role: str, engine: str = "") -> str:
+    """What the unit starts, by hand."""
+    groups = " -G docker" if _docker(role, engine) else ""
+    return f"runuser -u {USER} -g {USER}{groups} -- {CURRENT}/bin/rce {role} --config {ETC}/{role}.toml"
