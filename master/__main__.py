@@ -102,7 +102,10 @@ async def _registry(reactor: ReactorBase, options: Settings, processes: Processe
     tls = Path(options.tls)
     authority = Authority.load(tls / CA, Path(options.authority_key))
     registrar = Registrar(processes, authority, f"{options.address}:{port_of(options.control)}")
-    registry = Registry(registrar, Path(options.source) if options.source else None)
+    try:
+        registry = Registry(registrar, Path(options.source) if options.source else None)
+    except OSError as error:
+        raise InvalidRequest(f"setting source: {error}", field="source") from None
     key, certificate = (endpoints.quoteStringArgument(str(tls / name)) for name in (KEY, CERTIFICATE))
     description = f"ssl:{options.machines.partition(':')[2]}:privateKey={key}:certKey={certificate}"
     endpoint = endpoints.serverFromString(reactor, description)

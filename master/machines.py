@@ -18,7 +18,6 @@ from twisted.logger import Logger
 from twisted.web import http
 from twisted.web.resource import Resource
 from twisted.web.server import NOT_DONE_YET, Request
-from twisted.web.static import File
 
 import rce
 from master.users import Processes
@@ -96,10 +95,14 @@ class Registry(Resource):
 
     def __init__(self, registrar: Registrar, source: Path | None) -> None:
         super().__init__()  # type: ignore[no-untyped-call]  # Twisted's
-        self.putChild(b"authority", _Authority(registrar.authority.certificate))  # type: ignore[arg-type]  # zope declares it otherwise
-        self.putChild(b"machines", _Machines(registrar))  # type: ignore[arg-type]
+        children = {
+            b"authority": _Fixed(registrar.authority.certificate.encode(), "application/x-pem-file"),
+            b"machines": _Machines(registrar),
+        }
         if source is not None:
-            self.putChild(b"source", File(str(source), defaultType="application/gzip"))  # type: ignore[arg-type]
+            children[b"source"] = _Fixed(source.read_bytes(), "application/gzip")
+        for name, child in children.items():
+            self.putChild(name, child)  # type: ignore[arg-type]  # zope declares it otherwise
 
 
 class SmallRequest(Request):
@@ -111,16 +114,17 @@ class SmallRequest(Request):
         super().gotLength(min(length or 0, LARGEST_BODY))  # type: ignore[no-untyped-call]
 
 
-class _Authority(Resource):
+class _Fixed(Resource):
     isLeaf = True
 
-    def __init__(self, certificate: str) -> None:
+    def __init__(self, content: bytes, kind: str) -> None:
         super().__init__()  # type: ignore[no-untyped-call]
-        self._certificate = certificate
+        self._content = content
+        self._kind = kind
 
     def render_GET(self, request: Request) -> bytes:
-        request.setHeader("content-type", "application/x-pem-file")
-        return self._certificate.encode()
+        request.setHeader("content-type", self._kind)
+        return self._content
 
 
 class _Machines(Resource):
