@@ -50,7 +50,7 @@ async def serve(reactor: ReactorBase, settings: Settings) -> None:
             relay,
         )
         try:
-            if settings.data_host:
+            if settings.data_host and settings.engine != "swarm":
                 await relay.listen(settings.data_host, settings.data_port, settings.data_address)
             await task_set.run(stop_environments=settings.stop_environments)
         finally:
@@ -73,8 +73,27 @@ def make_engine(reactor: ReactorBase, settings: Settings, relay: DataRelay, ende
         )
     try:
         from containers.docker import DockerEngine
+        from containers.swarm import AgentService, SwarmEngine
     except ModuleNotFoundError as error:
-        raise StartFailed(f"the docker engine needs docker-py ({error}): pip install 'rce[docker]'") from None
+        raise StartFailed(
+            f"the {settings.engine} engine needs docker-py ({error}): pip install 'rce[docker]'"
+        ) from None
+    read_only = [path for path in (*packages, settings.typesupport) if path]
+    if settings.engine == "swarm":
+        return SwarmEngine(
+            settings.size,
+            settings.features,
+            ended,
+            reactor=reactor,
+            platform=settings.own_name,
+            directory=directory,
+            master=settings.master,
+            image=settings.image,
+            settings=surroundings,
+            agent=AgentService(settings.agent_image, settings.agent_address, settings.data_port, settings.agent_mounts),
+            stay=not settings.stop_environments,
+            read_only=read_only,
+        )
     return DockerEngine(
         settings.size,
         settings.features,
@@ -88,7 +107,7 @@ def make_engine(reactor: ReactorBase, settings: Settings, relay: DataRelay, ende
         relay=relay,
         host=settings.host,
         gpus=settings.gpus,
-        read_only=[path for path in (*packages, settings.typesupport) if path],
+        read_only=read_only,
     )
 
 

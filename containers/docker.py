@@ -23,17 +23,15 @@ from twisted.logger import Logger
 
 from containers import docker_disks
 from containers.data_relay import GATE, DataRelay
-from containers.docker_daemon import RUN, Daemon, Found
+from containers.docker_daemon import RUN, Daemon, Found, describe
 from containers.docker_events import Event
-from containers.docker_options import CONTROL, Machine, Places, limits, owner, reference, variables, walls
+from containers.docker_options import CONTROL, Machine, Places, Size, limits, owner, reference, variables, walls
 from containers.engine import LAST_LINES, Ended, Engine, Life
 from containers.logfile import LONGEST_LINE
-from containers.processes import describe_end
 from containers.relay import Relay
 from rce.calls import EnvironmentSpec
 from rce.errors import NoCapacity, StartFailed, Unavailable
 from rce.host import host_identity
-from rce.slots import MB
 
 log = Logger()
 COMMAND: Sequence[str] = ("python3", "-P", "-m", "endpoints.environment")
@@ -94,7 +92,7 @@ class DockerEngine(Engine):
 
     async def launch(self, spec: EnvironmentSpec) -> None:
         gpus = self._free_gpus(spec)
-        granted = limits(spec, gpus)
+        granted = limits(spec, gpus, Size.here())
         if spec.options.disk:
             docker_disks.check(spec.options.disk)
         try:
@@ -238,10 +236,7 @@ class DockerEngine(Engine):
         if state is None:
             self.died(name, run, "was removed", None)
             return
-        status = 128 - state.status if state.status > 128 else state.status  # negative: ended by a signal
-        reason = describe_end(status)
-        if state.out_of_memory:
-            reason += f"; it had used up its memory of {state.memory // MB} MB"
+        status, reason = describe(state)
         self.died(name, run, reason, status)
 
     async def _see_all(self) -> None:

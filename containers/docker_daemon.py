@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TypeVar
 
-import docker
-import requests
-from docker.errors import APIError, DockerException, ImageNotFound, NotFound
+from docker.errors import APIError, ImageNotFound, NotFound
 from msgspec import Struct
-from twisted.logger import Logger
 
+from containers.docker_api import Asked, said
 from containers.docker_disks import device_below
-from containers.docker_events import Event, Events
+from containers.docker_events import ENDS, Event, Events
 from containers.docker_options import Machine, Walls
+from containers.processes import describe_end
 from rce import __version__
-from rce.errors import StartFailed, Unavailable
+from rce.errors import StartFailed
+from rce.slots import MB
 
-log = Logger()
 ENVIRONMENT, RUN, SIZE, GPUS = "rce.environment", "rce.run", "rce.size", "rce.gpus"
 VERSION = "rce.version"  # of images
 STOP_TIMEOUT = 12  # seconds; the endpoint stops its nodes by SIGINT, SIGTERM, SIGKILL in less
-ANSWER_TIMEOUT = 60  # seconds for one answer of the daemon
-THREADS = 8
 CONFLICT = 409  # another removal of the same container is under way
-R = TypeVar("R")
 
 
 class Found(Struct, frozen=True):
@@ -49,25 +42,19 @@ class State(Struct, frozen=True):
     memory: int
 
 
-class Daemon:
-    """The daemon of DOCKER_HOST, by default this machine's. All containers made here get `labels`, and only what has
-    them is seen.
-
-    A call that is cancelled has been carried out all the same when the cancellation comes through. All calls raise
-    Unavailable when the daemon does not answer.
-    """
+class Daemon(Asked):
+    """All containers made here get `labels`, and only what has them is seen."""
 
     def __init__(self, labels: Mapping[str, str]) -> None:
+        super().__init__()
         self._labels = dict(labels)
         self._filter = [f"{key}={value}" for key, value in labels.items()]
-        self._threads = ThreadPoolExecutor(THREADS, "docker")
-        self._api: docker.APIClient
         self._events: Events | None = None
 
     async def connect(self, happened: Callable[[Event], None], taken_up: Callable[[], None]) -> None:
-        """Find the daemon and follow its events; see `Events`."""
-        self._api = await self._call(_connect)
-        self._events = Events(self._api, self._filter, happened, taken_up)
+        """Find the daemon and follow the ends of containers; see `Events`."""
+        await self.reach()
+        self._events = Events(self._api, {**ENDS, "label": self._filter}, happened, taken_up)
         self._events.start()
 
     def close(self) -> None:
@@ -91,7 +78,11 @@ class Daemon:
 
     async def remove(self, name: str) -> None:
         """Stop and remove the containers of an environment, if there are any."""
-        await self._call(lambda: self._remove(name))
+        await self.remove_all(f"{ENVIRONMENT}={name}")
+
+    async def remove_all(self, label: str) -> None:
+        """Stop and remove the containers with this label too, if there are any."""
+        await self._call(lambda: self._remove(label))
 
     async def state(self, run: str) -> State | None:
         """How a container stands, None if there is none."""
@@ -101,20 +92,6 @@ class Daemon:
         """The last lines of output."""
         output = await self._call(lambda: self._output(run, count))
         return output.decode(errors="replace").splitlines()
-
-    async def _call(self, work: Callable[[], R]) -> R:
-        future = asyncio.get_running_loop().run_in_executor(self._threads, work)
-        try:
-            return await asyncio.shield(future)
-        except asyncio.CancelledError:
-            await asyncio.wait([future])
-            if not future.cancelled() and (error := future.exception()):
-                log.info("a call that was cancelled failed: {error}", error=str(error))
-            raise
-        except requests.RequestException as error:
-            raise Unavailable(f"Docker does not answer: {error}") from None
-        except DockerException as error:
-            raise Unavailable(f"Docker: {said(error)}") from None
 
     # --- in threads ---------------------------------------------------------------------------------------------------
 
@@ -170,8 +147,8 @@ class Daemon:
             for each in self._api.containers(all=True, filters={"label": labels})
         ]
 
-    def _remove(self, name: str) -> None:
-        for found in self._list([*self._filter, f"{ENVIRONMENT}={name}"]):
+    def _remove(self, label: str) -> None:
+        for found in self._list([*self._filter, label]):
             try:
                 self._api.stop(found.id, timeout=STOP_TIMEOUT)
                 self._api.remove_container(found.id, force=True, v=True)
@@ -183,7 +160,7 @@ class Daemon:
 
     def _state(self, run: str) -> State | None:
         try:
-            seen = self._api.inspect_container(_container(run))
+            seen = self._api.inspect_container(self._id(run))
         except NotFound:
             return None
         state = seen["State"]
@@ -191,14 +168,27 @@ class Daemon:
 
     def _output(self, run: str, count: int) -> bytes:
         try:
-            output: bytes = self._api.logs(_container(run), tail=count)
+            output: bytes = self._api.logs(self._id(run), tail=count)
         except NotFound:
             return b""
         return output
 
+    def _id(self, run: str) -> str:
+        """The container of a life, whoever has named it; NotFound."""
+        found = self._api.containers(all=True, filters={"label": [*self._filter, f"{RUN}={run}"]})
+        if not found:
+            raise NotFound(f"no container of {run}")
+        container: str = found[0]["Id"]
+        return container
 
-def _connect() -> docker.APIClient:
-    return docker.APIClient(**docker.utils.kwargs_from_env(), version="auto", timeout=ANSWER_TIMEOUT)
+
+def describe(state: State) -> tuple[int, str]:
+    """The exit status of a container that has ended, negative if by a signal, and what happened."""
+    status = 128 - state.status if state.status > 128 else state.status
+    reason = describe_end(status)
+    if state.out_of_memory:
+        reason += f"; it had used up its memory of {state.memory // MB} MB"
+    return status, reason
 
 
 def _labels(found: Found) -> dict[str, str]:
@@ -209,8 +199,3 @@ def _labels(found: Found) -> dict[str, str]:
 def _container(run: str) -> str:
     """The name of a container."""
     return f"rce-{run}"
-
-
-def said(error: Exception) -> str:
-    """What went wrong in Docker's own words."""
-    return str(getattr(error, "explanation", None) or error)

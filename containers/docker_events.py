@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Callable, Sequence
-from typing import TypedDict
+from collections.abc import Callable, Mapping
+from typing import Any, TypedDict
 
 import docker
 import requests
@@ -16,6 +16,7 @@ from twisted.logger import Logger
 
 log = Logger()
 PAUSE = 1.0  # seconds until the stream is taken up again after it broke
+ENDS: Mapping[str, Any] = {"type": "container", "event": "die"}
 
 
 class Actor(TypedDict):
@@ -25,11 +26,12 @@ class Actor(TypedDict):
 class Event(TypedDict):
     """Of Docker's fields that which matters: whose container it is, by its labels."""
 
+    Action: str
     Actor: Actor
 
 
 class Events:
-    """Calls `happened` for each end of a container with `labels`, in the loop that has made this object.
+    """Calls `happened` for each event that passes Docker's `filters`, in the loop that has made this object.
 
     `taken_up` is called whenever the stream begins: what a daemon that was restarted has seen before is not told.
     """
@@ -37,12 +39,12 @@ class Events:
     def __init__(
         self,
         api: docker.APIClient,
-        labels: Sequence[str],
+        filters: Mapping[str, Any],
         happened: Callable[[Event], None],
         taken_up: Callable[[], None],
     ) -> None:
         self._api = api
-        self._filters = {"type": "container", "event": "die", "label": list(labels)}
+        self._filters = dict(filters)
         self._happened = happened
         self._taken_up = taken_up
         self._loop = asyncio.get_running_loop()

@@ -62,16 +62,25 @@ class Walls(Struct, frozen=True):
     host_config: dict[str, Any]
 
 
-def limits(spec: EnvironmentSpec, gpus: list[str]) -> Limits:
+class Size(Struct, frozen=True):
+    """How large a machine is."""
+
+    cores: float
+    memory: int
+
+    @staticmethod
+    def here() -> Size:
+        return Size(float(os.cpu_count() or 1), os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+
+
+def limits(spec: EnvironmentSpec, gpus: list[str], most: Size) -> Limits:
     """The limits that an environment asks for, or those of its slots. LimitExceeded, InvalidRequest."""
     options = spec.options
     if options.group:
         raise InvalidRequest(
             f"environment {spec.name}: network groups are not available here", field="containerData.group"
         )
-    cores = float(os.cpu_count() or 1)
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    for field, asked, limit in (("cpu", options.cpu, cores), ("memory", options.memory, memory)):
+    for field, asked, limit in (("cpu", options.cpu, most.cores), ("memory", options.memory, most.memory)):
         if asked > limit:
             raise LimitExceeded(
                 f"environment {spec.name} asks for {field} {asked:g}, this machine has {limit:g}",
@@ -80,8 +89,8 @@ def limits(spec: EnvironmentSpec, gpus: list[str]) -> Limits:
                 limit=limit,
             )
     return Limits(
-        int(options.memory) or min(slots.MEMORY * options.size, memory),
-        options.cpu or min(slots.CORES * options.size, cores),
+        int(options.memory) or min(slots.MEMORY * options.size, most.memory),
+        options.cpu or min(slots.CORES * options.size, most.cores),
         options.pids or slots.PIDS * options.size,
         options.io,
         gpus,

@@ -129,6 +129,14 @@ class Engine(ABC):
             await asyncio.wait(self._tasks)
         await self.release()
 
+    @property
+    def relays(self) -> list[str]:
+        """The data relays of its machines, relay:HOST:PORT, where it has some of its own."""
+        return []
+
+    def know(self, relays: Collection[str]) -> None:
+        """The data relays of other machines, HOST:PORT, for relays of its own."""
+
     # --- for subclasses -----------------------------------------------------------------------------------------------
 
     @abstractmethod

@@ -28,9 +28,19 @@ class Settings(Struct, frozen=True):
         ""
     )
     engine: Annotated[
-        Literal["process", "docker"], Meta(description="what runs the environments: process or docker")
+        Literal["process", "docker", "swarm"],
+        Meta(description="what runs the environments: process, docker or swarm (of which DOCKER_HOST is a manager)"),
     ] = "process"
-    image: Annotated[str, Meta(description="docker engine: image of the environments")] = f"rce/mapping:{__version__}"
+    image: Annotated[str, Meta(description="docker and swarm: image of the environments")] = (
+        f"rce/mapping:{__version__}"
+    )
+    agent_image: Annotated[str, Meta(description="swarm engine: image of the agent on each node")] = (
+        f"rce/agent:{__version__}"
+    )
+    agent_address: Annotated[
+        str, Meta(description="swarm engine: where the agents reach this task set; empty: the manager's address")
+    ] = ""
+    agent_mounts: Annotated[list[str], Meta(description="swarm engine: directories that the agents see")] = []
     data_host: Annotated[
         str, Meta(description="address for data links of its environments from other machines; empty: none")
     ] = ""

@@ -86,7 +86,7 @@ class TaskSet:
             token=self._credential.secret,
             version=version("rce"),
             incarnation=self._incarnation,
-            addresses=[self._relay.address] if self._relay.address else [],
+            addresses=[*([self._relay.address] if self._relay.address else []), *self._engine.relays],
             capacity=self._engine.capacity,
             features=sorted(self._engine.features),
             gpus=self._engine.gpus,
@@ -114,6 +114,7 @@ class TaskSet:
 
     async def _know(self, call: KnowRelays) -> Nothing:
         self._relay.know(call.relays)
+        self._engine.know(call.relays)
         return Nothing()
 
     def _ended(self, ended: Ended) -> None:

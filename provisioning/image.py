@@ -1,6 +1,6 @@
 """Builds the images of environments from this checkout: `python -P -m provisioning.image`.
 
-Three tags: `rce/system` is Debian, from a registry or else by debootstrap; `rce/base` and `rce/mapping` are built on it
+`rce/system` is Debian, from a registry or else by debootstrap; on it `rce/base`, `rce/mapping` and `rce/agent` are built
 from the Dockerfiles in `containers/images`. What changes rarely comes first in them, our code last.
 """
 
@@ -26,7 +26,7 @@ from rce.errors import RceError, StartFailed, Unavailable
 
 ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "containers" / "images"
-SYSTEM, GROUND, BASE, MAPPING = "rce/system", "rce/ground", "rce/base", "rce/mapping"
+SYSTEM, GROUND, BASE, MAPPING, AGENT = "rce/system", "rce/ground", "rce/base", "rce/mapping", "rce/agent"
 RELEASE = "bookworm"
 REGISTRY_IMAGE = f"debian:{RELEASE}-slim"
 REGISTRY_TIMEOUT = 10.0  # seconds for a registry to answer at all
@@ -40,7 +40,8 @@ SUPERFLUOUS = (
     "var/lib/apt/lists",
 )
 CODE = ("rce", "endpoints", "converters", "containers/__init__.py", "containers/nodes")
-EXTRAS = {"base.txt": ("environment", "ros"), "mapping.txt": ("mapping",)}
+AGENT_CODE = ("rce", "containers")
+EXTRAS = {"base.txt": ("environment", "ros"), "mapping.txt": ("mapping",), "agent.txt": ("environment", "docker")}
 PIP_SETTINGS = ("PIP_INDEX_URL", "PIP_EXTRA_INDEX_URL", "PIP_TRUSTED_HOST", "PIP_DEFAULT_TIMEOUT")
 PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "NO_PROXY", "http_proxy", "https_proxy", "no_proxy")
 CERTIFICATES = ("PIP_CERT", "SSL_CERT_FILE", "REQUESTS_CA_BUNDLE", "CURL_CA_BUNDLE")
@@ -62,10 +63,11 @@ class Builder:
         self._build(context, base, f"{GROUND}{version}", {"SYSTEM": SYSTEM}, target="ground")
         self._build(context, base, f"{BASE}{version}", {"SYSTEM": SYSTEM})
         self._build(context, "images/mapping/Dockerfile", f"{MAPPING}{version}", {"GROUND": f"{GROUND}{version}"})
+        self._build(context, "images/agent/Dockerfile", f"{AGENT}{version}", {"GROUND": f"{GROUND}{version}"})
 
     def sizes(self) -> dict[str, int]:
         """Of the built images, in bytes."""
-        tags = [f"{name}:{__version__}" for name in (BASE, MAPPING)]
+        tags = [f"{name}:{__version__}" for name in (BASE, MAPPING, AGENT)]
         return {tag: self._api.inspect_image(tag)["Size"] for tag in tags}
 
     def _has(self, tag: str) -> bool:
@@ -158,6 +160,8 @@ def make_context() -> bytes:
             _add_text(archive, bundle.read_bytes(), "certificates/ca-certificates.crt")
         for name in CODE:
             _add(archive, ROOT / name, f"code/{name}")
+        for name in AGENT_CODE:
+            _add(archive, ROOT / name, f"agent/{name}")
     return buffer.getvalue()
 
 

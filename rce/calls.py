@@ -249,6 +249,39 @@ class KnowRelays(Call[Nothing], frozen=True):
     relays: list[str]
 
 
+# --- between a task set and its agents, one on each node of a swarm ---------------------------------------------------
+
+
+class NodeReport(Call[Nothing], frozen=True):
+    """What is on an agent's node: said after each join and when it changes."""
+
+    runs: list[str]  # of the environments that really run there
+    images: dict[str, str]  # id by tag, of those for this version
+    protected: bool  # whether its Docker gives containers no new privileges
+    relay: str  # where data links to environments there are taken, HOST:PORT
+
+
+class ContainerEnded(Call[Nothing], frozen=True):
+    """The container of an environment has ended, whoever ended it."""
+
+    run: str
+    reason: str
+    status: int
+    lines: list[str]
+
+
+class Cleared(Struct, frozen=True):
+    """Nothing of an environment is there any more; `found` if there was a container of it."""
+
+    found: bool
+
+
+class ClearRun(Call[Cleared], frozen=True):
+    """Stop the container of an environment and remove all that it left; answered when nothing of it is there."""
+
+    run: str
+
+
 # --- to the Master ----------------------------------------------------------------------------------------------------
 
 
@@ -258,7 +291,7 @@ class Hello(Struct, frozen=True):
     `token` is a one-time join token, or the credential that the Master gave in exchange for one.
     """
 
-    role: str  # robot | container | environment | service
+    role: str  # robot | container | environment | service; agent, to its task set
     name: str
     token: str
     version: str

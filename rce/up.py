@@ -45,7 +45,7 @@ class Settings(Struct):
         9010
     )
     host: Annotated[str, Meta(description="address to listen on; with --dev always the loopback address")] = "127.0.0.1"
-    engine: Annotated[Literal["process", "docker"], Meta(description="what runs environments")] = "process"
+    engine: Annotated[Literal["process", "docker", "swarm"], Meta(description="what runs environments")] = "process"
     size: Annotated[int, Meta(ge=1, description="slots for environments")] = 10
     dev: Annotated[bool, Meta(description="create the users admin/admin and testUser/testUser, loopback only")] = False
     allow_unisolated: Annotated[bool, Meta(description="serve other machines although nodes run as this user")] = False

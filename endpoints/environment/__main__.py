@@ -81,8 +81,13 @@ class Endpoint:
             self._token,
             __version__,
             host=self._settings.host or host_identity(),
-            addresses=self._addresses,
+            addresses=[*self._addresses, *self._relay_address()],
         )
+
+    def _relay_address(self) -> list[str]:
+        """Of its machine's relay, where that is not its task set's and so says it beside the gate."""
+        file = self._settings.relay.with_suffix(".address") if self._settings.relay else None
+        return [f"{file.read_text()}/{self._settings.name}"] if file and file.exists() else []
 
     def _welcomed(self, welcome: Welcome) -> None:
         self._token = welcome.credential

@@ -1,0 +1,170 @@
+"""The agents of a swarm's nodes as their task set sees them."""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+from collections import Counter
+from collections.abc import Callable, Collection
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+from twisted.internet.base import ReactorBase
+from twisted.internet.interfaces import IListeningPort
+from twisted.logger import Logger
+
+from rce import control
+from rce.calls import ClearRun, ContainerEnded, Hello, KnowRelays, NodeReport, Nothing, Welcome
+from rce.control import Control, Handlers
+from rce.errors import Lost, RceError, Unauthorized
+
+log = Logger()
+ROLE = "agent"
+
+
+@dataclass
+class _Agent:
+    """One that has joined; `report` is None until it has said what is on its node."""
+
+    node: str
+    control: Control | None = None
+    report: NodeReport | None = None
+    knows: list[str] = field(default_factory=list)  # relays
+
+
+class Agents:
+    """Takes agents that know `secret`, one for each node.
+
+    `reported` is called with the node whenever an agent says what is there, `ended` with what an agent says of an end.
+    """
+
+    def __init__(self, secret: str, reported: Callable[[str], None], ended: Callable[[ContainerEnded], None]) -> None:
+        self._secret = secret
+        self._reported = reported
+        self._ended = ended
+        self._agents: dict[str, _Agent] = {}
+        self._changed = asyncio.Event()
+        self._port: IListeningPort | None = None
+        self._others: list[str] = []
+        self._telling: set[asyncio.Task[None]] = set()
+
+    async def listen(self, reactor: ReactorBase, description: str) -> int:
+        """Take agents at a Twisted server endpoint; returns the port."""
+        self._port = await control.listen(reactor, description, self)
+        address = self._port.getHost()  # type: ignore[misc]  # zope declares it without self
+        return int(address.port)
+
+    async def close(self) -> None:
+        """Take none any more, and let go of those that are here; they go on, and join the next task set."""
+        if self._port is not None:
+            self._port.stopListening()  # type: ignore[misc]  # zope declares its methods without self
+        for agent in self._agents.values():
+            if agent.control is not None:
+                agent.control.close()
+        self._agents.clear()
+
+    async def wait_for(self, nodes: Collection[str], seconds: float) -> set[str]:
+        """Until the agents of these nodes have reported, or it takes too long; returns the nodes without."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(seconds):
+                while self._without_report(nodes):
+                    self._changed.clear()
+                    await self._changed.wait()
+        return self._without_report(nodes)
+
+    def _without_report(self, nodes: Collection[str]) -> set[str]:
+        return {node for node in nodes if self.report(node) is None}
+
+    def report(self, node: str) -> NodeReport | None:
+        """What the agent of a node has said; None while there is no agent."""
+        agent = self._agents.get(node)
+        return agent.report if agent else None
+
+    @property
+    def relays(self) -> list[str]:
+        """The data relays of the nodes, HOST:PORT."""
+        reports = [agent.report for agent in self._agents.values() if agent.report is not None]
+        return sorted(report.relay for report in reports)
+
+    def image(self, tag: str) -> str | None:
+        """The id of an image that most nodes have."""
+        reports = [agent.report for agent in self._agents.values() if agent.report is not None]
+        ids = Counter(report.images[tag] for report in reports if tag in report.images)
+        return ids.most_common(1)[0][0] if ids else None
+
+    async def clear(self, node: str, run: str) -> bool:
+        """Have all of an environment removed from a node; whether its agent found a container of it."""
+        agent = self._agents.get(node)
+        if agent is None or agent.control is None:
+            return False
+        try:
+            return (await agent.control.call(ClearRun(run))).found
+        except Lost:
+            return False
+
+    async def clear_everywhere(self, run: str) -> bool:
+        """As `clear`, wherever it is."""
+        return any(await asyncio.gather(*(self.clear(node, run) for node in list(self._agents))))
+
+    def know(self, relays: Collection[str]) -> None:
+        """Tell the agents of the data relays of other machines; those of each other they learn here too."""
+        self._others = list(relays)
+        self._introduce()
+
+    # --- for rce.control ----------------------------------------------------------------------------------------------
+
+    async def join(self, hello: Hello, address: str) -> tuple[Welcome, Handlers, Callable[[Control], None]]:
+        if hello.role != ROLE or not hmac.compare_digest(hello.token.encode(), self._secret.encode()):
+            raise Unauthorized(f"{address}: only agents of this task set may join here")
+        agent = _Agent(hello.name)
+        handlers = Handlers()
+
+        async def report(call: NodeReport) -> Nothing:
+            agent.report = call
+            self._told(agent)
+            return Nothing()
+
+        async def ended(call: ContainerEnded) -> Nothing:
+            self._ended(call)
+            return Nothing()
+
+        handlers.on(NodeReport, report)
+        handlers.on(ContainerEnded, ended)
+        return Welcome(""), handlers, lambda joined: self._joined(agent, joined)
+
+    def _joined(self, agent: _Agent, joined: Control) -> None:
+        before = self._agents.get(agent.node)
+        if before is not None and before.control is not None:
+            before.control.close()
+        agent.control = joined
+        self._agents[agent.node] = agent
+        joined.lost.add_done_callback(lambda _: self._left(agent))
+        if agent.report is not None:
+            self._told(agent)
+
+    def _told(self, agent: _Agent) -> None:
+        if self._agents.get(agent.node) is agent:
+            self._changed.set()
+            self._introduce()
+            self._reported(agent.node)
+
+    def _left(self, agent: _Agent) -> None:
+        if self._agents.get(agent.node) is agent:
+            del self._agents[agent.node]
+            log.info("the agent of node {node} is away", node=agent.node)
+
+    def _introduce(self) -> None:
+        relays = sorted({*self._others, *self.relays})
+        for agent in self._agents.values():
+            if agent.control is not None and agent.knows != relays:
+                agent.knows = relays
+                task = asyncio.create_task(_tell(agent.control, KnowRelays(relays)))
+                self._telling.add(task)
+                task.add_done_callback(self._telling.discard)
+
+
+async def _tell(agent: Control, call: KnowRelays) -> None:
+    try:
+        await agent.call(call)
+    except RceError as error:
+        log.info("an agent was not told of the relays: {error}", error=str(error))  # it is when it joins again

@@ -1,0 +1,176 @@
+"""What a swarm is told to run: the services of environments and of the agents, as Docker's API takes them."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from msgspec import Struct
+
+from containers.docker_options import (
+    CONTROL,
+    HOME,
+    HOME_SIZE,
+    INODES,
+    LOG_SIZE,
+    OPEN_FILES,
+    SHARED_MEMORY,
+    TEMPORARY_SIZE,
+    USER,
+    Limits,
+    Places,
+)
+from rce.calls import EnvironmentSpec
+
+Spec = dict[str, Any]
+SOCKETS = "/run/rce-user"  # where a container sees the sockets of its user's environments on its node
+STOP_TIMEOUT = 12  # seconds; the endpoint stops its nodes in less
+SOCKETS_SIZE, SOCKETS_INODES = 64 * 1024, 1000
+FEATURE = "node.labels.rce.feature."  # a node that has a special feature has this label with the value `true`
+GPU = "NVIDIA-GPU"  # the generic resource that Docker's own manual has for them
+DOCKER_SOCKET = "/var/run/docker.sock"
+NANO = 1_000_000_000
+
+
+class Names(Struct, frozen=True):
+    """What carries the name of an environment's life, and of its user, on a swarm that others may use too."""
+
+    run: str
+    owner: str
+    """Tells the users of this task set from those of others."""
+
+    @staticmethod
+    def of(labels: Mapping[str, str], name: str, run: str) -> Names:
+        whose = f"{sorted(labels.items())} {name.partition('/')[0]}"
+        return Names(run, hashlib.sha256(whose.encode()).hexdigest()[:16])
+
+    @property
+    def control(self) -> str:
+        """The volume with the sockets that its agent serves; the environment only reads it."""
+        return f"rce-{self.run}-control"
+
+    @property
+    def home(self) -> str:
+        """A volume in memory."""
+        return f"rce-{self.run}-home"
+
+    @property
+    def sockets(self) -> str:
+        """The volume, in memory, that the user's environments on one node share."""
+        return f"rce-{self.owner}-sockets"
+
+    @property
+    def places(self) -> Places:
+        """As the environment sees them."""
+        return Places(Path(CONTROL), Path(SOCKETS) / f"{self.run}.sock")
+
+
+def environment_task(
+    spec: EnvironmentSpec,
+    granted: Limits,
+    names: Names,
+    image: str,
+    command: Sequence[str],
+    variables: Mapping[str, str],
+    labels: Mapping[str, str],
+    constraints: Sequence[str],
+    read_only: Sequence[str],
+    network: str,
+) -> Spec:
+    """One life of an environment. Swarm places it; it starts it never again, as a new life has a new token."""
+    owner = f"uid={USER},gid={USER},mode=0700,nosuid,nodev"
+    home = f"size={HOME_SIZE},nr_inodes={INODES},{owner}"
+    sockets = f"size={SOCKETS_SIZE},nr_inodes={SOCKETS_INODES},noexec,{owner}"
+    asked = spec.options
+    return {
+        "ContainerSpec": {
+            "Image": image,
+            "Args": list(command),
+            "Env": [f"{key}={value}" for key, value in variables.items()],
+            "Labels": dict(labels),
+            "User": f"{USER}:{USER}",
+            "ReadOnly": True,
+            "CapabilityDrop": ["ALL"],
+            "Privileges": {"NoNewPrivileges": True},  # an older Docker does not know it; see `protected` of NodeReport
+            "Init": False,  # the image has its own
+            "StopGracePeriod": STOP_TIMEOUT * NANO,
+            "Ulimits": [
+                {"Name": "nofile", "Soft": OPEN_FILES, "Hard": OPEN_FILES},
+                {"Name": "core", "Soft": 0, "Hard": 0},
+            ],
+            "Mounts": [
+                _volume(names.control, CONTROL, labels, read_only=True),
+                _volume(names.sockets, SOCKETS, _platform(labels), sockets),
+                _volume(names.home, HOME, labels, home),
+                _memory("/tmp", TEMPORARY_SIZE),
+                _memory("/dev/shm", SHARED_MEMORY),
+                *(_bind(path, read_only=True) for path in read_only),
+            ],
+        },
+        "Resources": {
+            "Limits": {"NanoCPUs": int(granted.cpu * NANO), "MemoryBytes": granted.memory, "Pids": granted.pids},
+            # What it asks for by number it finds where it is placed; slots alone are the task set's to count.
+            "Reservations": {
+                "NanoCPUs": int(asked.cpu * NANO),
+                "MemoryBytes": int(asked.memory),
+                "GenericResources": [{"DiscreteResourceSpec": {"Kind": GPU, "Value": asked.gpus}}][: asked.gpus],
+            },
+        },
+        "RestartPolicy": {"Condition": "none"},
+        "Placement": {"Constraints": list(constraints)},
+        "Networks": [{"Target": network}],
+        "LogDriver": {"Name": "json-file", "Options": {"max-size": LOG_SIZE, "max-file": "2"}},
+    }
+
+
+def agent_task(
+    image: str,
+    command: Sequence[str],
+    variables: Mapping[str, str],
+    labels: Mapping[str, str],
+    volumes: str,
+    mounts: Sequence[str],
+) -> Spec:
+    """One agent on each node, in its network; `volumes` is where Docker keeps volumes, on all nodes alike."""
+    return {
+        "ContainerSpec": {
+            "Image": image,
+            "Args": list(command),
+            "Env": [f"{key}={value}" for key, value in variables.items()],
+            "Labels": dict(labels),
+            "User": "0:0",
+            "ReadOnly": True,
+            "Init": True,
+            "StopGracePeriod": NANO,
+            "Mounts": [
+                _bind(DOCKER_SOCKET),
+                # The sockets of environments are in memory, on mounts that Docker makes after the agent's own.
+                {**_bind(volumes), "BindOptions": {"Propagation": "rslave"}},
+                _memory("/tmp", TEMPORARY_SIZE),
+                *(_bind(path, read_only=True) for path in mounts),
+            ],
+        },
+        "RestartPolicy": {"Condition": "any", "Delay": NANO},
+        "Networks": [{"Target": "host"}],
+        "LogDriver": {"Name": "json-file", "Options": {"max-size": LOG_SIZE, "max-file": "2"}},
+    }
+
+
+def _platform(labels: Mapping[str, str]) -> dict[str, str]:
+    return {key: value for key, value in labels.items() if key in ("rce.platform", "rce.directory")}
+
+
+def _volume(name: str, target: str, labels: Mapping[str, str], memory: str = "", read_only: bool = False) -> Spec:
+    driver = {"Name": "local", "Options": {"type": "tmpfs", "device": "tmpfs", "o": memory}} if memory else None
+    options = {"NoCopy": True, "Labels": dict(labels), "DriverConfig": driver}
+    return {"Type": "volume", "Source": name, "Target": target, "ReadOnly": read_only, "VolumeOptions": options}
+
+
+def _memory(target: str, size: int) -> Spec:
+    return {"Type": "tmpfs", "Target": target, "TmpfsOptions": {"SizeBytes": size, "Mode": 0o1777}}
+
+
+def _bind(path: str, read_only: bool = False) -> Spec:
+    return {"Type": "bind", "Source": path, "Target": path, "ReadOnly": read_only}

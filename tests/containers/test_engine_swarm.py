@@ -1,0 +1,176 @@
+# ruff: noqa: E402  (Docker is imported only where it is there)
+"""The engine `swarm` with a real swarm of one machine: the contract, and how its environments are kept."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+from collections.abc import AsyncIterator, Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from engine_contract import CAPACITY, FEATURES, Endings, EngineContract, World, spec
+from twisted.internet.base import ReactorBase
+
+docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+
+from swarm_nodes import Machines, Node, machines
+
+from containers.engine import Ended, Engine
+from containers.swarm import AGENT_COMMAND, AgentService, SwarmEngine
+from rce.calls import EnvironmentSpec
+from rce.messages import ContainerData
+from rce.slots import MB, PIDS
+
+COMMAND = ["/stand-in"]
+IMAGE = "rce-test/stand-in:latest"
+ROOT = Path(__file__).parents[2]
+
+
+def this_python() -> AgentService:
+    """The agent as it is in this checkout, without an image to build: it sees this machine's Python."""
+    base = Path(sys.executable).resolve().parents[1]
+    places = {*("/usr", "/lib", "/lib64", "/etc"), str(base), str(ROOT), sys.prefix}
+    command = ("/usr/bin/env", f"PYTHONPATH={ROOT}", sys.executable, *AGENT_COMMAND[1:])
+    return AgentService(IMAGE, "", 0, sorted(path for path in places if Path(path).exists()), command)
+
+
+class SwarmWorld(World):
+    def __init__(self, swarm: Machines, directory: Path, reactor: ReactorBase) -> None:
+        self.directory = directory
+        self.node: Node = swarm.nodes[0]
+        self.api = self.node.api()
+        self._address = swarm.address
+        self._reactor = reactor
+
+    def engine(self, ended: Callable[[Ended], None], *behaviour: str, image: str = IMAGE) -> SwarmEngine:
+        agent = this_python()
+        return SwarmEngine(
+            CAPACITY,
+            FEATURES,
+            ended,
+            reactor=self._reactor,
+            platform="machine",
+            directory=self.directory,
+            master=f"tcp:{self._address}:1",
+            image=image,
+            settings={"typesupport": "/types"},
+            agent=AgentService(agent.image, self._address, 0, agent.mounts, agent.command),
+            command=[*COMMAND, *behaviour],
+        )
+
+    def break_start(self, engine: Engine) -> None:
+        assert isinstance(engine, SwarmEngine)
+        engine._command = ["/nonexistent/program"]
+
+    async def end(self, name: str) -> None:
+        (container,) = [each["Id"] for each in self.containers() if each["Labels"]["rce.environment"] == name]
+        await asyncio.to_thread(self.api.kill, container, "SIGUSR1")
+        await asyncio.to_thread(self.api.wait, container)
+
+    def containers(self) -> list[dict[str, Any]]:
+        found: list[dict[str, Any]] = self.api.containers(all=True, filters=self.ours)
+        return [each for each in found if "rce.run" in each["Labels"]]
+
+    @property
+    def ours(self) -> dict[str, list[str]]:
+        return {"label": [f"rce.directory={self.directory}", "rce.run"]}
+
+    def there(self) -> set[str]:
+        services = [each["Spec"]["Labels"] for each in self.api.services(filters=self.ours)]
+        labels = [each["Labels"] for each in self.containers() + (self.api.volumes(filters=self.ours)["Volumes"] or [])]
+        return {each["rce.environment"] for each in services + labels}
+
+    def networks(self) -> list[str]:
+        """They go a little later, as Swarm itself lets go of them."""
+        return [each["Name"] for each in self.api.networks(filters=self.ours)]
+
+    def alive(self) -> dict[str, str]:
+        labels = [each["Labels"] for each in self.containers() if each["State"] == "running"]
+        return {each["rce.environment"]: each["rce.run"] for each in labels}
+
+    def inspect(self, name: str) -> dict[str, Any]:
+        (container,) = [each["Id"] for each in self.containers() if each["Labels"]["rce.environment"] == name]
+        seen: dict[str, Any] = self.api.inspect_container(container)
+        return seen
+
+
+@pytest.fixture(scope="module")
+def swarm(load_stand_in: Callable[[str], None]) -> Iterator[Machines]:
+    with machines(1) as made:
+        before = os.environ.get("DOCKER_HOST")
+        os.environ["DOCKER_HOST"] = made.nodes[0].host
+        load_stand_in(made.nodes[0].host)
+        yield made
+        os.environ.pop("DOCKER_HOST")
+        if before is not None:
+            os.environ["DOCKER_HOST"] = before
+
+
+@pytest.fixture(scope="module")
+def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One for all tests, so that the agent stays from one to the next, as it does for a task set."""
+    return tmp_path_factory.mktemp("swarm")
+
+
+@pytest.fixture
+def world(swarm: Machines, directory: Path, reactor: ReactorBase) -> Iterator[SwarmWorld]:
+    world = SwarmWorld(swarm, directory, reactor)
+    yield world
+    world.api.close()
+
+
+@pytest.fixture
+def endings() -> Endings:
+    return Endings()
+
+
+class TestSwarmEngine(EngineContract):
+    @pytest.fixture
+    def world(self, swarm: Machines, directory: Path, reactor: ReactorBase) -> Iterator[SwarmWorld]:
+        world = SwarmWorld(swarm, directory, reactor)
+        yield world
+        world.api.close()
+
+
+@pytest.fixture
+async def engine(world: SwarmWorld, endings: Endings) -> AsyncIterator[SwarmEngine]:
+    engine = world.engine(endings)
+    await engine.open()
+    yield engine
+    await engine.keep([])
+    await engine.close()
+    assert world.there() == set()
+    assert world.networks() == []
+
+
+def with_options(**options: Any) -> EnvironmentSpec:
+    return EnvironmentSpec("ann/map", spec().run, "token", ContainerData(**options))
+
+
+async def test_the_walls_of_a_task(world: SwarmWorld, engine: SwarmEngine) -> None:
+    await engine.start(with_options(memory=300 * MB, cpu=0.5, size=2))
+    seen = world.inspect("ann/map")
+    host = seen["HostConfig"]
+    assert host["CapDrop"] == ["ALL"]
+    assert not host["CapAdd"]
+    assert not host["Privileged"]
+    assert host["ReadonlyRootfs"]
+    assert host["Memory"] == 300 * MB
+    assert (host["NanoCpus"], host["PidsLimit"]) == (500_000_000, 2 * PIDS)
+    assert seen["Config"]["User"] == "10000:10000"
+    assert host["LogConfig"]["Config"] == {"max-size": "2m", "max-file": "2"}
+    assert {mount["Destination"]: mount["RW"] for mount in seen["Mounts"]} == {
+        "/run/rce": False,
+        "/run/rce-user": True,
+        "/home/rce": True,
+        "/tmp": True,
+        "/dev/shm": True,
+    }
+    (network,) = seen["NetworkSettings"]["Networks"].values()
+    inside = world.api.inspect_network(network["NetworkID"])
+    assert inside["Internal"]
+    assert inside["Driver"] == "overlay"
+    assert len(inside["Containers"]) <= 2  # itself, and Docker's own end
