@@ -1,7 +1,7 @@
 """Builds the images of environments from this checkout: `python -P -m provisioning.image`.
 
-`rce/system` is Debian, from a registry or else by debootstrap; on it `rce/base`, `rce/mapping` and `rce/agent` are built
-from the Dockerfiles in `containers/images`. What changes rarely comes first in them, our code last.
+`rce/system` is Debian, from a registry or else by debootstrap; `rce/base`, `rce/mapping` and `rce/agent` are built on
+it from the Dockerfiles in `containers/images`. What changes rarely comes first in them, our code last.
 """
 
 from __future__ import annotations
