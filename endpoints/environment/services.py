@@ -11,6 +11,7 @@ from twisted.logger import Logger
 
 from endpoints.environment.interfaces import RosInterface, Surroundings, raw
 from endpoints.environment.ros_services import Header, RawClient, RawService
+from endpoints.environment.ros_topics import SETTLING
 from endpoints.environment.ros_types import service_class
 from endpoints.frames import Message
 from endpoints.link import Link
@@ -41,6 +42,7 @@ class ServiceClientInterface(RosInterface):
         self._unanswered = 0  # the rest belongs to the ROS thread
         self._waiting: deque[_Request] = deque()
         self._asked: dict[int, _Request] = {}
+        self._settled = self._settling = False
 
     async def open(self) -> None:
         kind = service_class(self.spec.type, self._around.definitions)
@@ -72,13 +74,27 @@ class ServiceClientInterface(RosInterface):
     def _send(self) -> None:
         while self._waiting and len(self._asked) < IN_FLIGHT:
             if not self._client.available():
+                self._settled = False
                 self._wait_for_service()
+                return
+            if not self._settled:
+                self._settle()
                 return
             request = self._waiting.popleft()
             try:
                 self._asked[self._client.ask(raw(request.message.payload))] = request
             except ConversionError as error:
                 self._fail(request, error)
+
+    def _settle(self) -> None:
+        """A server that has just been found may not have found us: its answers of this moment would be lost."""
+        if not self._settling:
+            self._settling = True
+            self._ros.later(SETTLING, self._go_on)
+
+    def _go_on(self) -> None:
+        self._settling, self._settled = False, True
+        self._send()
 
     def _wait_for_service(self) -> None:
         while self._waiting and self._waiting[0].since + APPEAR < time.monotonic():

@@ -144,10 +144,6 @@ async def test_topics_services_and_transforms_of_two_robots(
             call = client.call_async(Trigger.Request())
             await until(call.done, 20)
             assert call.result().message == "landed"
-            counts = len(frames), len(said)
-            await asyncio.sleep(1)  # the rates: 20 and 10 a second, of 50 and 20 that are said
-            assert 5 < len(frames) - counts[0] < 30
-            assert 3 < len(said) - counts[1] < 16
     async with platform.robot("later") as robot:
         await robot.create_environment("sky")  # it was destroyed at the bridge's end
         await robot.destroy_environment("sky")
