@@ -46,7 +46,7 @@ class Machine:
             writer.close()
 
         listener = bound(place / "data.sock")
-        self._servers.append(await asyncio.start_unix_server(answer, sock=listener, limit=10_000_000))
+        self._servers.append(await asyncio.start_unix_server(answer, sock=listener, limit=4_000_000))
         await self.relay.admit(name, place / "data.sock", place)
 
     async def stop(self) -> None:
@@ -61,14 +61,14 @@ class Machine:
     async def call(self, passage: Passage | bytes) -> tuple[Reader, Writer]:
         """Call from another machine."""
         host, _, port = self.address.rpartition(":")
-        reader, writer = await asyncio.open_connection(host, int(port), limit=10_000_000)
+        reader, writer = await asyncio.open_connection(host, int(port), limit=4_000_000)
         writer.write(passage if isinstance(passage, bytes) else passage.line())
         return reader, writer
 
     async def call_from(self, name: str, passage: Passage) -> tuple[Reader, Writer]:
         """Call as an environment of this machine does."""
         with reaching(self.directory / name / GATE) as path:
-            reader, writer = await asyncio.open_unix_connection(path, limit=10_000_000)
+            reader, writer = await asyncio.open_unix_connection(path, limit=4_000_000)
         writer.write(passage.line())
         return reader, writer
 
@@ -261,7 +261,7 @@ async def test_one_side_that_does_not_read_makes_the_other_wait(west: Machine) -
         before = sent
         await asyncio.sleep(0.5)
     task.cancel()
-    assert sent < 60
+    assert sent < 100  # a good part of it with both ends and the kernel
     writer.transport.abort()
 
 
