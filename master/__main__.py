@@ -46,6 +46,9 @@ class Settings(Struct):
     database: Annotated[str, Meta(description="SQLAlchemy URL; a SQLite file in the data directory if empty")] = ""
     group_pool: Annotated[str, Meta(description="network of which each network group gets a /24")] = str(GROUP_POOL)
     grace: Annotated[float, Meta(ge=0, description="seconds for which a robot without a socket keeps its session")] = 10
+    machine_grace: Annotated[
+        float, Meta(gt=0, description="seconds for which a machine may be away until its environments move to others")
+    ] = 30
     dev: Annotated[bool, Meta(description="create the users admin/admin and testUser/testUser")] = False
     limits: Annotated[
         list[str], Meta(description="limits of users who have none of their own, key=value as in `rce user limits`")

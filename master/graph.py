@@ -76,13 +76,13 @@ def create_container(
     machine = place(state, user, options)
     environment = Environment(name, options, ids(), machine, subnet, address)
     state.environments.put(environment)
-    return Outcome([[start(state, environment)]], [what(environment)])
+    return Outcome(start(state, environment), [what(environment)])
 
 
-def start(state: State, environment: Environment) -> Send:
-    """The token is made when the call leaves: it belongs to that call alone."""
+def start(state: State, environment: Environment) -> Plan:
+    """At its machine, unless it waits for one. The token is made when the call leaves: it is for that call alone."""
     spec = EnvironmentSpec(environment.name, environment.run, "", environment.options, groups.spec(state, environment))
-    return Send(environment.machine, StartEnvironment(spec), environment.name)
+    return [[Send(environment.machine, StartEnvironment(spec), environment.name)]] if environment.machine else []
 
 
 def destroy_container(state: State, user: str, command: m.DestroyContainer, ids: Ids, again: bool) -> Outcome:
@@ -101,8 +101,7 @@ def remove_environment(state: State, environment: Environment) -> Plan:
     for parameter in state.parameters.by(name):
         state.parameters.drop(parameter.key)
     state.environments.drop(name)
-    state.processes.drop(name)
-    state.joined.discard(name)  # its process is told nothing more, and is not taken for that of a namesake to come
+    state.forget(name)  # its process is told nothing more, and is not taken for that of a namesake to come
     if environment.machine in state.joined:  # else it is told when it joins again (KeepEnvironments)
         plan.append([Send(environment.machine, StopEnvironment(name), name)])
     return plan

@@ -61,10 +61,10 @@ def of_user(state: State, user: str) -> dict[str, dict[str, str]]:
     return found
 
 
-def machine_of(state: State, user: str, group: str) -> str:
-    """The machine that has the group now, if any: an engine joins only environments of its own."""
-    machines = {each.machine for each in members(state, user, group)} if group else set()
-    return min(machines & state.joined, default="")
+def machine_of(state: State, user: str, group: str, moving: str = "") -> str:
+    """The machine that has the group now, if any, apart from a member that moves: an engine joins its own only."""
+    machines = {each.machine for each in members(state, user, group) if each.name != moving} if group else set()
+    return min((machine for machine in machines if machine and not state.gone(machine)), default="")
 
 
 def _free_subnet(state: State) -> IPv4Network:

@@ -24,8 +24,10 @@ def joined(state: State, process: Process, hello: Hello, ids: Ids) -> Plan:
     relays = known_relays(state)
     state.processes.put(process)
     state.joined.add(process.name)
+    state.expected.discard(process.name)
     if process.role == "container":
-        return plan + _machine_joined(state, process, hello, ids) + _make_known(state, process, relays)
+        plan += _machine_joined(state, process, hello, ids)
+        return plan + resettle(state, ids) + _make_known(state, process, relays)
     if process.role == "service":  # it has nothing of the graph
         return plan
     if process.role == "robot":
@@ -58,6 +60,8 @@ def _sync(state: State, process: Process, owners: list[str]) -> Sync:
 def left(state: State, process: str) -> None:
     """A control connection is lost. Data goes on flowing: nothing is taken down until more is known."""
     state.joined.discard(process)
+    if process in state.processes:
+        state.expected.add(process)
 
 
 # --- environments -----------------------------------------------------------------------------------------------------
@@ -96,24 +100,52 @@ def _make_known(state: State, process: Process, before: list[str]) -> Plan:
 def environment_down(state: State, environment: Environment) -> Plan:
     """An environment died: its connections are down until it is started again, or it goes if `restart` is `no`."""
     plan = take_down(state, environment.name)
-    state.joined.discard(environment.name)
-    state.processes.drop(environment.name)
+    state.forget(environment.name)
     if environment.options.restart == "no":
         plan += remove_environment(state, environment)
     return plan
 
 
 def restart(state: State, environment: Environment, ids: Ids) -> Plan:
-    """A new life on the best machine; without one it waits where it was, for that machine to come back."""
-    user = user_of(environment.name)
-    state.environments.drop(environment.name)  # its own slots count as free
-    try:
-        machine = place(state, user, environment.options)
-    except NoCapacity:
-        machine = environment.machine
-    again = replace(environment, run=ids(), machine=machine)
+    """A new life on the best machine; where there is none, it waits for one."""
+    again = replace(environment, run=ids(), machine=_best_place(state, environment))
     state.environments.put(again)
-    return [[start(state, again)]] if machine in state.joined else []
+    return start(state, again)
+
+
+def _best_place(state: State, environment: Environment) -> str:
+    """The best machine for an environment that does not run; an empty string if there is none now."""
+    try:
+        return place(state, user_of(environment.name), environment.options, environment.name)
+    except NoCapacity:
+        return ""
+
+
+def lost_with(state: State, process: str) -> list[Environment]:
+    """The environments that are lost now that nobody waits for `process`, a machine or an endpoint, any more.
+
+    One whose endpoint is there lives: only its task set is gone. One whose machine is there is that machine's to judge.
+    """
+    own = state.environments.get(process)
+    return [
+        environment
+        for environment in [*state.environments.by(at(process)), *([own] if own else [])]
+        if state.gone(environment.machine) and state.gone(environment.name)
+    ]
+
+
+def resettle(state: State, ids: Ids) -> Plan:
+    """New lives for the environments that wait for a machine or are lost with theirs, as far as others have room.
+
+    What finds no room stays as it is: if its machine comes back before others have room, it may still run there.
+    """
+    plan: Plan = []
+    gone = ["", *(machine.name for machine in state.processes.by("container") if state.gone(machine.name))]
+    for environment in [environment for machine in gone for environment in state.environments.by(at(machine))]:
+        runs_on = bool(environment.machine) and not state.gone(environment.name)
+        if not runs_on and _best_place(state, environment):
+            plan += restart(state, environment, ids)
+    return plan
 
 
 # --- robots -----------------------------------------------------------------------------------------------------------

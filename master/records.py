@@ -27,7 +27,8 @@ GROUP_POOL = IPv4Network("10.128.0.0/10")  # the upper half of 10/8 is seldom us
 
 
 class Environment(Struct, frozen=True):
-    """An environment that is wanted. `run` names its present life; `machine` is the task set that has it."""
+    """An environment that is wanted. `run` names its present life; `machine` is the task set that has it, empty while
+    it waits for one."""
 
     name: str  # user/tag
     options: ContainerData
@@ -240,6 +241,7 @@ class State:
         self.processes = Table(Process, lambda record: (record.role,))
         self.links = Table(Link, lambda record: {record.listener, record.dialler})
         self.joined: set[str] = set()  # processes with a control connection
+        self.expected: set[str] = set()  # those that lost it, while they have time to come back
 
     def tables(self) -> list[Table[Any]]:
         return [
@@ -256,6 +258,16 @@ class State:
     def connections_of_user(self, user: str) -> int:
         """How many."""
         return len(self.connections.by(_all_of(user)))
+
+    def gone(self, process: str) -> bool:
+        """Whether nobody waits for this process any more."""
+        return process not in self.joined and process not in self.expected
+
+    def forget(self, process: str) -> None:
+        """This process is done with, whether it is there or not."""
+        self.processes.drop(process)
+        self.joined.discard(process)
+        self.expected.discard(process)
 
     def host(self, owner: str) -> str:
         """The endpoint process of a robot or environment if it is joined, else an empty string."""

@@ -16,17 +16,30 @@ from master.carrier import Carrier
 from master.effects import Plan, Send
 from master.grants import digest
 from master.limits import Limits
+from master.pauses import Pauses
+from master.placement import place
 from master.policies import UNLIMITED, Policy
-from master.records import Environment, Process, Robot, State, user_of, what
+from master.records import Environment, Process, Robot, State, at, user_of, what
 from master.store import Store
 from master.users import Principal, Processes, Users, must_drive
 from rce import calls as c
 from rce.control import Control, Handlers
-from rce.errors import ErrorInfo, Forbidden, InvalidRequest, NotFound, RceError, StartFailed, Unauthorized, UnknownType
-from rce.messages import Command, EnvironmentEvent, NodeEvent, StatusData
+from rce.errors import (
+    ErrorInfo,
+    Forbidden,
+    InvalidRequest,
+    NoCapacity,
+    NotFound,
+    RceError,
+    StartFailed,
+    Unauthorized,
+    UnknownType,
+)
+from rce.messages import Command, DestroyContainer, EnvironmentEvent, NodeEvent, StatusData
 
 START_TIMEOUT = 60.0
 RETRY_FIRST, RETRY_MOST = 0.5, 30.0
+LINK_RETRY_FIRST, LINK_RETRY_MOST = 0.1, 5.0
 STEADY = 5.0  # what ran this long before it died was no failed start: it is started again
 
 log = Logger()
@@ -38,20 +51,23 @@ def ids() -> str:
 
 
 class Master:
-    """`grace` is how long a robot that lost its socket keeps its session, in seconds; `policy` is that of users who
-    have none of their own.
+    """`grace` is how long a robot that lost its socket keeps its session, `machine_grace` how long a machine may be
+    away before its environments are lost, in seconds; `policy` is that of users who have none of their own.
     """
 
-    def __init__(self, store: Store, grace: float, policy: Policy = UNLIMITED) -> None:
+    def __init__(self, store: Store, grace: float, policy: Policy = UNLIMITED, machine_grace: float = 30.0) -> None:
         self.state = State()
         self.users = Users(store)
         self.limits = Limits(store, policy)
         self.processes = Processes(store)
         self.grace = grace
+        self.machine_grace = machine_grace
         self._store = store
         self._carrier = Carrier(self._prepare, self._carried)
         self._retries: dict[str, float] = {}  # seconds to the next start of what keeps dying
-        self._away: dict[str, asyncio.Task[None]] = {}  # Robot endpoints whose grace time runs
+        self._breaks = Pauses(LINK_RETRY_FIRST, LINK_RETRY_MOST, STEADY)
+        self._away: dict[str, asyncio.Task[None]] = {}  # processes whose time to come back runs
+        self._reopening: set[str] = set()  # links that broke before, until they are opened again
         self._tasks: set[asyncio.Task[Any]] = set()
 
     async def start(self) -> None:
@@ -59,8 +75,8 @@ class Master:
         await self._store.load(self.state)
         await self.limits.open()
         self._keep(asyncio.create_task(self.limits.follow()))
-        for process in self.state.processes.by("robot"):
-            self._expect(process.name, 2 * self.grace)
+        for process in self.state.processes:
+            self._expect(process, 2)
         self._drop_later(2 * self.grace)
 
     async def stop(self) -> None:
@@ -104,6 +120,8 @@ class Master:
             self._away.pop(process.name).cancel()
         self._apply(presence.joined(self.state, process, hello, ids))
         self._drop_later(self.grace)
+        if process.role == "container":
+            self._refuse_waiting()
 
     def _lost(self, process: Process, control: Control) -> None:
         if self._carrier.controls.get(process.name) is not control:
@@ -111,15 +129,43 @@ class Master:
         del self._carrier.controls[process.name]
         log.info("{role} {name} is away", role=process.role, name=process.name)
         presence.left(self.state, process.name)
-        if process.role == "robot":
-            self._expect(process.name, self.grace)
+        if process.name in self.state.processes:
+            self._expect(process)
 
-    def _expect(self, name: str, seconds: float) -> None:
-        """A Robot endpoint has this long to come back."""
-        self._away[name] = self._later(seconds, lambda: self._endpoint_away(name))
+    def _expect(self, process: Process, times: float = 1) -> None:
+        """A process has its grace time, so many times, to come back."""
+        name = process.name
+        self.state.expected.add(name)
+        if process.role == "robot":
+            self._away[name] = self._later(times * self.grace, lambda: self._endpoint_away(name))
+        else:
+            self._away[name] = self._later(times * self.machine_grace, lambda: self._machine_away(name))
+
+    async def _machine_away(self, name: str) -> None:
+        """A task set or an environment's endpoint does not come back."""
+        self._away.pop(name, None)
+        self.state.expected.discard(name)
+        for environment in presence.lost_with(self.state, name):
+            away = f"its machine {environment.machine} has been away for {self.machine_grace:g} s"
+            self._environment_down(environment, away)
+        self._refuse_waiting()
+        self._later(RETRY_FIRST, self._resettle)
+
+    async def _resettle(self) -> None:
+        """There may be room for environments that wait for a machine."""
+        self._apply(presence.resettle(self.state, ids))
+
+    def _refuse_waiting(self) -> None:
+        """What waits to be made on a machine that was expected back, and is not any more, is not made."""
+        for environment in self.state.environments.by(at("")):
+            try:
+                place(self.state, user_of(environment.name), environment.options)
+            except NoCapacity as error:
+                self._carrier.settle(what(environment), error)
 
     async def _endpoint_away(self, name: str) -> None:
         self._away.pop(name, None)
+        self.state.expected.discard(name)
         plan, robots = presence.endpoint_gone(self.state, name)
         for robot in robots:
             plan += presence.robot_left(self.state, robot)
@@ -227,6 +273,8 @@ class Master:
             self._apply(graph.undo(self.state, outcome))
             raise
         await saved
+        if isinstance(command, DestroyContainer):
+            await self._resettle()
         return c.Nothing()
 
     async def _describe(self, call: c.Describe) -> c.Definitions:
@@ -253,20 +301,26 @@ class Master:
         environment = self.state.environments.get(call.name)
         if environment is None or environment.run != call.run:
             return c.Nothing()  # an earlier life
-        log.warn("environment {name} died: {reason}", name=call.name, reason=call.reason)
+        lived = self._carrier.is_real(what(environment))
+        self._environment_down(environment, call.reason)
+        if call.name in self.state.environments:
+            self._later(self._pause(call.name, lived), lambda: self._restart(call.name, call.run))
+        else:
+            await self._resettle()
+        return c.Nothing()
+
+    def _environment_down(self, environment: Environment, reason: str) -> None:
+        name = environment.name
+        log.warn("environment {name} died: {reason}", name=name, reason=reason)
         lived = self._carrier.is_real(what(environment))
         # A command that waits for its first start takes the environment back; then there is nothing to restart.
-        self._carrier.settle(what(environment), StartFailed(f"environment {call.name}: {call.reason}"))
+        self._carrier.settle(what(environment), StartFailed(f"environment {name}: {reason}"))
         for key in self._inside(environment):
             self._carrier.forget(key)
         self._apply(presence.environment_down(self.state, environment))
-        kept = call.name in self.state.environments
-        tag = call.name.partition("/")[2]
+        kept = name in self.state.environments
         event: Literal["failed", "lost", "gone"] = "failed" if not lived else "lost" if kept else "gone"
-        self.tell(user_of(call.name), EnvironmentEvent(tag, event, call.reason))
-        if kept:
-            self._later(self._pause(call.name, lived), lambda: self._restart(call.name, call.run))
-        return c.Nothing()
+        self.tell(user_of(name), EnvironmentEvent(name.partition("/")[2], event, reason))
 
     async def _restart(self, name: str, run: str) -> None:
         environment = self.state.environments.get(name)
@@ -321,10 +375,20 @@ class Master:
 
     async def _link_lost(self, process: Process, call: c.LinkLost) -> c.Nothing:
         link = self.state.links.get(call.link)
-        if link is not None and process.name in (link.listener, link.dialler):
-            log.info("link {link} is lost: {reason}", link=call.link, reason=call.reason)
+        if link is None or process.name not in (link.listener, link.dialler) or call.link in self._reopening:
+            return c.Nothing()
+        log.info("link {link} is lost: {reason}", link=call.link, reason=call.reason)
+        pause = self._breaks.after(f"{link.listener} {link.dialler} {link.alone_for}")
+        if pause:
+            self._reopening.add(call.link)
+            self._later(pause, lambda: self._reopen(call.link))
+        else:
             self._apply(wiring.reopen(self.state, call.link, ids))
         return c.Nothing()
+
+    async def _reopen(self, link: str) -> None:
+        self._reopening.discard(link)
+        self._apply(wiring.reopen(self.state, link, ids))
 
     # --- effects ------------------------------------------------------------------------------------------------------
 

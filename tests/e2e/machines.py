@@ -106,6 +106,7 @@ class Machines:
             f"--control=tcp:0:interface={host.address}",
             "--dev",
             f"--grace={self.grace}",
+            f"--machine-grace={self.grace}",
         )
         await asyncio.gather(*map(self.start_program, self.programs))
 

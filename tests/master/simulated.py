@@ -81,10 +81,10 @@ class Endpoint:
 
 @dataclass
 class TaskSet:
-    """Starts and stops environments; `ended` hears the name of one whose process is gone by that."""
+    """Starts and stops environments; `ended` hears the name and run of one whose process is gone by that."""
 
     name: str
-    ended: Callable[[str], None]
+    ended: Callable[[str, str], None]
     runs: dict[str, str] = field(default_factory=dict)
 
     def take(self, call: c.Call[Any]) -> None:
@@ -104,8 +104,8 @@ class TaskSet:
                 raise AssertionError(f"{call} at a task set")
 
     def _end(self, name: str) -> None:
-        if self.runs.pop(name, None):
-            self.ended(name)
+        if run := self.runs.pop(name, None):
+            self.ended(name, run)
 
 
 @dataclass

@@ -109,17 +109,24 @@ class Platform(RuleBasedStateMachine):
             pass
 
     def _start_environments(self) -> None:
-        """A started environment's endpoint process appears; it joins in a step of its own."""
+        """A started environment's endpoint process appears; it joins in a step of its own.
+
+        That of an earlier life, which may still run on a machine out of sight, can join no more: it plays no part.
+        """
         for task_set in self.task_sets.values():
             for name, run in task_set.runs.items():
-                present = self.endpoints.get(name)
-                if present is None or present.incarnation != run:
-                    self._killed(name)
+                present, wanted = self.endpoints.get(name), self.state.environments.get(name)
+                if present is None or (present.incarnation != run and wanted is not None and wanted.run == run):
+                    if present is not None:
+                        self._killed(name, present.incarnation)
                     self.endpoints[name] = Endpoint(name, run)
 
-    def _killed(self, name: str) -> None:
-        if self.endpoints.pop(name, None) and name in self.connected:
-            self._lose(name)
+    def _killed(self, name: str, run: str) -> None:
+        present = self.endpoints.get(name)
+        if present is not None and present.incarnation == run:
+            del self.endpoints[name]
+            if name in self.connected:
+                self._lose(name)
 
     def _lose(self, name: str) -> None:
         self.connected.pop(name, None)
@@ -223,12 +230,26 @@ class Platform(RuleBasedStateMachine):
             return
         name, task_set = data.draw(st.sampled_from(running))
         run = task_set.runs.pop(name)
-        self._killed(name)
+        self._killed(name, run)
         environment = self.state.environments.get(name)
         if task_set.name in self.connected and environment is not None and environment.run == run:
             self.delivery.add(presence.environment_down(self.state, environment))
             if name in self.state.environments:
                 self.down[name] = run
+
+    @rule(name=st.sampled_from(sorted(MACHINES)))
+    def a_machine_stays_away(self, name: str) -> None:
+        """It is cut off: what is on it may run on, out of sight."""
+        if name in self.connected:
+            self._lose(name)
+        for environment in self.state.environments.by(at(name)):
+            if environment.name in self.connected:
+                self._lose(environment.name)
+            self.state.expected.discard(environment.name)
+        self.state.expected.discard(name)
+        for environment in presence.lost_with(self.state, name):
+            self.delivery.add(presence.environment_down(self.state, environment))
+        self.delivery.add(presence.resettle(self.state, self.fleet.ids))
 
     @rule()
     def dead_environments_are_restarted(self) -> None:
@@ -284,7 +305,8 @@ class Platform(RuleBasedStateMachine):
             self._drain(seed)
         self._check_convergence()
         for environment in self.state.environments:
-            assert environment.name in self.state.joined
+            assert environment.name in self.state.joined or not environment.machine
+        assert presence.resettle(self.state, self.fleet.ids) == []
 
     # --- what always holds ----------------------------------------------------------------------------------------
 

@@ -532,7 +532,9 @@ async def test_after_a_restart_all_is_as_it_was(furnished: Furnished) -> None:
     run = furnished.platform.master.state.environments["ann/brain"].run
     platform = await restart(furnished)
     west = await platform.endpoint(token=furnished.west.credential, robots=["ann/r1"])
-    m1 = await platform.process("container", "m1", token=furnished.m1.credential, environments={"ann/brain": run})
+    m1 = await platform.process(
+        "container", "m1", capacity=4, token=furnished.m1.credential, environments={"ann/brain": run}
+    )
     brain = await platform.process("environment", "ann/brain", run, token=furnished.brain.credential)
     assert (await m1.next(c.KeepEnvironments)).runs == [run]
     for peer in (west, brain):
@@ -554,7 +556,7 @@ async def test_after_a_restart_all_is_as_it_was(furnished: Furnished) -> None:
 async def test_after_a_restart_a_new_process_gets_links_anew(furnished: Furnished) -> None:
     run = furnished.platform.master.state.environments["ann/brain"].run
     platform = await restart(furnished)
-    m1 = await platform.process("container", "m1", token=furnished.m1.credential)
+    m1 = await platform.process("container", "m1", capacity=4, token=furnished.m1.credential)
     spec = (await m1.next(c.StartEnvironment)).environment
     assert spec.run != run
     west = await platform.endpoint(token=furnished.west.credential, robots=["ann/r1"])

@@ -1,0 +1,279 @@
+"""Machines that go away and come back, with the time turned by hand."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import pytest
+from fleet import interface
+from hand_turned import HandTurnedLoop
+
+from master.records import Process, Robot, Role, State
+from master.service import LINK_RETRY_MOST, RETRY_FIRST, Master
+from master.store import Store
+from rce import calls as c
+from rce import messages as m
+from rce.control import Control
+from rce.errors import NoCapacity, StartFailed
+from rce.messages import EnvironmentEvent
+
+GRACE = 30.0
+T = TypeVar("T")
+
+
+class NoStore:
+    """Forgets."""
+
+    async def load(self, state: State) -> None: ...
+
+    async def save(self, state: State) -> None: ...
+
+    async def run(self, work: Callable[[Any], Any]) -> Any: ...
+
+
+class Peer:
+    """A process that has joined: does at once what it is asked to."""
+
+    def __init__(self, desk: Desk, hello: c.Hello) -> None:
+        self.address = "memory"
+        self.hello = hello
+        self.arrived: list[c.Call[Any]] = []
+        self.lost: asyncio.Future[None] = desk.hand.create_future()
+        self._desk = desk
+        role = cast(Role, hello.role)
+        process = Process(
+            hello.name, role, hello.incarnation, hello.host, hello.addresses, "", hello.capacity, hello.features
+        )
+        desk.hand.do(lambda: desk.master._joined(process, hello, cast(Control, self)))
+
+    async def call(self, call: c.Call[Any]) -> object:
+        self.arrived.append(call)
+        return c.Settled() if isinstance(call, c.Sync) else c.Nothing()
+
+    def close(self) -> None:
+        self.leave()
+
+    def leave(self) -> None:
+        """The connection is lost."""
+        if not self.lost.done():
+            self._desk.hand.do(lambda: self.lost.set_result(None))
+
+    def got(self, kind: type[T]) -> list[T]:
+        return [call for call in self.arrived if isinstance(call, kind)]
+
+
+class Desk:
+    """A Master without sockets and store."""
+
+    def __init__(self, hand: HandTurnedLoop) -> None:
+        self.hand = hand
+        self.master = hand.do(lambda: Master(cast(Store, NoStore()), 10.0, machine_grace=GRACE))
+        self.state = self.master.state
+
+    def robot(self) -> Peer:
+        west = Peer(self, c.Hello("robot", "west", "", "", "1"))
+        self.state.robots.put(Robot("ann/r1", "west", "s"))
+        return west
+
+    def machine(self, name: str, **environments: str) -> Peer:
+        runs = {f"ann/{tag}": run for tag, run in environments.items()}
+        return Peer(self, c.Hello("container", name, "", "", "1", capacity=2, environments=runs))
+
+    def endpoint(self, tag: str) -> Peer:
+        """The endpoint of the present life of an environment."""
+        return Peer(self, c.Hello("environment", f"ann/{tag}", "", "", self.run(tag)))
+
+    def run(self, tag: str) -> str:
+        return self.state.environments[f"ann/{tag}"].run
+
+    def at(self, tag: str) -> str:
+        return self.state.environments[f"ann/{tag}"].machine
+
+    def do(self, *commands: m.Command) -> asyncio.Task[list[c.Nothing]]:
+        async def all_of_them() -> list[c.Nothing]:
+            return await asyncio.gather(*(self.master.execute("ann", command) for command in commands))
+
+        return self.hand.begin(all_of_them())
+
+    def made(self, tag: str, **options: Any) -> Peer:
+        """An environment that is up, and its endpoint."""
+        task = self.do(m.CreateContainer(tag, m.ContainerData(**options)))
+        endpoint = self.endpoint(tag)
+        assert task.done()
+        return endpoint
+
+    def turn(self, seconds: float) -> None:
+        self.hand.turn(seconds)
+
+
+@pytest.fixture
+def desk(hand: HandTurnedLoop) -> Desk:
+    return Desk(hand)
+
+
+def events(peer: Peer) -> list[tuple[str, str]]:
+    said = [tell.status for tell in peer.got(c.Tell) if isinstance(tell.status, EnvironmentEvent)]
+    return [(status.containerTag, status.state) for status in said]
+
+
+def test_the_environments_of_a_machine_that_stays_away_move_with_all_that_is_theirs(desk: Desk) -> None:
+    west, m1 = desk.robot(), desk.machine("m1")
+    brain = desk.made("brain")
+    desk.do(
+        m.AddNode("brain", "n", "p", "e"),
+        m.SetParameter("brain", "p", 7),
+        interface("r1", "pose", "SubscriberConverter"),
+        interface("brain", "pose", "PublisherInterface"),
+        m.Connect("r1/pose", "brain/pose"),
+    )
+    before = desk.run("brain")
+    m2 = desk.machine("m2")
+    brain.leave()
+    desk.turn(5)
+    m1.leave()
+    desk.turn(GRACE - 1)
+    assert (desk.at("brain"), events(west)) == ("m1", [("brain", "ready")])
+    desk.turn(1)
+    assert events(west)[1:] == [("brain", "lost")]
+    desk.turn(RETRY_FIRST)
+    (start,) = m2.got(c.StartEnvironment)
+    assert (start.environment.name, start.environment.run != before) == ("ann/brain", True)
+    again = desk.endpoint("brain")
+    (sync,) = again.got(c.Sync)
+    assert [each.tag for each in sync.nodes] == ["n"]
+    assert [each.value for each in sync.parameters] == [7]
+    assert [each.tag for each in sync.interfaces] == ["pose"]
+    assert len(again.got(c.AddRoute)) == 1
+    assert events(west)[2:] == [("brain", "ready")]
+    back = desk.machine("m1", brain=before)
+    assert back.got(c.KeepEnvironments) == [c.KeepEnvironments([])]
+    assert desk.at("brain") == "m2"
+
+
+def test_an_environment_lives_while_its_own_endpoint_is_there(desk: Desk) -> None:
+    """Only the task set is gone; when the machine follows, the endpoint has the grace time for itself."""
+    west, m1 = desk.robot(), desk.machine("m1")
+    brain = desk.made("brain")
+    desk.machine("m2")
+    run = desk.run("brain")
+    m1.leave()
+    desk.turn(10 * GRACE)
+    assert (desk.run("brain"), events(west)) == (run, [("brain", "ready")])
+    brain.leave()
+    desk.turn(GRACE - 1)
+    assert desk.run("brain") == run
+    desk.turn(1 + RETRY_FIRST)
+    assert (desk.at("brain"), events(west)[1:]) == ("m2", [("brain", "lost")])
+
+
+def test_who_comes_back_in_time_has_lost_nothing(desk: Desk) -> None:
+    west, m1 = desk.robot(), desk.machine("m1")
+    brain = desk.made("brain")
+    m2 = desk.machine("m2")
+    run = desk.run("brain")
+    for _ in range(3):
+        brain.leave()
+        m1.leave()
+        desk.turn(GRACE - 1)
+        m1, brain = desk.machine("m1", brain=run), desk.endpoint("brain")
+        assert m1.got(c.KeepEnvironments) == [c.KeepEnvironments([run])]
+    desk.turn(10 * GRACE)
+    assert (desk.run("brain"), m2.got(c.StartEnvironment), m1.got(c.StartEnvironment)) == (run, [], [])
+    assert "lost" not in [state for _, state in events(west)]
+
+
+def test_an_environment_that_shall_not_be_restarted_is_removed(desk: Desk) -> None:
+    west, m1 = desk.robot(), desk.machine("m1")
+    once, m2 = desk.made("once", restart="no"), desk.machine("m2")
+    run = desk.run("once")
+    once.leave()
+    m1.leave()
+    desk.turn(GRACE + RETRY_FIRST)
+    assert events(west)[1:] == [("once", "gone")]
+    assert ("ann/once" in desk.state.environments, m2.got(c.StartEnvironment)) == (False, [])
+    assert desk.machine("m1", once=run).got(c.KeepEnvironments) == [c.KeepEnvironments([])]
+
+
+def test_without_another_machine_it_waits_and_its_own_may_bring_it_back_alive(desk: Desk) -> None:
+    west, m1 = desk.robot(), desk.machine("m1")
+    brain = desk.made("brain")
+    run = desk.run("brain")
+    brain.leave()
+    m1.leave()
+    desk.turn(10 * GRACE)
+    assert events(west)[1:] == [("brain", "lost")]
+    m1 = desk.machine("m1", brain=run)
+    desk.endpoint("brain")
+    assert (m1.got(c.KeepEnvironments), m1.got(c.StartEnvironment)) == ([c.KeepEnvironments([run])], [])
+    assert events(west)[2:] == [("brain", "ready")]
+
+
+def test_what_waits_moves_when_there_is_room(desk: Desk) -> None:
+    m1, m2 = desk.machine("m1"), desk.machine("m2")
+    brain = desk.made("brain", size=2)
+    m1, m2 = (m1, m2) if desk.at("brain") == "m1" else (m2, m1)
+    other = desk.made("other", size=2)
+    brain.leave()
+    m1.leave()
+    desk.turn(GRACE + RETRY_FIRST)
+    assert [call.environment.name for call in m2.got(c.StartEnvironment)] == ["ann/other"]
+    other.leave()
+    desk.do(m.DestroyContainer("other"))
+    assert [call.environment.name for call in m2.got(c.StartEnvironment)] == ["ann/other", "ann/brain"]
+
+
+def test_the_first_start_on_a_machine_that_dies_fails_with_the_reason(desk: Desk) -> None:
+    m1 = desk.machine("m1")
+    task = desk.do(m.CreateContainer("brain"))
+    m1.leave()
+    desk.turn(GRACE)
+    assert isinstance(task.exception(), StartFailed)
+    assert "m1 has been away for 30 s" in str(task.exception())
+    assert "ann/brain" not in desk.state.environments
+
+
+def test_an_environment_asked_for_while_the_only_task_set_restarts_is_made_after_that(desk: Desk) -> None:
+    desk.machine("m1").leave()
+    task = desk.do(m.CreateContainer("brain"), m.AddNode("brain", "n", "p", "e"))
+    desk.turn(GRACE - 1)
+    assert not task.done()
+    m1 = desk.machine("m1")
+    assert [call.environment.name for call in m1.got(c.StartEnvironment)] == ["ann/brain"]
+    assert [each.tag for each in desk.endpoint("brain").got(c.Sync)[0].nodes] == ["n"]
+    assert task.result() == [c.Nothing()] * 2
+
+
+def test_it_is_refused_when_that_does_not_come_back_or_was_never_there(desk: Desk) -> None:
+    m1 = desk.machine("m1")
+    task = desk.do(m.CreateContainer("big", m.ContainerData(size=3)))
+    assert isinstance(task.exception(), NoCapacity)
+    m1.leave()
+    task = desk.do(m.CreateContainer("brain"))
+    desk.turn(GRACE)
+    assert isinstance(task.exception(), NoCapacity)
+    assert isinstance(desk.do(m.CreateContainer("brain")).exception(), NoCapacity)
+    assert len(desk.state.environments) == 0
+
+
+def test_a_link_that_breaks_again_and_again_is_opened_less_and_less_often(desk: Desk) -> None:
+    west = desk.robot()
+    desk.machine("m1")
+    brain = desk.made("brain")
+    desk.do(
+        interface("r1", "pose", "SubscriberConverter"),
+        interface("brain", "pose", "PublisherInterface"),
+        m.Connect("r1/pose", "brain/pose"),
+    )
+    process = desk.state.processes["west"]
+    for _ in range(600):
+        desk.turn(0.1)
+        name = west.got(c.OpenLink)[-1].link.name
+        desk.hand.begin(desk.master._link_lost(process, c.LinkLost(name, "refused")))
+    opened = len(west.got(c.OpenLink))
+    assert 60 / LINK_RETRY_MOST < opened < 60 / LINK_RETRY_MOST + 10
+    desk.turn(60)
+    name = west.got(c.OpenLink)[-1].link.name
+    desk.hand.begin(desk.master._link_lost(process, c.LinkLost(name, "broke")))
+    assert len(brain.got(c.OpenLink)) == len(west.got(c.OpenLink)) == opened + 2  # at once, after it had held
