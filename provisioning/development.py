@@ -32,6 +32,13 @@ DEMO_EXTRAS = ("server", "mapping", "ros")
 IMAGE_EXTRAS = ("server", "docker")
 TEST_EXTRAS = (*DEMO_EXTRAS, "images", "docker", "bench", "postgresql", "dev")
 TEST_PACKAGE = ROOT / "tests" / "ros" / "Test"
+DOCKER_PROGRAMS = {  # a private daemon, what makes images without a registry, and disks and networks of environments
+    "docker.io": "dockerd",
+    **{name: name for name in ("containerd", "runc", "iptables", "debootstrap")},
+    "e2fsprogs": "mkfs.ext4",
+    "mount": "losetup",
+    "iproute2": "ip",
+}
 IS_ROOT = os.geteuid() == 0
 
 
@@ -45,12 +52,8 @@ def missing_debian(tests: bool) -> list[str]:
         f"{minor}-venv": PYTHON.exists() or find_spec("ensurepip"),
         "postgresql": not tests or postgresql_program("initdb"),
     }
-    if tests and "RCE_TEST_DOCKER" in os.environ:  # a private daemon, and what makes images without a registry
-        programs = {
-            "docker.io": "dockerd",
-            **{name: name for name in ("containerd", "runc", "iptables", "debootstrap")},
-        }
-        wanted |= {package: system_program(program) for package, program in programs.items()}
+    if tests and IS_ROOT and "DOCKER_HOST" not in os.environ:
+        wanted |= {package: system_program(program) for package, program in DOCKER_PROGRAMS.items()}
     return [package for package, present in wanted.items() if not present]
 
 

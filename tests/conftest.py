@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import AsyncIterator, Iterator
+from typing import Any
 
 import pytest
 import uvloop
@@ -16,6 +17,7 @@ from twisted.internet.base import ReactorBase
 from twisted.logger import LogEvent, globalLogPublisher
 
 from rce import loop
+from rce.errors import Unavailable
 
 asyncio.set_event_loop_policy(uvloop.EventLoopPolicy())
 
@@ -51,6 +53,22 @@ def reactor(running_reactor: ReactorBase, failures: list[LogEvent]) -> Iterator[
     left = set(running_reactor.getDelayedCalls()) - before
     assert not left, f"delayed calls left over: {left}"
     assert not failures, "logged: " + "\n".join(event["log_failure"].getTraceback() for event in failures)
+
+
+@pytest.fixture(scope="session")
+def images(docker_host: str) -> Iterator[Any]:
+    """Docker's API, with the images of this checkout, built once: two minutes where there is no registry."""
+    import docker
+
+    from provisioning.image import Builder
+
+    api = docker.APIClient(base_url=docker_host, version="auto", timeout=600)
+    try:
+        Builder(api).build()
+    except Unavailable as error:
+        pytest.skip(str(error))
+    yield api
+    api.close()
 
 
 @pytest.fixture(scope="session")

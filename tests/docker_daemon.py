@@ -24,13 +24,9 @@ NEEDED = ("dockerd", "containerd", "runc", "iptables")
 def docker_daemon() -> Iterator[str]:
     """The address of a daemon; skips the test where there is none and none can be started."""
     given = os.environ.get("DOCKER_HOST", "")
-    if given:
-        if not _answers(given):
-            pytest.skip(f"no Docker answers at DOCKER_HOST={given}")
+    if given and _answers(given):
         yield given
         return
-    if "RCE_TEST_DOCKER" not in os.environ:
-        pytest.skip("builds images for three minutes: RCE_TEST_DOCKER=1 provisioning/provision test runs it too")
     lacking = [name for name in NEEDED if shutil.which(name, path=os.environ["PATH"] + ":/usr/sbin:/sbin") is None]
     if lacking:
         pytest.skip(f"no {', '.join(lacking)}: install docker.io, containerd, runc and iptables, or set DOCKER_HOST")

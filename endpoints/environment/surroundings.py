@@ -10,6 +10,7 @@ from pathlib import Path
 import msgspec
 
 from endpoints import memory
+from endpoints.environment.later import load_later
 from endpoints.environment.settings import Settings
 from endpoints.memory import MB
 
@@ -102,6 +103,7 @@ def prepare(settings: Settings) -> None:
     os.environ["FASTDDS_DEFAULT_PROFILES_FILE"] = str(profile)
     sys.path += [str(prefix / "python") for prefix in settings.typesupport]
     memory.keep_large_blocks()
+    load_later("numpy")
 
 
 def _profile(settings: Settings) -> str:

@@ -11,11 +11,12 @@ from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 
-from rce.bench import overtake, payloads, report
+from rce import __version__
+from rce.bench import overtake, payloads, report, start
 from rce.bench.routes import ROUTES, Place
 from rce.bench.run import take
 from rce.client import Robot
-from rce.commands.platform import add_arguments, platform
+from rce.commands.platform import ENGINES, add_arguments, platform
 from rce.errors import InvalidRequest
 
 QUICK_SIZES, QUICK_SAMPLES = 4, 3
@@ -34,6 +35,11 @@ def parser() -> argparse.ArgumentParser:
     over = kinds.add_parser("overtake", help="velocity commands of a robot that sends 10 MB images meanwhile")
     over.add_argument("--samples", type=int, default=300, help="(default: %(default)s)")
     over.add_argument("--json", action="store_true", help="print every sample as JSON instead of a table")
+    begin = kinds.add_parser("start", help="from CC to an environment that is ready, beside a bare container")
+    begin.add_argument("--engines", default="process,docker", help="comma list (default: %(default)s)")
+    begin.add_argument("--samples", type=int, default=10, help="of each (default: %(default)s)")
+    begin.add_argument("--image", default=f"rce/mapping:{__version__}", help="of the bare one (default: %(default)s)")
+    begin.add_argument("--json", action="store_true", help="print every sample as JSON instead of a table")
     for each in (rtt, over):
         add_arguments(each)
     return whole
@@ -41,7 +47,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: list[str]) -> int:
     words = parser().parse_args(arguments)
-    asyncio.run(round_trips(words) if words.kind == "rtt" else overtaking(words))
+    asyncio.run(KINDS[words.kind](words))
     return 0
 
 
@@ -66,6 +72,22 @@ async def overtaking(words: argparse.Namespace) -> None:
     async with place(words) as where:
         result = await overtake.measure(where, words.samples)
     print(json.dumps(overtake.as_data(result)) if words.json else overtake.as_text(result))
+
+
+async def starting(words: argparse.Namespace) -> None:
+    async with AsyncExitStack() as stack:
+        robots: dict[str, Robot] = {}
+        for engine in words.engines.split(","):
+            if engine not in ENGINES:
+                raise InvalidRequest(f"rce bench: there is no engine {engine}: it is one of {', '.join(ENGINES)}")
+            access = await stack.enter_async_context(platform(argparse.Namespace(url="", engine=engine)))
+            robot = Robot(access.url, user=access.user, robot="bench", password=access.password)
+            robots[engine] = await stack.enter_async_context(robot)
+        taken = await start.measure(robots, words.image, words.samples)
+    print(json.dumps(start.as_data(taken)) if words.json else start.as_text(taken))
+
+
+KINDS = {"rtt": round_trips, "overtake": overtaking, "start": starting}
 
 
 @asynccontextmanager

@@ -19,6 +19,7 @@ from rce.ready import Ready
 
 DEV_USER = "testUser"
 LOG_LINES = 20
+ENGINES = ("process", "docker", "swarm")
 
 
 class Access(NamedTuple):
@@ -35,9 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--url", default="", help="entry of a running platform, http://host:9000/")
     group.add_argument("--user", default=DEV_USER, help="(default: %(default)s)")
     group.add_argument("--password", default=None, help="better: RCE_PASSWORD or RCE_KEY in the environment")
-    group.add_argument(
-        "--engine", choices=["process", "docker", "swarm"], default="process", help="of the started platform"
-    )
+    group.add_argument("--engine", choices=ENGINES, default="process", help="of the started platform")
 
 
 @contextlib.asynccontextmanager

@@ -5,12 +5,13 @@ from __future__ import annotations
 import shutil
 from collections.abc import AsyncIterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install 'rce[ros]'")
 
-from real_platform import RealPlatform
+from real_platform import RealPlatform, containers
 
 from provisioning.typesupport import build, shipped
 
@@ -44,3 +45,13 @@ async def fragile(arguments: list[str], tmp_path: Path) -> AsyncIterator[RealPla
     await platform.start()
     yield platform
     await platform.stop()
+
+
+@pytest.fixture(scope="session")
+async def contained(images: Any, tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[RealPlatform]:
+    """One with the engine `docker`, for all tests that leave it as it is."""
+    platform = RealPlatform(tmp_path_factory.mktemp("contained"), "--engine", "docker")
+    await platform.start()
+    yield platform
+    await platform.stop()
+    assert containers(images, platform) == []

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from rce.client import Robot
 
@@ -127,3 +128,10 @@ def _words(pid: int, mark: str) -> str | None:
         if mark.encode() in command + (place / "environ").read_bytes():
             return command.replace(b"\0", b" ").decode()
     return None
+
+
+def containers(api: Any, platform: RealPlatform) -> list[dict[str, Any]]:
+    """Docker's, of a platform with the engine `docker`, alive or dead."""
+    label = f"rce.directory={platform.directory / 'data' / 'container'}"
+    found: list[dict[str, Any]] = api.containers(all=True, filters={"label": label})
+    return found

@@ -7,12 +7,11 @@ import asyncio
 import json
 import statistics
 import time
-from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from real_platform import USER, RealPlatform, until
+from real_platform import USER, RealPlatform, containers, until
 from test_map import DATA, SCANS, check_files, rce_map, relations
 from twisted.internet.base import ReactorBase
 
@@ -22,7 +21,7 @@ from provisioning.image import BASE, MAPPING, Builder
 from rce import __version__
 from rce.calls import Hello
 from rce.control import Handlers, connect
-from rce.errors import Unauthorized, Unavailable
+from rce.errors import Unauthorized
 
 STRING = "std_msgs/String"
 LARGEST_BASE = 450e6
@@ -52,33 +51,6 @@ print(json.dumps({
     "mount": attempt(lambda: os.chroot("/tmp")),
 }))
 """
-
-
-@pytest.fixture(scope="session")
-def images(docker_host: str) -> Any:
-    """Docker's API, with the images of this checkout."""
-    api = docker.APIClient(base_url=docker_host, version="auto", timeout=600)
-    try:
-        Builder(api).build()
-    except Unavailable as error:
-        pytest.skip(str(error))
-    yield api
-    api.close()
-
-
-@pytest.fixture(scope="module")
-async def contained(images: Any, tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[RealPlatform]:
-    platform = RealPlatform(tmp_path_factory.mktemp("contained"), "--engine", "docker")
-    await platform.start()
-    yield platform
-    await platform.stop()
-    assert containers(images, platform) == []
-
-
-def containers(api: Any, platform: RealPlatform) -> list[dict[str, Any]]:
-    label = f"rce.directory={platform.directory / 'data' / 'container'}"
-    found: list[dict[str, Any]] = api.containers(all=True, filters={"label": label})
-    return found
 
 
 def test_sizes(images: Any) -> None:
