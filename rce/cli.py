@@ -16,6 +16,7 @@ PROGRAMS = {
     "container": "run a Container task set",
     "environment": "run an Environment endpoint (the task set does this)",
     "bridge": "carry topics of a robot that runs ROS 2 to an environment and back",
+    "map-service": "run the map service: recordings in, maps out",
     "user": "users and API keys of a Master on this machine",
     "machine": "machines that may join a Master on this machine",
 }

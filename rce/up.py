@@ -1,4 +1,4 @@
-"""`rce up`: Master, Robot endpoint and Container task set on this machine, as one process tree.
+"""`rce up`: Master, Robot endpoint, Container task set and map service on this machine, as one process tree.
 
 A part that dies is started again, at the same ports and with what it has stored. When this process ends, however that
 comes, its parts end too (the kernel signals them), and with them the environments.
@@ -44,6 +44,7 @@ class Settings(Struct):
     ws_port: Annotated[int, Meta(ge=0, le=65535, description="port of the robots' WebSocket; 0 takes a free one")] = (
         9010
     )
+    maps_port: Annotated[int, Meta(ge=0, le=65535, description="port of the map service; 0 takes a free one")] = 9020
     host: Annotated[str, Meta(description="address to listen on; with --dev always the loopback address")] = "127.0.0.1"
     engine: Annotated[Literal["process", "docker", "swarm"], Meta(description="what runs environments")] = "process"
     size: Annotated[int, Meta(ge=1, description="slots for environments")] = 10
@@ -144,11 +145,11 @@ def _port(url_or_endpoint: str) -> str:
     return url_or_endpoint.rstrip("/").rpartition(":")[2]
 
 
-def make_parts(settings: Settings, log: IO[str]) -> tuple[Part, Part, Part]:
-    """Master, Robot endpoint and task set; the later ones take the control address from the first."""
+def make_parts(settings: Settings, log: IO[str]) -> tuple[Part, Part, Part, Part]:
+    """Master, Robot endpoint, task set and map service; the later ones take the control address from the first."""
     data = settings.data_dir.expanduser().resolve()
     host = "127.0.0.1" if settings.dev else settings.host
-    tokens = {name: secrets.token_hex(32) for name in ("robot", "container")}
+    tokens = {name: secrets.token_hex(32) for name in ("robot", "container", "service")}
     certificate = (
         f":privateKey={settings.private_key or settings.certificate}:certKey={settings.certificate}"
         if settings.certificate
@@ -194,26 +195,41 @@ def make_parts(settings: Settings, log: IO[str]) -> tuple[Part, Part, Part]:
             "--stop-environments",
         ]
 
-    names = {"robot": "robot-1", "container": "machine-1"}
+    def maps_arguments() -> list[str]:
+        assert master.ready is not None
+        own = settings.certificate
+        return [
+            f"--data-dir={data / 'maps'}",
+            f"--master={master.ready.control}",
+            f"--entry={master.ready.url.replace('//0.0.0.0:', '//127.0.0.1:')}",
+            f"--trust={own}",
+            f"--host={host}",
+            f"--port={_port(maps.ready.url) if maps.ready else settings.maps_port}",
+            f"--certificate={own}",
+            f"--private-key={settings.private_key}",
+        ]
+
+    names = {"robot": "robot-1", "container": "machine-1", "service": "map-service"}
     allowed = ",".join(f"{role}:{name}:{tokens[role]}" for role, name in names.items())
     master = Part("master", master_arguments, {"RCE_TOKENS": allowed}, log)
     robot = Part("robot", robot_arguments, {"RCE_TOKEN": tokens["robot"]}, log)
     container = Part("container", container_arguments, {"RCE_TOKEN": tokens["container"]}, log)
-    return master, robot, container
+    maps = Part("map-service", maps_arguments, {"RCE_TOKEN": tokens["service"]}, log)
+    return master, robot, container, maps
 
 
 async def run(settings: Settings, started: Callable[[Ready], Awaitable[None]], log: IO[str] = sys.stderr) -> None:
     """Start everything, await `started` with the entry's address, then stop everything. Logs go to `log`."""
     if settings.http_port == 0:
-        settings.ws_port = 0
-    master, robot, container = make_parts(settings, log)
+        settings.ws_port = settings.maps_port = 0
+    master, robot, container, maps = make_parts(settings, log)
     try:
         entry = await master.start()
-        await asyncio.gather(robot.start(), container.start())
+        await asyncio.gather(robot.start(), container.start(), maps.start())
         await started(entry)
     finally:
-        # Environments first, while there is a Master to tell; then who needs the Master, then the Master.
-        for part in (container, robot, master):
+        # Jobs and environments first, while there is a Master to tell; then who needs the Master, then the Master.
+        for part in (maps, container, robot, master):
             await part.stop()
 
 

@@ -32,6 +32,8 @@ WITH_EXTRA: dict[str, set[str]] = {
     "rce/loop.py": {"twisted", "uvloop"},
     "rce/logs.py": {"twisted"},
     "rce/reactor.py": {"twisted", "uvloop"},
+    # `work` maps, in a process of its own; the service itself has none of that in its memory.
+    "rce/mapservice/": {"aiohttp", "lxml", "twisted"},
     "rce/mapping/": {"numpy", "numba", "scipy", "cv2", "rosbags"},
     "rce/bench": {"numpy", "matplotlib", "twisted", "autobahn", "rosbags", "uvloop", "txaio"},
     "rce/commands/bench.py": {"numpy"},

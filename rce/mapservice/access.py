@@ -1,0 +1,100 @@
+"""Who a client is, by the credentials that open all of the platform; the Master checks them."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import binascii
+import hashlib
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+from msgspec import Struct
+
+from rce.calls import Borrow, Call, Delegate, EndGrant, LentKey, Vouch
+from rce.errors import Unauthorized
+
+REMEMBER = 30.0  # seconds for which a proof is good, so that a stream of requests is not a stream of argon2 checks
+MOST = 10_000  # proofs that are remembered
+KEY_PREFIX = "rce_"
+
+
+class Master(Protocol):
+    """The control connection."""
+
+    async def call(self, call: Call[Any], wait: float = ...) -> Any: ...
+
+
+class Client(Struct, frozen=True):
+    """A user, and the secret by which they proved it: never kept on disk."""
+
+    user: str
+    secret: str
+
+
+class Access:
+    """Asks the Master, and remembers what it said for a while."""
+
+    def __init__(self, master: Callable[[], Master], now: Callable[[], float] = time.monotonic) -> None:
+        self._master = master
+        self._now = now
+        self._known: dict[bytes, tuple[str, float]] = {}
+        self._asked: dict[bytes, asyncio.Task[str]] = {}
+
+    async def client(self, headers: Mapping[str, str], query: Mapping[str, str]) -> Client:
+        """Unauthorized, Forbidden, Unavailable (the Master is away)."""
+        user, secret = credentials(headers, query)
+        mark = hashlib.sha256(f"{user}\n{secret}".encode()).digest()
+        known = self._known.get(mark)
+        if known is not None and known[1] > self._now():
+            return Client(known[0], secret)
+        if mark not in self._asked:  # many requests at once are one question
+            self._asked[mark] = asyncio.create_task(self._ask(mark, user, secret))
+        return Client(await asyncio.shield(self._asked[mark]), secret)
+
+    async def _ask(self, mark: bytes, user: str, secret: str) -> str:
+        try:
+            person = await self._master().call(Vouch(user, secret))
+        finally:
+            self._asked.pop(mark, None)
+        if len(self._known) >= MOST:
+            self._known.clear()
+        self._known[mark] = (person.user, self._now() + REMEMBER)
+        return str(person.user)
+
+    async def delegate(self, user: str, secret: str) -> str:
+        return str((await self._master().call(Delegate(user, secret))).grant)
+
+    async def borrow(self, grant: str, seconds: float) -> LentKey:
+        lent: LentKey = await self._master().call(Borrow(grant, seconds))
+        return lent
+
+    async def end(self, grant: str) -> None:
+        await self._master().call(EndGrant(grant), wait=60.0)
+
+
+def credentials(headers: Mapping[str, str], query: Mapping[str, str]) -> tuple[str, str]:
+    """The user, who may be left out with an API key, and the API key or the SHA-256 of the password. Unauthorized.
+
+    `Authorization: Bearer KEY`, `Authorization: Basic` with a key or the password, or, as at the robots' entry,
+    `userID` with `key` or `password` (its SHA-256) in the query.
+    """
+    scheme, _, rest = headers.get("Authorization", "").partition(" ")
+    user = query.get("userID", "")
+    match scheme.lower():
+        case "bearer" if rest.strip():
+            return user, rest.strip()
+        case "basic":
+            try:
+                name, _, secret = base64.b64decode(rest, validate=True).decode().partition(":")
+            except (binascii.Error, UnicodeDecodeError):
+                raise Unauthorized("Authorization: Basic is not base64 of user:password") from None
+            return name, secret if secret.startswith(KEY_PREFIX) else hashlib.sha256(secret.encode()).hexdigest()
+    if query.get("key"):
+        return user, query["key"]
+    if query.get("password") and user:
+        return user, query["password"]
+    raise Unauthorized(
+        "no credentials: send Authorization: Bearer with an API key, Basic with user and password, or userID and key"
+    )

@@ -1,0 +1,154 @@
+"""What the REST interface offers, as one table: the routes are made from it, and so is the OpenAPI document."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, NamedTuple, get_args, get_origin
+
+import msgspec
+from aiohttp import web
+from aiohttp.typedefs import Handler
+from msgspec import Struct
+
+import rce
+from rce.map_jobs import PREFIX, Job, JobRequest, Problem, Upload
+from rce.mapservice.rest import PIECE_TYPE, Rest
+
+REF = "#/components/schemas/{name}"
+BYTES: dict[str, Any] = {}
+TEXT: dict[str, Any] = {"type": "string"}
+EVENTS = "text/event-stream"
+OFFSET, LENGTH, METADATA = "Upload-Offset", "Upload-Length", "Upload-Metadata"
+HEADERS = {
+    OFFSET: ("integer", "bytes that are there"),
+    LENGTH: ("integer", "bytes of the whole file"),
+    METADATA: ("string", "tus metadata: `filename` and, if the client likes, `fingerprint`, each followed by base64"),
+}
+PARAMETERS = {"upload": "id of an upload", "job": "id of a job", "file": "name of a result"}
+
+
+class Route(NamedTuple):
+    """`body` and `answer`: a type as JSON, or a media type; `headers` of the request, `told` of the answer."""
+
+    method: str
+    path: str
+    handler: Handler
+    summary: str
+    status: int = 200
+    body: Any = None
+    answer: Any = None
+    headers: tuple[str, ...] = ()
+    told: tuple[str, ...] = ()
+    open: bool = False
+
+
+def routes(rest: Rest) -> list[Route]:
+    sizes = (OFFSET, LENGTH)
+    return [
+        Route("OPTIONS", "/uploads", rest.abilities, "What of tus 1.0 is spoken here", 204, open=True),
+        Route(
+            *("POST", "/uploads", rest.create_upload, "Announce a file, or send a small one at once", 201),
+            *(PIECE_TYPE, Upload, (LENGTH, METADATA), sizes),
+        ),
+        Route("GET", "/uploads", rest.list_uploads, "Your uploads", answer=list[Upload]),
+        Route("HEAD", "/uploads/{upload}", rest.show_upload, "How much of a file is there", told=sizes),
+        Route("GET", "/uploads/{upload}", rest.show_upload, "An upload", answer=Upload, told=sizes),
+        Route(
+            *("PATCH", "/uploads/{upload}", rest.continue_upload, "Add bytes where the file ends so far", 204),
+            *(PIECE_TYPE, None, (OFFSET,), sizes),
+        ),
+        Route("DELETE", "/uploads/{upload}", rest.remove_upload, "Remove an upload that no job needs", 204),
+        Route("POST", "/jobs", rest.submit, "Have a map made of uploads", 201, JobRequest, Job),
+        Route("GET", "/jobs", rest.list_jobs, "Your jobs, the newest first", answer=list[Job]),
+        Route("GET", "/jobs/{job}", rest.show_job, "A job", answer=Job),
+        Route("POST", "/jobs/{job}/cancel", rest.cancel, "End a job that is not over", answer=Job),
+        Route("DELETE", "/jobs/{job}", rest.remove_job, "Remove a job that is over, with its files", 204),
+        Route("GET", "/jobs/{job}/events", rest.events, "The job after each change, as events `job`", answer=EVENTS),
+        Route("GET", "/jobs/{job}/files/{file}", rest.file, "A result", answer="application/octet-stream"),
+    ]
+
+
+def document(table: list[Route]) -> dict[str, Any]:
+    """The OpenAPI 3.1 document."""
+    kinds = {kind for route in table for each in (route.body, route.answer) for kind in _structs(each)} | {Problem}
+    _, schemas = msgspec.json.schema_components(sorted(kinds, key=lambda kind: kind.__name__), ref_template=REF)
+    paths: dict[str, Any] = {}
+    for route in table:
+        paths.setdefault(PREFIX + route.path, {})[route.method.lower()] = _operation(route)
+    return {
+        "openapi": "3.1.0",
+        "info": {
+            "title": "RCE map service",
+            "version": rce.__version__,
+            "description": "Recordings in, maps out. Files are uploaded with tus 1.0 (https://tus.io); a job makes a "
+            "map of them in an environment of its user. The same operations are offered in SOAP 1.1.",
+        },
+        "paths": paths,
+        "components": {
+            "schemas": schemas,
+            "securitySchemes": {
+                "key": {"type": "http", "scheme": "bearer", "description": "an API key"},
+                "password": {"type": "http", "scheme": "basic", "description": "user and password, or API key"},
+                "query": {"type": "apiKey", "in": "query", "name": "key", "description": "an API key"},
+            },
+        },
+        "security": [{"key": []}, {"password": []}, {"query": []}],
+    }
+
+
+def _structs(kind: Any) -> list[type[Struct]]:
+    if get_origin(kind) is list:
+        return _structs(get_args(kind)[0])
+    return [kind] if isinstance(kind, type) and issubclass(kind, Struct) else []
+
+
+def _content(kind: Any) -> dict[str, Any]:
+    if isinstance(kind, str):
+        return {kind: {"schema": TEXT if kind == EVENTS else BYTES}}
+    (schema,), _ = msgspec.json.schema_components([kind], ref_template=REF)
+    return {"application/json": {"schema": schema}}
+
+
+def _operation(route: Route) -> dict[str, Any]:
+    good: dict[str, Any] = {"description": "done" if route.answer is None else "as the schema says"}
+    if route.answer is not None:
+        good["content"] = _content(route.answer)
+    if route.told:
+        good["headers"] = {name: {"schema": {"type": HEADERS[name][0]}} for name in route.told}
+    bad = {
+        "description": "refused",
+        "content": {"application/problem+json": {"schema": {"$ref": REF.format(name="Problem")}}},
+    }
+    operation: dict[str, Any] = {
+        "operationId": f"{route.method.lower()}{re.sub('[^a-z]+', '_', route.path)}".rstrip("_"),
+        "summary": route.summary,
+        "responses": {str(route.status): good, "default": bad},
+    }
+    named = [("path", name, "string", PARAMETERS[name]) for name in re.findall(r"{(\w+)}", route.path)]
+    given = [("header", name, *HEADERS[name]) for name in route.headers]
+    if named or given:
+        operation["parameters"] = [
+            {"in": where, "name": name, "required": True, "description": text, "schema": {"type": kind}}
+            for where, name, kind, text in (*named, *given)
+        ]
+    if route.body is not None:
+        operation["requestBody"] = {
+            "required": route.method != "POST" or route.headers == (),
+            "content": _content(route.body),
+        }
+    if route.open:
+        operation["security"] = []
+    return operation
+
+
+def add(application: web.Application, table: list[Route]) -> None:
+    """The routes, and the document that describes them."""
+    text = msgspec.json.format(msgspec.json.encode(document(table)), indent=1)
+
+    async def describe(_: web.Request) -> web.Response:
+        return web.Response(body=text, content_type="application/json")
+
+    for route in table:
+        application.router.add_route(route.method, PREFIX + route.path, route.handler)
+    for path in ("", "/", "/openapi.json"):
+        application.router.add_get(PREFIX + path, describe)

@@ -1,0 +1,85 @@
+"""The map service put together, on a port."""
+
+from __future__ import annotations
+
+import asyncio
+import ssl
+from collections.abc import Callable
+from pathlib import Path
+
+from aiohttp import web
+from msgspec import Struct
+from twisted.logger import Logger
+
+from rce.map_jobs import PREFIX
+from rce.mapservice import jobs as jobs_module
+from rce.mapservice import openapi
+from rce.mapservice import uploads as uploads_module
+from rce.mapservice.access import Access, Master
+from rce.mapservice.jobs import Jobs, Workers
+from rce.mapservice.problems import problems
+from rce.mapservice.rest import Rest
+from rce.mapservice.soap import Soap
+from rce.mapservice.uploads import Uploads
+
+READ_AHEAD = 1024 * 1024  # bytes of an upload that wait in memory
+BODY_MOST = 9 * 1024 * 1024  # bytes of a body that is not streamed: SOAP with a recording
+SWEEP = 600.0  # seconds
+SHUTDOWN = 5.0
+
+log = Logger()
+
+
+class Limits(Struct, frozen=True):
+    """All limits of the service."""
+
+    uploads: uploads_module.Limits
+    jobs: jobs_module.Limits
+
+
+class MapService:
+    """Uploads, jobs and the server in front of them. `entry` and `trust`: of the platform."""
+
+    def __init__(
+        self,
+        directory: Path,
+        master: Callable[[], Master],
+        workers: Workers,
+        limits: Limits,
+        entry: str,
+        trust: str = "",
+    ) -> None:
+        access = Access(master)
+        self.jobs = Jobs(directory / "jobs", lambda: self.uploads, workers, access, limits.jobs, entry, trust)
+        self.uploads = Uploads(directory / "uploads", limits.uploads, self.jobs.size)
+        application = web.Application(middlewares=[problems], client_max_size=BODY_MOST)
+        openapi.add(application, openapi.routes(Rest(access, self.uploads, self.jobs)))
+        Soap(access, self.uploads, self.jobs).add(application)
+        self._runner = web.AppRunner(
+            application, handle_signals=False, access_log=None, shutdown_timeout=SHUTDOWN, read_bufsize=READ_AHEAD
+        )
+        self._sweeper: asyncio.Task[None] | None = None
+
+    async def start(self, host: str, port: int, tls: ssl.SSLContext | None = None) -> int:
+        """Returns the port."""
+        await self._runner.setup()
+        await web.TCPSite(self._runner, host, port, ssl_context=tls).start()
+        self._sweeper = asyncio.create_task(self._sweep())
+        found: int = self._runner.addresses[0][1]
+        log.info("maps are made at {host}:{port}{prefix}/", host=host, port=found, prefix=PREFIX)
+        return found
+
+    async def _sweep(self) -> None:
+        while True:
+            try:
+                await self.jobs.sweep()
+                await self.uploads.sweep(self.jobs.uses)
+            except OSError as error:
+                log.error("expired files could not be removed: {error}", error=str(error))
+            await asyncio.sleep(SWEEP)
+
+    async def stop(self) -> None:
+        if self._sweeper is not None:
+            self._sweeper.cancel()
+        await self.jobs.stop()
+        await self._runner.cleanup()
