@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import base64
-import binascii
 import hashlib
 import time
 from collections.abc import Callable, Mapping
@@ -88,7 +87,7 @@ def credentials(headers: Mapping[str, str], query: Mapping[str, str]) -> tuple[s
         case "basic":
             try:
                 name, _, secret = base64.b64decode(rest, validate=True).decode().partition(":")
-            except (binascii.Error, UnicodeDecodeError):
+            except ValueError:
                 raise Unauthorized("Authorization: Basic is not base64 of user:password") from None
             return name, secret if secret.startswith(KEY_PREFIX) else hashlib.sha256(secret.encode()).hexdigest()
     if query.get("key"):

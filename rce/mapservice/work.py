@@ -43,7 +43,7 @@ class Platform(Struct, frozen=True):
 class Task(Struct, frozen=True):
     """A recording (a file or a directory); with a platform it is mapped and the results go to `out`.
 
-    `name` is that of the robot and of its environment, `former` those of earlier attempts that may be left.
+    `name` is that of its environment, `former` those of earlier attempts that may be left.
     """
 
     recording: str
@@ -95,7 +95,12 @@ async def build(task: Task, platform: Platform) -> None:
     recording = open_recording(Path(task.recording), task.options.scan_topic, task.options.odometry_topic)
     times.end("opening")
     robot = Robot(
-        platform.url, user=platform.user, robot=task.name, key=platform.key, ssl=trusting(platform.trust), timeout=180.0
+        platform.url,
+        user=platform.user,
+        robot=f"{task.name}_robot",
+        key=platform.key,
+        ssl=trusting(platform.trust),
+        timeout=180.0,
     )
     shown = 0.0
 

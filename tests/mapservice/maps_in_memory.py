@@ -1,0 +1,136 @@
+"""A map service in this process, with a Master and workers that do what a test tells them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+
+from rce import calls as c
+from rce.errors import RceError, Unauthorized
+from rce.mapservice import jobs, uploads
+from rce.mapservice.server import Limits, MapService
+from rce.mapservice.work import Report, Task
+
+SCANS = 12
+KEYS = {"rce_ann": "ann", "rce_bob": "bob"}
+FLASER = "FLASER 3 1.0 1.0 1.0 0 0 0 0 0 0 {0}.0 host {0}.0\n"
+LOG = "".join(FLASER.format(second) for second in range(1, 21)).encode()
+
+
+class FakeMaster:
+    """Knows two users by their keys; `away` makes every call fail so."""
+
+    def __init__(self) -> None:
+        self.away: RceError | None = None
+        self.calls: list[c.Call[Any]] = []
+        self.grants: dict[str, str] = {}
+
+    async def call(self, call: c.Call[Any], wait: float = 10.0) -> Any:
+        self.calls.append(call)
+        if self.away is not None:
+            raise self.away
+        match call:
+            case c.Vouch(user, secret) if KEYS.get(secret, "") and user in ("", KEYS[secret]):
+                return c.Person(KEYS[secret], "robot")
+            case c.Delegate(user, _):
+                name = f"grant {len(self.calls)}"
+                self.grants[name] = user
+                return c.Grant(name)
+            case c.Borrow(grant, _) if grant in self.grants:
+                return c.LentKey(self.grants[grant], "rce_lent_1")
+            case c.EndGrant(grant):
+                self.grants.pop(grant, None)
+                return c.Nothing()
+        raise Unauthorized("user or password is wrong")
+
+
+class FakeWorkers:
+    """Each job runs until the test says how it ends."""
+
+    def __init__(self) -> None:
+        self.tasks: list[Task] = []
+        self.cleaned: list[Task] = []
+        self.refuse: RceError | None = None
+        self._ends: dict[str, asyncio.Future[None]] = {}
+        self._hear: dict[str, Callable[[Report], None]] = {}
+
+    async def look(self, task: Task) -> int | None:
+        if self.refuse is not None:
+            raise self.refuse
+        return SCANS
+
+    async def build(self, task: Task, log_file: Path, heard: Callable[[Report], None]) -> None:
+        self.tasks.append(task)
+        self._ends[task.name] = asyncio.get_running_loop().create_future()
+        self._hear[task.name] = heard
+        log_file.write_text("a log\n")  # noqa: ASYNC240
+        await self._ends[task.name]
+        (Path(task.out) / "map.png").write_bytes(b"a picture")
+
+    async def clean(self, task: Task) -> None:
+        self.cleaned.append(task)
+
+    def task(self, job: str) -> Task:
+        """The latest attempt at a job."""
+        return next(task for task in reversed(self.tasks) if job in task.name)
+
+    def tell(self, job: str, report: Report) -> None:
+        self._hear[self.task(job).name](report)
+
+    def finish(self, job: str, error: BaseException | None = None) -> None:
+        end = self._ends[self.task(job).name]
+        if error is None:
+            end.set_result(None)
+        else:
+            end.set_exception(error)
+
+    @property
+    def running(self) -> list[str]:
+        return [name for name, end in self._ends.items() if not end.done()]
+
+
+LIMITS = Limits(uploads.Limits(10_000_000, 20_000_000, 0, 1000.0), jobs.Limits(2, 1, 3, 1000.0, 100.0))
+
+
+class Service:
+    """The service on a port, and a client for each user."""
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self.master = FakeMaster()
+        self.workers = FakeWorkers()
+
+    async def start(self) -> None:
+        self.service = MapService(self.directory, lambda: self.master, self.workers, LIMITS, "http://entry/")
+        self.service.jobs.start()
+        port = await self.service.start("127.0.0.1", 0)
+        self.url = f"http://127.0.0.1:{port}/map-service"
+        self.session = aiohttp.ClientSession()
+
+    async def stop(self) -> None:
+        await self.session.close()
+        await self.service.stop()
+
+    async def ask(self, method: str, path: str, user: str = "ann", **more: Any) -> aiohttp.ClientResponse:
+        """An answer whose body is there; `path` may be a whole URL."""
+        headers = {"Authorization": f"Bearer rce_{user}"} | more.pop("headers", {})
+        url = path if path.startswith("http") else self.url + path
+        answer = await self.session.request(method, url, headers=headers, **more)
+        await answer.read()
+        return answer
+
+    async def upload(self, content: bytes = LOG, name: str = "a.log", user: str = "ann") -> str:
+        headers = {"Content-Type": "application/offset+octet-stream"}
+        answer = await self.ask("POST", f"/uploads?filename={name}", user, data=content, headers=headers)
+        assert answer.status == 201, await answer.text()
+        return str((await answer.json())["id"])
+
+    async def submit(self, user: str = "ann", **options: Any) -> str:
+        request = {"uploads": [await self.upload(user=user)], "options": options}
+        answer = await self.ask("POST", "/jobs", user, json=request)
+        assert answer.status == 201, await answer.text()
+        return str((await answer.json())["id"])
