@@ -20,6 +20,11 @@ def command(name: str) -> list[str]:
     raise NotFound(f"the program {name} is not installed: pip install 'rce[server]'")
 
 
+def installed(name: str, *needs: str) -> bool:
+    """Whether a program is there with the libraries that it needs."""
+    return name in known() and all(find_spec(library) is not None for library in needs)
+
+
 def become(name: str, arguments: list[str]) -> NoReturn:
     """Go on as this program."""
     words = command(name) + arguments

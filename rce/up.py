@@ -225,7 +225,12 @@ async def run(settings: Settings, started: Callable[[Ready], Awaitable[None]], l
     master, robot, container, maps = make_parts(settings, log)
     try:
         entry = await master.start()
-        await asyncio.gather(robot.start(), container.start(), maps.start())
+        parts = [robot, container]
+        if programs.installed("map-service", "aiohttp", "lxml", "rosbags"):
+            parts.append(maps)
+        else:
+            print("rce up: no map service, since a part of rce[server] is not installed", file=log, flush=True)
+        await asyncio.gather(*(part.start() for part in parts))
         await started(entry)
     finally:
         # Jobs and environments first, while there is a Master to tell; then who needs the Master, then the Master.

@@ -11,6 +11,7 @@ from aiohttp import web
 from msgspec import Struct
 from twisted.logger import Logger
 
+from rce.errors import InvalidRequest
 from rce.map_jobs import PREFIX
 from rce.mapservice import jobs as jobs_module
 from rce.mapservice import openapi
@@ -63,7 +64,10 @@ class MapService:
     async def start(self, host: str, port: int, tls: ssl.SSLContext | None = None) -> int:
         """Returns the port."""
         await self._runner.setup()
-        await web.TCPSite(self._runner, host, port, ssl_context=tls).start()
+        try:
+            await web.TCPSite(self._runner, host, port, ssl_context=tls).start()
+        except OSError as error:
+            raise InvalidRequest(f"the map service cannot have port {port} of {host}: {error.strerror}") from None
         self._sweeper = asyncio.create_task(self._sweep())
         found: int = self._runner.addresses[0][1]
         log.info("maps are made at {host}:{port}{prefix}/", host=host, port=found, prefix=PREFIX)
