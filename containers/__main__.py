@@ -47,7 +47,9 @@ async def serve(reactor: ReactorBase, settings: Settings) -> None:
             settings.own_name,
             credential,
             lambda ended: make_engine(reactor, settings, relay, ended),
+            directory / "packages",
             relay,
+            settings.entry,
         )
         try:
             if settings.data_host and settings.engine != "swarm":
@@ -70,6 +72,7 @@ def make_engine(reactor: ReactorBase, settings: Settings, relay: DataRelay, ende
             root=directory / "environments",
             settings={"master": settings.master, "host": settings.host, **surroundings},
             relay=relay,
+            packages=directory / "packages",
         )
     try:
         from containers.docker import DockerEngine

@@ -28,6 +28,7 @@ from containers.docker_events import Event
 from containers.docker_options import CONTROL, Machine, Places, Size, limits, owner, reference, variables, walls
 from containers.engine import LAST_LINES, Ended, Engine, Life
 from containers.logfile import LONGEST_LINE
+from containers.packages import package_path, places
 from containers.relay import Relay
 from rce.calls import EnvironmentSpec
 from rce.errors import NoCapacity, StartFailed, Unavailable
@@ -77,6 +78,7 @@ class DockerEngine(Engine):
         self._reactor = reactor
         self._root = directory / "environments"
         self._sockets = directory / "sockets"
+        self._packages = directory / "packages"
         self._master = master
         self._image = image
         self._settings = {**settings, "relay": f"{CONTROL}/{GATE}"}
@@ -95,6 +97,8 @@ class DockerEngine(Engine):
         granted = limits(spec, gpus, Size.here())
         if spec.options.disk:
             docker_disks.check(spec.options.disk)
+        packages = places(self._packages, spec.packages)
+        with_packages = package_path(packages, self._settings)
         try:
             environment = await self._furnish(spec.name, spec.run, gpus)
             disk = await self._disk(spec)
@@ -103,8 +107,8 @@ class DockerEngine(Engine):
                     Found("", spec.name, spec.run, spec.options.size, running=False, gpus=gpus),
                     reference(spec.options.image) if spec.options.image else self._image,
                     self._command,
-                    variables(spec, environment.places, self._host, self._settings),
-                    walls(granted, environment.places, self._read_only, disk, self._machine),
+                    variables(spec, environment.places, self._host, self._settings | with_packages),
+                    walls(granted, environment.places, [*self._read_only, *packages], disk, self._machine),
                 )
             finally:
                 if disk is not None:  # it stays as long as it is mounted

@@ -25,6 +25,7 @@ from containers.data_relay import GATE, DataRelay
 from containers.domains import Domains
 from containers.engine import LAST_LINES, Ended, Engine, Life
 from containers.limits import check_limits
+from containers.packages import package_path, places
 from containers.processes import KILL_TIMEOUT, MARKER, Watch, describe_end, has_marker, kill_marked
 from rce.calls import EnvironmentSpec
 from rce.errors import StartFailed, TimedOut
@@ -62,7 +63,8 @@ class _Environment:
 
 
 class ProcessEngine(Engine):
-    """Environments as process groups; `settings` are those of every Environment endpoint (`RCE_…` in its environment).
+    """Environments as process groups; `settings` are those of every Environment endpoint (`RCE_…` in its environment),
+    `packages` is where users' packages are.
 
     The task set must be the only one with this `root`.
     """
@@ -74,6 +76,7 @@ class ProcessEngine(Engine):
         ended: Callable[[Ended], None],
         *,
         root: Path,
+        packages: Path,
         settings: Mapping[str, str],
         command: Sequence[str] | None = None,
         domains: Domains | None = None,
@@ -81,7 +84,8 @@ class ProcessEngine(Engine):
     ) -> None:
         super().__init__(capacity, features, ended)
         self._root = root
-        self._settings = settings
+        self._packages = packages
+        self._settings = dict(settings)
         self._command = command or COMMAND
         self._domains = domains or Domains()
         self._relay = relay or DataRelay()
@@ -166,9 +170,10 @@ class ProcessEngine(Engine):
         return state
 
     def _environ(self, spec: EnvironmentSpec, directory: Path, domain: int) -> dict[str, str]:
+        packages = package_path(places(self._packages, spec.packages), self._settings)
         return {
             **{key: os.environ[key] for key in KEPT if key in os.environ},
-            **{f"RCE_{key.upper()}": value for key, value in self._settings.items()},
+            **{f"RCE_{key.upper()}": value for key, value in (self._settings | packages).items()},
             "HOME": str(directory / "home"),
             MARKER: spec.run,
             "RCE_NAME": spec.name,

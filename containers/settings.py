@@ -47,6 +47,9 @@ class Settings(Struct, frozen=True):
     data_port: Annotated[int, Meta(ge=0, le=65535, description="port for them; 0 takes a free one")] = 0
     data_address: Annotated[str, Meta(description="name or address by which they dial it; empty: data_host")] = ""
     host: Annotated[str, Meta(description="identity of this machine; empty: found out")] = ""
+    entry: Annotated[
+        str, Meta(description="URL of the Master's HTTP entry, for users' packages; empty: on the host of `master`")
+    ] = ""
     size: Annotated[int, Meta(ge=1, description="slots for environments on this machine")] = 10
     gpus: Annotated[int, Meta(ge=0, description="docker engine: graphics processors for environments")] = 0
     features: Annotated[list[str], Meta(description="special features of this machine, comma-separated")] = []
@@ -72,12 +75,17 @@ def check_isolation(settings: Settings) -> None:
         )
 
 
+def host_of(description: str) -> str:
+    """The host that a Twisted client endpoint leads to, empty for one that has none."""
+    match = _HOST.match(description)
+    return re.sub(r"\\(.)", r"\1", match[1]) if match else ""
+
+
 def is_local(description: str) -> bool:
     """Whether a Twisted client endpoint leads to this machine for certain."""
     if description.startswith("unix:"):
         return True
-    match = _HOST.match(description)
-    host = re.sub(r"\\(.)", r"\1", match[1]) if match else ""
+    host = host_of(description)
     try:
         return host == "localhost" or ip_address(host).is_loopback
     except ValueError:

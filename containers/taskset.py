@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from importlib.metadata import version
+from pathlib import Path
 from uuid import uuid4
 
 from twisted.internet.base import ReactorBase
@@ -12,6 +13,8 @@ from twisted.logger import Logger
 
 from containers.data_relay import DataRelay
 from containers.engine import Ended, Engine
+from containers.fetching import Fetcher
+from containers.packages import PackageCache
 from rce.calls import (
     EnvironmentDied,
     Hello,
@@ -41,9 +44,13 @@ class TaskSet:
         name: str,
         credential: Credential,
         make_engine: MakeEngine,
+        packages: Path,
         relay: DataRelay | None = None,
+        entry: str = "",
     ) -> None:
-        """`relay` is the one that the engine's environments are admitted to."""
+        """`packages` is the directory for users' packages, fetched at the Master's HTTP entry (see `Fetcher`); `relay`
+        is the one that the engine's environments are admitted to.
+        """
         self._name = name
         self._relay = relay or DataRelay()
         self._credential = credential
@@ -56,12 +63,15 @@ class TaskSet:
         handlers.on(KeepEnvironments, self._keep)
         handlers.on(KnowRelays, self._know)
         self._link = MasterLink(reactor, master, self._hello, handlers, self._welcomed)
+        self._packages = PackageCache(packages, Fetcher(self._link, master, entry).fetch)
+        self._starting: set[str] = set()
 
     async def run(self, *, stop_environments: bool) -> None:
         """Serve the Master until cancelled or refused (its error is raised).
 
         At the end the environments are stopped, or run on until the next task set of this machine adopts them.
         """
+        self._packages.open()
         await self._engine.open()
         log.info("{count} environments adopted", count=len(self._engine.running()))
         try:
@@ -95,27 +105,39 @@ class TaskSet:
 
     async def _start(self, call: StartEnvironment) -> Nothing:
         spec = call.environment
+        self._starting.add(spec.run)
         try:
+            await self._packages.provide(spec.run, spec.packages)
             await self._engine.start(spec)
         except RceError as error:
             log.warn("{name} was not started: {error}", name=spec.name, run=spec.run, error=str(error))
             raise
+        finally:
+            self._starting.discard(spec.run)
+            await self._release()
         log.info("{name} is started", name=spec.name, run=spec.run)
         return Nothing()
 
     async def _stop(self, call: StopEnvironment) -> Nothing:
         await self._engine.stop(call.name)
+        await self._release()
         log.info("{name} is stopped", name=call.name)
         return Nothing()
 
     async def _keep(self, call: KeepEnvironments) -> Nothing:
         await self._engine.keep(call.runs)
+        await self._release()
         return Nothing()
 
     async def _know(self, call: KnowRelays) -> Nothing:
         self._relay.know(call.relays)
         self._engine.know(call.relays)
         return Nothing()
+
+    async def _release(self) -> None:
+        """Packages that no environment has any more need not stay."""
+        running = {life.run for life in self._engine.running().values()}
+        await self._packages.release(running | self._starting)
 
     def _ended(self, ended: Ended) -> None:
         reason = "\n".join([ended.reason, *ended.lines])

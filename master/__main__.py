@@ -18,12 +18,15 @@ from twisted.internet.interfaces import IListeningPort
 from twisted.logger import Logger
 from twisted.web.server import Site
 
+from master.api.packages import PackagesApi
+from master.api.router import Api
+from master.api.site import ApiSite
+from master.depot import Depot
 from master.entry import Entry
 from master.groups import PREFIX
 from master.machines import Registrar, Registry, SmallRequest, port_of
 from master.policies import IMAGES, Policy, parse, with_changes
 from master.records import GROUP_POOL, Role
-from master.redirect import EntrySite
 from master.service import Master
 from master.store import Store
 from master.users import Processes, Users
@@ -33,6 +36,7 @@ from rce.errors import InvalidRequest
 from rce.ready import Ready, announce
 
 log = Logger("master")
+DEFAULT_LIMITS = ["package_bytes=2Gi"]
 
 
 class Settings(Struct):
@@ -68,7 +72,8 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     options.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
     store = Store(options.database or f"sqlite:///{options.data_dir / 'master.db'}")
     await store.open()
-    master = Master(store, options.grace, platform_policy(options))
+    depot = Depot(options.data_dir / "packages")
+    master = Master(store, options.grace, platform_policy(options), depot=depot)
     master.state.group_pool = _pool(options.group_pool)
     await first_users(master.users, options.dev)
     for entry in options.tokens:
@@ -78,10 +83,14 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     ports = [await control.listen(reactor, options.control, master)]
     try:
         endpoint = endpoints.serverFromString(reactor, http)
-        ports.append(await endpoint.listen(EntrySite(Entry(master.state))).asFuture(asyncio.get_running_loop()))
+        api = Api(master.users)
+        PackagesApi(master, depot).add_to(api)
+        site = ApiSite(Entry(master.state), api, depot)
+        ports.append(await endpoint.listen(site).asFuture(asyncio.get_running_loop()))
         if options.machines:
             ports.append(await _registry(reactor, options, master.processes))
         scheme = "https" if http.startswith("ssl") else "http"
+        master.entry = (scheme, _address(ports[1]).port)
         inside, outside = (f"{address.host}:{address.port}" for address in map(_address, ports[:2]))
         log.info("Master serves robots at {http}, its processes at {control}", http=outside, control=inside)
         announce(Ready("master", f"{scheme}://{outside}/", f"tcp:{inside}"))
@@ -95,7 +104,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
 
 def platform_policy(options: Settings) -> Policy:
     """What users may have who have no limits of their own. InvalidRequest."""
-    return with_changes(Policy(images=[*IMAGES, *options.images]), parse(options.limits))
+    return with_changes(Policy(images=[*IMAGES, *options.images]), parse([*DEFAULT_LIMITS, *options.limits]))
 
 
 async def _registry(reactor: ReactorBase, options: Settings, processes: Processes) -> IListeningPort:

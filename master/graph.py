@@ -11,6 +11,7 @@ from typing import Any, TypeVar, get_args
 
 from master import groups
 from master.effects import Outcome, Plan, Send, Settle
+from master.packages import resolve_all
 from master.placement import place
 from master.policies import UNLIMITED, Policy, check_connections, check_totals, granted
 from master.records import Connection, Environment, Interface, Node, Parameter, State, what
@@ -72,16 +73,18 @@ def create_container(
     check_variables(command.containerData.env)
     options = granted(policy, command.containerData)
     check_totals(state, user, policy, options)
+    packages = resolve_all(state, user, options.packages)
     subnet, address = groups.join(state, user, options)
     machine = place(state, user, options)
-    environment = Environment(name, options, ids(), machine, subnet, address)
+    environment = Environment(name, options, ids(), machine, subnet, address, packages)
     state.environments.put(environment)
     return Outcome(start(state, environment), [what(environment)])
 
 
 def start(state: State, environment: Environment) -> Plan:
     """At its machine, unless it waits for one. The token is made when the call leaves: it is for that call alone."""
-    spec = EnvironmentSpec(environment.name, environment.run, "", environment.options, groups.spec(state, environment))
+    group = groups.spec(state, environment)
+    spec = EnvironmentSpec(environment.name, environment.run, "", environment.options, group, environment.packages)
     return [[Send(environment.machine, StartEnvironment(spec), environment.name)]] if environment.machine else []
 
 

@@ -59,6 +59,7 @@ class Policy(Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True
     total_memory: Number = 0
     robots: Number = 0
     connections: Number = 0
+    package_bytes: Number = 0
 
 
 UNLIMITED = Policy()

@@ -6,6 +6,7 @@
     Connection: two Interfaces of one user
     Process: Robot endpoint, Environment endpoint, task set, as it last joined
     Link: two Processes that share connections
+    Package 1─* Version: a user's own ROS packages
 
 Keys are paths (`user/env/node`). Invariants stand at the records; the functions in `graph`, `wiring` and `presence`
 keep them.
@@ -36,6 +37,7 @@ class Environment(Struct, frozen=True):
     machine: str
     subnet: str = ""  # of its network group, as 10.128.0.0/24
     address: str = ""  # in it
+    packages: list[str] = []  # digests of users' packages: those that it was made with, in all of its lives
 
     @property
     def key(self) -> str:
@@ -132,6 +134,27 @@ class Link(Struct, frozen=True):
     incarnations: tuple[str, str]
     key_hex: str
     alone_for: str = ""
+
+    @property
+    def key(self) -> str:
+        return self.name
+
+
+class Version(Struct, frozen=True):
+    """An archive of users' ROS packages: `digest` is the SHA-256 of its bytes, `packages` are the names of ROS."""
+
+    digest: str
+    size: int
+    packages: list[str]
+    created: float  # seconds since 1970
+
+
+class Package(Struct, frozen=True):
+    """A user's package, with at least one version, the newest last; `shared` are users who may use it, `*` is all."""
+
+    name: str  # user/name
+    versions: list[Version] = []
+    shared: list[str] = []
 
     @property
     def key(self) -> str:
@@ -240,6 +263,7 @@ class State:
         )
         self.processes = Table(Process, lambda record: (record.role,))
         self.links = Table(Link, lambda record: {record.listener, record.dialler})
+        self.packages = Table(Package, lambda record: {user_of(record.name), *(f">{user}" for user in record.shared)})
         self.joined: set[str] = set()  # processes with a control connection
         self.expected: set[str] = set()  # those that lost it, while they have time to come back
 
@@ -253,6 +277,7 @@ class State:
             self.connections,
             self.processes,
             self.links,
+            self.packages,
         ]
 
     def connections_of_user(self, user: str) -> int:

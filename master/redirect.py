@@ -33,7 +33,7 @@ class EntryRequest(Request):
 
     def _answer(self, uri: bytes) -> bytes:
         channel: Any = self.channel
-        entry: Entry = channel.site.resource
+        entry: Entry = channel.site.entry
         status = b"413 Content Too Large"
         try:
             location = entry.location(uri, self.getRequestHostname())
@@ -56,3 +56,4 @@ class EntrySite(Site):
 
     def __init__(self, entry: Entry) -> None:
         super().__init__(entry)
+        self.entry = entry

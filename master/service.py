@@ -11,8 +11,9 @@ from msgspec.structs import replace
 from twisted.logger import Logger
 
 import rce
-from master import graph, presence, wiring
+from master import graph, packages, presence, wiring
 from master.carrier import Carrier
+from master.depot import FETCH_PATH, Depot
 from master.effects import Plan, Send
 from master.grants import digest
 from master.limits import Limits
@@ -52,16 +53,26 @@ def ids() -> str:
 
 class Master:
     """`grace` is how long a robot that lost its socket keeps its session, `machine_grace` how long a machine may be
-    away before its environments are lost, in seconds; `policy` is that of users who have none of their own.
+    away before its environments are lost, in seconds; `policy` is that of users who have none of their own. Archives of
+    the `depot` are fetched at the HTTP entry, whose scheme and port `entry` has.
     """
 
-    def __init__(self, store: Store, grace: float, policy: Policy = UNLIMITED, machine_grace: float = 30.0) -> None:
+    def __init__(
+        self,
+        store: Store,
+        grace: float,
+        policy: Policy = UNLIMITED,
+        machine_grace: float = 30.0,
+        depot: Depot | None = None,
+    ) -> None:
         self.state = State()
         self.users = Users(store)
         self.limits = Limits(store, policy)
         self.processes = Processes(store)
         self.grace = grace
         self.machine_grace = machine_grace
+        self.entry = ("http", 0)
+        self._depot = depot
         self._store = store
         self._carrier = Carrier(self._prepare, self._carried)
         self._retries: dict[str, float] = {}  # seconds to the next start of what keeps dying
@@ -75,6 +86,8 @@ class Master:
         await self._store.load(self.state)
         await self.limits.open()
         self._keep(asyncio.create_task(self.limits.follow()))
+        packages.drop_strays(self.state, set(await self.users.names()))
+        self._sweep()
         for process in self.state.processes:
             self._expect(process, 2)
         self._drop_later(2 * self.grace)
@@ -201,6 +214,7 @@ class Master:
             handlers.on(c.Report, lambda call: self._report(process, call))
         else:
             handlers.on(c.EnvironmentDied, self._environment_died)
+            handlers.on(c.FetchPackage, lambda call: self._fetch_package(process, call))
         handlers.on(c.LinkLost, lambda call: self._link_lost(process, call))
         return handlers
 
@@ -390,6 +404,23 @@ class Master:
         self._reopening.discard(link)
         self._apply(wiring.reopen(self.state, link, ids))
 
+    # --- users' packages ----------------------------------------------------------------------------------------------
+
+    async def _fetch_package(self, process: Process, call: c.FetchPackage) -> c.Ticket:
+        """A task set gets what its own environments are to see."""
+        needed = any(
+            call.digest in environment.packages for environment in self.state.environments.by(at(process.name))
+        )
+        if self._depot is None or not needed:
+            raise NotFound(f"no environment of {process.name} has the package {call.digest[:80]}")
+        token, size = self._depot.ticket(call.digest)
+        scheme, port = self.entry
+        return c.Ticket(scheme, port, FETCH_PATH, token, size)
+
+    def _sweep(self) -> None:
+        if self._depot is not None:
+            self._depot.sweep(packages.named(self.state))
+
     # --- effects ------------------------------------------------------------------------------------------------------
 
     def _apply(self, plan: Plan) -> None:
@@ -398,11 +429,18 @@ class Master:
         task = self._carrier.carry(plan)
         task.add_done_callback(_log_error)
 
+    async def save(self) -> None:
+        """Returns once all changes are safe. What users asked for by other ways than commands is saved by this."""
+        await self._save()
+
     def _save(self, by_command: bool = False) -> asyncio.Task[None]:
         """Begin to write what changed; who waits for something that is gone hears so.
 
         What a command took back was carried out until then: who made it is answered well.
         """
+        state = self.state
+        if state.packages.changed or any(key not in state.environments for key in state.environments.changed):
+            self._sweep()
         for table in self.state.tables():
             for key in table.changed:
                 if key not in table:

@@ -56,6 +56,13 @@ def shipped() -> list[Path]:
     return sorted(path for path in found if path.is_dir() and rosinstall.share(path.name) is None)
 
 
+def used(roots: Sequence[Path]) -> list[Path]:
+    """Those of the packages that ship which the packages in the directories `roots` use, and are not."""
+    packages = [definitions.read_package(root.absolute()) for root in roots]
+    names = {reference.package for package in packages for reference in package.uses}
+    return [path for path in shipped() if path.name in names - {package.name for package in packages}]
+
+
 def build(roots: Sequence[Path], cache: Path = DEFAULT_CACHE) -> TypeSupport:
     """Type support for the interface packages in the directories `roots`, from `cache` if nothing has changed.
 
@@ -180,15 +187,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = argparse.ArgumentParser(prog="python -m provisioning.typesupport", description=__doc__)
     options.add_argument("package", nargs="*", type=Path, metavar="DIR", help="directory of an interface package")
     options.add_argument("--cache", type=Path, default=DEFAULT_CACHE, help="where results are kept (%(default)s)")
+    options.add_argument(
+        "--alone", action="store_true", help="only DIR and what it uses of what ships; the link `current` stays"
+    )
     given = options.parse_args(arguments)
     try:
-        result = build([*shipped(), *given.package], given.cache)
+        result = build([*(used(given.package) if given.alone else shipped()), *given.package], given.cache)
     except RceError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     for path in result.left_out:
         print(f"left out: {path}: only messages and services (.msg, .srv) are supported", file=sys.stderr)
-    point(given.cache / "current", result.prefix)
+    if not given.alone:
+        point(given.cache / "current", result.prefix)
     print(result.prefix)
     return 0
 

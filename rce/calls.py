@@ -223,6 +223,7 @@ class EnvironmentSpec(Struct, frozen=True):
     token: str  # one-time join token of its Environment endpoint
     options: ContainerData
     group: Group | None = None
+    packages: list[str] = []  # digests of the users' packages that it sees, first come first found
 
 
 class StartEnvironment(Call[Nothing], frozen=True):
@@ -446,6 +447,25 @@ class EnvironmentDied(Call[Nothing], frozen=True):
     name: str
     run: str
     reason: str
+
+
+class Ticket(Struct, frozen=True):
+    """What an archive is fetched with, once and soon: `path` at the Master's entry, with the token as bearer's.
+
+    `scheme` and `port` are those of the entry, whose host is where the Master is.
+    """
+
+    scheme: str
+    port: int
+    path: str
+    token: str
+    size: int
+
+
+class FetchPackage(Call[Ticket], frozen=True):
+    """A task set lacks an archive that an environment of its own needs. NotFound."""
+
+    digest: str
 
 
 class Report(Call[Nothing], frozen=True):

@@ -41,6 +41,12 @@ def run_robot(arguments: list[str]) -> int:
     return command.main(arguments)
 
 
+def package(arguments: list[str]) -> int:
+    from rce.commands import package as command
+
+    return command.main(arguments)
+
+
 def bench(arguments: list[str]) -> int:
     from rce.commands import bench as command
 
@@ -51,6 +57,7 @@ COMMANDS: dict[str, tuple[str, Callable[[list[str]], int]]] = {
     "up": ("run the whole platform on this machine", up),
     "map": ("make a map of recorded laser scans", map_recordings),
     "run": ("be a robot that a file describes", run_robot),
+    "package": ("your own ROS packages at a platform", package),
     "bench": ("measure a platform", bench),
 }
 

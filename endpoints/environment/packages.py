@@ -14,6 +14,8 @@ SHIPPED = Path(__file__).parents[2] / "containers" / "nodes"
 """Nodes that come with RCE; they may import `rce`."""
 
 _PACKAGE = re.compile(r"[A-Za-z][A-Za-z0-9_-]*", re.ASCII)
+_PYTHON = re.compile(rb"#! ?/\S*/python3?(\.\d+)?\s*$")
+"""The first line of a program that was installed for the Python of another machine: it means the one that is here."""
 _FILE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*", re.ASCII)
 
 
@@ -33,7 +35,11 @@ class Packages:
             if (path / "package.xml").is_file():
                 return path
         places = ", ".join(str(path) for path in (*self.prefixes, *self.sources))
-        raise NotFound(f"no package {package} in this environment; looked in {places}", field="pkg")
+        raise NotFound(
+            f"no package {package} in this environment; looked in {places} (packages that were pushed are seen by the "
+            "environments that name them, in containerData.packages)",
+            field="pkg",
+        )
 
     def command(self, package: str, executable: str) -> list[str]:
         """How to run an executable of a package; `.py` may be left out. InvalidName, NotFound."""
@@ -69,7 +75,9 @@ def _command(path: Path) -> list[str]:
     if path.is_relative_to(SHIPPED):  # Python, and for the one that runs this
         return [sys.executable, str(path)]
     executable = os.access(path, os.X_OK)
-    if path.suffix == ".py" and not (executable and path.read_bytes().startswith(b"#!")):
+    with path.open("rb") as file:
+        first = file.readline(256)
+    if _PYTHON.match(first) or (path.suffix == ".py" and not (executable and first.startswith(b"#!"))):
         return [sys.executable, str(path)]
     if executable:
         return [str(path)]

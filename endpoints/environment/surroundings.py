@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -101,7 +102,7 @@ def prepare(settings: Settings) -> None:
         os.environ[RANGE] = ALONE
     profile.write_text(_profile(settings))
     os.environ["FASTDDS_DEFAULT_PROFILES_FILE"] = str(profile)
-    sys.path += [str(prefix / "python") for prefix in settings.typesupport]
+    sys.path += python_paths(settings)
     memory.keep_large_blocks()
     load_later("numpy")
 
@@ -130,16 +131,26 @@ def prefixes(settings: Settings, environment: Mapping[str, str] = os.environ) ->
     return list(dict.fromkeys([*settings.typesupport, *system, Path(sys.prefix)]))
 
 
+def python_paths(settings: Settings) -> list[str]:
+    """Where Python modules of types and nodes are: type support, and what packages have built for this Python."""
+    version = f"python{sys.version_info.major}.{sys.version_info.minor}"
+    inside = (f"{version}-{platform.machine()}", f"lib/{version}/site-packages", f"local/lib/{version}/dist-packages")
+    built = [prefix / "python" for prefix in settings.typesupport]
+    pushed = [path for prefix in settings.package_path for part in inside if (path := prefix / part).is_dir()]
+    return list(map(str, built + pushed))
+
+
 def for_nodes(settings: Settings, environment: Mapping[str, str] = os.environ) -> dict[str, str]:
     """The variables of a node that comes with RCE; it finds all that we find."""
-    python = [str(prefix / "python") for prefix in settings.typesupport]
+    libraries = [str(path / "lib") for path in settings.package_path if (path / "lib").is_dir()]
     ament = [str(path) for path in (*prefixes(settings, environment), *settings.package_path)]
     return {
         **{key: value for key, value in environment.items() if not key.startswith("RCE_")},
         **msgspec.json.decode(settings.env, type=dict[str, str]),
         MARKER: settings.run,
         "PATH": _joined([str(Path(sys.executable).parent)], environment.get("PATH", os.defpath)),
-        "PYTHONPATH": _joined(python, environment.get("PYTHONPATH", "")),
+        "PYTHONPATH": _joined(python_paths(settings), environment.get("PYTHONPATH", "")),
+        **({"LD_LIBRARY_PATH": _joined(libraries, environment.get("LD_LIBRARY_PATH", ""))} if libraries else {}),
         "PYTHONUNBUFFERED": "1",
         "AMENT_PREFIX_PATH": _joined(ament),
         **memory.VARIABLES,

@@ -34,20 +34,29 @@ class Access(NamedTuple):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("platform", "without --url, one is started for this command alone")
     group.add_argument("--url", default="", help="entry of a running platform, http://host:9000/")
+    add_credentials(group)
+    group.add_argument("--engine", choices=ENGINES, default="process", help="of the started platform")
+
+
+def add_credentials(group: argparse._ActionsContainer) -> None:
     group.add_argument("--user", default=DEV_USER, help="(default: %(default)s)")
     group.add_argument("--password", default=None, help="better: RCE_PASSWORD or RCE_KEY in the environment")
-    group.add_argument("--engine", choices=ENGINES, default="process", help="of the started platform")
+
+
+def access(words: argparse.Namespace) -> Access:
+    """The running platform of `--url`."""
+    password = words.password or os.environ.get("RCE_PASSWORD")
+    key = None if password else os.environ.get("RCE_KEY")
+    if password is None and key is None and words.user == DEV_USER:
+        password = DEV_USER  # the user of development platforms
+    return Access(words.url, words.user, password, key)
 
 
 @contextlib.asynccontextmanager
 async def platform(words: argparse.Namespace) -> AsyncIterator[Access]:
     """The running platform of `--url`, or a fresh one that ends with the context."""
     if words.url:
-        password = words.password or os.environ.get("RCE_PASSWORD")
-        key = None if password else os.environ.get("RCE_KEY")
-        if password is None and key is None and words.user == DEV_USER:
-            password = DEV_USER  # the user of development platforms
-        yield Access(words.url, words.user, password, key)
+        yield access(words)
         return
     with tempfile.TemporaryDirectory(prefix="rce-") as directory, tempfile.TemporaryFile("w+") as log:
         settings = up.Settings(data_dir=Path(directory), http_port=0, dev=True, engine=words.engine)

@@ -42,6 +42,7 @@ class ProcessWorld(World):
             FEATURES,
             ended,
             root=self.root,
+            packages=self.root.parent / "packages",
             settings={"master": "tcp:127.0.0.1:1", "typesupport": "/types"},
             command=[*STAND_IN, *behaviour],
             domains=self.domains,

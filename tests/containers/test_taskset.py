@@ -94,6 +94,7 @@ class Running:
             "m1",
             Credential(self.file, "token"),
             lambda ended: engine(4, ("gpu",), ended, self.machine),
+            directory / "packages",
         )
 
     async def __aenter__(self) -> Running:

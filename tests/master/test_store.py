@@ -12,8 +12,9 @@ import pytest
 import sqlalchemy as sa
 from fleet import everything, wired
 
+from master import packages
 from master import store as db
-from master.records import Environment, State
+from master.records import Environment, State, Version
 from master.store import Store
 from rce import messages as m
 from rce.errors import InvalidRequest
@@ -59,6 +60,8 @@ def full() -> State:
         fleet.do("ann", m.SetParameter("brain", name, value))
     options = m.ContainerData(size=2, group="g", groupIP="192.168.1.7", restart="no")
     fleet.do("bob", m.CreateContainer("other", options))
+    packages.add(fleet.state, "ann", "own", Version("0" * 64, 7, ["p", "q"], 1.5))
+    packages.share(fleet.state, "ann", "own", ["bob"])
     return fleet.state
 
 

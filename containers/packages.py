@@ -1,0 +1,139 @@
+"""The users' packages on this machine: fetched from the Master when an environment first needs one, and kept a while.
+
+`DIGEST/` holds an unpacked archive, which nothing changes any more; `uses/RUN` says which of them the environment of
+that run sees, so that a task set which takes over knows what is in use.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import shutil
+import tempfile
+from collections.abc import Awaitable, Callable, Collection, Mapping
+from pathlib import Path
+from weakref import WeakValueDictionary
+
+from twisted.logger import Logger
+
+from containers.engine import RUN
+from rce import archive
+from rce.errors import InvalidRequest, StartFailed, Unavailable
+
+log = Logger()
+KEPT = 4 * 1024**3  # bytes of packages that are kept although nothing uses them at present
+Fetch = Callable[[str, Path], Awaitable[None]]
+
+
+def places(root: Path, digests: Collection[str]) -> list[str]:
+    """Where the packages of an environment are, once they were provided. InvalidRequest."""
+    for digest in digests:
+        if not archive.DIGEST.fullmatch(digest):
+            raise InvalidRequest(f"package {digest[:80]!r} is not named by its digest")
+    return [str(root / digest) for digest in digests]
+
+
+def package_path(places: Collection[str], settings: Mapping[str, str]) -> dict[str, str]:
+    """The setting of the Environment endpoint, with an environment's own packages before those of the machine."""
+    return {"package_path": ",".join([*places, *filter(None, [settings.get("package_path")])])}
+
+
+class PackageCache:
+    """Packages in `root`; `fetch` writes the archive of a digest into a file."""
+
+    def __init__(self, root: Path, fetch: Fetch, kept: int = KEPT) -> None:
+        self._root = root
+        self._uses = root / "uses"
+        self._incoming = root / "incoming"
+        self._fetch = fetch
+        self._kept = kept
+        self._sizes: dict[str, int] = {}
+        self._locks: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
+
+    def open(self) -> None:
+        """Remove what an earlier task set did not finish."""
+        for directory in (self._root, self._uses, self._incoming):
+            directory.mkdir(parents=True, exist_ok=True, mode=0o700)
+        for path in self._incoming.iterdir():
+            _remove(path)
+
+    async def provide(self, run: str, digests: Collection[str]) -> None:
+        """See that packages are here, and that they stay until `release`. StartFailed, NotFound."""
+        places(self._root, digests)
+        if not RUN.fullmatch(run):
+            raise InvalidRequest(f"run {run[:80]!r} is not 32 hex digits", field="run")
+        if not digests:
+            return
+        (self._uses / run).write_text("\n".join(digests))  # first, so that none of them is removed meanwhile
+        try:
+            for digest in digests:
+                await self._provide(digest)
+        except (OSError, Unavailable) as error:
+            raise StartFailed(f"packages could not be fetched: {error}") from None
+
+    async def release(self, running: Collection[str]) -> None:
+        """Of environments that do not run, nor will, nothing is in use any more; what is too much is removed."""
+        for path in self._uses.iterdir():
+            if path.name not in running:
+                path.unlink(missing_ok=True)
+        await self._shrink()
+
+    async def _provide(self, digest: str) -> None:
+        lock = self._locks.get(digest)
+        if lock is None:
+            lock = self._locks[digest] = asyncio.Lock()
+        async with lock:
+            target = self._root / digest
+            if target.is_dir():
+                os.utime(target)  # by this is known what was not needed for the longest time
+                return
+            work = Path(tempfile.mkdtemp(dir=self._incoming))
+            try:
+                await self._fetch(digest, work / "archive")
+                await asyncio.to_thread(_unpack, work / "archive", work / "tree", digest)
+                (work / "tree").chmod(0o755)  # a directory that is to be moved must be writable
+                (work / "tree").rename(target)
+                target.chmod(0o555)
+            finally:
+                await asyncio.to_thread(_remove, work)
+            log.info("package {digest} is here", digest=digest)
+
+    async def _shrink(self) -> None:
+        """Remove what was not used for the longest time, until not too much is left."""
+        used = {digest for path in self._uses.iterdir() for digest in path.read_text().split()}
+        idle = [path for path in self._root.iterdir() if archive.DIGEST.fullmatch(path.name) and path.name not in used]
+        idle.sort(key=lambda path: path.stat().st_mtime, reverse=True)
+        total = 0
+        for path in idle:
+            if path.name not in self._sizes:
+                self._sizes[path.name] = await asyncio.to_thread(_size, path)
+            total += self._sizes[path.name]
+            if total > self._kept and path.name not in self._locks:
+                doomed = path.rename(self._incoming / path.name)
+                await asyncio.to_thread(_remove, doomed)
+                log.info("package {digest} is removed", digest=path.name)
+
+
+def _unpack(path: Path, directory: Path, digest: str) -> None:
+    directory.mkdir()
+    with path.open("rb") as file:
+        contents = archive.unpack(file, directory)
+    if contents.digest != digest:
+        raise StartFailed(f"what the Master sent is not package {digest}: its digest is {contents.digest}")
+
+
+def _size(directory: Path) -> int:
+    return sum(path.lstat().st_size for path in directory.rglob("*"))
+
+
+def _remove(path: Path) -> None:
+    """Also what is read-only."""
+    if path.is_dir():
+        for each in (path, *path.rglob("*")):
+            if each.is_dir():
+                with contextlib.suppress(FileNotFoundError):
+                    each.chmod(0o700)
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)

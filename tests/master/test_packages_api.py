@@ -1,0 +1,336 @@
+"""Pushing, listing and sharing over HTTP: who may, what is refused and how, and that nothing is left of what is."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import http.client
+import io
+import json
+import socket
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import pytest
+from twisted.internet import endpoints
+from twisted.internet.base import ReactorBase
+
+from master.api.packages import PackagesApi
+from master.api.router import Api
+from master.api.site import ApiSite
+from master.depot import Depot
+from master.entry import Entry
+from master.policies import Policy
+from master.records import Environment, Process
+from master.service import Master
+from master.store import Store
+from rce import archive
+from rce import calls as c
+from rce import http as client
+from rce.errors import Forbidden, InvalidRequest, LimitExceeded, NotFound, RceError, Unauthorized
+from rce.messages import ContainerData
+from rce.packages import Package, Packages
+
+QUOTA = 100_000
+PASSWORD = "secret"
+
+
+class Platform(NamedTuple):
+    master: Master
+    depot: Depot
+    port: int
+    files: Path
+
+    def entry(self, user: str, secret: str = PASSWORD) -> client.Entry:
+        return client.Entry(f"http://127.0.0.1:{self.port}/", client.basic(user, secret))
+
+    async def do(self, user: str, action: Callable[[Packages], Any], secret: str = PASSWORD) -> Any:
+        return await asyncio.to_thread(action, Packages(self.entry(user, secret)))
+
+    async def raw(self, method: str, path: str, body: bytes = b"", **headers: str) -> tuple[int, dict[str, Any]]:
+        def ask() -> tuple[int, dict[str, Any]]:
+            connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)
+            connection.request(method, path, body, {"Connection": "close", **headers})
+            response = connection.getresponse()
+            answer = response.status, json.loads(response.read() or b"{}")
+            connection.close()
+            return answer
+
+        return await asyncio.to_thread(ask)
+
+    def stored(self) -> set[str]:
+        return {path.name for path in (self.files / "depot").rglob("*") if path.is_file()}
+
+    def entries(self, content: bytes = b"x") -> list[archive.Entry]:
+        source = self.files / "file"
+        source.write_bytes(content)
+        return [archive.Entry("p/package.xml", source, False), archive.Entry("p/talk.py", source, False)]
+
+
+@pytest.fixture
+async def platform(reactor: ReactorBase, tmp_path: Path) -> AsyncIterator[Platform]:
+    store = Store("sqlite://")
+    await store.open()
+    depot = Depot(tmp_path / "depot")
+    master = Master(store, 10, Policy(package_bytes=QUOTA), depot=depot)
+    for user in ("ann", "bob", "eve"):
+        await master.users.add(user, PASSWORD)
+    await master.start()
+    api = Api(master.users)
+    PackagesApi(master, depot).add_to(api)
+    endpoint = endpoints.serverFromString(reactor, "tcp:0:interface=127.0.0.1")
+    port = await endpoint.listen(ApiSite(Entry(master.state), api, depot)).asFuture(asyncio.get_running_loop())
+    number = port.getHost().port
+    master.entry = ("http", number)
+    yield Platform(master, depot, number, tmp_path)
+    await port.stopListening().asFuture(asyncio.get_running_loop())
+    await master.stop()
+    await store.close()
+
+
+async def names(platform: Platform, user: str) -> set[str]:
+    return {package.name for package in await platform.do(user, lambda packages: packages.list())}
+
+
+async def test_pushed_listed_shared_removed(platform: Platform) -> None:
+    first = await platform.do("ann", lambda packages: packages.push("tool", platform.entries()))
+    again = await platform.do("ann", lambda packages: packages.push("tool", platform.entries()))
+    assert first == again
+    (seen,) = await platform.do("ann", lambda packages: packages.list())
+    assert isinstance(seen, Package)
+    assert (seen.name, [each.digest for each in seen.versions], seen.shared) == ("ann/tool", [first.digest], [])
+    assert seen.versions[0].packages == ["p"]
+    assert platform.stored() == {first.digest}
+    assert (platform.files / "depot" / first.digest).stat().st_mode & 0o777 == 0o400
+    assert await names(platform, "bob") == set()
+    await platform.do("ann", lambda packages: packages.share("tool", ["bob"]))
+    (seen,) = await platform.do("bob", lambda packages: packages.list())
+    assert (seen.name, seen.shared) == ("ann/tool", [])  # with whom else is not bob's business
+    assert await names(platform, "eve") == set()
+    await platform.do("ann", lambda packages: packages.unshare("tool", []))
+    assert await names(platform, "bob") == set()
+    second = await platform.do("ann", lambda packages: packages.push("tool", platform.entries(b"y")))
+    await platform.do("ann", lambda packages: packages.remove("tool", first.digest[:12]))
+    assert platform.stored() == {second.digest}
+    await platform.do("ann", lambda packages: packages.remove("tool"))
+    assert platform.stored() == set()
+
+
+async def test_an_api_key_and_the_hash_of_the_password(platform: Platform) -> None:
+    key, _ = await platform.master.users.add_key("ann", "user")
+    await platform.do("ann", lambda packages: packages.push("tool", platform.entries()), key)
+    hashed = hashlib.sha256(PASSWORD.encode()).hexdigest()
+    assert len(await platform.do("ann", lambda packages: packages.list(), hashed)) == 1
+    status, _ = await platform.raw("GET", "/api/v1/packages", Authorization=f"Bearer {key}")
+    assert status == 200
+    with pytest.raises(Unauthorized):
+        await platform.do("bob", lambda packages: packages.list(), key)
+
+
+@pytest.mark.parametrize("role", ["robot", "viewer"])
+async def test_roles_that_only_look(platform: Platform, role: Any) -> None:
+    key, _ = await platform.master.users.add_key("ann", role)
+    assert await platform.do("ann", lambda packages: packages.list(), key) == []
+    for action in (
+        lambda packages: packages.push("tool", platform.entries()),
+        lambda packages: packages.share("tool", ["bob"]),
+        lambda packages: packages.unshare("tool", []),
+        lambda packages: packages.remove("tool"),
+    ):
+        with pytest.raises(Forbidden):
+            await platform.do("ann", action, key)
+    assert platform.stored() == set()
+
+
+@pytest.mark.parametrize(
+    "header", ["", "Basic", "Basic !", "Basic YW5u", "Basic YW5uOndyb25n", "Bearer x", "Bearer rce_x", "Digest a"]
+)
+async def test_who_is_not_let_in(platform: Platform, header: str) -> None:
+    for method, path in (("GET", "/api/v1/packages"), ("POST", "/api/v1/packages"), ("DELETE", "/api/v1/packages/p")):
+        status, problem = await platform.raw(method, path, Authorization=header)
+        assert (status, problem["code"], problem["status"]) == (401, "unauthorized", 401)
+    status, problem = await platform.raw("PUT", "/api/v1/uploads", b"x", Authorization=header)
+    assert status == 401
+    status, problem = await platform.raw("GET", "/api/v1/archives", Authorization=header)
+    assert status == 401
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body", "status", "code"),
+    [
+        ("GET", "/api/v1/nothing", b"", 404, "not_found"),
+        ("GET", "/api/v1/packages/", b"", 404, "not_found"),
+        ("PATCH", "/api/v1/packages", b"", 405, "method_not_allowed"),
+        ("POST", "/api/v1/packages", b"{", 400, "invalid_request"),
+        ("POST", "/api/v1/packages", b'{"name":"p","digest":"00","size":1}', 400, "invalid_request"),
+        ("POST", "/api/v1/packages", b'{"name":"a/b","digest":"00","size":1}', 400, "invalid_name"),
+        ("POST", "/api/v1/packages", b'{"name":"p","digest":"%s","size":0}' % (b"0" * 64), 413, "limit_exceeded"),
+        ("POST", "/api/v1/packages", b'{"name":"p","digest":"%s","size":100001}' % (b"0" * 64), 413, "limit_exceeded"),
+        ("POST", "/api/v1/packages/p/shares", b'{"users":[]}', 400, "invalid_request"),
+        ("POST", "/api/v1/packages/p/shares", b'{"users":["bob"]}', 404, "not_found"),
+        ("DELETE", "/api/v1/packages/p/shares/bob", b"", 404, "not_found"),
+        ("DELETE", "/api/v1/packages/p/versions/0", b"", 404, "not_found"),
+    ],
+)
+async def test_problems(platform: Platform, method: str, path: str, body: bytes, status: int, code: str) -> None:
+    answer = await platform.raw(method, path, body, **client.basic("ann", PASSWORD))
+    assert (answer[0], answer[1]["code"]) == (status, code)
+    assert answer[1]["detail"]
+
+
+async def test_sharing_with_nobody(platform: Platform) -> None:
+    await platform.do("ann", lambda packages: packages.push("tool", platform.entries()))
+    with pytest.raises(NotFound, match="no user 'carl'"):
+        await platform.do("ann", lambda packages: packages.share("tool", ["bob", "carl"]))
+    assert await names(platform, "bob") == set()
+
+
+# --- uploads ---
+
+
+async def announce(platform: Platform, content: bytes, size: int = 0) -> str:
+    body = {"name": "tool", "digest": hashlib.sha256(content).hexdigest(), "size": size or len(content)}
+    answer = await platform.raw("POST", "/api/v1/packages", msgspec.json.encode(body), **client.basic("ann", PASSWORD))
+    assert answer[0] == 202
+    return str(answer[1]["token"])
+
+
+def packed(platform: Platform) -> bytes:
+    out = io.BytesIO()
+    archive.write(platform.entries(b"z" * 1000), out)
+    return out.getvalue()
+
+
+async def test_an_upload_is_good_once(platform: Platform) -> None:
+    content = packed(platform)
+    token = client.bearer(await announce(platform, content))
+    assert (await platform.raw("PUT", "/api/v1/uploads", content, **token))[0] == 201
+    assert (await platform.raw("PUT", "/api/v1/uploads", content, **token))[0] == 401
+    assert platform.stored() == {hashlib.sha256(content).hexdigest()}
+
+
+async def test_a_digest_is_not_enough_to_have_an_archive(platform: Platform) -> None:
+    contents = await platform.do("ann", lambda packages: packages.push("tool", platform.entries()))
+    body = {"name": "mine", "digest": contents.digest, "size": contents.size}
+    answer = await platform.raw("POST", "/api/v1/packages", msgspec.json.encode(body), **client.basic("eve", PASSWORD))
+    assert (answer[0], bool(answer[1]["token"])) == (202, True)  # eve must show that she has it
+    assert await names(platform, "eve") == set()
+
+
+@pytest.mark.parametrize(
+    ("sent", "status"),
+    [(b"", 401), (b"short", 401), (b"another of equal size".ljust(3072, b"x"), 400), (b"\x00" * 3072, 400)],
+)
+async def test_what_was_not_announced(platform: Platform, sent: bytes, status: int) -> None:
+    content = packed(platform)
+    assert len(content) == 3072 + 1024
+    token = await announce(platform, content[:3072])
+    assert (await platform.raw("PUT", "/api/v1/uploads", sent, **client.bearer(token)))[0] == status
+    assert platform.stored() == set()
+    assert platform.depot.pending() == []
+
+
+async def test_what_is_no_archive(platform: Platform) -> None:
+    token = await announce(platform, b"no archive")
+    status, problem = await platform.raw("PUT", "/api/v1/uploads", b"no archive", **client.bearer(token))
+    assert (status, problem["code"]) == (400, "invalid_request")
+    assert platform.stored() == set()
+
+
+async def test_an_upload_that_breaks_off_leaves_nothing(platform: Platform) -> None:
+    content = packed(platform)
+    token = await announce(platform, content)
+
+    def half() -> None:
+        with socket.create_connection(("127.0.0.1", platform.port)) as connection:
+            head = f"PUT /api/v1/uploads HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {token}\r\n"
+            connection.sendall(f"{head}Content-Length: {len(content)}\r\n\r\n".encode() + content[:2000])
+            while not platform.stored():
+                pass
+
+    await asyncio.wait_for(asyncio.to_thread(half), 20)
+    async with asyncio.timeout(20):
+        while platform.stored():  # noqa: ASYNC110  # when the server notices the end is its business
+            await asyncio.sleep(0.01)
+    assert platform.depot.pending() == []
+
+
+async def test_a_large_body_without_a_ticket_is_not_taken(platform: Platform) -> None:
+    def send() -> bytes:
+        with socket.create_connection(("127.0.0.1", platform.port), 20) as connection:
+            connection.sendall(b"PUT /api/v1/uploads HTTP/1.1\r\nHost: x\r\nContent-Length: 9999999999\r\n\r\n")
+            return connection.recv(4096)
+
+    assert (await asyncio.to_thread(send)).startswith(b"HTTP/1.1 413 ")
+    assert platform.stored() == set()
+
+
+async def test_the_quota_counts_what_is_announced(platform: Platform) -> None:
+    await announce(platform, b"a", QUOTA // 2)
+    await announce(platform, b"b", QUOTA // 2)
+    with pytest.raises(LimitExceeded) as raised:
+        await platform.do("ann", lambda packages: packages.push("tool", platform.entries()))
+    assert raised.value.info.fields["limit"] == QUOTA
+    await platform.do("bob", lambda packages: packages.push("tool", platform.entries()))
+
+
+async def test_not_many_uploads_at_once(platform: Platform) -> None:
+    for number in range(4):
+        await announce(platform, bytes([number]))
+    with pytest.raises(LimitExceeded, match="under way"):
+        await platform.do("ann", lambda packages: packages.push("tool", platform.entries()))
+
+
+# --- the way to the task sets ---
+
+
+async def test_a_task_set_gets_what_its_environments_have(platform: Platform, tmp_path: Path) -> None:
+    contents = await platform.do("ann", lambda packages: packages.push("tool", platform.entries()))
+    master = platform.master
+    machine, other = Process("m1", "container", "1", capacity=4), Process("m2", "container", "1")
+    master.state.processes.put(machine)
+    master.state.joined.add("m1")
+    fetch = master._fetch_package
+    with pytest.raises(NotFound):
+        await fetch(machine, c.FetchPackage(contents.digest))
+    master.state.environments.put(Environment("ann/e", ContainerData(), "0" * 32, "m1", "", [contents.digest]))
+    with pytest.raises(NotFound):
+        await fetch(other, c.FetchPackage(contents.digest))
+    with pytest.raises(NotFound):
+        await fetch(machine, c.FetchPackage("../master.db"))
+    ticket = await fetch(machine, c.FetchPackage(contents.digest))
+    assert (ticket.scheme, ticket.port, ticket.size) == ("http", platform.port, contents.size)
+
+    def get() -> bytes:
+        entry = client.Entry(f"http://127.0.0.1:{ticket.port}/", client.bearer(ticket.token))
+        with entry.open("GET", ticket.path) as answer:
+            data: bytes = answer.read()
+            return data
+
+    assert hashlib.sha256(await asyncio.to_thread(get)).hexdigest() == contents.digest
+    with pytest.raises(Unauthorized):  # it was good once
+        await asyncio.to_thread(get)
+    await platform.do("ann", lambda packages: packages.remove("tool"))
+    assert platform.stored() == {contents.digest}  # the environment has it still
+    master.state.environments.drop("ann/e")
+    await master.save()
+    assert platform.stored() == set()
+
+
+async def test_the_entry_is_where_it_was(platform: Platform) -> None:
+    def ask() -> int:
+        connection = http.client.HTTPConnection("127.0.0.1", platform.port, timeout=20)
+        connection.request("GET", "/?userID=ann", headers={"Connection": "close"})
+        return connection.getresponse().status
+
+    assert await asyncio.to_thread(ask) == 400
+
+
+async def test_nobody_there() -> None:
+    entry = client.Entry("http://127.0.0.1:1/", {})
+    with pytest.raises(RceError, match="cannot reach"):
+        await asyncio.to_thread(entry.json, "GET", "/")
+    with pytest.raises(InvalidRequest):
+        client.Entry("ftp://x/", {})
