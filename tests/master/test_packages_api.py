@@ -295,7 +295,7 @@ async def test_a_task_set_gets_what_its_environments_have(platform: Platform, tm
     fetch = master._fetch_package
     with pytest.raises(NotFound):
         await fetch(machine, c.FetchPackage(contents.digest))
-    master.state.environments.put(Environment("ann/e", ContainerData(), "0" * 32, "m1", "", [contents.digest]))
+    master.state.environments.put(Environment("ann/e", ContainerData(), "0" * 32, "m1", packages=[contents.digest]))
     with pytest.raises(NotFound):
         await fetch(other, c.FetchPackage(contents.digest))
     with pytest.raises(NotFound):

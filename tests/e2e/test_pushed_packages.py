@@ -8,7 +8,6 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from conftest import TEST_PACKAGE
 from real_platform import RCE, USER, RealPlatform, until
 
 from rce.client import Environment, Robot
@@ -16,6 +15,7 @@ from rce.errors import NotFound, RceError
 from rce.http import Entry, basic
 from rce.packages import Packages
 
+TEST_PACKAGE = Path(__file__).parents[1] / "ros" / "Test"
 OTHER, PASSWORD = "bob", "secret"
 OTHER_NODE = "other.py"
 STRING_ECHO = "Test/StringEcho"
