@@ -25,6 +25,7 @@ from containers import docker_disks
 from containers.data_relay import GATE, DataRelay
 from containers.docker_daemon import RUN, Daemon, Found, describe
 from containers.docker_events import Event
+from containers.docker_networks import Networks
 from containers.docker_options import CONTROL, Machine, Places, Size, limits, owner, reference, variables, walls
 from containers.engine import LAST_LINES, Ended, Engine, Life
 from containers.logfile import LONGEST_LINE
@@ -86,7 +87,9 @@ class DockerEngine(Engine):
         self._host = host or host_identity()
         self._read_only = read_only
         self._command = command
-        self._daemon = Daemon({"rce.platform": platform, "rce.directory": str(directory)})
+        labels = {"rce.platform": platform, "rce.directory": str(directory)}
+        self._daemon = Daemon(labels)
+        self._networks = Networks(self._daemon.ask, labels)
         self._environments: dict[str, _Environment] = {}
         self._looking: set[asyncio.Task[None]] = set()
         self._following = asyncio.Event()
@@ -101,6 +104,7 @@ class DockerEngine(Engine):
         with_packages = package_path(packages, self._settings)
         try:
             environment = await self._furnish(spec.name, spec.run, gpus)
+            networks = await self._networks.join(spec)
             disk = await self._disk(spec)
             try:
                 await self._daemon.start(
@@ -108,7 +112,7 @@ class DockerEngine(Engine):
                     reference(spec.options.image) if spec.options.image else self._image,
                     self._command,
                     variables(spec, environment.places, self._host, self._settings | with_packages),
-                    walls(granted, environment.places, [*self._read_only, *packages], disk, self._machine),
+                    walls(granted, environment.places, [*self._read_only, *packages], networks, disk, self._machine),
                 )
             finally:
                 if disk is not None:  # it stays as long as it is mounted
@@ -138,6 +142,7 @@ class DockerEngine(Engine):
     async def remove(self, name: str) -> None:
         self._data_relay.dismiss(name)
         await self._daemon.remove(name)
+        await self._networks.leave(name)
         environment = self._environments.get(name)
         if environment is not None:
             environment.relay.close()
@@ -162,6 +167,7 @@ class DockerEngine(Engine):
             else:
                 log.info("removing what is left of {name}", name=found.name)
                 await self._daemon.remove(found.name)
+        await self._networks.recover()
         await self._remove_leftovers()
         return lives
 
@@ -232,6 +238,7 @@ class DockerEngine(Engine):
     def _taken_up(self) -> None:
         if self._following.is_set():
             self._look(self._see_all())
+            self._look(self._networks.guard())
         self._following.set()
 
     async def _see(self, name: str, run: str) -> None:

@@ -35,6 +35,10 @@ class Asked:
         """Find the daemon; before all other calls."""
         self._api = await self._call(_connect)
 
+    async def ask(self, work: Callable[[docker.APIClient], R]) -> R:
+        """Have `work` done with Docker's API."""
+        return await self._call(lambda: work(self._api))
+
     async def _call(self, work: Callable[[], R]) -> R:
         future = asyncio.get_running_loop().run_in_executor(self._threads, work)
         try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from docker.errors import APIError, ImageNotFound, NotFound
 from msgspec import Struct
@@ -11,14 +12,16 @@ from msgspec import Struct
 from containers.docker_api import Asked, said
 from containers.docker_disks import device_below
 from containers.docker_events import ENDS, Event, Events
+from containers.docker_networks import ENVIRONMENT, Attachment
 from containers.docker_options import Machine, Walls
 from containers.processes import describe_end
 from rce import __version__
 from rce.errors import StartFailed
 from rce.slots import MB
 
-ENVIRONMENT, RUN, SIZE, GPUS = "rce.environment", "rce.run", "rce.size", "rce.gpus"
+RUN, SIZE, GPUS = "rce.run", "rce.size", "rce.gpus"
 VERSION = "rce.version"  # of images
+LONGEST_HOSTNAME = 63
 STOP_TIMEOUT = 12  # seconds; the endpoint stops its nodes by SIGINT, SIGTERM, SIGKILL in less
 CONFLICT = 409  # another removal of the same container is under way
 
@@ -98,15 +101,20 @@ class Daemon(Asked):
     def _start(self, found: Found, image: str, command: list[str], variables: dict[str, str], walls: Walls) -> None:
         try:
             self._check_image(image)
+            networks = walls.networks.networks
             made = self._api.create_container(
                 image,
                 command,
                 name=_container(found.run),
                 user=walls.user,
                 environment=variables,
-                labels={**self._labels, **_labels(found)},
+                labels={**self._labels, **walls.networks.labels, **_labels(found)},
                 host_config=self._api.create_host_config(**walls.host_config),
+                hostname=walls.networks.hostname[:LONGEST_HOSTNAME] or None,
+                networking_config=self._endpoint(networks[0]) if networks else None,
             )
+            for network in networks[1:]:
+                self._api.connect_container_to_network(made["Id"], network.network, ipv4_address=network.address)
             self._api.start(made["Id"])
         except ImageNotFound:
             raise StartFailed(
@@ -133,6 +141,11 @@ class Daemon(Asked):
         except OSError:  # it is another machine's, or another mount name space's
             ground = ""
         return Machine(ground, known.get("CgroupVersion") == "2")
+
+    def _endpoint(self, network: Attachment) -> dict[str, Any]:
+        settings = self._api.create_endpoint_config(ipv4_address=network.address, aliases=network.names)
+        config: dict[str, Any] = self._api.create_networking_config({network.network: settings})
+        return config
 
     def _list(self, labels: list[str]) -> list[Found]:
         return [

@@ -12,9 +12,10 @@ from docker.types import DeviceRequest, DriverConfig, LogConfig, Mount, Ulimit
 from msgspec import Struct
 
 from containers.docker_disks import Disk
+from containers.docker_networks import Attachments
 from rce import __version__, slots
-from rce.calls import EnvironmentSpec
-from rce.errors import InvalidRequest, LimitExceeded
+from rce.calls import EnvironmentSpec, Group
+from rce.errors import LimitExceeded
 from rce.messages import Rates
 from rce.slots import MB
 
@@ -60,6 +61,7 @@ class Walls(Struct, frozen=True):
 
     user: str
     host_config: dict[str, Any]
+    networks: Attachments
 
 
 class Size(Struct, frozen=True):
@@ -74,12 +76,8 @@ class Size(Struct, frozen=True):
 
 
 def limits(spec: EnvironmentSpec, gpus: list[str], most: Size) -> Limits:
-    """The limits that an environment asks for, or those of its slots. LimitExceeded, InvalidRequest."""
+    """The limits that an environment asks for, or those of its slots. LimitExceeded."""
     options = spec.options
-    if options.group:
-        raise InvalidRequest(
-            f"environment {spec.name}: network groups are not available here", field="containerData.group"
-        )
     for field, asked, limit in (("cpu", options.cpu, most.cores), ("memory", options.memory, most.memory)):
         if asked > limit:
             raise LimitExceeded(
@@ -111,10 +109,11 @@ def walls(
     granted: Limits,
     places: Places,
     read_only: Sequence[str],
+    networks: Attachments = Attachments(),  # noqa: B008  # frozen
     disk: Disk | None = None,
     machine: Machine = Machine(),  # noqa: B008  # frozen
 ) -> Walls:
-    """What a container may do, use and see; `read_only` are further directories that it sees."""
+    """What a container may do, use, see and reach; `read_only` are further directories that it sees."""
     user = owner()
     sockets = str(places.socket.parent)
     mounts = [
@@ -128,7 +127,8 @@ def walls(
     else:
         mounts.append(_mounted(disk, synchronous=bool(granted.io.write) and not machine.buffered))
     config = {
-        "network_mode": "none",
+        "network_mode": networks.networks[0].network if networks.networks else "none",
+        "dns": list(networks.dns),
         "cap_drop": ["ALL"],
         "security_opt": ["no-new-privileges"],
         "read_only": True,
@@ -146,7 +146,7 @@ def walls(
     }
     if granted.gpus:
         config["device_requests"] = [DeviceRequest(device_ids=granted.gpus, capabilities=[["gpu"]])]
-    return Walls(f"{user}:{user}", config)
+    return Walls(f"{user}:{user}", config, networks)
 
 
 def _mounted(disk: Disk, synchronous: bool) -> Mount:
@@ -178,5 +178,13 @@ def variables(spec: EnvironmentSpec, places: Places, host: str, settings: Mappin
         "RCE_HOST": host,
         "RCE_SOCKET": str(places.socket),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        **_in_group(spec.group),
         "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
     }
+
+
+def _in_group(group: Group | None) -> dict[str, str]:
+    if group is None:
+        return {}
+    peers = [address for address in group.members.values() if address != group.address]
+    return {"RCE_ADDRESS": group.address, "RCE_PEERS": ",".join(peers)}

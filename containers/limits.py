@@ -31,7 +31,7 @@ def check_limits(spec: EnvironmentSpec) -> None:
                 asked=asked,
                 limit=limit,
             )
-    for field in ("group", "image", "gpus"):
+    for field in ("image", "gpus"):
         if getattr(options, field):
             raise InvalidRequest(
                 f"environment {spec.name}: the process engine has no {field}; use docker or swarm",

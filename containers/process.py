@@ -51,6 +51,7 @@ class _State(Struct, frozen=True):
     size: int
     pid: int
     domain: int
+    group: str = ""
 
 
 @dataclass
@@ -95,7 +96,7 @@ class ProcessEngine(Engine):
     async def launch(self, spec: EnvironmentSpec) -> None:
         check_limits(spec)
         try:
-            domain, lock = self._domains.take()
+            domain, lock = self._domain(spec)
             state = self._start_process(spec, domain, lock)
             directory = self._environments[spec.name].directory
             _write(directory / "state.json", msgspec.json.encode(state))
@@ -113,8 +114,10 @@ class ProcessEngine(Engine):
             await asyncio.to_thread(shutil.rmtree, directory)
         self._remove_empty(self._root / name)
         if environment is not None:
-            await asyncio.to_thread(_clean_shared_memory, environment.state.domain)
             self._let_go(self._environments.pop(name))
+            domain = environment.state.domain
+            shared = any(other.state.domain == domain for other in self._environments.values())
+            await asyncio.to_thread(_clean_shared_memory, None if shared else domain)
 
     async def recover(self) -> dict[str, Life]:
         self._root.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -147,7 +150,15 @@ class ProcessEngine(Engine):
 
     # --- starting -----------------------------------------------------------------------------------------------------
 
-    def _start_process(self, spec: EnvironmentSpec, domain: int, lock: int) -> _State:
+    def _domain(self, spec: EnvironmentSpec) -> tuple[int, int | None]:
+        """A ROS domain and what holds it. Members of a network group are in one: that is all that a group is here."""
+        group = spec.group.name if spec.group else ""
+        for other in self._environments.values():
+            if group and other.state.group == group:
+                return other.state.domain, None if other.lock is None else os.dup(other.lock)
+        return self._domains.take()
+
+    def _start_process(self, spec: EnvironmentSpec, domain: int, lock: int | None) -> _State:
         directory = self._root / spec.name / spec.run
         try:
             (directory / "home").mkdir(parents=True, mode=0o700)
@@ -160,12 +171,13 @@ class ProcessEngine(Engine):
                     stdout=output,
                     stderr=subprocess.STDOUT,
                     start_new_session=True,
-                    pass_fds=[lock],
+                    pass_fds=[] if lock is None else [lock],
                 )
         except OSError:
-            os.close(lock)
+            if lock is not None:
+                os.close(lock)
             raise
-        state = _State(spec.name, spec.run, spec.options.size, child.pid, domain)
+        state = _State(spec.name, spec.run, spec.options.size, child.pid, domain, spec.group.name if spec.group else "")
         self._watch(state, directory, child, lock)
         return state
 
@@ -243,9 +255,10 @@ class ProcessEngine(Engine):
                     log.error("the log of {name} cannot be cut: {error}", name=name, error=str(error))
 
 
-def _clean_shared_memory(domain: int) -> None:
+def _clean_shared_memory(domain: int | None) -> None:
     shared_memory.clean()
-    shared_memory.clean_ports(domain)
+    if domain is not None:
+        shared_memory.clean_ports(domain)
 
 
 def _log_file(directory: Path) -> Path:

@@ -23,8 +23,9 @@ from twisted.internet.base import ReactorBase
 from twisted.logger import Logger
 
 from containers.data_relay import GATE
-from containers.docker_daemon import ENVIRONMENT, RUN, SIZE
+from containers.docker_daemon import RUN, SIZE
 from containers.docker_events import Event
+from containers.docker_networks import ENVIRONMENT
 from containers.docker_options import CONTROL, Size, limits, reference, variables
 from containers.engine import Ended, Engine, Life
 from containers.settings import is_local
@@ -361,7 +362,7 @@ class SwarmEngine(Engine):
 
 def _check(spec: EnvironmentSpec) -> None:
     """InvalidRequest for what services of a swarm do not have."""
-    asked = {name: getattr(spec.options, name) for name in ("disk", "bandwidth", "packages")}
+    asked = {name: getattr(spec.options, name) for name in ("disk", "bandwidth", "packages", "group")}
     asked["io"] = spec.options.io if spec.options.io != Rates() else None
     for field in [field for field, value in asked.items() if value]:
         raise InvalidRequest(

@@ -12,8 +12,9 @@ from docker.utils import version_gte
 from msgspec import Struct
 
 from containers.docker_api import Asked, said
-from containers.docker_daemon import ENVIRONMENT, RUN, SIZE
+from containers.docker_daemon import RUN, SIZE
 from containers.docker_events import Event, Events
+from containers.docker_networks import ENVIRONMENT
 from containers.docker_options import Size
 from containers.swarm_spec import GPU
 from rce.errors import InvalidRequest, NoCapacity, StartFailed, TimedOut, Unavailable

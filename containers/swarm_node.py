@@ -9,8 +9,9 @@ from typing import Any
 from docker.errors import APIError, NotFound
 from msgspec import Struct
 
-from containers.docker_daemon import CONFLICT, ENVIRONMENT, RUN, VERSION, Daemon
+from containers.docker_daemon import CONFLICT, RUN, VERSION, Daemon
 from containers.docker_events import Event, Events
+from containers.docker_networks import ENVIRONMENT
 from rce import __version__
 
 EVENTS = {

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import AsyncIterator, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 import uvloop
@@ -18,6 +18,9 @@ from twisted.logger import LogEvent, globalLogPublisher
 
 from rce import loop
 from rce.errors import Unavailable
+
+if TYPE_CHECKING:
+    from island import Island
 
 asyncio.set_event_loop_policy(uvloop.EventLoopPolicy())
 
@@ -83,3 +86,13 @@ def docker_host() -> Iterator[str]:
         yield host
     if before is None:
         del os.environ["DOCKER_HOST"]
+
+
+@pytest.fixture(scope="session")
+def island() -> Iterator[Island]:
+    """A machine with a network of its own, and a Docker daemon in it."""
+    pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+    from island import island as make
+
+    with make() as made:
+        yield made

@@ -34,13 +34,14 @@ def docker_daemon() -> Iterator[str]:
         pytest.skip("a private dockerd needs root: run the tests as root, or set DOCKER_HOST")
     with (
         tempfile.TemporaryDirectory(prefix="rce-docker-", ignore_cleanup_errors=True) as directory,
-        _private(Path(directory)) as host,
+        private_daemon(Path(directory)) as host,
     ):
         yield host
 
 
 @contextmanager
-def _private(directory: Path) -> Iterator[str]:
+def private_daemon(directory: Path, namespace: str = "") -> Iterator[str]:
+    """A daemon that ends with the block. In a network namespace it uses the packet filter, which is of that alone."""
     host = f"unix://{directory}/docker.sock"
     words = [
         "dockerd",
@@ -49,11 +50,14 @@ def _private(directory: Path) -> Iterator[str]:
         f"-H={host}",
         f"--pidfile={directory}/pid",
     ]
-    # Where a containerd runs already, this daemon shares it.
-    words += [f"--containerd{part}-namespace=rce-test-{os.getpid()}{part}" for part in ("", "-plugins")]
+    if namespace:  # with a /run of its own, else Docker takes the containerd and the locks of another daemon
+        words = [*_in(namespace), *words, "--bridge=none"]
+    else:  # where a containerd runs already, this daemon shares it
+        words += [f"--containerd{part}-namespace=rce-test-{os.getpid()}{part}" for part in ("", "-plugins")]
+        words += NOTHING_OF_THE_HOSTS
     with (directory / "log").open("w") as log:
         daemon = subprocess.Popen(
-            [*words, *NOTHING_OF_THE_HOSTS],
+            words,
             stdout=log,
             stderr=log,
             start_new_session=True,
@@ -71,6 +75,11 @@ def _private(directory: Path) -> Iterator[str]:
         daemon.wait(60)
         for mount in (directory / "exec" / "netns").glob("*"):  # it leaves them, and they cannot be removed
             subprocess.run(["umount", str(mount)], check=False)
+
+
+def _in(namespace: str) -> list[str]:
+    script = 'mount -t tmpfs none /run && mkdir -p /run/docker && exec "$@"'
+    return ["nsenter", f"--net=/run/netns/{namespace}", "unshare", "--mount", "sh", "-c", script, "sh"]
 
 
 def _answers(host: str) -> bool:

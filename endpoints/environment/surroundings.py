@@ -15,6 +15,7 @@ from endpoints.environment.later import load_later
 from endpoints.environment.settings import Settings
 from endpoints.memory import MB
 
+ADDRESS = "RCE_GROUP_IP"  # tells nodes where in their network group they are
 MARKER = "RCE_RUN"  # by this variable engines find what a killed endpoint has left
 NODE_PATH = Path(__file__).with_name("nodepath")
 # What a subscription has missed (the first messages of a publisher that it has just found; large ones when the segment
@@ -148,6 +149,7 @@ def for_nodes(settings: Settings, environment: Mapping[str, str] = os.environ) -
         **{key: value for key, value in environment.items() if not key.startswith("RCE_")},
         **msgspec.json.decode(settings.env, type=dict[str, str]),
         MARKER: settings.run,
+        **({ADDRESS: settings.address} if settings.address else {}),
         "PATH": _joined([str(Path(sys.executable).parent)], environment.get("PATH", os.defpath)),
         "PYTHONPATH": _joined(python_paths(settings), environment.get("PYTHONPATH", "")),
         **({"LD_LIBRARY_PATH": _joined(libraries, environment.get("LD_LIBRARY_PATH", ""))} if libraries else {}),

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 from msgspec import Struct, to_builtins
 
+from rce.bench.nodes import PACKAGE, Place, drain, eventually
 from rce.bench.payloads import LARGEST, ROW, image_cdr
 from rce.bench.report import aligned, machine
-from rce.bench.routes import PACKAGE, Place, drain, eventually
 from rce.bench.run import PAUSE
 from rce.bench.statistics import percentile
 from rce.client import Publisher, Subscriber

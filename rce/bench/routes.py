@@ -2,42 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
-import json
 import time
 from asyncio import gather
-from collections.abc import Awaitable, Callable, Sequence, Sized
-from contextlib import AsyncExitStack
-from functools import partial
-from typing import NamedTuple
+from collections.abc import Awaitable, Callable, Sized
 
-from rce.bench import floors
+from rce.bench import floors, pairs
 from rce.bench.floors import Sample
+from rce.bench.nodes import ECHO_TIMEOUT, PACKAGE, Place, Probe, between, drain, eventually
 from rce.bench.payloads import IMAGE, IMAGES, ROW, SERVICE_TYPE, SERVICES, TOPICS, Call, Payload
-from rce.client import Environment, Publisher, Robot, Subscriber
-from rce.errors import ConversionError, TimedOut
-
-ECHO_TIMEOUT = 30.0
-PATIENCE = 0.5  # seconds until an unanswered message is sent again, while nodes start
-PACKAGE = "rce_bench"
-
-
-class Probe(NamedTuple):
-    """`sample` takes one round trip of a message of that size and returns the seconds; `size` if it has only one."""
-
-    name: str
-    transport: str
-    sample: Sample
-    beside: str = ""
-    size: int | None = None
-
-
-class Place(NamedTuple):
-    """Where a route is laid: what it needs from `stack` is taken down with it."""
-
-    robot: Robot
-    environment: Environment
-    stack: AsyncExitStack
+from rce.client import Subscriber
+from rce.errors import ConversionError
 
 
 async def tcp(place: Place) -> list[Probe]:
@@ -53,20 +27,8 @@ async def autobahn(place: Place) -> list[Probe]:
 async def n2n(place: Place) -> list[Probe]:
     """Two rclpy nodes in the environment."""
     kinds = ["string", "bytes", "image", "service"]
-    environment = place.environment
-    echoes = " ".join(f"{kind}:{kind}" for kind in kinds)
-    await environment.add_node("n2n_echo", PACKAGE, "echo", args=echoes, namespace="n2n")
-    await environment.add_node("n2n_measure", PACKAGE, "measure", args=" ".join(kinds), namespace="n2n")
-    orders = await environment.publisher("/n2n/order", "std_msgs/String")
-    reports = await environment.subscriber("/n2n/report", "std_msgs/String")
-    node = MeasuringNode(orders, reports)
-    await node.found(kinds)
-    return [
-        Probe("n2n string", "topic", node.probe("string")),
-        Probe("n2n bytes", "topic", node.probe("bytes")),
-        Probe("n2n image", "topic", node.probe("image"), size=IMAGE),
-        Probe("n2n service", "service", node.probe("service")),
-    ]
+    node = await between(place.environment, place.environment, "n2n", kinds)
+    return node.probes("n2n", kinds)
 
 
 async def r2c(place: Place) -> list[Probe]:
@@ -93,36 +55,11 @@ ROUTES: dict[str, Callable[[Place], Awaitable[list[Probe]]]] = {
     "autobahn": autobahn,
     "n2n": n2n,
     "r2c": r2c,
+    "c2c": pairs.c2c,
+    "c2c2": pairs.c2c2,
+    "group": pairs.group,
 }
-
-
-class MeasuringNode:
-    """The node `measure`, as ordered by the robot: it takes the round trip and the time."""
-
-    def __init__(self, orders: Publisher, reports: Subscriber) -> None:
-        self._orders = orders
-        self._reports = reports
-        self._numbers = itertools.count(1)
-
-    def probe(self, kind: str) -> Sample:
-        async def sample(size: int) -> float:
-            return await self._order(kind, size, ECHO_TIMEOUT)
-
-        return sample
-
-    async def found(self, kinds: Sequence[str]) -> None:
-        """Wait until the two nodes have found each other, on every topic and service."""
-        for kind in kinds:
-            await eventually(partial(self._order, kind, ROW))
-        await drain(self._reports)
-
-    async def _order(self, kind: str, size: int, timeout: float) -> float:  # noqa: ASYNC109  # as Subscriber.get
-        number = next(self._numbers)
-        await self._orders.publish({"data": json.dumps({"number": number, "kind": kind, "size": size})})
-        while True:
-            report = json.loads((await self._reports.get(timeout))["data"])
-            if report["number"] == number:
-                return float(report["seconds"])
+USUAL = ("tcp", "autobahn", "n2n", "r2c")
 
 
 async def topic_echo(place: Place, payload: Payload, topic: str) -> Sample:
@@ -171,23 +108,3 @@ def check(where: str, content: Sized, size: int) -> None:
     """ConversionError if the answer is not as large as what was sent."""
     if len(content) < size:
         raise ConversionError(f"{where}: {len(content)} of {size} bytes came back")
-
-
-async def eventually(attempt: Callable[[float], Awaitable[object]]) -> None:
-    """Repeat until it is answered: nodes need time to start and to find each other. TimedOut."""
-    for _ in range(round(ECHO_TIMEOUT / PATIENCE)):
-        try:
-            await attempt(PATIENCE)
-            return
-        except TimedOut:
-            continue
-    raise TimedOut(f"the nodes of the benchmark have not answered within {ECHO_TIMEOUT:g} s")
-
-
-async def drain(subscriber: Subscriber) -> None:
-    """Take late answers to what had been given up, so that they are not taken for later ones."""
-    try:
-        while True:
-            await subscriber.get(PATIENCE)
-    except TimedOut:
-        return

@@ -6,8 +6,8 @@ import asyncio
 import random
 from collections.abc import Callable, Sequence
 
+from rce.bench.nodes import Probe
 from rce.bench.payloads import IMAGE
-from rce.bench.routes import Probe
 from rce.bench.statistics import Series
 
 PAUSE = 0.005, 0.014  # seconds between samples: without them a server that polls looks better than it is

@@ -13,7 +13,8 @@ from pathlib import Path
 
 from rce import __version__
 from rce.bench import overtake, payloads, report, start
-from rce.bench.routes import ROUTES, Place
+from rce.bench.nodes import Place
+from rce.bench.routes import ROUTES, USUAL
 from rce.bench.run import take
 from rce.client import Robot
 from rce.commands.platform import ENGINES, add_arguments, platform
@@ -26,7 +27,9 @@ def parser() -> argparse.ArgumentParser:
     whole = argparse.ArgumentParser(prog="rce bench", description="Measure a platform.")
     kinds = whole.add_subparsers(dest="kind", required=True)
     rtt = kinds.add_parser("rtt", help="round trips of messages of all sizes, beside those between two nodes")
-    rtt.add_argument("--routes", default=",".join(ROUTES), help="comma list of %(default)s (default: all)")
+    usual = ",".join(USUAL)
+    rtt.add_argument("--routes", default=usual, help=f"comma list of {', '.join(ROUTES)} (default: {usual})")
+    rtt.add_argument("--features", default="", help="route c2c2: two special features, each of one machine only")
     rtt.add_argument("--sizes", type=int, default=25, help="how many, from 10 B to 10 MB (default: %(default)s)")
     rtt.add_argument("--samples", type=int, default=20, help="of each size (default: %(default)s)")
     rtt.add_argument("--quick", action="store_true", help=f"{QUICK_SIZES} sizes, {QUICK_SAMPLES} samples")
@@ -100,7 +103,8 @@ async def place(words: argparse.Namespace) -> AsyncIterator[Place]:
         robot.environment(f"env_{name}", restart="no") as environment,
         AsyncExitStack() as stack,
     ):
-        yield Place(robot, environment, stack)
+        features = getattr(words, "features", "")
+        yield Place(robot, environment, stack, features.split(",") if features else [])
 
 
 def show(done: int, of: int) -> None:

@@ -6,8 +6,8 @@ import pytest
 
 from rce.bench import run
 from rce.bench.floors import Sample
+from rce.bench.nodes import Probe
 from rce.bench.payloads import IMAGE
-from rce.bench.routes import Probe
 
 
 @pytest.fixture

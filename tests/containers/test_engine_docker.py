@@ -179,7 +179,6 @@ async def test_an_image_that_is_not_there(world: DockerWorld, endings: Endings) 
     [
         ({"cpu": 10_000}, LimitExceeded),
         ({"memory": 2**60}, LimitExceeded),
-        ({"group": "g"}, InvalidRequest),
         ({"disk": 1000}, InvalidRequest),
     ],
 )

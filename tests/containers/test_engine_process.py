@@ -12,12 +12,13 @@ from typing import Any
 
 import pytest
 from engine_contract import CAPACITY, FEATURES, Endings, EngineContract, World, spec
+from msgspec.structs import replace
 
 from containers import process, processes
 from containers.domains import Domains
 from containers.engine import Ended, Engine, Life
 from containers.process import ProcessEngine
-from rce.calls import EnvironmentSpec
+from rce.calls import EnvironmentSpec, Group
 from rce.errors import InvalidRequest, LimitExceeded, NoCapacity, StartFailed
 from rce.messages import ContainerData
 
@@ -149,6 +150,24 @@ async def test_each_has_its_own_domain_and_gives_it_back(world: ProcessWorld, en
     os.close(lock)
 
 
+async def test_members_of_a_group_share_a_domain_until_the_last_is_gone(
+    world: ProcessWorld, engine: ProcessEngine
+) -> None:
+    for number, name in enumerate(("ann/a", "ann/b", "ann/c")):
+        group = Group("ann/g", "10.128.0.0/24", f"10.128.0.{number + 2}") if name != "ann/c" else None
+        await engine.start(replace(spec(name, number), group=group))
+    first, second, third = [
+        (await world.seen(name))["environ"]["ROS_DOMAIN_ID"] for name in ("ann/a", "ann/b", "ann/c")
+    ]
+    assert first == second != third
+    await engine.stop("ann/a")
+    assert world.domains.hold(int(first)) is None
+    await engine.stop("ann/b")
+    lock = world.domains.hold(int(first))
+    assert lock is not None
+    os.close(lock)
+
+
 async def test_a_domain_stays_taken_without_a_task_set(world: ProcessWorld, engine: ProcessEngine) -> None:
     await engine.start(spec())
     domain = int((await world.seen("ann/map"))["environ"]["ROS_DOMAIN_ID"])
@@ -255,7 +274,6 @@ async def test_the_reason_of_a_failed_start(world: ProcessWorld, engine: Process
     [
         (ContainerData(cpu=10_000), LimitExceeded, "containerData.cpu"),
         (ContainerData(memory=2**60), LimitExceeded, "containerData.memory"),
-        (ContainerData(group="g"), InvalidRequest, "containerData.group"),
     ],
 )
 async def test_what_this_engine_cannot_give_is_refused(
