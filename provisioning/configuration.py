@@ -14,7 +14,7 @@ from typing import Any
 
 from provisioning.joincode import Code
 from provisioning.steps import Failed
-from provisioning.system import AUTHORITY_KEY, CURRENT, ETC, TLS, VAR, System
+from provisioning.system import AUTHORITY_KEY, CURRENT, DOCKER, ETC, TLS, VAR, System
 
 Value = str | int | float | bool | list[str]
 Settings = dict[str, Value]
@@ -49,6 +49,10 @@ class Wanted:
     @property
     def engine(self) -> str:
         return self.option("engine", "docker")
+
+    @property
+    def uses_docker(self) -> bool:
+        return self.engine in DOCKER
 
 
 def settings(wanted: Wanted, system: System) -> dict[str, Settings]:
@@ -145,7 +149,7 @@ def _container(wanted: Wanted) -> Settings:
         "size": int(wanted.option("size", "10")),
         **_common(wanted, "container"),
     }
-    if wanted.engine == "process":
+    if not wanted.uses_docker:
         values |= {"typesupport": f"{CURRENT}/typesupport/current"}
     return values
 

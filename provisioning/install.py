@@ -48,7 +48,9 @@ def add_commands(commands: Commands) -> None:
     command.add_argument("--join", metavar="CODE", help="join the platform whose `machine add` printed this code")
     command.add_argument("--name", help="of this machine, unique on the platform (default: its host name)")
     command.add_argument("--address", metavar="HOST", help="by which robots and machines reach it (default: its own)")
-    command.add_argument("--engine", choices=["docker", "process"], help="what runs environments (default: docker)")
+    command.add_argument(
+        "--engine", choices=["docker", "swarm", "process"], help="what runs environments (default: docker)"
+    )
     command.add_argument("--size", type=int, metavar="N", help="slots for environments (default: 10)")
     command.add_argument("--http-port", type=int, metavar="PORT", help="of the robots' entry (default: 9000)")
     command.add_argument("--ws-port", type=int, metavar="PORT", help="of the robots' WebSockets (default: 9010)")
@@ -102,10 +104,10 @@ def install_steps(system: System, wanted: Wanted, options: argparse.Namespace) -
         *release.release_steps(system, extras),
         release.switch_step(system, extras),
     ]
-    if "container" in wanted.roles and wanted.engine == "process":
+    if "container" in wanted.roles and not wanted.uses_docker:
         steps.append(release.typesupport_step(system))
     steps += [certificate_step(system, wanted), *file_steps(system, wanted)]
-    if "container" in wanted.roles and wanted.engine == "docker":
+    if "container" in wanted.roles and wanted.uses_docker:
         steps += docker_steps(system)
         if not options.no_images:
             steps.append(image_step())

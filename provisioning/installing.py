@@ -28,7 +28,7 @@ def missing_packages(system: System, wanted: Wanted) -> list[str]:
         f"{name}-venv": _has_venv(system, python),
         "ca-certificates": system.path("/etc/ssl/certs/ca-certificates.crt").exists(),
     }
-    if "container" in wanted.roles and wanted.engine == "docker":
+    if "container" in wanted.roles and wanted.uses_docker:
         programs = {"docker.io": "dockerd", "iptables": "iptables", "debootstrap": "debootstrap"}
         needed |= {package: system.has_program(program) for package, program in programs.items()}
     elif "container" in wanted.roles:

@@ -16,7 +16,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from provisioning.steps import ROOT, Failed, Step, run
-from provisioning.system import CURRENT, OPT, System, public_python
+from provisioning.system import CURRENT, DOCKER, OPT, System, public_python
 
 PACKAGES = ("rce", "master", "endpoints", "containers", "converters", "provisioning")
 FILES = ("pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md")
@@ -29,7 +29,7 @@ def extras(roles: Collection[str], engine: str) -> list[str]:
     """Of our package, for these roles."""
     wanted = {extra for role in roles for extra in EXTRAS[role]}
     if "container" in roles:
-        wanted |= {"docker"} if engine == "docker" else {"ros", "mapping"}
+        wanted |= {"docker"} if engine in DOCKER else {"ros", "mapping"}
     return sorted(wanted)
 
 

@@ -20,6 +20,7 @@ ETC, OPT, VAR = "/etc/rce", "/opt/rce", "/var/lib/rce"
 UNITS = "/etc/systemd/system"
 CURRENT = f"{OPT}/current"  # the release that runs
 TLS, AUTHORITY_KEY = f"{ETC}/tls", f"{ETC}/authority/ca.key"
+DOCKER = ("docker", "swarm")  # the engines that need it
 ROLES = ("master", "robot", "container")
 KNOWN = {("debian", "12"), ("debian", "13"), ("ubuntu", "24.04")}
 

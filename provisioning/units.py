@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from provisioning.system import CURRENT, ETC, USER, VAR
+from provisioning.system import CURRENT, DOCKER, ETC, USER, VAR
 
 WHAT = {"master": "Master", "robot": "Robot endpoint", "container": "Container task set"}
 SECRETS = {  # of the Master, which the other services on its machine do not see
@@ -76,12 +76,12 @@ def text(role: str, engine: str = "") -> str:
 def _after(role: str, engine: str) -> str:
     """Order only: each may run without the other, and finds it when it is there."""
     first = "" if role == "master" else " rce-master.service"
-    return first + (" docker.service" if role == "container" and engine == "docker" else "")
+    return first + (" docker.service" if role == "container" and engine in DOCKER else "")
 
 
 def _docker(role: str, engine: str) -> str:
     """Who may speak to Docker is as good as root, so this one service may, not the user that it shares with others."""
-    return "SupplementaryGroups=docker\n" if role == "container" and engine == "docker" else ""
+    return "SupplementaryGroups=docker\n" if role == "container" and engine in DOCKER else ""
 
 
 def command(role: str, engine: str = "") -> str:

@@ -125,6 +125,11 @@ def hosts_of(certificate: str) -> list[str]:
     return [str(name.value) for name in names.value]
 
 
+def end_of(certificate: str) -> float:
+    """When a PEM certificate ends, in seconds since 1970."""
+    return x509.load_pem_x509_certificate(certificate.encode()).not_valid_after_utc.timestamp()
+
+
 def _builder(
     subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePublicKey, days: int
 ) -> x509.CertificateBuilder:
