@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from provisioning.joincode import Code
+from provisioning.release import TYPESUPPORT
 from provisioning.steps import Failed
 from provisioning.system import AUTHORITY_KEY, CURRENT, DOCKER, ETC, TLS, VAR, System
 
@@ -150,7 +151,7 @@ def _container(wanted: Wanted) -> Settings:
         **_common(wanted, "container"),
     }
     if not wanted.uses_docker:
-        values |= {"typesupport": f"{CURRENT}/typesupport/current"}
+        values |= {"typesupport": f"{TYPESUPPORT}/current"}
     return values
 
 

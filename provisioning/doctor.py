@@ -200,7 +200,7 @@ def _process_engine(system: System) -> Iterator[Finding]:
     shared = os.statvfs("/dev/shm")
     size = shared.f_frsize * shared.f_blocks
     yield judge(size >= SHARED_MEMORY, "/dev/shm", f"{size / 1e6:.0f} MB", "mount it with size=256m or more", "warn")
-    built = system.path(f"{CURRENT}/typesupport/current").exists()
+    built = system.path(f"{release.TYPESUPPORT}/current").exists()
     yield judge(built, "type support", "built" if built else "missing", AGAIN)
     yield Finding(
         "warn", "isolation", "the engine process runs users' programs as this user", "use --engine docker for strangers"

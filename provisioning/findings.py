@@ -21,7 +21,7 @@ class Finding:
     remedy: str = ""
 
     def line(self) -> str:
-        return f"{self.level:<5} {self.about:<18} {self.found}{': ' if self.remedy else ''}{self.remedy}"
+        return f"{self.level:<5} {self.about:<21} {self.found}{': ' if self.remedy else ''}{self.remedy}"
 
 
 def worst(findings: Iterable[Finding]) -> Level:

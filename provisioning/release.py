@@ -22,6 +22,7 @@ PACKAGES = ("rce", "master", "endpoints", "containers", "converters", "provision
 FILES = ("pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md")
 KEPT = 2  # releases: the running one and the one before, whose files environments may still use
 EXTRAS = {"master": ("server",), "robot": ("server",), "container": ("server",)}
+TYPESUPPORT = f"{OPT}/typesupport"
 SOURCE = "source.tar.gz"  # of a release, which machines to come may fetch from the Master
 
 
@@ -123,15 +124,15 @@ def _switch(link: Path, target: str) -> str:
 
 
 def typesupport_step(system: System) -> Step:
-    """Types that the ROS 2 wheels lack, for environments outside of images."""
-    name = f"{CURRENT}/typesupport/current"
+    """Types that the ROS 2 wheels lack, for environments outside of images. Releases share them: they take a minute."""
 
     def build() -> str:
         if shutil.which("g++") is None:
             raise Failed("type support needs a compiler: apt-get install g++ python3-dev")
-        return run(f"{CURRENT}/bin/python", "-P", "-m", "provisioning.typesupport").strip().splitlines()[-1]
+        command = (f"{CURRENT}/bin/python", "-P", "-m", "provisioning.typesupport", "--cache", TYPESUPPORT)
+        return run(*command).strip().splitlines()[-1]
 
-    return Step("type support", lambda: "" if system.path(name).exists() else f"build it in {name}", build)
+    return Step("type support", lambda: f"build in {TYPESUPPORT} what is not there yet", build)
 
 
 def version_of(system: System) -> str:
