@@ -60,3 +60,11 @@ def interpolate(before: Pose, after: Pose, share: float) -> Pose:
         before.y + share * (after.y - before.y),
         wrap_angle(before.theta + share * turn),
     )
+
+
+def moved(trajectory: NDArray[np.float64], offset: Pose) -> NDArray[np.float64]:
+    """Where something at `offset` on the robot was: (n, 4) stamp, x, y, theta, as the robot's own `trajectory`."""
+    stamps, x, y, theta = trajectory.T
+    c, s = np.cos(theta), np.sin(theta)
+    turned = (theta + offset.theta + math.pi) % (2 * math.pi) - math.pi
+    return np.stack([stamps, x + c * offset.x - s * offset.y, y + s * offset.x + c * offset.y, turned], axis=1)

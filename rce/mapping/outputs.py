@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from rce.errors import InvalidRequest
 from rce.mapping.grid import OccupancyGrid
 from rce.mapping.picture import draw
 
@@ -33,24 +34,39 @@ def write_outputs(directory: Path, grid: OccupancyGrid, trajectory: NDArray[np.f
     return [directory / name for name in contents]
 
 
-def pgm(grid: OccupancyGrid) -> bytes:
+def write_map(path: Path, grid: OccupancyGrid, occupied: float | None = None, free: float | None = None) -> None:
+    """Write `path`.pgm and `path`.yaml (an extension of these is left out), as map_server reads them.
+
+    `occupied` and `free`: thresholds of the probability, map_server's if None. InvalidRequest, OSError.
+    """
+    high, low = OCCUPIED if occupied is None else occupied, FREE if free is None else free
+    if not 0 < low < high < 1:
+        raise InvalidRequest(f"the thresholds must be 0 < free < occupied < 1, not free {low:g}, occupied {high:g}")
+    path = path.with_suffix("") if path.suffix in (".pgm", ".yaml", ".yml") else path
+    path.parent.mkdir(parents=True, exist_ok=True)
+    image = path.with_name(f"{path.name}.pgm")
+    write_atomically(image, pgm(grid, high, low))
+    write_atomically(path.with_name(f"{path.name}.yaml"), map_yaml(grid, image.name, high, low))
+
+
+def pgm(grid: OccupancyGrid, occupied: float = OCCUPIED, free: float = FREE) -> bytes:
     """The grid as map_server stores it in trinary mode: highest y first, black occupied, white free, grey unknown."""
     pixels = np.full_like(grid.cells, GREY, dtype=np.uint8)
-    pixels[grid.cells >= 100 * OCCUPIED] = BLACK
-    pixels[(grid.cells >= 0) & (grid.cells < 100 * FREE)] = WHITE
+    pixels[grid.cells >= 100 * occupied] = BLACK
+    pixels[(grid.cells >= 0) & (grid.cells < 100 * free)] = WHITE
     header = f"P5\n# {grid.resolution:.6g} m/cell\n{pixels.shape[1]} {pixels.shape[0]}\n255\n"
     return header.encode() + pixels[::-1].tobytes()
 
 
-def map_yaml(grid: OccupancyGrid, image: str) -> bytes:
+def map_yaml(grid: OccupancyGrid, image: str, occupied: float = OCCUPIED, free: float = FREE) -> bytes:
     return (
         f"image: {image}\n"
         "mode: trinary\n"
         f"resolution: {grid.resolution:.9g}\n"
         f"origin: [{grid.x:.9g}, {grid.y:.9g}, 0.0]\n"
         "negate: 0\n"
-        f"occupied_thresh: {OCCUPIED}\n"
-        f"free_thresh: {FREE}\n"
+        f"occupied_thresh: {occupied:.6g}\n"
+        f"free_thresh: {free:.6g}\n"
     ).encode()
 
 

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 import os
 import sys
@@ -15,19 +16,22 @@ from typing import Any
 import numpy as np
 import pytest
 
+from provisioning import typesupport
 from rce.mapping.scans import Scan
 from rce.mapping.simulation import Simulation
 
 rclpy = pytest.importorskip("rclpy", reason="needs the extra `ros`")
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import OccupancyGrid, Odometry
 from nav_msgs.msg import Path as PathMessage
 from nav_msgs.srv import GetMap
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
+from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan
+from std_msgs.msg import String
 
 PACKAGE = Path(__file__).parents[2] / "containers" / "nodes" / "rce_mapping"
 TURNS = 2000  # of the executor before a test gives up; far more than is needed
@@ -60,7 +64,7 @@ class Robot:
         self.executor.add_node(self.node)
         self.mapper.set_parameters(parameters)
         self.until(lambda: bool(self.maps) and self.scans.get_subscription_count() == 1)
-        self.until(lambda: self.odometry.get_subscription_count() == 1 and self.client.service_is_ready())
+        self.until(self.client.service_is_ready)
 
     def until(self, done: Callable[[], bool]) -> None:
         for _ in range(TURNS):
@@ -69,13 +73,14 @@ class Robot:
             self.executor.spin_once(timeout_sec=0.05)
         raise AssertionError("it never came to that")
 
-    def send_scan(self, scan: Scan) -> None:
+    def send_scan(self, scan: Scan, frame: str = "base_link") -> None:
         message = LaserScan(angle_min=scan.angle_min, angle_increment=scan.angle_increment, range_max=scan.range_max)
-        message.header.stamp = stamp_of(scan.stamp)
+        message.header.stamp, message.header.frame_id = stamp_of(scan.stamp), frame
         message.ranges = array("f", scan.ranges.tobytes())
         self.scans.publish(message)
 
     def send_odometry(self, scan: Scan) -> None:
+        self.until(lambda: self.odometry.get_subscription_count() == 1)
         assert scan.odometry
         message = Odometry()
         message.header.stamp = stamp_of(scan.stamp)
@@ -90,10 +95,18 @@ class Robot:
 
 
 @pytest.fixture
-def robot(monkeypatch: pytest.MonkeyPatch) -> Iterator[Robot]:
+def parameters(request: pytest.FixtureRequest) -> list[str]:
+    return getattr(request, "param", [])
+
+
+@pytest.fixture
+def robot(monkeypatch: pytest.MonkeyPatch, parameters: list[str]) -> Iterator[Robot]:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setattr(sys, "path", [str(PACKAGE), *sys.path])
-    rclpy.init(domain_id=os.getpid() % 100 + 1)
+    monkeypatch.setattr(
+        sys, "path", [str(PACKAGE), str(typesupport.build(typesupport.shipped()).prefix / "python"), *sys.path]
+    )
+    words = [word for each in parameters for word in ("-p", each)]
+    rclpy.init(args=["--ros-args", *words], domain_id=os.getpid() % 100 + 1)
     robot = Robot([Parameter("map_update_interval", value=3600.0)])
     yield robot
     robot.close()
@@ -137,6 +150,115 @@ def test_a_scan_that_comes_again_is_answered_but_not_mapped(robot: Robot, simula
     answer = robot.client.call_async(GetMap.Request())
     robot.until(lambda: answer.done() and bool(robot.paths[-1].poses))
     assert len(robot.paths[-1].poses) == 3
+
+
+def call(robot: Robot, package: str, kind: str, name: str, /, **fields: Any) -> Any:
+    service = getattr(importlib.import_module(f"{package}.srv"), kind)
+    client = robot.node.create_client(service, name)
+    robot.until(client.service_is_ready)
+    answer = client.call_async(service.Request(**fields))
+    robot.until(answer.done)
+    return answer.result()
+
+
+def test_pause_reset_and_save(robot: Robot, simulation: Simulation, tmp_path: Path) -> None:
+    for scan in simulation.records[:20]:
+        robot.send_scan(scan)
+    robot.until(lambda: len(robot.poses) == 20)
+    assert (
+        call(robot, "slam_toolbox", "SaveMap", "slam_toolbox/save_map", name=String(data=f"{tmp_path}/one")).result == 0
+    )
+    assert call(robot, "nav2_msgs", "SaveMap", "map_saver/save_map", map_url=f"{tmp_path}/two.yaml").result
+    assert (tmp_path / "one.pgm").read_bytes() == (tmp_path / "two.pgm").read_bytes()
+    assert "image: two.pgm" in (tmp_path / "two.yaml").read_text()
+    assert not call(robot, "nav2_msgs", "SaveMap", "map_saver/save_map", map_url="/proc/no/map").result
+    assert call(robot, "slam_toolbox", "Pause", "slam_toolbox/pause_new_measurements").status
+    for scan in simulation.records[20:23]:
+        robot.send_scan(scan)
+    robot.until(lambda: len(robot.poses) == 23)
+    assert {pose.pose.pose.position.x for pose in robot.poses[20:]} == {robot.poses[19].pose.pose.position.x}
+    assert call(robot, "slam_toolbox", "Reset", "slam_toolbox/reset").result == 0
+    robot.send_scan(simulation.records[30])
+    robot.until(lambda: len(robot.poses) == 24)
+    assert robot.poses[-1].pose.pose.position.x == 0.0
+
+
+def test_updates_say_what_has_changed_since_the_last_whole_map(robot: Robot, simulation: Simulation) -> None:
+    from map_msgs.msg import OccupancyGridUpdate
+
+    updates: list[Any] = []
+    robot.node.create_subscription(OccupancyGridUpdate, "map_updates", updates.append, 10)
+    robot.until(lambda: robot.mapper._map_out.followed)
+    robot.mapper.set_parameters([Parameter("map_updates_interval", value=0.1)])
+    for sent, scan in enumerate(simulation.records, 1):
+        robot.send_scan(scan)
+        robot.until(lambda sent=sent: len(robot.poses) == sent)  # type: ignore[misc]
+        if sent % 10 == 0:
+            robot.executor.spin_once(timeout_sec=0.2)
+        if updates:
+            break
+    update = updates[-1]
+    whole = next(each for each in reversed(robot.maps) if each.header.stamp != update.header.stamp)
+    cells = np.array(whole.data, np.int8).reshape(whole.info.height, whole.info.width)
+    part = np.array(update.data, np.int8).reshape(update.height, update.width)
+    box = cells[update.y : update.y + update.height, update.x : update.x + update.width]
+    assert box.shape == part.shape
+    assert all((box != part).any(axis=axis)[[0, -1]].all() for axis in (0, 1)), "no larger than it must be"
+
+
+def test_a_driver_that_is_best_effort_only_is_heard(robot: Robot, simulation: Simulation) -> None:
+    robot.node.destroy_publisher(robot.scans)
+    robot.scans = robot.node.create_publisher(LaserScan, "scan", qos_profile_sensor_data)
+    robot.until(lambda: robot.scans.get_subscription_count() == 1)
+    robot.until(lambda: bool(robot.poses) or robot.send_scan(simulation.records[0]) is not None)
+
+
+def transform(parent: str, child: str, x: float, theta: float, stamp: Time) -> TransformStamped:
+    message = TransformStamped(child_frame_id=child)
+    message.header.frame_id, message.header.stamp = parent, stamp
+    message.transform.translation.x = x
+    message.transform.rotation.z, message.transform.rotation.w = math.sin(theta / 2), math.cos(theta / 2)
+    return message
+
+
+def test_the_place_of_the_laser_comes_from_tf(robot: Robot, simulation: Simulation) -> None:
+    """It is on a mast, half a metre in front of the axle, and looks backwards: the robot is where it is not."""
+    from rce_mapping.inputs import STATIC
+    from tf2_msgs.msg import TFMessage
+
+    fixed = robot.node.create_publisher(TFMessage, "/tf_static", STATIC)
+    now = stamp_of(1.0)
+    fixed.publish(
+        TFMessage(
+            transforms=[
+                transform("base_link", "mast", 0.5, 0.0, now),
+                transform("mast", "laser", 0.0, math.pi, now),
+                transform("base_link", "wheel", 3.0, 0.0, now),
+            ]
+        )
+    )
+    robot.until(lambda: robot.mapper._transforms.place("laser") == pytest.approx((0.5, 0.0, -math.pi)))
+    assert robot.mapper._transforms.place("unknown") == (0.0, 0.0, 0.0)
+    for scan in simulation.records[:3]:
+        robot.send_scan(scan, frame="laser")
+    robot.until(lambda: len(robot.poses) == 3)
+    first = robot.poses[0].pose.pose
+    assert (first.position.x, first.orientation.z) == (pytest.approx(0.5), pytest.approx(-1.0))
+
+
+@pytest.mark.parametrize("parameters", [["odometry_from_tf:=true"]], indirect=True)
+def test_odometry_from_tf(robot: Robot, simulation: Simulation) -> None:
+    from tf2_msgs.msg import TFMessage
+
+    out = robot.node.create_publisher(TFMessage, "/tf", 100)
+    robot.until(lambda: out.get_subscription_count() == 1)
+    for scan in simulation.records[:5]:
+        assert scan.odometry
+        x, _, theta = scan.odometry
+        out.publish(TFMessage(transforms=[transform("odom", "base_link", x, theta, stamp_of(scan.stamp))]))
+        robot.send_scan(scan)
+    robot.until(lambda: len(robot.poses) == 5)
+    assert robot.mapper._odometry_expected, "no scan has waited for its odometry in vain"
 
 
 def test_an_unknown_mapper_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

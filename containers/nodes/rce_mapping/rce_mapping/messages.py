@@ -8,7 +8,7 @@ from array import array
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Pose as PoseMessage
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Quaternion
 from nav_msgs.msg import OccupancyGrid as GridMessage
 from nav_msgs.msg import Odometry, Path
 from numpy.typing import NDArray
@@ -26,6 +26,11 @@ def seconds(stamp: Time) -> float:
     return float(stamp.sec + stamp.nanosec * 1e-9)
 
 
+def stamp_of(seconds: float) -> Time:
+    microseconds = round(seconds * 1e6)
+    return Time(sec=microseconds // 10**6, nanosec=microseconds % 10**6 * 1000)
+
+
 def scan_from(message: LaserScan) -> Scan:
     """The ranges are a view of those of the message."""
     ranges = np.frombuffer(message.ranges, np.float32)
@@ -33,10 +38,13 @@ def scan_from(message: LaserScan) -> Scan:
     return Scan(stamp, ranges, message.angle_min, message.angle_increment, message.range_max)
 
 
-def pose_from(message: Odometry) -> Pose:
-    position, q = message.pose.pose.position, message.pose.pose.orientation
-    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
-    return Pose(position.x, position.y, yaw)
+def yaw_of(q: Quaternion) -> float:
+    return math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+
+
+def pose_from(message: Odometry | PoseWithCovarianceStamped) -> Pose:
+    position = message.pose.pose.position
+    return Pose(position.x, position.y, yaw_of(message.pose.pose.orientation))
 
 
 def fill_pose(message: PoseMessage, x: float, y: float, theta: float) -> None:

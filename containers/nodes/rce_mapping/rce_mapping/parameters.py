@@ -5,7 +5,7 @@ from __future__ import annotations
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
-INTERVAL, MAPPER = "map_update_interval", "mapper"
+INTERVAL, UPDATES, MAPPER = "map_update_interval", "map_updates_interval", "mapper"
 
 
 def declare(node: Node, mappers: list[str]) -> None:
@@ -17,14 +17,22 @@ def declare(node: Node, mappers: list[str]) -> None:
     _count(node, "seed", 0, (0, 2**31 - 1), "Of the random numbers of the mapper particle; the same map for the same.")
     _number(node, INTERVAL, 5.0, (0.1, 3600.0), "Wall time between two publications of map and path, s.", fixed=False)
     _number(
+        node, UPDATES, 1.0, (0.0, 3600.0), "Wall time between two messages of map_updates, s; 0: none.", fixed=False
+    )
+    _number(
         node, "odom_timeout", 0.5, (0.0, 60.0), "How long a scan waits for the odometry of its stamp, wall time, s."
     )
     node.declare_parameter(
         "use_odometry", True, ParameterDescriptor(description="Use odometry where there is any.", read_only=True)
     )
+    node.declare_parameter(
+        "odometry_from_tf",
+        False,
+        ParameterDescriptor(description="Take the odometry from tf instead of the topic odom.", read_only=True),
+    )
     _text(node, "map_frame", "map", "Frame of the map, the poses and the path.")
     _text(node, "odom_frame", "odom", "Frame of the odometry, for tf.")
-    _text(node, "base_frame", "base_link", "Frame of the robot, for tf where there is no odometry.")
+    _text(node, "base_frame", "base_link", "Frame of the robot.")
 
 
 def _number(
@@ -50,6 +58,10 @@ def _text(node: Node, name: str, default: str, description: str) -> None:
 
 def number(node: Node, name: str) -> float:
     return float(node.get_parameter(name).value)
+
+
+def flag(node: Node, name: str) -> bool:
+    return bool(node.get_parameter(name).value)
 
 
 def text(node: Node, name: str) -> str:

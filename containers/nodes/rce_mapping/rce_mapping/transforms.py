@@ -10,10 +10,7 @@ from rclpy.node import Node
 
 from rce.mapping.geometry import Pose
 
-try:
-    from tf2_msgs.msg import TFMessage
-except ImportError:
-    TFMessage = None
+from .optional import TFMessage
 
 
 class TransformSender:

@@ -1,0 +1,19 @@
+"""Types of packages that the ROS 2 wheels lack; None where they are not installed, and then the node does without."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+
+def _module(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        return None
+
+
+TFMessage: Any = getattr(_module("tf2_msgs.msg"), "TFMessage", None)
+OccupancyGridUpdate: Any = getattr(_module("map_msgs.msg"), "OccupancyGridUpdate", None)
+nav2 = _module("nav2_msgs.srv")
+slam_toolbox = _module("slam_toolbox.srv")
