@@ -81,7 +81,7 @@ def make_engine(reactor: ReactorBase, settings: Settings, relay: DataRelay, ende
         raise StartFailed(
             f"the {settings.engine} engine needs docker-py ({error}): pip install 'rce[docker]'"
         ) from None
-    read_only = [path for path in (*packages, settings.typesupport) if path]
+    read_only = [path for path in (*packages, settings.typesupport, *settings.mounts) if path]
     if settings.engine == "swarm":
         return SwarmEngine(
             settings.size,
@@ -93,7 +93,7 @@ def make_engine(reactor: ReactorBase, settings: Settings, relay: DataRelay, ende
             master=settings.master,
             image=settings.image,
             settings=surroundings,
-            agent=AgentService(settings.agent_image, settings.agent_address, settings.data_port, settings.agent_mounts),
+            agent=AgentService(settings.agent_image, settings.agent_address, settings.data_port, settings.mounts),
             stay=not settings.stop_environments,
             read_only=read_only,
         )

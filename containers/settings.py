@@ -40,7 +40,9 @@ class Settings(Struct, frozen=True):
     agent_address: Annotated[
         str, Meta(description="swarm engine: where the agents reach this task set; empty: the manager's address")
     ] = ""
-    agent_mounts: Annotated[list[str], Meta(description="swarm engine: directories that the agents see")] = []
+    mounts: Annotated[
+        list[str], Meta(description="docker and swarm: directories that every environment sees, and none writes to")
+    ] = []
     data_host: Annotated[
         str, Meta(description="address for data links of its environments from other machines; empty: none")
     ] = ""

@@ -34,7 +34,7 @@ from containers.swarm_manager import Found, Manager, Node
 from containers.swarm_spec import FEATURE, Names, agent_task, environment_task
 from rce import __version__
 from rce.calls import ContainerEnded, EnvironmentSpec
-from rce.errors import InvalidRequest, StartFailed, TimedOut, Unavailable
+from rce.errors import InvalidRequest, NoCapacity, StartFailed, TimedOut, Unavailable
 from rce.messages import Rates
 
 log = Logger()
@@ -235,14 +235,15 @@ class SwarmEngine(Engine):
         lacking = await self._agents.wait_for(usable, AGENTS_TIMEOUT)
         for node in lacking:
             reason = await self._manager.failure(self._agent_name, node)
-            log.warn("node {node} takes no environments: its agent does not come up: {why}", node=node, why=reason)
+            name = self._nodes[node].name
+            log.warn("node {node} takes no environments: its agent does not come up: {why}", node=name, why=reason)
         if lacking and lacking == usable:
             raise Unavailable(
                 f"no agent comes up on the swarm ({reason}); `provisioning/provision image` makes their image"
             )
 
     def _fit(self, spec: EnvironmentSpec) -> tuple[str, list[str]]:
-        """The image as it is on the nodes that have it, and the constraints that lead there. StartFailed."""
+        """The image as it is on most nodes, and the constraints that lead to one of these. StartFailed, NoCapacity."""
         tag = reference(spec.options.image) if spec.options.image else self._image
         image = self._agents.image(tag)
         if image is None:
@@ -251,13 +252,17 @@ class SwarmEngine(Engine):
                 f"{__version__}; `provisioning/provision image` builds those of the platform, "
                 "`docker save | docker load` spreads them"
             )
-        constraints = []
-        for node in self._nodes.values():
-            report = self._agents.report(node.id)
-            if node.usable and (report is None or image not in report.images.values()):
-                constraints.append(f"node.id!={node.id}")
-        wanted = sorted(set(spec.options.specialFeatures) - self._everywhere)
-        return image, constraints + [f"{FEATURE}{feature}==true" for feature in wanted]
+        wanted = set(spec.options.specialFeatures) - self._everywhere
+        usable = [node for node in self._nodes.values() if node.usable]
+        unfit = [node for node in usable if not self._agents.has(node.id, image)]
+        if not any(wanted <= node.features for node in usable if node not in unfit):
+            able = ", ".join(sorted(node.name for node in usable if wanted <= node.features)) or "none"
+            raise NoCapacity(
+                f"environment {spec.name}: of the nodes with its special features ({able}) none has the image {tag} as "
+                "most others have it (`docker save | docker load` spreads it), and an agent"
+            )
+        avoided = [f"node.id!={node.id}" for node in unfit]
+        return image, avoided + [f"{FEATURE}{feature}==true" for feature in sorted(wanted)]
 
     def _runs(self, found: Found) -> bool:
         node = self._nodes.get(found.node)
@@ -287,11 +292,11 @@ class SwarmEngine(Engine):
         is waited for where the agent finds nothing. A node without an agent is cleared by the next one there."""
         await self._manager.remove(found.service)
         node = self._nodes.get(found.node)
-        if not found.node:
+        if not found.node or node is None:
             cleared = await self._agents.clear_everywhere(found.run)
         else:
-            cleared = await self._agents.clear(found.node, found.run)
-        if not cleared and (node is None or node.usable):
+            cleared = not node.usable or await self._agents.clear(found.node, found.run)
+        if not cleared:
             await self._no_task(found.service)
             await self._agents.clear_everywhere(found.run)
         self._look(self._manager.remove_network(found.service), self._tidying)
@@ -299,7 +304,7 @@ class SwarmEngine(Engine):
     async def _no_task(self, service: str) -> None:
         try:
             async with asyncio.timeout(END_TIMEOUT):
-                await self._manager.ended(service)
+                await self._manager.ended(service, [node.id for node in self._nodes.values() if node.usable])
         except TimeoutError:
             raise TimedOut(f"the task of {service} does not end within {END_TIMEOUT:g} s") from None
 

@@ -92,6 +92,11 @@ class Agents:
         ids = Counter(report.images[tag] for report in reports if tag in report.images)
         return ids.most_common(1)[0][0] if ids else None
 
+    def has(self, node: str, image: str) -> bool:
+        """Whether a node has an agent, and the image with this id."""
+        report = self.report(node)
+        return report is not None and image in report.images.values()
+
     async def clear(self, node: str, run: str) -> bool:
         """Have all of an environment removed from a node; whether its agent found a container of it."""
         agent = self._agents.get(node)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -112,10 +112,11 @@ class Manager(Asked):
         """Remove a service, if it is there; its task ends later."""
         await self._call(lambda: self._remove(service))
 
-    async def ended(self, service: str) -> None:
-        """Until no task of a service that was removed is there any more."""
+    async def ended(self, service: str, nodes: Collection[str]) -> None:
+        """Until no task of a service that was removed is there any more, on these nodes or on its way to one."""
         while True:
-            if not await self._call(lambda: self._tasks(service)):
+            tasks = await self._call(lambda: self._tasks(service))
+            if not any(task.get("NodeID", "") in {"", *nodes} for task in tasks):
                 return
             await asyncio.sleep(LOOK_EVERY)
 

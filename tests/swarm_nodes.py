@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import signal
 import subprocess
+import sys
+import tarfile
 import tempfile
 import time
 from collections.abc import Iterator
@@ -17,8 +20,13 @@ import docker
 import pytest
 from docker.errors import DockerException
 
+from rce import __version__
+
+ROOT = Path(__file__).parents[1]
+
 START_TIMEOUT = 40.0
 STOP_TIMEOUT = 40.0
+HOST_IMAGE = "rce-test/host:1"  # nothing of its own: what runs in it sees this machine's Python
 NEEDED = ("dockerd", "containerd", "runc", "iptables", "ip", "nsenter", "unshare")
 # What a machine sees of its own: /run with Docker's usual socket, and Docker's directory at the path common to all.
 SCRIPT = """
@@ -53,8 +61,13 @@ class Node:
         os.kill(int((self.directory / "pid").read_text()), signal.SIGKILL)
         self.process.wait(STOP_TIMEOUT)
 
+    def power_off(self) -> None:
+        """End what runs on it, also what a daemon that was killed has left."""
+        for pid in inhabitants(self.name):
+            os.kill(pid, signal.SIGKILL)
 
-class Machines:
+
+class Swarm:
     """Machines on one network; this process is on it too, at `address`."""
 
     def __init__(self, directory: Path) -> None:
@@ -106,7 +119,9 @@ class Machines:
     def join(self) -> None:
         """Make one swarm of them; the first is its manager."""
         manager = self.nodes[0].api()
-        manager.init_swarm(advertise_addr=self.nodes[0].address, listen_addr=f"{self.nodes[0].address}:2377")
+        quick = {"Dispatcher": {"HeartbeatPeriod": 1_000_000_000}}  # a node is down after three
+        address = self.nodes[0].address
+        manager.init_swarm(advertise_addr=address, listen_addr=f"{address}:2377", swarm_spec=quick)
         token = manager.inspect_swarm()["JoinTokens"]["Worker"]
         for node in self.nodes[1:]:
             node.api().join_swarm([f"{self.nodes[0].address}:2377"], token, advertise_addr=node.address)
@@ -121,8 +136,7 @@ class Machines:
         if node.process.poll() is None:
             node.process.terminate()
             node.process.wait(STOP_TIMEOUT)
-        for pid in inhabitants(node.name):  # containers of a daemon that was killed, and what belongs to them
-            os.kill(pid, signal.SIGKILL)
+        node.power_off()
         run("ip", "netns", "delete", node.name)
 
 
@@ -132,8 +146,28 @@ def inhabitants(namespace: str) -> list[int]:
     return [int(word) for word in done.stdout.split()]
 
 
+def host_mounts() -> list[str]:
+    """What this Python and this checkout need of this machine."""
+    base = Path(sys.executable).resolve().parents[1]
+    places = {*("/usr", "/lib", "/lib64"), str(base), str(ROOT), str(Path(sys.prefix).resolve())}
+    return sorted(path for path in places if Path(path).exists())
+
+
+def load_host_image(*nodes: Node) -> None:
+    """The same on all: an image that is made anew has another id."""
+    empty = io.BytesIO()
+    tarfile.open(fileobj=empty, mode="w").close()
+    path = f"ENV PATH={Path(sys.executable).parent}:/usr/bin:/bin PYTHONDONTWRITEBYTECODE=1"
+    name, _, tag = HOST_IMAGE.partition(":")
+    changes = [path, f"LABEL rce.version={__version__}"]
+    nodes[0].api().import_image_from_data(empty.getvalue(), repository=name, tag=tag, changes=changes)
+    saved = b"".join(nodes[0].api().get_image(HOST_IMAGE))
+    for node in nodes[1:]:
+        list(node.api().load_image(saved))
+
+
 @contextmanager
-def machines(count: int) -> Iterator[Machines]:
+def swarm_of(count: int) -> Iterator[Swarm]:
     """As many machines as that, in one swarm; skips the test where there can be none."""
     if "RCE_TEST_DOCKER" not in os.environ:
         pytest.skip("takes a minute: RCE_TEST_DOCKER=1 provisioning/provision test runs it too")
@@ -143,7 +177,7 @@ def machines(count: int) -> Iterator[Machines]:
     if os.geteuid() != 0:
         pytest.skip("network namespaces need root: run the tests as root")
     with tempfile.TemporaryDirectory(prefix="rce-swarm-", ignore_cleanup_errors=True) as directory:
-        made = Machines(Path(directory))
+        made = Swarm(Path(directory))
         made.open()
         try:
             for _ in range(count):

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import sys
 from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,29 +15,20 @@ from twisted.internet.base import ReactorBase
 
 docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
 
-from swarm_nodes import Machines, Node, machines
+from swarm_nodes import HOST_IMAGE, Node, Swarm, host_mounts, load_host_image, swarm_of
 
 from containers.engine import Ended, Engine
-from containers.swarm import AGENT_COMMAND, AgentService, SwarmEngine
+from containers.swarm import AgentService, SwarmEngine
 from rce.calls import EnvironmentSpec
 from rce.messages import ContainerData
 from rce.slots import MB, PIDS
 
 COMMAND = ["/stand-in"]
 IMAGE = "rce-test/stand-in:latest"
-ROOT = Path(__file__).parents[2]
-
-
-def this_python() -> AgentService:
-    """The agent as it is in this checkout, without an image to build: it sees this machine's Python."""
-    base = Path(sys.executable).resolve().parents[1]
-    places = {*("/usr", "/lib", "/lib64", "/etc"), str(base), str(ROOT), sys.prefix}
-    command = ("/usr/bin/env", f"PYTHONPATH={ROOT}", sys.executable, *AGENT_COMMAND[1:])
-    return AgentService(IMAGE, "", 0, sorted(path for path in places if Path(path).exists()), command)
 
 
 class SwarmWorld(World):
-    def __init__(self, swarm: Machines, directory: Path, reactor: ReactorBase) -> None:
+    def __init__(self, swarm: Swarm, directory: Path, reactor: ReactorBase) -> None:
         self.directory = directory
         self.node: Node = swarm.nodes[0]
         self.api = self.node.api()
@@ -46,7 +36,6 @@ class SwarmWorld(World):
         self._reactor = reactor
 
     def engine(self, ended: Callable[[Ended], None], *behaviour: str, image: str = IMAGE) -> SwarmEngine:
-        agent = this_python()
         return SwarmEngine(
             CAPACITY,
             FEATURES,
@@ -57,7 +46,7 @@ class SwarmWorld(World):
             master=f"tcp:{self._address}:1",
             image=image,
             settings={"typesupport": "/types"},
-            agent=AgentService(agent.image, self._address, 0, agent.mounts, agent.command),
+            agent=AgentService(HOST_IMAGE, self._address, 0, host_mounts()),
             command=[*COMMAND, *behaviour],
         )
 
@@ -98,11 +87,12 @@ class SwarmWorld(World):
 
 
 @pytest.fixture(scope="module")
-def swarm(load_stand_in: Callable[[str], None]) -> Iterator[Machines]:
-    with machines(1) as made:
+def swarm(load_stand_in: Callable[[str], None]) -> Iterator[Swarm]:
+    with swarm_of(1) as made:
         before = os.environ.get("DOCKER_HOST")
         os.environ["DOCKER_HOST"] = made.nodes[0].host
         load_stand_in(made.nodes[0].host)
+        load_host_image(made.nodes[0])
         yield made
         os.environ.pop("DOCKER_HOST")
         if before is not None:
@@ -116,7 +106,7 @@ def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def world(swarm: Machines, directory: Path, reactor: ReactorBase) -> Iterator[SwarmWorld]:
+def world(swarm: Swarm, directory: Path, reactor: ReactorBase) -> Iterator[SwarmWorld]:
     world = SwarmWorld(swarm, directory, reactor)
     yield world
     world.api.close()
@@ -129,7 +119,7 @@ def endings() -> Endings:
 
 class TestSwarmEngine(EngineContract):
     @pytest.fixture
-    def world(self, swarm: Machines, directory: Path, reactor: ReactorBase) -> Iterator[SwarmWorld]:
+    def world(self, swarm: Swarm, directory: Path, reactor: ReactorBase) -> Iterator[SwarmWorld]:
         world = SwarmWorld(swarm, directory, reactor)
         yield world
         world.api.close()

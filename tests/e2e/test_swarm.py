@@ -1,0 +1,143 @@
+# ruff: noqa: E402  (Docker is imported only where it is there)
+"""The platform with the engine `swarm` on three machines: data, a machine that is drained, one whose Docker is killed.
+
+The first machine is the swarm's manager, the others have the special feature `cloud`, so that environments go there.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import AsyncIterator, Iterator
+from typing import Any
+
+import pytest
+
+docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+
+from machines import Host, Machines
+from real_platform import until
+from swarm_nodes import HOST_IMAGE, Node, Swarm, host_mounts, load_host_image, swarm_of
+
+from rce.client import Environment, Publisher, Subscriber
+
+STRING = "std_msgs/String"
+MOVE_TIMEOUT = 90.0
+
+
+@pytest.fixture(scope="module")
+def swarm() -> Iterator[Swarm]:
+    with swarm_of(3) as made:
+        load_host_image(*made.nodes)
+        for node in made.nodes[1:]:
+            label(made, node, {"rce.feature.cloud": "true"}, "active")
+        before = os.environ.get("DOCKER_HOST")
+        os.environ["DOCKER_HOST"] = made.nodes[0].host
+        yield made
+        os.environ.pop("DOCKER_HOST")
+        if before is not None:
+            os.environ["DOCKER_HOST"] = before
+
+
+def label(swarm: Swarm, node: Node, labels: dict[str, str], availability: str) -> None:
+    manager = swarm.nodes[0].api()
+    id = node.api().info()["Swarm"]["NodeID"]
+    version = manager.inspect_node(id)["Version"]["Index"]
+    role = "manager" if node is swarm.nodes[0] else "worker"
+    manager.update_node(id, version, {"Role": role, "Labels": labels, "Availability": availability})
+
+
+@pytest.fixture(scope="module")
+async def platform(
+    swarm: Swarm, arguments: list[str], tmp_path_factory: pytest.TempPathFactory
+) -> AsyncIterator[Machines]:
+    words = [f"{option}={value}" for option, value in zip(arguments[::2], arguments[1::2], strict=True)]
+    words += ["--engine=swarm", f"--image={HOST_IMAGE}", f"--agent-image={HOST_IMAGE}"]
+    words += [f"--agent-address={swarm.address}", f"--mounts={','.join(host_mounts())}"]
+    master = Host("master", swarm.address)
+    made = Machines(tmp_path_factory.mktemp("platform"), master, [Host("here")], words, 10)
+    await made.start()
+    yield made
+    await made.stop()
+    assert not containers(swarm), "containers are left"
+
+
+def containers(swarm: Swarm) -> dict[str, Node]:
+    """The node of each environment that runs, by its tag."""
+    found: dict[str, Node] = {}
+    for node in swarm.nodes:
+        if node.process.poll() is None:
+            for each in node.api().containers(filters={"label": "rce.environment"}):
+                found[each["Labels"]["rce.environment"].partition("/")[2]] = node
+    return found
+
+
+class Echo:
+    """A node that answers, and a robot's interfaces to it."""
+
+    def __init__(self, say: Publisher, heard: Subscriber) -> None:
+        self._say = say
+        self._heard = heard
+        self._count = 0
+
+    @classmethod
+    async def of(cls, environment: Environment) -> Echo:
+        await environment.add_node("echo", "rce_demo", "echo.py")
+        return cls(await environment.publisher("/say", STRING), await environment.subscriber("/heard", STRING))
+
+    async def answers(self, seconds: float) -> None:
+        """Until something said from now on is answered; what is said while nobody is there is lost."""
+        first = self._count + 1
+        async with asyncio.timeout(seconds):
+            while True:
+                self._count += 1
+                self._say.offer({"data": str(self._count)})
+                try:
+                    async with asyncio.timeout(0.5):
+                        while int((await self._heard.get())["data"]) < first:
+                            pass
+                        return
+                except TimeoutError:
+                    continue
+
+
+async def test_a_machine_that_is_drained_gives_its_environments_away(swarm: Swarm, platform: Machines) -> None:
+    """From the robot to a node in one environment, on to one in another on the next machine, and back, before and after
+    both have to share a machine."""
+    async with (
+        platform.robot("r1") as robot,
+        robot.environment("one", special_features=["cloud"]) as one,
+        robot.environment("two", special_features=["cloud"]) as two,
+    ):
+        for environment in (one, two):
+            await environment.add_node("echo", "rce_demo", "echo.py")
+        await robot.add_interface("one", "out", "SubscriberInterface", STRING, addr="/heard")
+        await robot.add_interface("two", "in", "PublisherInterface", STRING, addr="/say")
+        await robot.connect("one/out", "two/in")
+        chain = Echo(await one.publisher("/say", STRING), await two.subscriber("/heard", STRING))
+        await chain.answers(30)
+        before = containers(swarm)
+        assert before["one"] is not before["two"], "Swarm spreads them"
+        label(swarm, before["two"], {"rce.feature.cloud": "true"}, "drain")
+        await until(lambda: containers(swarm).get("two") is before["one"], MOVE_TIMEOUT)
+        await chain.answers(MOVE_TIMEOUT)
+    label(swarm, before["two"], {"rce.feature.cloud": "true"}, "active")
+    await until(lambda: not volumes(before["two"]), 30)  # what it had left, once its agent is back
+
+
+def volumes(node: Node) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = node.api().volumes(filters={"label": "rce.directory"})["Volumes"] or []
+    return found
+
+
+@pytest.mark.skipif("RCE_TEST_LONG" not in os.environ, reason="another half minute: RCE_TEST_LONG=1 runs it too")
+async def test_a_machine_whose_docker_is_killed_under_traffic(swarm: Swarm, platform: Machines) -> None:
+    """The last of these tests: that machine stays dead."""
+    async with platform.robot("r3") as robot, robot.environment("survivor", special_features=["cloud"]) as environment:
+        echo = await Echo.of(environment)
+        await echo.answers(30)
+        first = containers(swarm)["survivor"]
+        await asyncio.to_thread(first.kill)
+        await until(lambda: "survivor" in containers(swarm), MOVE_TIMEOUT)
+        await echo.answers(MOVE_TIMEOUT)
+    first.power_off()
