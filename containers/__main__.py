@@ -20,6 +20,7 @@ from rce import loop
 from rce.credential import Credential
 from rce.errors import AlreadyExists, InvalidRequest, StartFailed
 from rce.settings import load_or_exit
+from rce.tls import Tls, load
 
 PROGRAM = "rce container"
 
@@ -40,16 +41,18 @@ async def serve(reactor: ReactorBase, settings: Settings) -> None:
     directory = settings.data_dir.absolute()
     with _sole_user(directory):
         credential = Credential(directory / "container.credential", settings.token)
-        relay = DataRelay()
+        tls = load(settings.tls)
+        relay = DataRelay(tls)
         task_set = TaskSet(
             reactor,
             settings.master,
             settings.own_name,
             credential,
-            lambda ended: make_engine(reactor, settings, relay, ended),
+            lambda ended: make_engine(reactor, settings, relay, tls, ended),
             directory / "packages",
             relay,
             settings.entry,
+            tls,
         )
         try:
             if settings.data_host and settings.engine != "swarm":
@@ -59,7 +62,9 @@ async def serve(reactor: ReactorBase, settings: Settings) -> None:
             await relay.close()
 
 
-def make_engine(reactor: ReactorBase, settings: Settings, relay: DataRelay, ended: Callable[[Ended], None]) -> Engine:
+def make_engine(
+    reactor: ReactorBase, settings: Settings, relay: DataRelay, tls: Tls | None, ended: Callable[[Ended], None]
+) -> Engine:
     """The engine that `settings` name."""
     directory = settings.data_dir.absolute()
     packages = [os.path.abspath(path) for path in settings.package_path]
@@ -70,7 +75,7 @@ def make_engine(reactor: ReactorBase, settings: Settings, relay: DataRelay, ende
             settings.features,
             ended,
             root=directory / "environments",
-            settings={"master": settings.master, "host": settings.host, **surroundings},
+            settings={"master": settings.master, "host": settings.host, **_files(settings.tls), **surroundings},
             relay=relay,
             packages=directory / "packages",
         )
@@ -107,11 +112,17 @@ def make_engine(reactor: ReactorBase, settings: Settings, relay: DataRelay, ende
         master=settings.master,
         image=settings.image,
         settings=surroundings,
+        tls=tls,
         relay=relay,
         host=settings.host,
         gpus=settings.gpus,
         read_only=read_only,
     )
+
+
+def _files(tls: Path | None) -> dict[str, str]:
+    """Processes of this user may read them in any case."""
+    return {"tls": str(tls.absolute())} if tls else {}
 
 
 @contextmanager

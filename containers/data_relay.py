@@ -11,7 +11,6 @@ Whom a link admits is the endpoints' to judge: their greeting, with the Master's
 from __future__ import annotations
 
 import asyncio
-import ssl
 from collections import Counter
 from collections.abc import Collection, Coroutine
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from twisted.logger import Logger
 from rce.errors import InvalidRequest
 from rce.passage import LONGEST, Passage, Reason, refusal
 from rce.sockets import advertised, bound, reaching, split, tune
+from rce.tls import PLAIN, Tls, exposed
 
 log = Logger()
 GATE = "relay.sock"
@@ -123,13 +123,12 @@ class _Place:
 
 
 class DataRelay:
-    """`ssl_in` and `ssl_out` prove machines to each other; without them the network between them must be trusted."""
+    """`tls` proves machines to each other; without it the network between them must be trusted."""
 
-    def __init__(self, ssl_in: ssl.SSLContext | None = None, ssl_out: ssl.SSLContext | None = None) -> None:
+    def __init__(self, tls: Tls | None = None) -> None:
         self.address = ""  # where others reach it, as the Master is told: relay:HOST:PORT
         self._relays: frozenset[str] = frozenset()
-        self._ssl_in = ssl_in
-        self._ssl_out = ssl_out
+        self._tls = tls
         self._places: dict[str, _Place] = {}
         self._server: asyncio.Server | None = None
         self._links: Counter[str] = Counter()  # by environment
@@ -141,7 +140,10 @@ class DataRelay:
         """Take callers from other machines, who dial `address` or else `host`. Raises OSError, InvalidRequest."""
         dialled = advertised(host, address)
         loop = asyncio.get_running_loop()
-        self._server = await loop.create_server(lambda: _Visitor(self, ""), host, port, ssl=self._ssl_in)
+        if exposed(host, self._tls):
+            log.warn(PLAIN, what="data", host=host)
+        context = self._tls.server if self._tls else None
+        self._server = await loop.create_server(lambda: _Visitor(self, ""), host, port, ssl=context)
         taken = self._server.sockets[0].getsockname()[1]
         self.address = f"relay:{dialled}:{taken}"
         log.info("data links for environments here are taken at {host}:{port}", host=host, port=taken)
@@ -252,7 +254,8 @@ class DataRelay:
         if passage.relay not in self._relays:
             raise _Refused("no such relay")
         host, port = split(passage.relay)
-        _, side = await asyncio.get_running_loop().create_connection(_Side, host, port, ssl=self._ssl_out)
+        context = self._tls.client if self._tls else None
+        _, side = await asyncio.get_running_loop().create_connection(_Side, host, port, ssl=context)
         side.transport.write(Passage(passage.to, user=user).line())
         return side
 

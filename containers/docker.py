@@ -34,6 +34,7 @@ from containers.relay import Relay
 from rce.calls import EnvironmentSpec
 from rce.errors import NoCapacity, StartFailed, Unavailable
 from rce.host import host_identity
+from rce.tls import Tls
 
 log = Logger()
 COMMAND: Sequence[str] = ("python3", "-P", "-m", "endpoints.environment")
@@ -72,6 +73,7 @@ class DockerEngine(Engine):
         read_only: Sequence[str] = (),
         relay: DataRelay | None = None,
         host: str = "",
+        tls: Tls | None = None,
         command: Sequence[str] = COMMAND,
     ) -> None:
         super().__init__(capacity, features, ended)
@@ -85,6 +87,7 @@ class DockerEngine(Engine):
         self._settings = {**settings, "relay": f"{CONTROL}/{GATE}"}
         self._data_relay = relay or DataRelay()
         self._host = host or host_identity()
+        self._tls = tls
         self._read_only = read_only
         self._command = command
         labels = {"rce.platform": platform, "rce.directory": str(directory)}
@@ -193,7 +196,7 @@ class DockerEngine(Engine):
     async def _furnish(self, name: str, run: str, gpus: Sequence[str]) -> _Environment:
         """Make the directories of an environment, unless they are there, and open its way to the Master."""
         places = self._places(name, run)
-        environment = _Environment(run, places, Relay(self._reactor, self._master), gpus)
+        environment = _Environment(run, places, Relay(self._reactor, self._master, self._tls), gpus)
         self._environments[name] = environment  # from now on nobody sweeps the directory of its user
         places.control.mkdir(parents=True, exist_ok=True)
         sockets = places.socket.parent

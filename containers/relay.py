@@ -6,14 +6,15 @@ import asyncio
 from pathlib import Path
 from typing import cast
 
-from twisted.internet import endpoints
 from twisted.internet.base import ReactorBase
 from twisted.internet.protocol import Factory, Protocol, connectionDone
 from twisted.internet.tcp import Connection
 from twisted.logger import Logger
 from twisted.python.failure import Failure
 
+from rce.control import client_endpoint
 from rce.sockets import bound
+from rce.tls import Tls
 
 log = Logger()
 SOCKET = "control.sock"
@@ -48,17 +49,17 @@ class _Visitor(asyncio.Protocol):
             self.transport.abort()
 
     def pause_writing(self) -> None:
-        assert self._onward is not None
-        self._onward.transport.pauseProducing()
+        if self._onward is not None:
+            self._onward.transport.pauseProducing()
 
     def resume_writing(self) -> None:
-        assert self._onward is not None
-        self._onward.transport.resumeProducing()
+        if self._onward is not None:
+            self._onward.transport.resumeProducing()
 
     def connection_lost(self, exc: Exception | None) -> None:
         self.gone = True
         self._relay.dismiss(self)
-        if self._onward is not None:
+        if self._onward is not None and not self._onward.lost:  # Twisted's TLS cannot be aborted twice
             self._onward.transport.abortConnection()
 
     # as the producer of what goes to the Master
@@ -91,12 +92,14 @@ class _Onward(Protocol):
     transport: Connection  # type: ignore[assignment]  # or one that wraps it, for TLS
 
     def __init__(self, visitor: _Visitor) -> None:
+        self.lost = False
         self._visitor = visitor
 
     def dataReceived(self, data: bytes) -> None:
         self._visitor.transport.write(data)
 
     def connectionLost(self, reason: Failure = connectionDone) -> None:
+        self.lost = True
         self._visitor.transport.close()
 
 
@@ -106,8 +109,8 @@ class Relay:
     Who may do what is the Master's to judge; here it is only bounded how many an environment has at once.
     """
 
-    def __init__(self, reactor: ReactorBase, master: str) -> None:
-        self.master = endpoints.clientFromString(reactor, master)
+    def __init__(self, reactor: ReactorBase, master: str, tls: Tls | None = None) -> None:
+        self.master = client_endpoint(reactor, master, tls)
         self._visitors: set[_Visitor] = set()
         self._server: asyncio.Server | None = None
 

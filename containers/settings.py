@@ -48,6 +48,9 @@ class Settings(Struct, frozen=True):
     ] = ""
     data_port: Annotated[int, Meta(ge=0, le=65535, description="port for them; 0 takes a free one")] = 0
     data_address: Annotated[str, Meta(description="name or address by which they dial it; empty: data_host")] = ""
+    tls: Annotated[
+        Path | None, Meta(description="directory with ca.pem, cert.pem and key.pem, for TLS between machines")
+    ] = None
     host: Annotated[str, Meta(description="identity of this machine; empty: found out")] = ""
     entry: Annotated[
         str, Meta(description="URL of the Master's HTTP entry, for users' packages; empty: on the host of `master`")

@@ -29,6 +29,7 @@ from rce.control import Handlers, MasterLink
 from rce.credential import Credential, stay_joined
 from rce.errors import RceError
 from rce.ready import Ready, announce
+from rce.tls import Tls
 
 log = Logger()
 MakeEngine = Callable[[Callable[[Ended], None]], Engine]
@@ -47,6 +48,7 @@ class TaskSet:
         packages: Path,
         relay: DataRelay | None = None,
         entry: str = "",
+        tls: Tls | None = None,
     ) -> None:
         """`packages` is the directory for users' packages, fetched at the Master's HTTP entry (see `Fetcher`); `relay`
         is the one that the engine's environments are admitted to.
@@ -62,7 +64,7 @@ class TaskSet:
         handlers.on(StopEnvironment, self._stop)
         handlers.on(KeepEnvironments, self._keep)
         handlers.on(KnowRelays, self._know)
-        self._link = MasterLink(reactor, master, self._hello, handlers, self._welcomed)
+        self._link = MasterLink(reactor, master, self._hello, handlers, self._welcomed, tls)
         self._packages = PackageCache(packages, Fetcher(self._link, master, entry).fetch)
         self._starting: set[str] = set()
 

@@ -20,6 +20,7 @@ from rce import passage
 from rce.errors import Unavailable
 from rce.passage import Passage
 from rce.sockets import bound, reaching, split
+from rce.tls import PLAIN, Tls, exposed
 
 MAGIC = b"RCE1"
 GREETING = passage.GREETING
@@ -120,9 +121,12 @@ class _Caller(_Greeter):
 
 
 class DataPort:
-    """Where an endpoint takes and makes links; `gate` is the socket by which to reach relays without a network."""
+    """Where an endpoint takes and makes links; `gate` is the socket by which to reach relays without a network, `tls`
+    is for links over TCP.
+    """
 
-    def __init__(self, gate: Path | None = None) -> None:
+    def __init__(self, gate: Path | None = None, tls: Tls | None = None) -> None:
+        self._tls = tls
         self.expected: dict[bytes, StreamLink] = {}
         self._gate = gate
         self._servers: list[asyncio.Server] = []
@@ -130,7 +134,10 @@ class DataPort:
     async def listen_tcp(self, host: str, port: int) -> int:
         """Listen on `host` (port 0: any free one); returns the port."""
         loop = asyncio.get_running_loop()
-        server = await loop.create_server(lambda: _Doorman(self.expected), host, port)
+        if exposed(host, self._tls):
+            log.warn(PLAIN, what="data", host=host)
+        context = self._tls.server if self._tls else None
+        server = await loop.create_server(lambda: _Doorman(self.expected), host, port, ssl=context)
         self._servers.append(server)
         taken: int = server.sockets[0].getsockname()[1]
         return taken
@@ -190,7 +197,7 @@ class DataPort:
                 await loop.create_unix_connection(lambda: caller, path)
         else:
             host, port = split(way)
-            await loop.create_connection(lambda: caller, host, port)
+            await loop.create_connection(lambda: caller, host, port, ssl=self._tls.client if self._tls else None)
 
     async def close(self) -> None:
         for server in self._servers:

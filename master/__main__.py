@@ -31,9 +31,10 @@ from master.service import Master
 from master.store import Store
 from master.users import Processes, Users
 from rce import control, loop, settings
-from rce.certificates import CA, CERTIFICATE, KEY, Authority
+from rce.certificates import Authority
 from rce.errors import InvalidRequest
 from rce.ready import Ready, announce
+from rce.tls import CA, CERTIFICATE, KEY, PLAIN, exposed, interface, load
 
 log = Logger("master")
 DEFAULT_LIMITS = ["package_bytes=2Gi"]
@@ -47,6 +48,9 @@ class Settings(Struct):
     control: Annotated[str, Meta(description="Twisted server endpoint for the platform's processes")] = (
         "tcp:8080:interface=127.0.0.1"
     )
+    tls: Annotated[
+        Path | None, Meta(description="directory with ca.pem, cert.pem and key.pem, for TLS between machines")
+    ] = None
     database: Annotated[str, Meta(description="SQLAlchemy URL; a SQLite file in the data directory if empty")] = ""
     group_pool: Annotated[str, Meta(description="network of which each network group gets a /24")] = str(GROUP_POOL)
     grace: Annotated[float, Meta(ge=0, description="seconds for which a robot without a socket keeps its session")] = 10
@@ -58,7 +62,6 @@ class Settings(Struct):
         list[str], Meta(description="limits of users who have none of their own, key=value as in `rce user limits`")
     ] = []
     images: Annotated[list[str], Meta(description="images that all users may run, beside the platform's own")] = []
-    tls: Annotated[str, Meta(description="directory with ca.pem, cert.pem, key.pem for control connections")] = ""
     machines: Annotated[str, Meta(description="Twisted server endpoint where machines join (tcp:8081); needs tls")] = ""
     authority_key: Annotated[str, Meta(description="PEM file: the key of ca.pem, which signs their certificates")] = ""
     address: Annotated[str, Meta(description="HOST by which other machines reach this Master, for join codes")] = ""
@@ -69,18 +72,21 @@ class Settings(Struct):
 async def serve(reactor: ReactorBase, options: Settings) -> None:
     """Run until cancelled."""
     http = loopback_only(options.http) if options.dev else options.http
+    tls = load(options.tls)
+    if exposed(interface(options.control), tls):
+        log.warn(PLAIN, what="control", host=interface(options.control) or "all addresses")
     options.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
     store = Store(options.database or f"sqlite:///{options.data_dir / 'master.db'}")
     await store.open()
     depot = Depot(options.data_dir / "packages")
-    master = Master(store, options.grace, platform_policy(options), depot=depot)
+    master = Master(store, options.grace, platform_policy(options), options.machine_grace, depot)
     master.state.group_pool = _pool(options.group_pool)
     await first_users(master.users, options.dev)
     for entry in options.tokens:
         role, process, token = _token(entry)
         await master.processes.allow(process, role, token)
     await master.start()
-    ports = [await control.listen(reactor, options.control, master)]
+    ports = [await control.listen(reactor, options.control, master, tls)]
     try:
         endpoint = endpoints.serverFromString(reactor, http)
         api = Api(master.users)
@@ -111,14 +117,13 @@ async def _registry(reactor: ReactorBase, options: Settings, processes: Processe
     """Where new machines join."""
     if not (options.tls and options.authority_key and options.address):
         raise InvalidRequest("machines can join with the settings tls, authority_key and address only")
-    tls = Path(options.tls)
-    authority = Authority.load(tls / CA, Path(options.authority_key))
+    authority = Authority.load(options.tls / CA, Path(options.authority_key))
     registrar = Registrar(processes, authority, f"{options.address}:{port_of(options.control)}")
     try:
         registry = Registry(registrar, Path(options.source) if options.source else None)
     except OSError as error:
         raise InvalidRequest(f"setting source: {error}", field="source") from None
-    key, certificate = (endpoints.quoteStringArgument(str(tls / name)) for name in (KEY, CERTIFICATE))
+    key, certificate = (endpoints.quoteStringArgument(str(options.tls / name)) for name in (KEY, CERTIFICATE))
     description = f"ssl:{options.machines.partition(':')[2]}:privateKey={key}:certKey={certificate}"
     endpoint = endpoints.serverFromString(reactor, description)
     port: IListeningPort = await endpoint.listen(Site(registry, requestFactory=SmallRequest)).asFuture(

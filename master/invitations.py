@@ -16,9 +16,10 @@ from master.machines import HOURS, invite, port_of
 from master.store import Store
 from master.users import Processes
 from rce import settings
-from rce.certificates import CA, fingerprint
+from rce.certificates import fingerprint
 from rce.errors import InvalidRequest, RceError
 from rce.joining import JoinCode, Role, process_name
+from rce.tls import CA
 
 ROLES: tuple[Role, ...] = get_args(Role)
 CONFIG = Path("/etc/rce/master.toml")
@@ -53,11 +54,13 @@ async def run(words: argparse.Namespace) -> None:
 async def _act(processes: Processes, options: Settings, words: argparse.Namespace) -> None:
     match words.command:
         case "add":
-            if not options.machines:
-                raise InvalidRequest(f"{words.config} has no setting `machines`: this Master takes no machines in")
+            if not options.machines or not options.tls:
+                raise InvalidRequest(
+                    f"{words.config} lacks the settings `machines` or `tls`: this Master takes no machines in"
+                )
             invitation = await invite(processes, words.name, words.role or ROLES, words.address, words.hours)
             url = f"https://{_bracketed(options.address)}:{port_of(options.machines)}/"
-            print(JoinCode(url, fingerprint((Path(options.tls) / CA).read_text()), invitation).text())
+            print(JoinCode(url, fingerprint((options.tls / CA).read_text()), invitation).text())
         case "remove":
             for role in ROLES:
                 await processes.forget(process_name(words.name, role))

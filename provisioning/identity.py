@@ -20,9 +20,10 @@ from urllib.parse import urlsplit
 import msgspec
 
 from rce import __version__
-from rce.certificates import CA, CERTIFICATE, KEY, Authority, fingerprint, hosts_of, key_text, new_key, request
+from rce.certificates import Authority, fingerprint, hosts_of, key_text, new_key, request
 from rce.errors import ErrorInfo, InternalError, InvalidRequest, RceError, Unavailable
 from rce.joining import Application, JoinCode, Membership, parse
+from rce.tls import CA, CERTIFICATE, KEY
 
 TIMEOUT = 20.0  # seconds
 T = TypeVar("T")

@@ -19,7 +19,6 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from rce.errors import InvalidRequest
 
-CA, CERTIFICATE, KEY = "ca.pem", "cert.pem", "key.pem"  # the files of a machine's directory
 AUTHORITY_DAYS = 20 * 365
 MACHINE_DAYS = 825  # the longest that common TLS libraries accept
 SKEW = datetime.timedelta(hours=1)  # a machine's clock may be behind by this

@@ -8,6 +8,7 @@ which died silently is noticed by both.
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import Awaitable, Callable
 from typing import Any, Protocol, TypeVar, cast
 
@@ -25,6 +26,7 @@ from twisted.spread import pb
 from rce import calls
 from rce.calls import Call, Hello, Nothing, Ping, Welcome
 from rce.errors import ErrorInfo, InternalError, InvalidRequest, Lost, RceError, Unavailable
+from rce.tls import Tls
 
 PAGE = 500_000
 PING_EVERY = 5.0
@@ -34,6 +36,7 @@ BACKOFF_FIRST = 0.05
 BACKOFF_MOST = 1.0  # a Master that is back is found again within this time
 
 log = Logger()
+_TCP = re.compile(r"tcp:(?:host=)?((?:[^:\\]|\\.)*)")
 R = TypeVar("R")
 C = TypeVar("C", bound=Call[Any])
 Pages = list[bytes]
@@ -115,7 +118,7 @@ class Control:
         return _value(pages, calls.result_type(type(call)))
 
     def close(self) -> None:
-        self._door.broker.transport.abortConnection()
+        _abort(self._door.broker)
 
     def _gone(self, _: object) -> None:
         self._pinger.cancel()
@@ -176,15 +179,18 @@ class _Root(pb.Root):
         return True, _pages(welcome), _Door(handlers)
 
 
-async def listen(reactor: ReactorBase, description: str, joiner: Joiner) -> IListeningPort:
-    """Take control connections at a Twisted server endpoint (`tcp:8080:interface=127.0.0.1`, `ssl:8080:…`)."""
+async def listen(reactor: ReactorBase, description: str, joiner: Joiner, tls: Tls | None = None) -> IListeningPort:
+    """Take control connections at a Twisted server endpoint (`tcp:8080:interface=127.0.0.1`)."""
     endpoint = endpoints.serverFromString(reactor, description)
-    port: IListeningPort = await endpoint.listen(pb.PBServerFactory(_Root(joiner))).asFuture(asyncio.get_running_loop())
+    factory = pb.PBServerFactory(_Root(joiner))
+    port: IListeningPort = await endpoint.listen(_taking(tls, factory)).asFuture(asyncio.get_running_loop())
     return port
 
 
-async def connect(reactor: ReactorBase, description: str, hello: Hello, handlers: Handlers) -> tuple[Control, Welcome]:
-    """Join the Master at a Twisted client endpoint (`tcp:host:8080`, `tls:host:8080:trustRoots=/etc/rce/ca`).
+async def connect(
+    reactor: ReactorBase, description: str, hello: Hello, handlers: Handlers, tls: Tls | None = None
+) -> tuple[Control, Welcome]:
+    """Join the Master at a Twisted client endpoint (`tcp:host:8080`, `unix:/path`).
 
     Raises Unavailable when it cannot be reached, and what the Master says when it refuses.
     """
@@ -193,12 +199,12 @@ async def connect(reactor: ReactorBase, description: str, hello: Hello, handlers
     broker: pb.Broker | None = None
     try:
         async with asyncio.timeout(JOIN_TIMEOUT):
-            broker = await endpoints.clientFromString(reactor, description).connect(factory).asFuture(loop)
+            broker = await client_endpoint(reactor, description, tls).connect(factory).asFuture(loop)
             root = await _root(factory, broker).asFuture(loop)
             good, pages, door = await root.callRemote("join", _pages(hello), _Door(handlers)).asFuture(loop)
     except BaseException as error:  # each transport has its own classes for this
-        if broker is not None and broker.transport is not None:
-            broker.transport.abortConnection()
+        if broker is not None:
+            _abort(broker)
         if not isinstance(error, Exception):
             raise
         reason = f"no answer within {JOIN_TIMEOUT:g} s" if isinstance(error, TimeoutError) else str(error)
@@ -207,6 +213,30 @@ async def connect(reactor: ReactorBase, description: str, hello: Hello, handlers
         factory.disconnect()
         raise RceError.from_info(_value(pages, ErrorInfo))
     return Control(door, description), _value(pages, Welcome)
+
+
+def _abort(broker: pb.Broker) -> None:
+    if broker.transport is not None and not broker.disconnected:  # Twisted's TLS cannot be aborted twice
+        broker.transport.abortConnection()
+
+
+def client_endpoint(reactor: ReactorBase, description: str, tls: Tls | None) -> Any:
+    """A Twisted client endpoint; with `tls`, one that is described as `tcp:` is wrapped in it."""
+    endpoint = endpoints.clientFromString(reactor, description)
+    found = _TCP.match(description)
+    if tls is None or found is None:
+        return endpoint
+    from rce.control_tls import dialling  # images of environments lack what it needs
+
+    return dialling(tls, re.sub(r"\\(.)", r"\1", found[1]), endpoint)
+
+
+def _taking(tls: Tls | None, factory: pb.PBServerFactory) -> Any:
+    if tls is None:
+        return factory
+    from rce.control_tls import taking  # as above
+
+    return taking(tls, factory)
 
 
 def _root(factory: pb.PBClientFactory, broker: pb.Broker) -> Deferred[pb.RemoteReference]:
@@ -228,7 +258,9 @@ class MasterLink:
         hello: Callable[[], Hello],
         handlers: Handlers,
         welcomed: Callable[[Welcome], None],
+        tls: Tls | None = None,
     ) -> None:
+        self._tls = tls
         self._reactor = reactor
         self._description = description
         self._hello = hello
@@ -241,7 +273,9 @@ class MasterLink:
         pause = BACKOFF_FIRST
         while True:
             try:
-                control, welcome = await connect(self._reactor, self._description, self._hello(), self._handlers)
+                control, welcome = await connect(
+                    self._reactor, self._description, self._hello(), self._handlers, self._tls
+                )
             except Unavailable as error:
                 log.info("{error}; next try in {pause} s", error=str(error), pause=pause)
                 await asyncio.sleep(pause)

@@ -34,6 +34,7 @@ WITH_EXTRA: dict[str, set[str]] = {
     "rce/reactor.py": {"twisted", "uvloop"},
     # `work` maps, in a process of its own; the service itself has none of that in its memory.
     "rce/mapservice/": {"aiohttp", "lxml", "twisted"},
+    "rce/control_tls.py": {"twisted"},
     "rce/mapping/": {"numpy", "numba", "scipy", "cv2", "rosbags"},
     "rce/bench": {"numpy", "matplotlib", "twisted", "autobahn", "rosbags", "uvloop", "txaio"},
     "rce/commands/bench.py": {"numpy"},

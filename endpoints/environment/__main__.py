@@ -20,6 +20,7 @@ from rce.control import MasterLink
 from rce.errors import RceError
 from rce.host import host_identity
 from rce.settings import load_or_exit
+from rce.tls import load
 
 SWITCH_INTERVAL = 0.0005  # seconds after which the loop lets the ROS thread in, and the other way round
 
@@ -42,13 +43,16 @@ class Endpoint:
         from endpoints.environment.endpoint import Environment
         from endpoints.environment.ros import RosThread
 
-        port = DataPort(self._settings.relay)
+        tls = load(self._settings.tls)
+        port = DataPort(self._settings.relay, tls)
         socket = self._settings.socket or self._settings.data_dir.absolute() / "data.sock"
         self._addresses = await listen(port, socket, self._settings.listen)
         ros = RosThread(asyncio.get_running_loop())
         await ros.start()
         environment = Environment(self._settings, ros, port, self.tell)
-        self._master = MasterLink(reactor, self._settings.master, self._hello, environment.handlers(), self._welcomed)
+        self._master = MasterLink(
+            reactor, self._settings.master, self._hello, environment.handlers(), self._welcomed, tls
+        )
         master = asyncio.create_task(self._master.run())
         running = asyncio.create_task(environment.run())
         try:

@@ -26,6 +26,7 @@ from rce.credential import Credential, stay_joined
 from rce.errors import InvalidRequest
 from rce.host import host_identity
 from rce.ready import Ready, announce
+from rce.tls import load
 
 MEGABYTE = 1024 * 1024
 
@@ -49,6 +50,9 @@ class Settings(Struct):
     data_host: Annotated[str, Meta(description="address for data links from other machines; empty: none")] = ""
     data_port: Annotated[int, Meta(ge=0, le=65535, description="port for them; 0 takes a free one")] = 0
     data_address: Annotated[str, Meta(description="name or address by which they dial it; empty: data_host")] = ""
+    tls: Annotated[
+        Path | None, Meta(description="directory with ca.pem, cert.pem and key.pem, for TLS between machines")
+    ] = None
     host: Annotated[str, Meta(description="identity of this machine; empty: found out")] = ""
     grace: Annotated[float, Meta(ge=0, description="seconds for which a robot without a socket keeps its session")] = 10
     service_timeout: Annotated[float, Meta(gt=0, description="seconds until a service call fails")] = 30
@@ -62,7 +66,8 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     """Run until cancelled, or until the Master refuses this endpoint."""
     options.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
     credential = Credential(options.data_dir / "credential", options.token)
-    port = DataPort()
+    tls = load(options.tls)
+    port = DataPort(tls=tls)
     socket = options.data_dir.absolute() / "data.sock"
     addresses = await listen_data(port, socket, options.data_host, options.data_port, options.data_address)
     limits = ServerLimits(
@@ -93,7 +98,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
         credential.keep(welcome)
         announce(Ready("robot", url))
 
-    endpoint.master = MasterLink(reactor, options.master, hello, endpoint.handlers(), welcomed)
+    endpoint.master = MasterLink(reactor, options.master, hello, endpoint.handlers(), welcomed, tls)
     log.info("Robot endpoint {name} serves robots at {url}", name=options.name, url=url)
     try:
         await stay_joined(endpoint.master, credential)

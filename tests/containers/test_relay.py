@@ -8,10 +8,13 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from certified import certify
 from twisted.internet.base import ReactorBase
 
 from containers import relay
 from containers.relay import SOCKET, VISITORS, Relay
+from rce.certificates import Authority
+from rce.tls import Tls
 
 
 class Master:
@@ -24,12 +27,13 @@ class Master:
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.served += 1
         with suppress(ConnectionError):
-            while line := await reader.readline():
+            while (line := await reader.readline()) not in (b"", b"enough\n"):
                 writer.write(line.upper())
         writer.close()
 
-    async def start(self) -> str:
-        self.server = await asyncio.start_server(self.serve, "127.0.0.1", 0, limit=10_000_000)
+    async def start(self, tls: Tls | None) -> str:
+        context = tls.server if tls else None
+        self.server = await asyncio.start_server(self.serve, "127.0.0.1", 0, limit=10_000_000, ssl=context)
         return f"tcp:127.0.0.1:{self.server.sockets[0].getsockname()[1]}"
 
 
@@ -48,11 +52,16 @@ async def master() -> AsyncIterator[Master]:
     master.server.close()
 
 
-@pytest.fixture
+@pytest.fixture(params=["plain", "tls"])
 async def path(
-    master: Master, reactor: ReactorBase, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    request: pytest.FixtureRequest,
+    master: Master,
+    reactor: ReactorBase,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> AsyncIterator[str]:
-    opened = Relay(reactor, await master.start())
+    tls = Tls(certify(tmp_path / "tls", Authority.make("test"), ["127.0.0.1"])) if request.param == "tls" else None
+    opened = Relay(reactor, await master.start(tls), tls)
     await opened.open(tmp_path)
     monkeypatch.chdir(tmp_path)  # the whole path may be too long for a socket's
     yield SOCKET
@@ -64,6 +73,20 @@ async def test_both_ways(path: str) -> None:
     for words in (b"early\n", b"x" * 3_000_000 + b"\n"):
         writer.write(words)
         assert await reader.readline() == words.upper()
+    writer.close()
+
+
+async def test_who_ends_it_ends_it_for_the_other(path: str, master: Master) -> None:
+    reader, writer = await asyncio.open_unix_connection(path)
+    writer.write(b"enough\n")
+    assert await closed(reader)
+    writer.close()
+    _, writer = await asyncio.open_unix_connection(path)
+    writer.close()
+    await writer.wait_closed()
+    reader, writer = await asyncio.open_unix_connection(path)
+    writer.write(b"a\n")
+    assert await reader.readline() == b"A\n"
     writer.close()
 
 

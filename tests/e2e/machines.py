@@ -31,6 +31,10 @@ class Host:
     name: str
     address: str = "127.0.0.1"
     entered_by: tuple[str, ...] = ()
+    tls: Path | None = None
+
+    def tls_words(self) -> list[str]:
+        return [f"--tls={self.tls}"] if self.tls else []
 
 
 class Program:
@@ -107,6 +111,7 @@ class Machines:
             "--dev",
             f"--grace={self.grace}",
             f"--machine-grace={self.grace}",
+            *host.tls_words(),
         )
         await asyncio.gather(*map(self.start_program, self.programs))
 
@@ -119,6 +124,7 @@ class Machines:
             f"--master={self.master.ready['control']}",
             f"--host={host.name}",
             f"--data-host={host.address}",
+            *host.tls_words(),
         ]
         if program.kind == "robot":
             words += [f"--ws-host={host.address}", "--ws-port=0", f"--grace={self.grace}"]

@@ -6,8 +6,10 @@ import asyncio
 from collections.abc import AsyncIterator
 
 import pytest
+from certified import certify
 from machines import Host, Machines
 
+from rce.certificates import Authority
 from rce.messages import Qos
 
 STRING = "std_msgs/String"
@@ -19,7 +21,10 @@ LARGE = 3  # slots: two such environments are on two machines
 @pytest.fixture(scope="module")
 async def machines(arguments: list[str], tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Machines]:
     words = [f"{option}={value}" for option, value in zip(arguments[::2], arguments[1::2], strict=True)]
-    made = Machines(tmp_path_factory.mktemp("machines"), Host("master"), [Host("a"), Host("b")], words, SLOTS)
+    directory, authority = tmp_path_factory.mktemp("machines"), Authority.make("test")
+    names = ("master", "a", "b")
+    master, a, b = (Host(name, tls=certify(directory / "tls" / name, authority, ["127.0.0.1"])) for name in names)
+    made = Machines(directory, master, [a, b], words, SLOTS)
     await made.start()
     yield made
     await made.stop()

@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from certified import certify
 from raw_robot import WAIT
 
 from containers.data_relay import GATE, DataRelay
@@ -16,7 +17,9 @@ from endpoints import data_port as module
 from endpoints.data_port import GREETING, MAGIC, DataPort, answer_to
 from endpoints.frames import Message
 from endpoints.link import Link, LoopLink, StreamLink
+from rce.certificates import Authority
 from rce.errors import Unavailable
+from rce.tls import CA, Tls
 
 KEY = bytes(range(16))
 A, B = bytes(16), b"b" * 16
@@ -56,16 +59,27 @@ class Listener(DataPort):
 
 
 @pytest.fixture
-async def port(tmp_path: Path) -> AsyncIterator[tuple[Listener, list[str]]]:
-    made = Listener()
+def security(request: pytest.FixtureRequest) -> Tls | None:
+    """TLS, if the way of this test has it."""
+    found: Tls | None = None
+    if "way" in request.fixturenames and request.getfixturevalue("way").endswith("tls"):
+        found = request.getfixturevalue("tls")
+    return found
+
+
+@pytest.fixture
+async def port(tmp_path: Path, security: Tls | None) -> AsyncIterator[tuple[Listener, list[str]]]:
+    made = Listener(tls=security)
     yield made, await made.start(tmp_path)
     await made.close()
 
 
 @pytest.fixture
-async def relays(port: tuple[Listener, list[str]], tmp_path: Path) -> AsyncIterator[tuple[str, Path]]:
+async def relays(
+    port: tuple[Listener, list[str]], tmp_path: Path, security: Tls | None
+) -> AsyncIterator[tuple[str, Path]]:
     """The port as an environment's on another machine: its address there, and the gate of one on this machine."""
-    far, near = DataRelay(), DataRelay()
+    far, near = DataRelay(security), DataRelay(security)
     await far.listen("127.0.0.1", 0)
     for name, relay in (("far", far), ("near", near)):
         (tmp_path / name).mkdir()
@@ -76,16 +90,28 @@ async def relays(port: tuple[Listener, list[str]], tmp_path: Path) -> AsyncItera
     await far.close()
 
 
-@pytest.fixture(params=["unix", "tcp", "relay", "gate"])
+@pytest.fixture(scope="session")
+def tls(tmp_path_factory: pytest.TempPathFactory) -> Tls:
+    return Tls(certify(tmp_path_factory.mktemp("tls") / "own", Authority.make("test"), ["127.0.0.1"]))
+
+
+@pytest.fixture(params=["unix", "tcp", "relay", "gate", "tcp with tls", "relay with tls", "gate with tls"])
+def way(request: pytest.FixtureRequest) -> str:
+    """By which a link goes."""
+    chosen: str = request.param
+    return chosen
+
+
+@pytest.fixture
 async def pair(
-    request: pytest.FixtureRequest, port: tuple[Listener, list[str]], relays: tuple[str, Path]
+    way: str, port: tuple[Listener, list[str]], relays: tuple[str, Path], security: Tls | None
 ) -> AsyncIterator[tuple[End, End]]:
     listener, addresses = port
     relayed, gate = relays
     here, there = End("here"), End("there")
     listener.expect(there.link, KEY)
-    dialler = DataPort(gate) if request.param == "gate" else DataPort()
-    kind = "relay" if request.param == "gate" else request.param
+    dialler = DataPort(gate) if way.startswith("gate") else DataPort(tls=security)
+    kind = "relay" if way.startswith("gate") else way.partition(" ")[0]
     await dialler.dial(here.link, KEY, [each for each in (*addresses, relayed) if each.startswith(kind)])
     await asyncio.wait_for(asyncio.gather(here.link.opened, there.link.opened), WAIT)
     yield here, there
@@ -141,6 +167,25 @@ async def test_a_key_is_good_for_one_opening(pair: tuple[End, End], port: tuple[
     here, there = pair
     here.link.send(Message(A, "still", b""), None)
     await there.until(lambda: bool(there.got))
+
+
+async def test_tls_lets_nobody_in_who_is_not_of_the_platform(tls: Tls, tmp_path: Path) -> None:
+    listener, relay = Listener(tls=tls), DataRelay(tls)
+    _, address = await listener.start(tmp_path)
+    await relay.listen("127.0.0.1", 0)
+    await relay.admit("ann/far", tmp_path / "data.sock", tmp_path)
+    stranger = Tls(certify(tmp_path / "stranger", Authority.make("other"), ["127.0.0.1"]))
+    stranger.client.load_verify_locations(tls.directory / CA)  # it believes us, but we do not believe it
+    for dialler in (DataPort(tls=stranger), DataPort()):
+        for each in (address, f"{relay.address}/ann/far"):
+            here, there = End(), End()
+            listener.expect(there.link, KEY)
+            await dialler.dial(here.link, KEY, [each])
+            assert here.lost
+            assert not there.link.opened.done()
+            there.link.close()
+    await relay.close()
+    await listener.close()
 
 
 async def test_a_relay_that_refuses_says_why(relays: tuple[str, Path]) -> None:
