@@ -235,7 +235,11 @@ class DockerEngine(Engine):
     def _happened(self, event: Event) -> None:
         run = event["Actor"]["Attributes"][RUN]
         name = next((name for name, each in self._environments.items() if each.run == run), None)
-        if name is not None:
+        if name is None:
+            return
+        if event["Action"] == "oom":
+            self.limit_hit(name, run, "its memory was used up, and a process in it was ended for that")
+        else:
             self._look(self._see(name, run))
 
     def _taken_up(self) -> None:
@@ -255,10 +259,14 @@ class DockerEngine(Engine):
 
     async def _see_all(self) -> None:
         """Docker was away: whatever does not run now has ended."""
-        alive = {found.run for found in await self._daemon.present() if found.running}
+        present = await self._daemon.present()
+        alive = {found.run for found in present if found.running}
         for name, life in self.running().items():
             if life.run not in alive:
                 await self._see(name, life.run)
+        for name in {found.name for found in present} | set(self._environments):
+            if name not in self.running():  # a start that failed while Docker was away
+                self.stray(name)
 
     def _look(self, work: Coroutine[None, None, None]) -> None:
         task = asyncio.create_task(work)

@@ -57,7 +57,7 @@ class Daemon(Asked):
     async def connect(self, happened: Callable[[Event], None], taken_up: Callable[[], None]) -> None:
         """Find the daemon and follow the ends of containers; see `Events`."""
         await self.reach()
-        self._events = Events(self._api, {**ENDS, "label": self._filter}, happened, taken_up)
+        self._events = Events(self._api, {**ENDS, "event": ["die", "oom"], "label": self._filter}, happened, taken_up)
         self._events.start()
 
     def close(self) -> None:

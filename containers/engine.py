@@ -17,11 +17,12 @@ from msgspec import Struct
 from twisted.logger import Logger
 
 from rce.calls import EnvironmentSpec
-from rce.errors import InvalidRequest, NoCapacity, RceError, StartFailed
+from rce.errors import InvalidRequest, NoCapacity, RceError, StartFailed, Unavailable
 from rce.names import check_tag
 
 log = Logger()
 LAST_LINES = 20
+QUIET = 10.0  # seconds
 RUN = re.compile(r"[0-9a-f]{32}")
 
 
@@ -62,12 +63,14 @@ class Engine(ABC):
         self.capacity = capacity
         self.gpus = 0
         self.features = frozenset(features)
+        self.on_limit: Callable[[str, str, str], None] = lambda name, run, reason: None
         self._ended = ended
         self._lives: dict[str, Life] = {}
         self._starts: list[_Start] = []
         self._locks: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
         self._tasks: set[asyncio.Task[None]] = set()
         self._opened = asyncio.Event()
+        self._told: dict[str, float] = {}  # when the limit of a run was last told of
 
     # --- for the task set ---------------------------------------------------------------------------------------------
 
@@ -104,7 +107,10 @@ class Engine(ABC):
             self._starts = [other for other in self._starts if other is not start]
         if start.task.cancelled():
             raise StartFailed(f"environment {spec.name} was stopped while it started")
-        start.task.result()
+        try:
+            start.task.result()
+        except Unavailable as error:  # that would mean: of the Master's call nothing is known, try again
+            raise StartFailed(f"environment {spec.name} did not start: {error}") from None
 
     async def stop(self, name: str) -> None:
         """Stop an environment, or cancel its start; returns when nothing of it is left. TimedOut if it resists."""
@@ -163,6 +169,20 @@ class Engine(ABC):
         """To be called when an environment that was launched or recovered has ended, whoever ended it."""
         self._spawn(self._bury(name, run, reason, status))
 
+    def limit_hit(self, name: str, run: str, reason: str) -> None:
+        """To be called when an environment runs on, but less well than its user may think.
+
+        One that goes on hitting its limits is not told of each time.
+        """
+        life, now = self._lives.get(name), asyncio.get_running_loop().time()
+        if life is not None and life.run == run and now - self._told.get(run, -QUIET) >= QUIET:
+            self._told = {other: told for other, told in self._told.items() if now - told < QUIET} | {run: now}
+            self.on_limit(name, run, reason)
+
+    def stray(self, name: str) -> None:
+        """To be called when there is something with the name of an environment that neither runs nor starts."""
+        self._spawn(self._remove_stray(name))
+
     # --- within -------------------------------------------------------------------------------------------------------
 
     async def _start(self, spec: EnvironmentSpec) -> None:
@@ -176,9 +196,18 @@ class Engine(ABC):
             try:
                 await self.launch(spec)
             except BaseException:
-                await self.remove(spec.name)
+                try:
+                    await self.remove(spec.name)
+                except RceError as error:  # why it did not start matters more
+                    log.error("{name} did not start, and its remains stay: {error}", name=spec.name, error=str(error))
                 raise
             self._lives[spec.name] = Life(spec.run, spec.options.size)
+
+    async def _remove_stray(self, name: str) -> None:
+        async with self._lock(name):
+            if name not in self._lives:
+                log.info("removing what is left of {name}", name=name)
+                await self.remove(name)
 
     async def _stop_life(self, name: str, run: str) -> None:
         async with self._lock(name):

@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection
 
 from containers.engine import Ended, Engine, Life
 from rce.calls import EnvironmentSpec
-from rce.errors import StartFailed
+from rce.errors import StartFailed, Unavailable
 
 
 class FakeMachine:
@@ -105,3 +105,22 @@ class DyingEngine(FakeEngine):
     async def launch(self, spec: EnvironmentSpec) -> None:
         await super().launch(spec)
         self.machine.end(spec.name, 1)
+
+
+class AwayEngine(FakeEngine):
+    """What the environments run on does not answer while `away` is set; what it was told to do may be half done."""
+
+    away = False
+
+    async def launch(self, spec: EnvironmentSpec) -> None:
+        self.machine.leftovers[spec.name] = spec.run
+        self._reach()
+        await super().launch(spec)
+
+    async def remove(self, name: str) -> None:
+        self._reach()
+        await super().remove(name)
+
+    def _reach(self) -> None:
+        if self.away:
+            raise Unavailable("nobody answers")

@@ -20,6 +20,7 @@ from rce.calls import (
     Hello,
     KeepEnvironments,
     KnowRelays,
+    LimitReached,
     Nothing,
     StartEnvironment,
     StopEnvironment,
@@ -58,6 +59,7 @@ class TaskSet:
         self._credential = credential
         self._incarnation = uuid4().hex
         self._engine = make_engine(self._ended)
+        self._engine.on_limit = self._limit_hit
         self._reports: set[asyncio.Task[None]] = set()
         handlers = Handlers()
         handlers.on(StartEnvironment, self._start)
@@ -144,13 +146,20 @@ class TaskSet:
     def _ended(self, ended: Ended) -> None:
         reason = "\n".join([ended.reason, *ended.lines])
         log.warn("{name}: {reason}", name=ended.name, run=ended.run, reason=reason)
-        report = asyncio.create_task(self._report(EnvironmentDied(ended.name, ended.run, reason)))
+        self._tell(EnvironmentDied(ended.name, ended.run, reason))
+
+    def _limit_hit(self, name: str, run: str, reason: str) -> None:
+        log.info("{name}: {reason}", name=name, run=run, reason=reason)
+        self._tell(LimitReached(name, run, reason))
+
+    def _tell(self, call: EnvironmentDied | LimitReached) -> None:
+        report = asyncio.create_task(self._report(call))
         self._reports.add(report)
         report.add_done_callback(self._reports.discard)
 
-    async def _report(self, died: EnvironmentDied) -> None:
+    async def _report(self, call: EnvironmentDied | LimitReached) -> None:
         try:
-            await self._link.call(died)
+            await self._link.call(call)
         except RceError as error:
-            # It learns of it when this task set joins again: the run is not among those that its Hello names.
-            log.info("the Master was not told of the end of {name}: {error}", name=died.name, error=str(error))
+            # Of an end it learns when this task set joins again: the run is not among those that its Hello names.
+            log.info("the Master was not told of {name}: {error}", name=call.name, error=str(error))

@@ -36,7 +36,7 @@ from rce.errors import (
     Unauthorized,
     UnknownType,
 )
-from rce.messages import Command, DestroyContainer, EnvironmentEvent, NodeEvent, StatusData
+from rce.messages import Command, DestroyContainer, EnvironmentEvent, LimitEvent, NodeEvent, StatusData
 
 START_TIMEOUT = 60.0
 RETRY_FIRST, RETRY_MOST = 0.5, 30.0
@@ -215,6 +215,7 @@ class Master:
         else:
             handlers.on(c.EnvironmentDied, self._environment_died)
             handlers.on(c.FetchPackage, lambda call: self._fetch_package(process, call))
+            handlers.on(c.LimitReached, self._limit_reached)
         handlers.on(c.LinkLost, lambda call: self._link_lost(process, call))
         return handlers
 
@@ -335,6 +336,13 @@ class Master:
         kept = name in self.state.environments
         event: Literal["failed", "lost", "gone"] = "failed" if not lived else "lost" if kept else "gone"
         self.tell(user_of(name), EnvironmentEvent(name.partition("/")[2], event, reason))
+
+    async def _limit_reached(self, call: c.LimitReached) -> c.Nothing:
+        environment = self.state.environments.get(call.name)
+        if environment is not None and environment.run == call.run:
+            tag = call.name.partition("/")[2]
+            self.tell(user_of(call.name), LimitEvent(f"environment {tag}: {call.reason}"))
+        return c.Nothing()
 
     async def _restart(self, name: str, run: str) -> None:
         environment = self.state.environments.get(name)

@@ -468,6 +468,14 @@ class FetchPackage(Call[Ticket], frozen=True):
     digest: str
 
 
+class LimitReached(Call[Nothing], frozen=True):
+    """An environment of this task set runs on, but a limit took something of it."""
+
+    name: str
+    run: str
+    reason: str
+
+
 class Report(Call[Nothing], frozen=True):
     """Something that the owner of an interface should know: a failure (its message) or drops."""
 

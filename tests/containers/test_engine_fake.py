@@ -7,7 +7,7 @@ import pytest
 from engine_contract import CAPACITY, FEATURES, Endings, EngineContract, World, spec
 
 from containers.engine import Ended, Engine, Life
-from containers.fake import DyingEngine, FailingEngine, FakeEngine, FakeMachine, NeverEngine, SlowEngine
+from containers.fake import AwayEngine, DyingEngine, FailingEngine, FakeEngine, FakeMachine, NeverEngine, SlowEngine
 from rce.calls import EnvironmentSpec
 from rce.errors import StartFailed
 
@@ -102,3 +102,39 @@ async def test_dying_starts_and_ends() -> None:
     await engine.start(spec())
     assert (await endings.next()).status == 1
     assert engine.running() == {}
+
+
+async def test_a_start_while_nobody_answers_fails_and_its_remains_go_later() -> None:
+    """Unavailable would be for the Master to try again: the task set itself is there."""
+    engine = AwayEngine(1, (), Endings())
+    await engine.open()
+    engine.away = True
+    with pytest.raises(StartFailed, match="ann/map did not start: nobody answers"):
+        await engine.start(spec())
+    assert engine.machine.leftovers
+    engine.away = False
+    engine.stray("ann/map")
+    await engine.close()
+    assert not engine.machine.leftovers
+
+
+async def test_what_runs_is_no_stray() -> None:
+    engine = AwayEngine(1, (), Endings())
+    await engine.open()
+    await engine.start(spec())
+    engine.stray("ann/map")
+    await engine.stop("ann/other")
+    assert list(engine.running()) == ["ann/map"]
+    await engine.close()
+
+
+async def test_limits_of_what_runs_are_told() -> None:
+    engine, told = AwayEngine(1, (), Endings()), []
+    engine.on_limit = lambda name, run, reason: told.append((name, run, reason))
+    await engine.open()
+    await engine.start(spec())
+    engine.limit_hit("ann/map", spec(run=2).run, "of an earlier life")
+    for _ in range(100):
+        engine.limit_hit("ann/map", spec().run, "memory")
+    assert told == [("ann/map", spec().run, "memory")]
+    await engine.close()

@@ -18,6 +18,7 @@ from rce.calls import (
     EnvironmentDied,
     Hello,
     KeepEnvironments,
+    LimitReached,
     Nothing,
     Ping,
     StartEnvironment,
@@ -39,6 +40,7 @@ class FakeMaster:
         self.hellos: list[Hello] = []
         self.joined: asyncio.Queue[Control] = asyncio.Queue()
         self.deaths: asyncio.Queue[EnvironmentDied] = asyncio.Queue()
+        self.limits: asyncio.Queue[LimitReached] = asyncio.Queue()
         self.controls: list[Control] = []
         self.number = 0
         self._port: IListeningPort | None = None
@@ -63,11 +65,16 @@ class FakeMaster:
             raise Unauthorized(f"{hello.name}: this token is not known")
         handlers = Handlers()
         handlers.on(EnvironmentDied, self._died)
+        handlers.on(LimitReached, self._limit)
         return Welcome("credential"), handlers, self._joined
 
     def _joined(self, control: Control) -> None:
         self.controls.append(control)
         self.joined.put_nowait(control)
+
+    async def _limit(self, call: LimitReached) -> Nothing:
+        self.limits.put_nowait(call)
+        return Nothing()
 
     async def _died(self, call: EnvironmentDied) -> Nothing:
         self.deaths.put_nowait(call)
@@ -211,3 +218,13 @@ async def test_a_refused_credential_gives_way_to_the_token(master: FakeMaster, t
         assert [hello.token for hello in master.hellos] == ["of a Master that is no more", "token"]
         assert running.file.read_text() == "credential"
         assert running.file.stat().st_mode & 0o777 == 0o600
+
+
+async def test_a_limit_that_was_hit_is_reported(master: FakeMaster, tmp_path: Path) -> None:
+    async with Running(master, tmp_path) as running:
+        control = await joined(master)
+        await control.call(StartEnvironment(spec()))
+        assert running.machine.watcher is not None
+        running.machine.watcher.limit_hit("ann/map", spec().run, "memory")
+        told = await asyncio.wait_for(master.limits.get(), 10)
+        assert told == LimitReached("ann/map", spec().run, "memory")

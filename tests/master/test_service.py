@@ -614,3 +614,10 @@ async def test_only_services_act_for_users(platform: Platform) -> None:
     west = await platform.endpoint()
     with pytest.raises(InvalidRequest, match="does not answer"):
         await west.call(c.Delegate("ann", digest("secret")))
+
+
+async def test_a_limit_that_an_environment_hit_is_told_to_its_user(furnished: Furnished) -> None:
+    run = furnished.platform.master.state.environments["ann/brain"].run
+    await furnished.m1.call(c.LimitReached("ann/brain", "an earlier one", "late"))
+    await furnished.m1.call(c.LimitReached("ann/brain", run, "memory"))
+    assert await told(furnished.west, m.LimitEvent) == m.LimitEvent("environment brain: memory")
