@@ -54,6 +54,10 @@ class LaserOdometry:
             self._keep(points)
         return found
 
+    def seen(self) -> Points:
+        """All points (n, 2) of the way it remembers, metres, frame of the robot."""
+        return self.pose.inverse().transform(np.concatenate([np.empty((0, 2)), *(kept.points for kept in self._kept)]))
+
     def _keep(self, points: Points) -> None:
         """Keep the scan if nothing near by looks the same way; forget what is too long ago."""
         pose = self.pose

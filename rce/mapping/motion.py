@@ -13,10 +13,10 @@ STEADY = 0.5  # seconds for which a robot may be supposed to go on as it did
 
 class Motion:
     """Predicts by two means, the motion by odometry and the last motion repeated, since wheels slip and odometry comes
-    late or not at all. The first scan is at the origin of the map frame."""
+    late or not at all. The first scan is at `pose`, map frame."""
 
-    def __init__(self) -> None:
-        self.pose = ORIGIN
+    def __init__(self, pose: Pose = ORIGIN) -> None:
+        self.pose = pose
         self._stamp: float | None = None
         self._last = ORIGIN  # motion from the scan before the last to the last
         self._wheels: tuple[Pose, Pose] | None = None  # last odometry, and the pose of the robot then
@@ -24,7 +24,7 @@ class Motion:
     def predict(self, scan: Scan) -> list[Pose]:
         """Where the robot may be now, the most trusted first."""
         if self._stamp is None:
-            return [ORIGIN]
+            return [self.pose]
         repeated = self.pose @ self._last
         if scan.odometry is None or self._wheels is None:
             return [repeated]

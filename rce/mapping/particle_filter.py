@@ -20,8 +20,9 @@ NOISE = 0.04  # metres; of a measured point
 APART, MOST = 0.1, 180  # metres between the points that are matched, and their number
 DEPENDENT = 4.0  # so many points say as much as one: those of a scan share their errors
 ITERATIONS = 12
+JUMP = 6.0  # logarithm of how much likelier a pose must be that the motion does not explain
 ENOUGH = 0.5  # resample when fewer than this share of the particles counts
-FLOOR = np.diag(np.square([0.01, 0.01, np.radians(0.2)]))  # covariance that a proposal has at least
+FLOOR = np.diag(np.square([0.007, 0.007, np.radians(0.15)]))  # covariance that a proposal has at least
 
 
 class ParticleFilter:
@@ -87,8 +88,8 @@ class ParticleFilter:
         self.maps.resample(parents)
 
     def _propose(self, starts: Array, expected: Array, prior: Array, points: Points, noise: Array) -> None:
-        matched, precision, likelihood = self._match(starts, expected, points)
-        off = expected - matched
+        matched, precision, likelihood, jumped = self._match(starts, expected, points)
+        off = np.where(jumped[:, None], 0.0, expected - matched)
         off[:, 2] = (off[:, 2] + np.pi) % (2 * np.pi) - np.pi
         both = precision + np.linalg.inv(prior)
         covariance = np.linalg.inv(both)
@@ -96,26 +97,38 @@ class ParticleFilter:
         mean = matched + (covariance @ towards)[..., 0]
         apart = np.einsum("ni,nij,njk,nkl,nl->n", off, precision, covariance, np.linalg.inv(prior), off)
         shrink = np.linalg.slogdet(prior @ both)[1]
-        self.log_weights += likelihood - 0.5 * (apart + shrink)
+        self.log_weights += likelihood - 0.5 * (apart + shrink) - JUMP * jumped
         self.log_weights -= self.log_weights.max()
-        self.poses = mean + np.einsum("nij,nj->ni", np.linalg.cholesky(covariance), noise)
+        self.poses = mean + np.einsum("nij,nj->ni", np.linalg.cholesky(covariance + FLOOR), noise)
         self.poses[:, 2] = (self.poses[:, 2] + np.pi) % (2 * np.pi) - np.pi
 
-    def _match(self, starts: Array, expected: Array, points: Points) -> tuple[Array, Array, Array]:
-        """Where each particle finds the points in its map: pose (n, 3) in metres, inverse covariance (n, 3, 3), and
-        log-likelihood (n,)."""
+    def _match(self, starts: Array, expected: Array, points: Points) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+        """Where each particle finds the points in its map: pose (n, 3) in metres, inverse covariance (n, 3, 3),
+        log-likelihood (n,), and whether it is another place than expected."""
         chosen = thin(points, APART, MOST)
-        maps, found = self.maps, np.empty((self.count, 10))
+        maps, found = self.maps, np.empty((self.count, 11))
         begin, middle, cells = maps.to_cells(starts), maps.to_cells(expected), chosen / UNIT
         variance = (NOISE / UNIT) ** 2
         self._share(
             lambda i, j: particle_kernels.match(
-                maps.tiles, maps.tables, cells, begin, middle, found, RATIO, variance, ITERATIONS, i, j
+                maps.tiles,
+                maps.tables,
+                cells,
+                begin,
+                middle,
+                found,
+                RATIO,
+                variance,
+                ITERATIONS,
+                JUMP * DEPENDENT,
+                i,
+                j,
             )
         )
         scale = np.array([1.0 / UNIT, 1.0 / UNIT, 1.0])
         upper = found[:, [3, 4, 5, 4, 6, 7, 5, 7, 8]].reshape(-1, 3, 3)
-        return maps.from_cells(found[:, :3]), upper * np.outer(scale, scale) / DEPENDENT, found[:, 9] / DEPENDENT
+        information = upper * np.outer(scale, scale) / DEPENDENT
+        return maps.from_cells(found[:, :3]), information, found[:, 9] / DEPENDENT, found[:, 10] > 0
 
     def _share(self, work: Callable[[int, int], None]) -> None:
         """Do the work for all particles, in as many parts as there are cores."""

@@ -12,6 +12,8 @@ from rce.mapping.kernels import compiled
 
 OUTLIER = 0.1  # likelihood of a beam that ends where nothing is known, on a wall: 1
 NOBODY = 0
+FEW = 60  # points with which is looked around
+STEPS, TURNS, TURN = 2, 2, math.radians(2)  # cells and angles to each side
 
 
 @compiled("boolean(float32[:,:,:,::1], int32[:,:,::1], int32[::1], float64[:,::1], float64[:,::1], int64)")
@@ -118,8 +120,33 @@ def log_likelihood(
 
 
 @compiled(
+    "Tuple((float64, float64, float64, float64))(float32[:,:,:,::1], int32[:,::1], float64[:,::1], float64[::1], "
+    "int64, float64)"
+)
+def look_around(
+    tiles: NDArray[np.float32],
+    table: NDArray[np.int32],
+    points: NDArray[np.float64],
+    centre: NDArray[np.float64],
+    ratio: int,
+    variance: float,
+) -> tuple[float, float, float, float]:
+    """The likeliest pose on a lattice around a pose, one place a cell, and the log-likelihood of the points there."""
+    best, best_x, best_y, best_theta = -1e30, centre[0], centre[1], centre[2]
+    for a in range(-TURNS, TURNS + 1):
+        theta = centre[2] + a * TURN
+        for v in range(-STEPS, STEPS + 1):
+            for u in range(-STEPS, STEPS + 1):
+                x, y = centre[0] + u * ratio, centre[1] + v * ratio
+                found = log_likelihood(tiles, table, points, x, y, theta, ratio, variance)
+                if found > best:
+                    best, best_x, best_y, best_theta = found, x, y, theta
+    return best_x, best_y, best_theta, best
+
+
+@compiled(
     "void(float32[:,:,:,::1], int32[:,:,::1], float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1], "
-    "int64, float64, int64, int64, int64)"
+    "int64, float64, int64, float64, int64, int64)"
 )
 def match(
     tiles: NDArray[np.float32],
@@ -131,24 +158,43 @@ def match(
     ratio: int,
     variance: float,
     iterations: int,
+    jump: float,
     begin: int,
     end: int,
 ) -> None:
-    """For maps `begin` to `end`: write to `found` (n, 10) the likeliest pose of the points near its start, with the
-    information about it (as `ndt.align`), and the log-likelihood there."""
+    """For maps `begin` to `end`: write to `found` (n, 11) the likeliest pose of the points near its start, with the
+    information about it (as `ndt.align`), the log-likelihood there, and 0.
+
+    Where some pose around is so much likelier that the logarithm exceeds it by `jump`, that pose and 1 instead.
+    """
+    few = np.ascontiguousarray(points[:: max(1, points.shape[0] // FEW)])
+    share = points.shape[0] / few.shape[0]
     for k in range(begin, end):
+        table = tables[k]
+        e = expected[k]
         found[k, :9] = ndt.align(
             tiles,
-            tables[k],
+            table,
             points,
             starts[k, 0],
             starts[k, 1],
             starts[k, 2],
-            expected[k, 0],
-            expected[k, 1],
-            expected[k, 2],
+            e[0],
+            e[1],
+            e[2],
             ratio,
             variance,
             iterations,
         )
-        found[k, 9] = log_likelihood(tiles, tables[k], points, found[k, 0], found[k, 1], found[k, 2], ratio, variance)
+        x, y, theta = found[k, 0], found[k, 1], found[k, 2]
+        found[k, 9] = log_likelihood(tiles, table, points, x, y, theta, ratio, variance)
+        found[k, 10] = 0.0
+        here = log_likelihood(tiles, table, few, x, y, theta, ratio, variance)
+        x, y, theta, there = look_around(tiles, table, few, e, ratio, variance)
+        if share * (there - here) <= 0.5 * jump:
+            continue
+        other = ndt.align(tiles, table, points, x, y, theta, x, y, theta, ratio, variance, iterations)
+        likelihood = log_likelihood(tiles, table, points, other[0], other[1], other[2], ratio, variance)
+        if likelihood > found[k, 9] + jump:
+            found[k, :9] = other
+            found[k, 9], found[k, 10] = likelihood, 1.0
