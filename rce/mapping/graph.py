@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rce.mapping.geometry import Points, Pose
+from rce.mapping.state import Reader, State, pack
 
 Matrix = NDArray[np.float64]
 TURN_LENGTH = 0.3  # metres of way for which a turn of one radian counts
@@ -85,6 +86,27 @@ class PoseGraph:
         for edge in self.edges:
             self._connect(edge)
 
+    def state(self) -> State:
+        sweeps = [(number, sweep) for number, node in self.nodes.items() for sweep in node.sweeps]
+        return {
+            "poses": self.poses(),
+            "places": np.array([number for number, _ in sweeps], np.int64),
+            "sensors": np.array([sweep.sensor[0] for _, sweep in sweeps], np.float64).reshape(-1, 2),
+            "points": pack([sweep.points for _, sweep in sweeps], np.float32),
+            "edges": edges_state(self.edges),
+        }
+
+    def restore(self, saved: Reader) -> None:
+        """Into an empty graph."""
+        for pose in saved.poses("poses"):
+            self.add_node(pose)
+        points = saved.unpack("points", np.float32)
+        places = saved.indices("places", len(self.nodes), len(points)).tolist()
+        sensors = saved.array("sensors", np.float64, len(points), 2)
+        for place, sensor, piece in zip(places, sensors, points, strict=True):
+            self.nodes[place].sweeps.append(Sweep(sensor[None].copy(), piece))
+        self.add_edges(edges_of(saved.part("edges"), len(self.nodes)))
+
     def distances(self, start: int, limit: float = math.inf) -> dict[int, float]:
         """Metres along edges from a node to those at most `limit` away, nearest first (Dijkstra, 1959)."""
         found: dict[int, float] = {}
@@ -104,6 +126,27 @@ class PoseGraph:
         length = max(math.hypot(motion.x, motion.y) + TURN_LENGTH * abs(motion.theta), SHORTEST)
         for a, b in ((edge.first, edge.second), (edge.second, edge.first)):
             self._lengths[a][b] = min(length, self._lengths[a].get(b, math.inf))
+
+
+def edges_state(edges: Sequence[Edge]) -> State:
+    return {
+        "ends": np.array([(edge.first, edge.second) for edge in edges], np.int64).reshape(-1, 2),
+        "motions": np.array([edge.motion for edge in edges], np.float64).reshape(-1, 3),
+        "information": np.array([edge.information for edge in edges], np.float64).reshape(-1, 3, 3),
+        "closures": np.array([edge.closure for edge in edges], np.bool_),
+    }
+
+
+def edges_of(saved: Reader, nodes: int) -> list[Edge]:
+    """`nodes`: how many there are."""
+    motions = saved.poses("motions")
+    ends = saved.indices("ends", nodes, len(motions), 2).tolist()
+    information = saved.array("information", np.float64, len(motions), 3, 3)
+    closures = saved.array("closures", np.bool_, len(motions)).tolist()
+    return [
+        Edge(first, second, *measured)
+        for (first, second), *measured in zip(ends, motions, information, closures, strict=True)
+    ]
 
 
 def _rotation(theta: float) -> Matrix:

@@ -18,6 +18,7 @@ from rce.mapping.mapper import FEWEST_POINTS, UNCERTAIN, Estimate, MapperSetting
 from rce.mapping.motion import Motion
 from rce.mapping.optimisation import disagreement, optimise
 from rce.mapping.scans import Scan
+from rce.mapping.state import Reader, State, optional
 
 MOVE, TURN = 0.2, 0.1  # metres, radians between scans that are kept
 NODE_MOVE, NODE_TURN = 1.0, 0.5  # metres, radians between nodes
@@ -78,6 +79,52 @@ class GraphMapper:
 
     def trajectory(self) -> NDArray[np.float64]:
         return self._history.trajectory(self._graph.poses())
+
+    def relocate(self, pose: Pose) -> None:
+        """The robot was carried to a pose (map frame) while nothing was recorded."""
+        nodes = self._graph.nodes
+        self._motion = Motion(pose)
+        self._reference = min(nodes, key=lambda number: math.dist(nodes[number].pose[:2], pose[:2]))
+        self._open = self._kept = None
+        self._local.renew(pose)
+
+    def state(self) -> State:
+        whole: State = {
+            "graph": self._graph.state(),
+            "loops": self._loops.state(),
+            "motion": self._motion.state(),
+            "history": self._history.state(),
+            "stamp": np.array([self._stamp] if math.isfinite(self._stamp) else [], np.float64),
+            "reference": np.array(self._reference, np.int64),
+            "open": np.array(-1 if self._open is None else self._open, np.int64),
+            "kept": optional(self._kept),
+            "local": self._local.state(),
+        }
+        return whole if self._grid is None else {**whole, "grid": self._grid.state()}
+
+    @classmethod
+    def restored(cls, settings: MapperSettings, saved: Reader) -> GraphMapper:
+        """A mapper that goes on where the one that was saved was. InvalidRequest if the state is nonsense."""
+        mapper = cls(settings)
+        mapper._graph = graph = PoseGraph()
+        graph.restore(saved.part("graph"))
+        mapper._loops = LoopFinder(graph)
+        mapper._loops.restore(saved.part("loops"))
+        mapper._motion.restore(saved.part("motion"))
+        count = len(graph.nodes)
+        mapper._history.restore(saved.part("history"), count)
+        mapper._stamp = max(saved.array("stamp", np.float64, None).tolist(), default=-math.inf)
+        mapper._reference = saved.whole("reference", count)
+        mapper._open = saved.whole("open", count, lowest=-1)
+        mapper._open = None if mapper._open < 0 else mapper._open
+        mapper._kept = saved.optional("kept")
+        if saved.has("local"):
+            mapper._local.restore(saved.part("local"), count)
+        mapper._grid = None
+        if saved.has("grid"):
+            mapper._grid = GridMap(settings.resolution)
+            mapper._grid.restore(saved.part("grid"))
+        return mapper
 
     def _late(self, scan: Scan) -> Estimate:
         if not len(self._history):

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rce.mapping import kernels
 from rce.mapping.geometry import Points
+from rce.mapping.state import Reader, State
 
 HIT, MISS = 120, -49  # log-odds in hundredths: p = 0.77 where a beam ended, 0.38 where it passed
 LIMIT = 500  # p = 0.993; so a door that opened or closed shows after a few more scans
@@ -58,6 +59,20 @@ class GridMap:
         hits = np.ascontiguousarray(self._to_cells(ends))
         x, y = self._to_cells(sensor)[0].tolist()
         kernels.trace_rays(self.log_odds, x, y, hits, HIT, -MISS, LIMIT)
+
+    def state(self) -> State:
+        return {"corner": self._corner.copy(), "log_odds": self.log_odds.copy(), "seen": self._seen.copy()}
+
+    def restore(self, saved: Reader) -> None:
+        log_odds = saved.array("log_odds", np.int16, None, None)
+        corner = saved.array("corner", np.int64, 2)
+        size = np.array(log_odds.shape[::-1])
+        if size.min() < 2 or np.abs(log_odds).max() > LIMIT:
+            raise saved.wrong("log_odds", "is empty or beyond its limits")
+        seen = saved.array("seen", np.int64, 2, 2)
+        if not (corner <= seen).all() or not (seen < corner + size).all():
+            raise saved.wrong("seen", "is not inside of the grid")
+        self.log_odds, self._corner, self._seen = log_odds, corner, seen
 
     def render(self) -> OccupancyGrid:
         """The part of the grid that was ever seen."""

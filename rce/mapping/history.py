@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rce.mapping.geometry import Pose
+from rce.mapping.state import Reader, State
 
 
 class History:
@@ -31,6 +32,15 @@ class History:
         """Node and relative pose of the last scan that is not after `stamp` (of the first one if all are)."""
         row = max(int(np.searchsorted(self._rows[: self._count, 0], stamp, side="right")) - 1, 0)
         return int(self._nodes[row]), Pose(*self._rows[row, 1:].tolist())
+
+    def state(self) -> State:
+        return {"rows": self._rows[: self._count].copy(), "nodes": self._nodes[: self._count].copy()}
+
+    def restore(self, saved: Reader, nodes: int) -> None:
+        """`nodes`: how many there are."""
+        rows = saved.array("rows", np.float64, None, 4)
+        self._count, self._rows = len(rows), np.concatenate([rows, np.empty((1024, 4))])
+        self._nodes = np.concatenate([saved.indices("nodes", nodes, len(rows)), np.empty(1024, np.int64)])
 
     def trajectory(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n, 4) stamp, x, y, theta in the frame in which the poses (nodes, 3) of all nodes are given."""

@@ -15,6 +15,7 @@ from rce.mapping.local_map import AROUND, WAY, LocalMap
 from rce.mapping.matching import Match
 from rce.mapping.motion import Motion
 from rce.mapping.scans import Scan
+from rce.mapping.state import Reader, State, optional, pack
 
 MOVE, TURN = 0.2, 0.1  # metres, radians between scans that are kept
 
@@ -57,6 +58,34 @@ class LaserOdometry:
     def seen(self) -> Points:
         """All points (n, 2) of the way it remembers, metres, frame of the robot."""
         return self.pose.inverse().transform(np.concatenate([np.empty((0, 2)), *(kept.points for kept in self._kept)]))
+
+    def state(self) -> State:
+        kept = list(self._kept)
+        return {
+            "motion": self._motion.state(),
+            "local": self._local.state(),
+            "numbers": np.array([each.number for each in kept], np.int64),
+            "ways": np.array([each.way for each in kept], np.float64),
+            "poses": np.array([each.pose for each in kept], np.float64).reshape(-1, 3),
+            "points": pack([each.points for each in kept], np.float64),
+            "count": np.array(self._count, np.int64),
+            "way": np.array(self._way),
+            "looked": optional(self._looked),
+        }
+
+    def restore(self, saved: Reader) -> None:
+        self._motion.restore(saved.part("motion"))
+        self._count = saved.whole("count", 2**62)
+        if saved.has("local"):
+            self._local.restore(saved.part("local"), self._count)
+        poses = saved.poses("poses")
+        points = saved.unpack("points", np.float64)
+        numbers = saved.indices("numbers", self._count, len(poses)).tolist()
+        ways = saved.array("ways", np.float64, len(poses)).tolist()
+        if len(points) != len(poses):
+            raise saved.wrong("points", f"are of {len(points)} scans, not {len(poses)}")
+        self._kept = deque(_Kept(*each) for each in zip(numbers, ways, poses, points, strict=True))
+        self._way, self._looked = saved.number("way"), saved.optional("looked")
 
     def _keep(self, points: Points) -> None:
         """Keep the scan if nothing near by looks the same way; forget what is too long ago."""

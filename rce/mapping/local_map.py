@@ -10,6 +10,7 @@ import numpy as np
 from rce.mapping.fields import Field, square_around
 from rce.mapping.geometry import Points, Pose
 from rce.mapping.matching import Match, Window, match
+from rce.mapping.state import Reader, State, optional
 
 RESOLUTION = 0.05
 WAY = 20.0  # metres; places nearer than this, as the robot went, agree with each other
@@ -47,6 +48,27 @@ class LocalMap:
         for place, points in self._around(pose):
             self.places.add(place)
             self._field.add(points)
+
+    def state(self) -> State:
+        if self._field is None:
+            return {}
+        return {
+            "centre": optional(self._centre),
+            "places": np.array(sorted(self.places), np.int64),
+            "likelihood": self._field.likelihood.copy(),
+            "tiles": self._field.tiles.copy(),
+        }
+
+    def restore(self, saved: Reader, places: int) -> None:
+        """`places`: how many there are."""
+        centre = saved.optional("centre")
+        if centre is None:
+            raise saved.wrong("centre", "is missing")
+        field = square_around(centre, self._half, RESOLUTION)
+        field.likelihood = saved.array("likelihood", np.uint8, *field.likelihood.shape)
+        field.tiles = saved.array("tiles", np.float32, *field.tiles.shape)
+        self._centre, self._field = centre, field
+        self.places = set(saved.indices("places", places, None).tolist())
 
     def add(self, place: int, points: Points) -> None:
         """Enter the points (n, 2), metres, map frame, of a scan that belongs to a new place."""

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from rce.mapping import branching
 from rce.mapping.fields import Field, square_around, thin
 from rce.mapping.geometry import ORIGIN, Points, Pose
-from rce.mapping.graph import Edge, Matrix, PoseGraph, information_of
+from rce.mapping.graph import Edge, Matrix, PoseGraph, edges_of, edges_state, information_of
 from rce.mapping.matching import fit
+from rce.mapping.state import Reader, State
 
 KNOWN = 12.0  # metres along edges; nearer nodes cannot have drifted enough to matter
 RECENT, PLACE = 4.0, 10.0  # metres along edges around the new node, and around the old one, that are compared
@@ -60,6 +61,14 @@ class LoopFinder:
     def __init__(self, graph: PoseGraph) -> None:
         self._graph = graph
         self._pending: list[Candidate] = []
+
+    def state(self) -> State:
+        return edges_state([candidate.edge() for candidate in self._pending])
+
+    def restore(self, saved: Reader) -> None:
+        """Into one whose graph has been restored."""
+        edges = edges_of(saved, len(self._graph.nodes))
+        self._pending = [Candidate(e.second, e.first, e.motion, e.information) for e in edges]
 
     def search(self, new: int) -> list[Edge]:
         """Closures that are believed now that node `new` is complete; often none."""

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from rce.mapping.graph_mapper import GraphMapper
-from rce.mapping.mapper import Mapper, MapperSettings
 from rce.mapping.particle_mapper import ParticleMapper
 
-MAPPERS: dict[str, Callable[[MapperSettings], Mapper]] = {"graph": GraphMapper, "particle": ParticleMapper}
+AnyMapper = GraphMapper | ParticleMapper
+MAPPERS: dict[str, type[GraphMapper] | type[ParticleMapper]] = {"graph": GraphMapper, "particle": ParticleMapper}

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from rce.mapping.geometry import ORIGIN, Pose
 from rce.mapping.scans import Scan
+from rce.mapping.state import Reader, State, optional
 
 RESET = 10.0  # metres; if odometry moves this far between two scans, it was set anew
 STEADY = 0.5  # seconds for which a robot may be supposed to go on as it did
@@ -34,6 +37,20 @@ class Motion:
         if not plausible:
             return [repeated]
         return [pose @ motion, repeated] if scan.stamp - self._stamp < STEADY else [pose @ motion]
+
+    def state(self) -> State:
+        return {
+            "pose": optional(self.pose),
+            "stamp": np.array([] if self._stamp is None else [self._stamp], np.float64),
+            "last": optional(self._last),
+            "wheels": np.array(self._wheels or [], np.float64).reshape(-1, 3),
+        }
+
+    def restore(self, saved: Reader) -> None:
+        stamps, wheels = saved.array("stamp", np.float64, None).tolist(), saved.poses("wheels")
+        self.pose, self._last = saved.optional("pose") or ORIGIN, saved.optional("last") or ORIGIN
+        self._stamp = stamps[0] if stamps else None
+        self._wheels = (wheels[0], wheels[1]) if len(wheels) == 2 else None
 
     def follow(self, scan: Scan, pose: Pose) -> None:
         """Take the pose at which a scan was found to be."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -13,6 +14,7 @@ from rce.mapping import particle_kernels
 from rce.mapping.fields import thin
 from rce.mapping.geometry import Points, Pose
 from rce.mapping.paths import Paths
+from rce.mapping.state import Reader, State
 from rce.mapping.tiles import RATIO, UNIT, TileMaps, reach_of
 
 Array = NDArray[np.float64]
@@ -50,6 +52,32 @@ class ParticleFilter:
     def best(self) -> int:
         """The particle with the largest weight."""
         return int(np.argmax(self.log_weights))
+
+    def relocate(self, pose: Pose) -> None:
+        """Go on with the best particle alone, at a pose in the map frame."""
+        parents = np.full(self.count, self.best)
+        self.paths.resample(parents)
+        self.maps.resample(parents)
+        self.poses, self.log_weights = np.tile(pose, (self.count, 1)), np.zeros(self.count)
+
+    def state(self) -> State:
+        return {
+            "poses": self.poses.copy(),
+            "log_weights": self.log_weights.copy(),
+            "paths": self.paths.state(),
+            "maps": self.maps.state(),
+            "random": np.frombuffer(json.dumps(self.random.bit_generator.state).encode(), np.uint8),
+        }
+
+    def restore(self, saved: Reader) -> None:
+        self.poses = saved.array("poses", np.float64, self.count, 3)
+        self.log_weights = saved.array("log_weights", np.float64, self.count)
+        self.paths.restore(saved.part("paths"))
+        self.maps.restore(saved.part("maps"))
+        try:
+            self.random.bit_generator.state = json.loads(bytes(saved.array("random", np.uint8, None)))
+        except (ValueError, TypeError, KeyError, OverflowError) as error:
+            raise saved.wrong("random", f"is no state of the random numbers ({error})") from None
 
     def move(self, motion: Pose, covariance: Array, points: Points | None) -> None:
         """Go on by a motion, known with a covariance (3, 3) in the frame after it, and see the points (n, 2), metres,

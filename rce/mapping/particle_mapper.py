@@ -15,6 +15,7 @@ from rce.mapping.laser_odometry import LaserOdometry
 from rce.mapping.mapper import FEWEST_POINTS, UNCERTAIN, Estimate, MapperSettings
 from rce.mapping.particle_filter import ParticleFilter
 from rce.mapping.scans import Scan
+from rce.mapping.state import Reader, State, optional, pack
 
 MOVE, TURN = 0.5, 0.25  # metres, radians between two steps of the filter
 DRAW_MOVE, DRAW_TURN = 0.4, 0.2  # metres, radians between scans that are drawn in the grid; less than the above
@@ -69,6 +70,45 @@ class ParticleMapper:
 
     def trajectory(self) -> NDArray[np.float64]:
         return self._history.trajectory(self._filter.paths.of(self._filter.best))
+
+    def relocate(self, pose: Pose) -> None:
+        """The robot was carried to a pose (map frame) while nothing was recorded."""
+        self._filter.relocate(pose)
+        self._odometry = LaserOdometry(self.settings.max_range)
+        self._then, self._lost = None, False
+
+    def state(self) -> State:
+        return {
+            "filter": self._filter.state(),
+            "odometry": self._odometry.state(),
+            "history": self._history.state(),
+            "stamp": np.array([self._stamp] if math.isfinite(self._stamp) else [], np.float64),
+            "then": optional(self._then),
+            "lost": np.array(self._lost),
+            "steps": np.array(list(self._sweeps), np.int64),
+            "points": pack([sweep.points for sweep in self._sweeps.values()], np.float32),
+            "grid": self._grid.state(),
+            "drawn": self._drawn.copy(),
+        }
+
+    @classmethod
+    def restored(cls, settings: MapperSettings, saved: Reader) -> ParticleMapper:
+        """A mapper that goes on where the one that was saved was. InvalidRequest if the state is nonsense."""
+        mapper = cls(settings)
+        mapper._filter.restore(saved.part("filter"))
+        mapper._odometry.restore(saved.part("odometry"))
+        count = len(mapper._filter.paths)
+        mapper._history.restore(saved.part("history"), count)
+        mapper._stamp = max(saved.array("stamp", np.float64, None).tolist(), default=-math.inf)
+        mapper._then, mapper._lost = saved.optional("then"), bool(saved.array("lost", np.bool_))
+        points = saved.unpack("points", np.float32)
+        steps = saved.indices("steps", count, len(points)).tolist()
+        mapper._sweeps = {step: Sweep(np.zeros((1, 2)), piece) for step, piece in zip(steps, points, strict=True)}
+        mapper._grid.restore(saved.part("grid"))
+        mapper._drawn = saved.array("drawn", np.float64, None, 3)
+        if len(mapper._drawn) > len(steps):
+            raise saved.wrong("drawn", "has more poses than there are scans")
+        return mapper
 
     def _late(self, scan: Scan) -> Estimate:
         pose = ORIGIN

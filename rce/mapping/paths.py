@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from rce.mapping.state import Reader, State
+
 Array = NDArray[np.float64]
 
 
@@ -31,6 +33,13 @@ class Paths:
         common = len(same) if same.all() else int(np.argmin(same))
         self.stem = np.concatenate([self.stem, self.open[0, :common]])
         self.open = np.ascontiguousarray(self.open[:, common:])
+
+    def state(self) -> State:
+        return {"stem": self.stem.copy(), "open": self.open.copy()}
+
+    def restore(self, saved: Reader) -> None:
+        self.stem = saved.array("stem", np.float64, None, 3)
+        self.open = saved.array("open", np.float64, len(self.open), None, 3)
 
     def of(self, particle: int) -> Array:
         """The path (n, 3) of a particle."""

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rce.mapping import ndt, particle_kernels
 from rce.mapping.geometry import Points
+from rce.mapping.state import Reader, State
 
 WIDTH = 0.2  # metres; of a cell
 RATIO = 4  # fine cells, the unit of the kernels, in it
@@ -68,10 +69,24 @@ class TileMaps:
             self.tiles = np.concatenate([self.tiles, np.zeros((more, *self.tiles.shape[1:]), np.float32)])
             self._users = np.concatenate([self._users, np.zeros(more, np.int32)])
 
+    def state(self) -> State:
+        return {"tables": self.tables.copy(), "tiles": self.tiles.copy(), "corner": self._corner.copy()}
+
+    def restore(self, saved: Reader) -> None:
+        tiles = saved.array("tiles", np.float32, None, ndt.TILE, ndt.TILE, ndt.FIELDS)
+        tables = saved.array("tables", np.int32, len(self.tables), None, None)
+        if not len(tiles) or not tables.size or not -1 <= tables.min() <= tables.max() < len(tiles):
+            raise saved.wrong("tables", "names tiles that are not there")
+        self.tiles, self.tables, self._corner = tiles, tables, saved.array("corner", np.int64, 2)
+        self._count_users()
+
     def resample(self, parents: NDArray[np.int64]) -> None:
         """Replace map i by that of `parents[i]`."""
         self.tables = np.ascontiguousarray(self.tables[parents])
-        self._users = np.bincount(self.tables[self.tables >= 0], minlength=len(self._users)).astype(np.int32)
+        self._count_users()
+
+    def _count_users(self) -> None:
+        self._users = np.bincount(self.tables[self.tables >= 0], minlength=len(self.tiles)).astype(np.int32)
 
 
 def _blocks(missing: NDArray[np.int64]) -> NDArray[np.int64]:
