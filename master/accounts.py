@@ -19,6 +19,7 @@ from master.users import UserRole, Users
 from rce.errors import NotFound, RceError
 
 DAY = 86_400.0
+ADD_IMAGE = "images+="
 
 
 def parser() -> argparse.ArgumentParser:
@@ -37,7 +38,9 @@ def parser() -> argparse.ArgumentParser:
     listing.add_argument("--json", action="store_true")
     limits = commands.add_parser("limits", help="show or change what a user may have")
     limits.add_argument("user")
-    limits.add_argument("changes", nargs="*", metavar="key=value", help="as memory=2GiB; `memory=` as for all users")
+    limits.add_argument(
+        "changes", nargs="*", metavar="key=value", help="as memory=2GiB; `memory=` as for all users; images+=NAME"
+    )
     limits.add_argument("--json", action="store_true")
     key_add = commands.add_parser("key-add", help="make an API key and print it; it is shown this once")
     key_add.add_argument("user")
@@ -82,8 +85,13 @@ async def _limits(store: Store, words: argparse.Namespace) -> None:
     await limits.open()
     if words.user not in await Users(store).names():
         raise NotFound(f"there is no user {words.user}", field="userID")
-    if words.changes:
-        await limits.change(words.user, parse(words.changes))
+    added = [change.removeprefix(ADD_IMAGE) for change in words.changes if change.startswith(ADD_IMAGE)]
+    changes = parse(change for change in words.changes if not change.startswith(ADD_IMAGE))
+    if added:
+        present = changes.get("images") or limits.own(words.user).get("images", [])
+        changes["images"] = list(dict.fromkeys([*present, *added]))
+    if changes:
+        await limits.change(words.user, changes)
     own, whole = limits.own(words.user), msgspec.structs.asdict(limits.of(words.user))
     if words.json:
         print(msgspec.json.encode(whole).decode())

@@ -60,10 +60,10 @@ class Builder:
             self._make_system()
         context = make_context()
         base, version = "images/base/Dockerfile", f":{__version__}"
-        self._build(context, base, f"{GROUND}{version}", {"SYSTEM": SYSTEM}, target="ground")
-        self._build(context, base, f"{BASE}{version}", {"SYSTEM": SYSTEM})
-        self._build(context, "images/mapping/Dockerfile", f"{MAPPING}{version}", {"GROUND": f"{GROUND}{version}"})
-        self._build(context, "images/agent/Dockerfile", f"{AGENT}{version}", {"GROUND": f"{GROUND}{version}"})
+        self.make(context, base, f"{GROUND}{version}", {"SYSTEM": SYSTEM}, target="ground")
+        self.make(context, base, f"{BASE}{version}", {"SYSTEM": SYSTEM})
+        self.make(context, "images/mapping/Dockerfile", f"{MAPPING}{version}", {"GROUND": f"{GROUND}{version}"})
+        self.make(context, "images/agent/Dockerfile", f"{AGENT}{version}", {"GROUND": f"{GROUND}{version}"})
 
     def sizes(self) -> dict[str, int]:
         """Of the built images, in bytes."""
@@ -106,7 +106,8 @@ class Builder:
         thread.join()
         return outcome[0]
 
-    def _build(self, context: bytes, dockerfile: str, tag: str, arguments: dict[str, str], target: str = "") -> None:
+    def make(self, context: bytes, dockerfile: str, tag: str, arguments: dict[str, str], target: str = "") -> None:
+        """One image. StartFailed with the build's last lines."""
         settings = {key: os.environ[key] for key in (*PIP_SETTINGS, *PROXIES) if key in os.environ}
         if host_bundle():
             settings["PIP_CERT"] = BUNDLE
@@ -151,25 +152,25 @@ def make_context() -> bytes:
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w", format=tarfile.PAX_FORMAT) as archive:
         for path in sorted(IMAGES.rglob("*")):
-            _add(archive, path, f"images/{path.relative_to(IMAGES)}")
+            add_file(archive, path, f"images/{path.relative_to(IMAGES)}")
         for name, extras in EXTRAS.items():
-            _add_text(archive, requirements(extras).encode(), name)
-        _add_text(archive, b"", "certificates/.none")
+            add_text(archive, requirements(extras).encode(), name)
+        add_text(archive, b"", "certificates/.none")
         bundle = host_bundle()
         if bundle is not None:
-            _add_text(archive, bundle.read_bytes(), "certificates/ca-certificates.crt")
+            add_text(archive, bundle.read_bytes(), "certificates/ca-certificates.crt")
         for name in CODE:
-            _add(archive, ROOT / name, f"code/{name}")
+            add_file(archive, ROOT / name, f"code/{name}")
         for name in AGENT_CODE:
-            _add(archive, ROOT / name, f"agent/{name}")
+            add_file(archive, ROOT / name, f"agent/{name}")
     return buffer.getvalue()
 
 
-def _add(archive: tarfile.TarFile, path: Path, name: str) -> None:
+def add_file(archive: tarfile.TarFile, path: Path, name: str) -> None:
     archive.add(path, name, filter=_plain)
 
 
-def _add_text(archive: tarfile.TarFile, content: bytes, name: str) -> None:
+def add_text(archive: tarfile.TarFile, content: bytes, name: str) -> None:
     info = tarfile.TarInfo(name)
     info.size = len(content)
     archive.addfile(info, io.BytesIO(content))

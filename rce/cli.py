@@ -17,6 +17,7 @@ PROGRAMS = {
     "environment": "run an Environment endpoint (the task set does this)",
     "bridge": "carry topics of a robot that runs ROS 2 to an environment and back",
     "map-service": "run the map service: recordings in, maps out",
+    "image": "images with your own ROS packages, on this machine's Docker",
     "user": "users and API keys of a Master on this machine",
     "machine": "machines that may join a Master on this machine",
 }

@@ -19,7 +19,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "endpoints": {"rce", "converters"},
 }
 ONLY_IN: dict[str, tuple[str, ...]] = {
-    "docker": ("containers/docker", "containers/swarm", "provisioning/image.py"),
+    "docker": ("containers/docker", "containers/swarm", "provisioning/image.py", "provisioning/user_image.py"),
     "rclpy": ("endpoints/environment/", "containers/nodes/"),
     "cv2": ("converters/", "rce/mapping/"),
 }

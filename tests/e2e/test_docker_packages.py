@@ -1,0 +1,88 @@
+# ruff: noqa: E402  (Docker is imported only where it is there)
+"""Users' packages in containers: pushed ones as read-only mounts, those that must be installed as an image."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from real_platform import USER, RealPlatform, containers, until
+from test_pushed_packages import TEST_PACKAGE, echo, rce
+
+docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+
+from rce import __version__
+from rce.errors import LimitExceeded
+
+WORKSPACE = Path(__file__).with_name("workspace")
+pytestmark = pytest.mark.skipif(
+    sys.version_info[:2] != (3, 11), reason="types are built for this Python, and the images have 3.11"
+)
+
+
+@pytest.fixture(scope="module")
+async def contained_bare(
+    arguments: list[str], images: Any, tmp_path_factory: pytest.TempPathFactory
+) -> AsyncIterator[RealPlatform]:
+    """A platform with the engine `docker` that has no types of its own."""
+    platform = RealPlatform(tmp_path_factory.mktemp("contained"), "--engine", "docker", "--typesupport", "")
+    await platform.start()
+    yield platform
+    await platform.stop()
+    assert containers(images, platform) == []
+
+
+async def test_pushed_and_seen_by_who_asks(contained_bare: RealPlatform, images: Any) -> None:
+    await rce("package", "push", str(TEST_PACKAGE), "--url", contained_bare.url)
+    cache = contained_bare.directory / "data/container/packages"
+    async with contained_bare.robot("r1") as robot:
+        async with robot.environment("plain"):
+            assert not _mounts(images, contained_bare, cache)
+        async with robot.environment("brain", packages=["Test"]) as brain:
+            (mount,) = _mounts(images, contained_bare, cache)
+            assert not mount["RW"]
+            await brain.add_node("echo", "Test", "stringEcho.py")
+            await echo(brain)
+            (container,) = containers(images, contained_bare)
+            words = ["sh", "-c", f"ls {cache}; touch {mount['Destination']}/x"]
+            call = images.exec_create(container["Id"], words)
+            seen = (await asyncio.to_thread(images.exec_start, call["Id"])).decode()
+            assert seen.splitlines()[0] == Path(mount["Source"]).name
+            assert "Read-only file system" in seen
+    await until(lambda: not list((cache / "uses").iterdir()))
+
+
+def _mounts(api: Any, platform: RealPlatform, cache: Path) -> list[dict[str, Any]]:
+    (container,) = containers(api, platform)
+    mounts: list[dict[str, Any]] = api.inspect_container(container["Id"])["Mounts"]
+    return [mount for mount in mounts if mount["Source"].startswith(str(cache))]
+
+
+async def test_an_image_of_a_users_own(contained_bare: RealPlatform, images: Any) -> None:
+    master = str(contained_bare.directory / "data/master")
+    async with contained_bare.robot("r1") as robot:
+        with pytest.raises(LimitExceeded, match="image"):
+            await robot.create_environment("early", image=f"users/{USER.lower()}/workspace")
+        name = (await rce("image", "build", str(WORKSPACE), "--for", USER, "--data-dir", master)).strip()
+        assert name == f"users/{USER.lower()}/workspace"
+        async with asyncio.timeout(30):
+            while not await _created(robot, name):  # noqa: ASYNC110
+                await asyncio.sleep(0.5)  # the Master sees what another process has changed within seconds
+        async with robot.environment("brain", image=name) as brain:
+            await brain.add_node("greeter", "greeter", "greet")
+            service = await brain.service_client("/greet", "greeter_msgs/Greet")
+            assert await service.call({"name": "robot"}) == {"text": "hello robot"}
+    images.remove_image(f"{name}:{__version__}", force=True)
+
+
+async def _created(robot: Any, image: str) -> bool:
+    try:
+        await robot.create_environment("probe", image=image)
+    except LimitExceeded:
+        return False
+    await robot.destroy_environment("probe")
+    return True

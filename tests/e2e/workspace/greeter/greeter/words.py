@@ -1,0 +1,5 @@
+"""What the node says; found only if the package is installed."""
+
+
+def greeting(name: str) -> str:
+    return f"hello {name}"
