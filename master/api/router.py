@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import binascii
+import os
 import re
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -13,9 +14,9 @@ from typing import Any, NamedTuple, TypeVar
 import msgspec
 from msgspec import Struct
 from twisted.logger import Logger
+from twisted.protocols.basic import FileSender
 from twisted.web.resource import Resource
 from twisted.web.server import NOT_DONE_YET, Request
-from twisted.web.static import File
 
 from master.grants import digest
 from master.users import KEY_PREFIX, Principal, Users
@@ -104,9 +105,14 @@ class Api(Resource):
     def render(self, request: Request) -> int:
         task = asyncio.ensure_future(self._serve(request))
         self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        task.add_done_callback(self._ended)
         request.notifyFinish().addErrback(lambda _: task.cancel())
         return NOT_DONE_YET
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            log.info("an answer did not reach who asked: {error}", error=str(error))
 
     async def _serve(self, request: Request) -> None:
         try:
@@ -119,10 +125,7 @@ class Api(Resource):
         request.setResponseCode(answer.status)
         match answer.body:
             case Path() as path:
-                sent = File(str(path), defaultType="application/octet-stream")
-                sent.type, sent.encoding = sent.defaultType, None
-                if sent.render_GET(request) != NOT_DONE_YET:
-                    request.finish()
+                await _send(request, path)
             case None:
                 request.finish()
             case body:
@@ -175,6 +178,15 @@ def _refuse(request: Request, error: RceError) -> None:
     if status == 401:
         request.setHeader("www-authenticate", 'Basic realm="rce"')
     _write(request, msgspec.json.encode(problem), PROBLEM)
+
+
+async def _send(request: Request, path: Path) -> None:
+    """A file, as fast as it is taken; ends with an exception when the other side goes away."""
+    with path.open("rb") as file:
+        request.setHeader("content-type", "application/octet-stream")
+        request.setHeader("content-length", str(os.fstat(file.fileno()).st_size))
+        await FileSender().beginFileTransfer(file, request).asFuture(asyncio.get_running_loop())
+    request.finish()
 
 
 def _write(request: Request, body: bytes, kind: str) -> None:

@@ -7,6 +7,7 @@ import hashlib
 import http.client
 import io
 import json
+import os
 import socket
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
@@ -16,6 +17,7 @@ import msgspec
 import pytest
 from twisted.internet import endpoints
 from twisted.internet.base import ReactorBase
+from twisted.logger import LogEvent
 
 from master.api.packages import PackagesApi
 from master.api.router import Api
@@ -42,6 +44,7 @@ class Platform(NamedTuple):
     depot: Depot
     port: int
     files: Path
+    api: Api
 
     def entry(self, user: str, secret: str = PASSWORD) -> client.Entry:
         return client.Entry(f"http://127.0.0.1:{self.port}/", client.basic(user, secret))
@@ -84,10 +87,14 @@ async def platform(reactor: ReactorBase, tmp_path: Path) -> AsyncIterator[Platfo
     port = await endpoint.listen(ApiSite(Entry(master.state), api, depot)).asFuture(asyncio.get_running_loop())
     number = port.getHost().port
     master.entry = ("http", number)
-    yield Platform(master, depot, number, tmp_path)
+    yield Platform(master, depot, number, tmp_path, api)
     await port.stopListening().asFuture(asyncio.get_running_loop())
     await master.stop()
     await store.close()
+
+
+def open_files() -> set[str]:
+    return {os.path.realpath(f"/proc/self/fd/{name}") for name in os.listdir("/proc/self/fd")}
 
 
 async def names(platform: Platform, user: str) -> set[str]:
@@ -317,6 +324,27 @@ async def test_a_task_set_gets_what_its_environments_have(platform: Platform, tm
     master.state.environments.drop("ann/e")
     await master.save()
     assert platform.stored() == set()
+
+
+async def test_a_task_set_that_goes_away_while_it_fetches(platform: Platform, failures: list[LogEvent]) -> None:
+    path = platform.files / "large"
+    with path.open("wb") as file:
+        file.truncate(200_000_000)
+    token = platform.depot._fetches.issue(path)
+
+    def begin() -> bytes:
+        with socket.create_connection(("127.0.0.1", platform.port), 20) as connection:
+            connection.sendall(
+                f"GET /api/v1/archives HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {token}\r\n\r\n".encode()
+            )
+            return connection.recv(4096)
+
+    assert (await asyncio.to_thread(begin)).startswith(b"HTTP/1.1 200 ")
+    (serving,) = platform.api._tasks
+    await asyncio.wait([serving], timeout=20)
+    assert serving.done()
+    assert not failures
+    assert str(path) not in open_files()
 
 
 async def test_the_entry_is_where_it_was(platform: Platform) -> None:
