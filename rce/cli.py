@@ -31,6 +31,10 @@ def up(arguments: list[str]) -> int:
 
 
 def map_recordings(arguments: list[str]) -> int:
+    from rce.commands import map_jobs
+
+    if arguments and arguments[0] in map_jobs.NAMES:
+        return map_jobs.main(arguments)
     from rce.commands import map as command
 
     return command.main(arguments)

@@ -5,7 +5,7 @@ The OpenAPI document is made from these types. Times are seconds since 1970, siz
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from msgspec import Meta, Struct
 
@@ -13,12 +13,12 @@ from rce.errors import ErrorInfo
 
 PREFIX = "/map-service"
 MOST_FILES = 64  # of one recording
-MAPPERS = ("graph",)
 
-Mapper = Literal["graph"]
+Mapper = Literal["graph", "particle"]
 State = Literal["queued", "running", "cancelling", "done", "failed", "cancelled"]
 Topic = Annotated[str, Meta(max_length=255, pattern=r"^(/[A-Za-z0-9_/]*)?$")]
 Name = Annotated[str, Meta(max_length=64, pattern="^[0-9a-f]+$")]
+MAPPERS: tuple[Mapper, ...] = get_args(Mapper)
 OVER: frozenset[State] = frozenset({"done", "failed", "cancelled"})
 
 
@@ -37,6 +37,7 @@ class JobRequest(Struct, frozen=True, forbid_unknown_fields=True):
 
     uploads: Annotated[list[Name], Meta(min_length=1, max_length=MOST_FILES, description="ids of finished uploads")]
     options: MapOptions = MapOptions()
+    name: Annotated[str, Meta(max_length=200, description="of the recording; else that of its file")] = ""
 
 
 class Upload(Struct, frozen=True):

@@ -7,6 +7,7 @@ import asyncio
 import json
 import secrets
 import sys
+import tempfile
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
@@ -43,6 +44,15 @@ def parser() -> argparse.ArgumentParser:
     begin.add_argument("--samples", type=int, default=10, help="of each (default: %(default)s)")
     begin.add_argument("--image", default=f"rce/mapping:{__version__}", help="of the bare one (default: %(default)s)")
     begin.add_argument("--json", action="store_true", help="print every sample as JSON instead of a table")
+    maps = kinds.add_parser(
+        "map-service", help="a large recording by the map service, and another user's job meanwhile"
+    )
+    maps.add_argument("--size", type=int, default=4000, help="of the recording, MB (default: %(default)s)")
+    maps.add_argument(
+        "--dir", type=Path, default=Path(tempfile.gettempdir()), help="on which disk (default: %(default)s)"
+    )
+    maps.add_argument("--engine", choices=ENGINES, default="process", help="(default: %(default)s)")
+    maps.add_argument("--json", action="store_true", help="print the figures as JSON")
     for each in (rtt, over):
         add_arguments(each)
     return whole
@@ -90,7 +100,14 @@ async def starting(words: argparse.Namespace) -> None:
     print(json.dumps(start.as_data(taken)) if words.json else start.as_text(taken))
 
 
-KINDS = {"rtt": round_trips, "overtake": overtaking, "start": starting}
+async def large_recording(words: argparse.Namespace) -> None:
+    from rce.bench import maps  # compiles kernels
+
+    result = await maps.measure(words.dir, words.size * maps.MEGABYTE, words.engine)
+    print(json.dumps(maps.as_data(result)) if words.json else maps.as_text(result))
+
+
+KINDS = {"map-service": large_recording, "rtt": round_trips, "overtake": overtaking, "start": starting}
 
 
 @asynccontextmanager

@@ -31,6 +31,8 @@ def parser() -> argparse.ArgumentParser:
     whole = argparse.ArgumentParser(
         prog="rce map",
         description="Send recorded laser scans through a platform and write the map that its mapping node makes.",
+        epilog="`rce map submit`, `status`, `fetch` and `cancel` have the map service of a platform do this; each has "
+        "--help of its own.",
     )
     whole.add_argument("recordings", nargs="*", type=Path, metavar="FILE", help="CARMEN log, ROS 1 or ROS 2 bag")
     whole.add_argument("--simulate", action="store_true", help="a robot simulated in a floor plan instead")

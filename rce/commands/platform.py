@@ -58,8 +58,16 @@ async def platform(words: argparse.Namespace) -> AsyncIterator[Access]:
     if words.url:
         yield access(words)
         return
-    with tempfile.TemporaryDirectory(prefix="rce-") as directory, tempfile.TemporaryFile("w+") as log:
-        settings = up.Settings(data_dir=Path(directory), http_port=0, dev=True, engine=words.engine)
+    with tempfile.TemporaryDirectory(prefix="rce-") as directory:
+        async with own_platform(Path(directory), words.engine) as entry:
+            yield Access(entry.url, DEV_USER, DEV_USER, None)
+
+
+@contextlib.asynccontextmanager
+async def own_platform(directory: Path, engine: str) -> AsyncIterator[Ready]:
+    """A fresh platform that keeps what it has in `directory` and ends with the context."""
+    with tempfile.TemporaryFile("w+") as log:
+        settings = up.Settings(data_dir=directory, http_port=0, dev=True, engine=engine)  # type: ignore[arg-type]
         entry: asyncio.Future[Ready] = asyncio.get_running_loop().create_future()
 
         async def started(ready: Ready) -> None:
@@ -71,7 +79,7 @@ async def platform(words: argparse.Namespace) -> AsyncIterator[Access]:
             await asyncio.wait([running, entry], return_when=asyncio.FIRST_COMPLETED)  # type: ignore[type-var]
             if not entry.done():
                 await running  # raises why it did not start
-            yield Access(entry.result().url, DEV_USER, DEV_USER, None)
+            yield entry.result()
         except (StartFailed, InternalError) as error:
             log.seek(0)
             sys.stderr.writelines(deque(log, LOG_LINES))  # what the platform said before it went wrong

@@ -132,7 +132,7 @@ class Jobs:
         job = Job(
             name,
             "queued",
-            recording.name if recording.is_file() else f"{len(request.uploads)} files",
+            request.name or (recording.name if recording.is_file() else f"{len(request.uploads)} files"),
             request.options,
             request.uploads,
             self._now(),

@@ -126,7 +126,7 @@ async def build(task: Task, platform: Platform) -> None:
             say(Report("writing", result.scans, result.scans, times.done))
             await asyncio.to_thread(write_outputs, Path(task.out), result.grid, result.trajectory)
             times.end("writing")
-    say(Report("done", result.scans, result.scans, times.done, clean=True))
+    say(Report("finishing", result.scans, result.scans, times.done, clean=True))
     log(f"{result.scans} scans mapped")
 
 
