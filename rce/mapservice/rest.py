@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import contextlib
 from collections.abc import AsyncIterator
 from email.utils import formatdate
 
@@ -140,7 +141,10 @@ class Rest:
                 await stream.write(b"event: job\ndata: " + msgspec.json.encode(coming.result()) + b"\n\n")
                 coming = asyncio.ensure_future(anext(changes))
         except StopAsyncIteration:
-            await stream.write_eof()
+            with contextlib.suppress(ConnectionError):  # who has heard the end may have left
+                await stream.write_eof()
+        except ConnectionError:
+            pass  # nobody listens any more
         finally:
             coming.cancel()
         return stream

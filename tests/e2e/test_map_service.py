@@ -6,7 +6,6 @@ import asyncio
 import gzip
 import json
 import os
-from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -53,10 +52,10 @@ def maps(platform: RealPlatform) -> MapService:
 
 
 @pytest.fixture
-async def wsdl(platform: RealPlatform) -> AsyncIterator[str]:
+async def wsdl(platform: RealPlatform) -> str:
     service = maps(platform)
     await asyncio.to_thread(service.jobs)
-    yield f"{service._base}/map-service/soap?wsdl"
+    return f"{service._base}/map-service/soap?wsdl"
 
 
 async def test_in_soap_and_by_the_command_line(platform: RealPlatform, wsdl: str, tmp_path: Path) -> None:
