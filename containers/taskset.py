@@ -67,7 +67,7 @@ class TaskSet:
         handlers.on(KeepEnvironments, self._keep)
         handlers.on(KnowRelays, self._know)
         self._link = MasterLink(reactor, master, self._hello, handlers, self._welcomed, tls)
-        self._packages = PackageCache(packages, Fetcher(self._link, master, entry).fetch)
+        self._packages = PackageCache(packages, Fetcher(self._link, master, entry, tls).fetch)
         self._starting: set[str] = set()
 
     async def run(self, *, stop_environments: bool) -> None:

@@ -37,19 +37,21 @@ class Problem(Struct, frozen=True, omit_defaults=True):
 
 
 class Entry:
-    """The entry of a platform at `url`; `headers` go with each request (see `basic` and `bearer`)."""
+    """The entry at `url`; `headers` go with each request (see `basic` and `bearer`). `direct`: through no proxy."""
 
-    def __init__(self, url: str, headers: dict[str, str], context: ssl.SSLContext | None = None) -> None:
+    def __init__(
+        self, url: str, headers: dict[str, str], context: ssl.SSLContext | None = None, *, direct: bool = False
+    ) -> None:
         if urlsplit(url).scheme not in ("http", "https"):
             raise InvalidRequest(f"url {url!r} must begin with http:// or https://", field="url")
-        self._url = url if url.endswith("/") else url + "/"
+        self.url = url if url.endswith("/") else url + "/"
         self._headers = headers
-        proxy = urllib.request.ProxyHandler({} if is_loopback(url) else None)
+        proxy = urllib.request.ProxyHandler({} if direct or is_loopback(url) else None)
         self._opener = urllib.request.build_opener(proxy, urllib.request.HTTPSHandler(context=context), _NoRedirect())
 
     def open(self, method: str, path: str, body: bytes | BinaryIO | None = None, **headers: str) -> Any:
         """The answer, to be read and closed. Raises what a problem says, Unavailable when nobody answers."""
-        url = urljoin(self._url, path)
+        url = urljoin(self.url, path)
         request = urllib.request.Request(url, body, self._headers | headers, method=method)
         try:
             return self._opener.open(request, timeout=TIMEOUT)

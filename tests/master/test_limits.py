@@ -84,6 +84,8 @@ async def test_the_command(store: Store, tmp_path: Path) -> None:
     shown = await asyncio.to_thread(command, "ann", "--json")
     assert json.loads(shown.stdout)["size"] == 4
     assert json.loads(shown.stdout)["images"] == ["mine/*"]
+    more = await asyncio.to_thread(command, "ann", "images+=users/ann/tools", "images+=mine/*", "--json")
+    assert json.loads(more.stdout)["images"] == ["mine/*", "users/ann/tools"]
     for words, reason in ((("nobody",), "no user nobody"), (("ann", "memory=x"), "memory=x")):
         refused = await asyncio.to_thread(command, *words)
         assert refused.returncode == 1
