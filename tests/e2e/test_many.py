@@ -1,0 +1,147 @@
+"""Many environments at once, and a task set that is killed while it has them: all come up, work on, and go."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import AsyncIterator, Callable
+from contextlib import AsyncExitStack, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from real_platform import USER, RealPlatform, containers, until
+
+from rce.client import Environment
+from rce.errors import NotFound, RceError
+
+MB = 1024 * 1024
+STRING = "std_msgs/String"
+MANY, ROBOTS = int(os.environ.get("RCE_TEST_MANY", "10")), 5  # 20 take twice the time and show the same
+TASK_SET = r"-m containers( |$)"
+
+
+class Site:
+    """A platform with one engine, and what its environments leave."""
+
+    def __init__(self, engine: str, platform: RealPlatform, api: Any) -> None:
+        self.engine = engine
+        self.platform = platform
+        self.options: dict[str, Any] = {"disk": 8 * MB} if engine == "docker" and os.geteuid() == 0 else {}
+        self._api = api
+
+    def lives(self) -> dict[str, Any]:
+        """What runs, by the environment's name: a container, or a process."""
+        if self.engine == "docker":
+            return {each["Labels"]["rce.environment"]: each["Id"] for each in containers(self._api, self.platform)}
+        tags = [path.name for path in self._environments.glob(f"{USER}/*")]
+        return {f"{USER}/{tag}": pid for tag in tags if (pid := self.platform.environment_pid(tag))}
+
+    def left(self) -> list[str]:
+        """All that there is of environments: containers, processes, directories, sockets, disks."""
+        container = self.platform.directory / "data" / "container"
+        places = [*self._environments.glob("*"), *container.glob("sockets/*")]
+        found = [*self.lives(), *(str(path) for path in places)]
+        found += [words for words in self.platform.processes().values() if "endpoints.environment" in words]
+        disks = [path.read_text().strip() for path in Path("/sys/block").glob("loop*/loop/backing_file")]
+        return found + [disk for disk in disks if disk.startswith(str(container))]
+
+    async def kill_task_set(self) -> None:
+        """And wait for the next."""
+        killed = self.platform.pid(TASK_SET)
+        self.platform.kill(killed)
+        await until(lambda: self.platform.pid(TASK_SET, but=killed), what="a new task set")
+
+    @property
+    def _environments(self) -> Path:
+        return self.platform.directory / "data" / "container" / "environments"
+
+
+@pytest.fixture(scope="module", params=["process", "docker"])
+async def site(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Site]:
+    api = request.getfixturevalue("images") if request.param == "docker" else None
+    arguments = ["--engine", request.param, "--size", str(MANY)]
+    platform = RealPlatform(tmp_path_factory.mktemp(request.param), *arguments)
+    await platform.start()
+    yield Site(request.param, platform, api)
+    await platform.stop()
+
+
+async def test_many_environments_at_once(site: Site) -> None:
+    """Asked for by five robots: all are up when they are acknowledged, and nothing is left when they are gone."""
+    async with AsyncExitStack() as stack:
+        robots = [await stack.enter_async_context(site.platform.robot(f"r{number}", 120)) for number in range(ROBOTS)]
+        tags = [(robots[number % ROBOTS], f"many{number}") for number in range(MANY)]
+        await asyncio.gather(*(robot.create_environment(tag) for robot, tag in tags))
+        assert set(site.lives()) == {f"{USER}/{tag}" for _, tag in tags}
+        await asyncio.gather(*(robot.destroy_environment(tag) for robot, tag in tags))
+    assert site.left() == []
+
+
+async def test_environments_work_on_without_their_task_set_and_are_adopted(site: Site) -> None:
+    async with site.platform.robot("keeper", 60) as robot, AsyncExitStack() as stack:
+        made = [stack.enter_async_context(robot.environment(f"kept{number}", **site.options)) for number in range(5)]
+        environments = await asyncio.gather(*made)
+        talks = [await Talk.with_node(environment) for environment in environments]
+        before = site.lives()
+        assert len(before) == 5
+        killed = site.platform.pid(TASK_SET)
+        site.platform.kill(killed)
+        await asyncio.gather(*(talk.check() for talk in talks))
+        await until(lambda: site.platform.pid(TASK_SET, but=killed), what="a new task set")
+        await robot.create_environment("fresh")  # it is at work again
+        await robot.destroy_environment("fresh")
+        assert site.lives() == before
+        await asyncio.gather(*(talk.check() for talk in talks))
+    assert site.left() == []
+
+
+class Talk:
+    """From the robot to a node and back."""
+
+    def __init__(self, say: Any, heard: Any) -> None:
+        self._say, self._heard = say, heard
+
+    @staticmethod
+    async def with_node(environment: Environment) -> Talk:
+        await environment.add_node("echo", "rce_demo", "echo.py")
+        heard = await environment.subscriber("/heard", STRING)
+        return Talk(await environment.publisher("/say", STRING), heard)
+
+    async def check(self) -> None:
+        async with asyncio.timeout(30):
+            await self._say.publish({"data": "here"})
+            assert await anext(aiter(self._heard)) == {"data": "here"}
+
+
+@pytest.mark.parametrize("moment", ["at once", "when something is there", "when it runs"])
+async def test_a_task_set_killed_during_a_start_leaves_nothing(site: Site, moment: str) -> None:
+    reached: dict[str, Callable[[], object]] = {
+        "at once": lambda: True,
+        "when something is there": site.left,
+        "when it runs": site.lives,
+    }
+    async with site.platform.robot("starter", 60) as robot:
+        start = asyncio.create_task(robot.create_environment("begun", **site.options))
+        await until(reached[moment], what=moment)
+        await site.kill_task_set()
+        with suppress(RceError):  # that it was lost with its task set may be said
+            await start
+        with suppress(NotFound):
+            await robot.destroy_environment("begun")
+        await until(lambda: not site.left(), what=f"nothing left: {site.left()}")
+        async with robot.environment("next"):
+            assert list(site.lives()) == [f"{USER}/next"]
+    assert site.left() == []
+
+
+async def test_a_task_set_killed_during_a_stop_leaves_nothing(site: Site) -> None:
+    async with site.platform.robot("stopper", 60) as robot:
+        tags = ["ending0", "ending1", "ending2"]
+        await asyncio.gather(*(robot.create_environment(tag, **site.options) for tag in tags))
+        stops = [asyncio.create_task(robot.destroy_environment(tag)) for tag in tags]
+        await asyncio.sleep(0.05)  # the calls are on their way; any moment will do
+        await site.kill_task_set()
+        await asyncio.gather(*stops, return_exceptions=True)
+        await until(lambda: not site.left(), what="nothing left")
+    assert site.left() == []
