@@ -21,6 +21,7 @@ from rce.client import Robot
 
 MODULES = {"master": "master", "robot": "endpoints.robot", "container": "containers"}
 START_TIMEOUT = 60.0
+WS_PORT = 9010
 STOP_TIMEOUT = 60.0
 
 
@@ -127,9 +128,18 @@ class Machines:
             *host.tls_words(),
         ]
         if program.kind == "robot":
-            words += [f"--ws-host={host.address}", "--ws-port=0", f"--grace={self.grace}"]
+            port = WS_PORT if host.entered_by else 0  # in a network of its own every port is free
+            public = f"ws://{host.address}:{port}/" if port else ""
+            words += [f"--ws-host={host.address}", f"--ws-port={port}", f"--public-url={public}"]
+            words += [f"--grace={self.grace}"]
         else:
-            words += ["--allow-unisolated", f"--size={self._size}", "--stop-environments", *self._arguments]
+            words += [
+                f"--features={host.name}",
+                "--allow-unisolated",
+                f"--size={self._size}",
+                "--stop-environments",
+                *self._arguments,
+            ]
         await program.start(*words)
 
     async def stop(self) -> None:
@@ -144,6 +154,13 @@ class Machines:
 
     def robot(self, name: str, timeout: float = 40.0) -> Robot:
         return Robot(self.master.ready["url"], user=USER, robot=name, password=USER, timeout=timeout)
+
+    def on(self, host: str) -> list[Program]:
+        return [program for program in self.programs.values() if program.host.name == host]
+
+    async def revive(self, host: str) -> None:
+        """Start the programs of a machine again."""
+        await asyncio.gather(*(self.start_program(f"{program.kind}-{host}") for program in self.on(host)))
 
     def log(self, name: str) -> str:
         return (self.directory / f"{name}.log").read_text()
