@@ -80,7 +80,7 @@ def make_engine(
             packages=directory / "packages",
         )
     try:
-        from containers.docker import DockerEngine
+        from containers.docker import NAMESERVERS, DockerEngine
         from containers.swarm import AgentService, SwarmEngine
     except ModuleNotFoundError as error:
         raise StartFailed(
@@ -111,6 +111,8 @@ def make_engine(
         directory=directory,
         master=settings.master,
         image=settings.image,
+        egress_pool=settings.egress_pool,
+        nameservers=settings.nameservers or NAMESERVERS,
         settings=surroundings,
         tls=tls,
         relay=relay,

@@ -37,6 +37,8 @@ from rce.host import host_identity
 from rce.tls import Tls
 
 log = Logger()
+EGRESS_POOL = "10.127.0.0/16"
+NAMESERVERS = ("1.1.1.1", "9.9.9.9")
 COMMAND: Sequence[str] = ("python3", "-P", "-m", "endpoints.environment")
 
 
@@ -75,6 +77,8 @@ class DockerEngine(Engine):
         host: str = "",
         tls: Tls | None = None,
         command: Sequence[str] = COMMAND,
+        egress_pool: str = EGRESS_POOL,
+        nameservers: Sequence[str] = NAMESERVERS,
     ) -> None:
         super().__init__(capacity, features, ended)
         self.gpus = gpus
@@ -92,7 +96,7 @@ class DockerEngine(Engine):
         self._command = command
         labels = {"rce.platform": platform, "rce.directory": str(directory)}
         self._daemon = Daemon(labels)
-        self._networks = Networks(self._daemon.ask, labels)
+        self._networks = Networks(self._daemon.ask, labels, egress_pool, nameservers)
         self._environments: dict[str, _Environment] = {}
         self._looking: set[asyncio.Task[None]] = set()
         self._following = asyncio.Event()

@@ -4,6 +4,9 @@ A *group network* is a bridge for the environments of one user's group: the host
 out of it. It is there from its first member to its last. Docker's resolver answers members with the addresses of
 members, by their containerTags, also of those that come later.
 
+An *egress network* is a bridge for one environment, to which its user's policy allows to reach out. Nobody else is on
+it, and nothing comes in from outside.
+
 Labels say whose a network is; after a crash it is found by them, and its members by the labels of their containers.
 """
 
@@ -11,7 +14,8 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Callable, Coroutine, Mapping, Sequence
+from ipaddress import IPv4Network
 from typing import Any, Protocol, TypeVar
 from weakref import WeakValueDictionary
 
@@ -21,13 +25,14 @@ from docker.types import IPAMConfig, IPAMPool
 from msgspec import Struct
 from twisted.logger import Logger
 
-from containers.firewall import Firewall, Rule, for_group
+from containers.firewall import Firewall, Rule, for_egress, for_group
 from rce.calls import EnvironmentSpec, Group
 from rce.errors import StartFailed, Unavailable
 
 log = Logger()
-ENVIRONMENT, GROUP = "rce.environment", "rce.group"
+ENVIRONMENT, GROUP, EGRESS = "rce.environment", "rce.group", "rce.egress"
 BRIDGE, NO_ADDRESS = "com.docker.network.bridge.name", "com.docker.network.bridge.inhibit_ipv4"
+EGRESS_PREFIX = 30  # the bridge and the environment
 NO_NAMESERVER = "127.0.0.1"  # Docker's resolver asks it from within the container: only names of the group are found
 R = TypeVar("R")
 
@@ -56,7 +61,7 @@ class Attachments(Struct, frozen=True):
 
 
 class Network(Struct, frozen=True):
-    """A network as it shall be made."""
+    """A network as it shall be made; whose it is, and so what it may, its labels say."""
 
     name: str
     labels: dict[str, str]
@@ -75,11 +80,22 @@ def group_network(platform: Mapping[str, str], name: str) -> str:
     return f"rce-group-{identity(*platform.values(), name)}"
 
 
-class Networks:
-    """The networks of one task set's environments. `labels` are those of all that it makes."""
+def egress_network(platform: Mapping[str, str], environment: str) -> str:
+    """Docker's name for the network by which an environment reaches out."""
+    return f"rce-egress-{identity(*platform.values(), environment)}"
 
-    def __init__(self, ask: Ask, labels: Mapping[str, str]) -> None:
+
+class Networks:
+    """The networks of one task set's environments. `labels` are those of all that it makes.
+
+    Each egress network gets a subnet out of `pool`; who has one asks these `nameservers`.
+    """
+
+    def __init__(self, ask: Ask, labels: Mapping[str, str], pool: str, nameservers: Sequence[str]) -> None:
         self._ask = ask
+        self._pool = IPv4Network(pool)
+        self._nameservers = tuple(nameservers)
+        self._choosing = asyncio.Lock()  # of a subnet
         self._labels = dict(labels)
         self._filters = {"label": [f"{key}={value}" for key, value in labels.items()]}
         self._firewall = Firewall()
@@ -89,9 +105,8 @@ class Networks:
     async def join(self, spec: EnvironmentSpec) -> Attachments:
         """The networks of an environment that starts; they are made, unless they are there. StartFailed."""
         try:
-            if spec.group is None:
-                return Attachments()
-            return await self._join_group(spec.name, spec.group)
+            group = await self._join_group(spec.name, spec.group) if spec.group else Attachments()
+            return group if spec.egress == "none" else await self._reach_out(group, spec)
         except Unavailable as error:
             raise StartFailed(f"environment {spec.name} did not start: {error}") from None
 
@@ -130,6 +145,20 @@ class Networks:
         tag = environment.partition("/")[2]
         return Attachments([Attachment(name, group.address, [tag])], labels, tag)
 
+    async def _reach_out(self, group: Attachments, spec: EnvironmentSpec) -> Attachments:
+        name = egress_network(self._labels, spec.name)
+        labels = {EGRESS: spec.egress}
+        self._members.setdefault(name, set()).add(spec.name)
+        async with self._choosing:
+            subnet = await self._ask(self._free_subnet)
+            await self._make(_network(name, {**self._labels, **labels, ENVIRONMENT: spec.name}, str(subnet)))
+        return Attachments(
+            [Attachment(name, str(subnet[2])), *group.networks],
+            {**group.labels, **labels},
+            group.hostname,
+            self._nameservers,
+        )
+
     async def _make(self, network: Network) -> None:
         async with self._lock(network.name):
             await self._ask(lambda api: _create(api, network))
@@ -141,8 +170,11 @@ class Networks:
                 return
             self._members.pop(name, None)
             bridge = await self._ask(lambda api: _remove(api, name))
-            if bridge:
-                await self._firewall.remove(bridge)
+            try:
+                if bridge:
+                    await self._firewall.remove(bridge)
+            except Unavailable as error:  # they do no harm without their bridge, and go when a task set starts
+                log.warn("rules for {bridge} are left: {error}", bridge=bridge, error=str(error))
 
     def _lock(self, name: str) -> asyncio.Lock:
         lock = self._locks.get(name)
@@ -157,12 +189,24 @@ class Networks:
 
     def _memberships(self, api: docker.APIClient) -> list[tuple[str, str]]:
         labels = [each["Labels"] for each in api.containers(all=True, filters=self._filters)]
-        return [(group_network(self._labels, each[GROUP]), each[ENVIRONMENT]) for each in labels if GROUP in each]
+        groups = [(group_network(self._labels, each[GROUP]), each[ENVIRONMENT]) for each in labels if GROUP in each]
+        names = [each[ENVIRONMENT] for each in labels if EGRESS in each]
+        return groups + [(egress_network(self._labels, name), name) for name in names]
+
+    def _free_subnet(self, api: docker.APIClient) -> IPv4Network:
+        """One that overlaps with no network of this daemon, also those of others."""
+        configs = [config for each in api.networks() for config in each["IPAM"]["Config"] or []]
+        taken = [IPv4Network(config["Subnet"]) for config in configs if ":" not in config["Subnet"]]
+        for subnet in self._pool.subnets(new_prefix=EGRESS_PREFIX):
+            if not any(subnet.overlaps(other) for other in taken):
+                return subnet
+        raise Unavailable(f"all networks of the pool {self._pool} for environments that reach out are in use")
 
 
 def _network(name: str, labels: Mapping[str, str], subnet: str) -> Network:
     bridge = f"rce-{name.rpartition('-')[2][:10]}"  # an interface's name has 15 letters at most
-    return Network(name, dict(labels), subnet, bridge, for_group(bridge))
+    rules = for_egress(bridge, labels[EGRESS] == "all") if EGRESS in labels else for_group(bridge)
+    return Network(name, dict(labels), subnet, bridge, rules)
 
 
 def _read(seen: Mapping[str, Any]) -> Network:
@@ -171,18 +215,19 @@ def _read(seen: Mapping[str, Any]) -> Network:
 
 def _create(api: docker.APIClient, network: Network) -> None:
     try:
-        if _read(api.inspect_network(network.name)).subnet == network.subnet:
+        if _read(api.inspect_network(network.name)) == network:
             return
-        api.remove_network(network.name)  # of an earlier group of this name
+        api.remove_network(network.name)  # of an earlier group or environment of this name
     except NotFound:
         pass
+    internal = EGRESS not in network.labels
     api.create_network(
         network.name,
         driver="bridge",
-        options={BRIDGE: network.bridge, NO_ADDRESS: "true"},
+        options={BRIDGE: network.bridge, **({NO_ADDRESS: "true"} if internal else {})},
         ipam=IPAMConfig(pool_configs=[IPAMPool(subnet=network.subnet)]),
         check_duplicate=True,
-        internal=True,
+        internal=internal,
         labels=network.labels,
     )
 

@@ -113,7 +113,7 @@ async def _list(chain: str) -> str:
     try:
         return await _run("iptables", "-S", chain)
     except Unavailable as error:
-        if chain == FORWARDED:
+        if chain == FORWARDED and "failed" in str(error):
             raise Unavailable(f"{error} (Docker makes this chain unless it runs with --iptables=false)") from None
         raise
 

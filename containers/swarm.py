@@ -368,6 +368,7 @@ class SwarmEngine(Engine):
 def _check(spec: EnvironmentSpec) -> None:
     """InvalidRequest for what services of a swarm do not have."""
     asked = {name: getattr(spec.options, name) for name in ("disk", "bandwidth", "packages", "group")}
+    asked["egress"] = spec.egress if spec.egress != "none" else ""
     asked["io"] = spec.options.io if spec.options.io != Rates() else None
     for field in [field for field, value in asked.items() if value]:
         raise InvalidRequest(

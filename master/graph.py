@@ -76,7 +76,7 @@ def create_container(
     packages = resolve_all(state, user, options.packages)
     subnet, address = groups.join(state, user, options)
     machine = place(state, user, options)
-    environment = Environment(name, options, ids(), machine, subnet, address, packages)
+    environment = Environment(name, options, ids(), machine, subnet, address, packages, policy.egress)
     state.environments.put(environment)
     return Outcome(start(state, environment), [what(environment)])
 
@@ -84,7 +84,9 @@ def create_container(
 def start(state: State, environment: Environment) -> Plan:
     """At its machine, unless it waits for one. The token is made when the call leaves: it is for that call alone."""
     group = groups.spec(state, environment)
-    spec = EnvironmentSpec(environment.name, environment.run, "", environment.options, group, environment.packages)
+    spec = EnvironmentSpec(
+        environment.name, environment.run, "", environment.options, group, environment.packages, environment.egress
+    )
     return [[Send(environment.machine, StartEnvironment(spec), environment.name)]] if environment.machine else []
 
 

@@ -17,6 +17,7 @@ from msgspec.structs import replace
 
 from master.records import State
 from rce import slots
+from rce.calls import Egress
 from rce.errors import InvalidRequest, LimitExceeded
 from rce.messages import ContainerData, Rates
 
@@ -49,6 +50,9 @@ class Policy(Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True
     default_disk: Number = 0
     default_bandwidth: Number = 0
     default_io: Number = 0
+
+    # what environments reach of the network, besides their group
+    egress: Egress = "none"
 
     # images beside those that all users may have; a name without a tag stands for all of its tags, `*` for any letters
     images: list[str] = []

@@ -20,7 +20,7 @@ from typing import Any, Generic, Literal, Protocol, TypeVar
 
 from msgspec import Struct
 
-from rce.calls import InterfaceSpec, NodeSpec, ParameterSpec
+from rce.calls import Egress, InterfaceSpec, NodeSpec, ParameterSpec
 from rce.messages import ContainerData
 
 Role = Literal["robot", "container", "environment", "service"]
@@ -38,6 +38,7 @@ class Environment(Struct, frozen=True):
     subnet: str = ""  # of its network group, as 10.128.0.0/24
     address: str = ""  # in it
     packages: list[str] = []  # digests of users' packages: those that it was made with, in all of its lives
+    egress: Egress = "none"
 
     @property
     def key(self) -> str:

@@ -7,7 +7,7 @@ Times are seconds, sizes bytes.
 
 from __future__ import annotations
 
-from typing import Generic, TypeVar, get_args
+from typing import Generic, Literal, TypeVar, get_args
 
 import msgspec
 from msgspec import Raw, Struct
@@ -215,6 +215,11 @@ class Group(Struct, frozen=True):
     members: dict[str, str] = {}  # all of now, this one too; others may come later
 
 
+Egress = Literal["none", "internet", "all"]
+"""What of the network an environment reaches besides its group: nothing; the internet without private and link-local
+networks, metadata of clouds, and its host; or all of it."""
+
+
 class EnvironmentSpec(Struct, frozen=True):
     """An environment to run. `name` is `userID/containerTag`; `run` (32 hex) tells its lives apart."""
 
@@ -224,6 +229,7 @@ class EnvironmentSpec(Struct, frozen=True):
     options: ContainerData
     group: Group | None = None
     packages: list[str] = []  # digests of the users' packages that it sees, first come first found
+    egress: Egress = "none"
 
 
 class StartEnvironment(Call[Nothing], frozen=True):

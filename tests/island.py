@@ -26,9 +26,10 @@ PREFIXES = (24, 24, 16)
 
 
 class Island:
-    """`host` is the Docker daemon's address."""
+    """`host` is the Docker daemon's address; it is `kept` if it was there before the tests."""
 
-    def __init__(self, host: str, namespace: str) -> None:
+    def __init__(self, host: str, namespace: str, kept: bool = False) -> None:
+        self.kept = kept
         self.host = host
         self.namespace = namespace
         self.world = f"{namespace}-world"
@@ -92,7 +93,7 @@ def island() -> Iterator[Island]:
 def _machine() -> Iterator[Island]:
     kept = os.environ.get("RCE_TEST_NAMESPACE", "")
     if kept:
-        yield Island(os.environ["DOCKER_HOST"], kept)
+        yield Island(os.environ["DOCKER_HOST"], kept, kept=True)
         return
     if "RCE_TEST_DOCKER" not in os.environ:
         pytest.skip("starts a Docker daemon of its own: RCE_TEST_DOCKER=1 provisioning/provision test runs it too")

@@ -10,15 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from engine_contract import Endings, Held
+from msgspec.structs import replace
 from twisted.internet.base import ReactorBase
 
 pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
 
 from test_engine_docker import DockerWorld
 
-from containers.docker import DockerEngine
+from containers import firewall
+from containers.docker import NAMESERVERS, DockerEngine
 from containers.docker_networks import identity
-from rce.calls import EnvironmentSpec, Group
+from rce.calls import Egress, EnvironmentSpec, Group
 from rce.errors import StartFailed
 from rce.messages import ContainerData
 
@@ -63,9 +65,10 @@ def member(name: str, host: int, subnet: str = SUBNET, group: str = "fleet") -> 
 
 
 def networks(world: DockerWorld) -> dict[str, dict[str, Any]]:
-    """Ours, by the group."""
+    """Ours, by the group, or the environment that reaches out."""
     found = world.api.networks(filters={"label": f"rce.directory={world.directory}"})
-    return {each["Labels"]["rce.group"]: each for each in found}
+    labels = [each["Labels"] for each in found]
+    return {own.get("rce.group") or own["rce.environment"]: each for own, each in zip(labels, found, strict=True)}
 
 
 def rules() -> list[str]:
@@ -158,3 +161,47 @@ async def test_a_group_that_comes_again_with_another_subnet(world: DockerWorld, 
     assert networks(world)["ann/fleet"]["IPAM"]["Config"][0]["Subnet"] == "10.128.99.0/24"
     with pytest.raises(StartFailed, match="ann/b"):
         await engine.start(member("ann/b", 3))  # ann/a is in the way
+
+
+async def test_each_environment_that_reaches_out_has_a_network_of_its_own(
+    world: DockerWorld, engine: DockerEngine
+) -> None:
+    grouped = replace(member("ann/b", 3), egress="all")
+    await asyncio.gather(engine.start(reaching("ann/a", "internet")), engine.start(grouped))
+    assert set(networks(world)) == {"ann/a", "ann/b", "ann/fleet"}
+    subnets = {each["IPAM"]["Config"][0]["Subnet"] for each in networks(world).values()}
+    assert subnets == {SUBNET, "10.127.0.0/30", "10.127.0.4/30"}
+    seen = world.inspect("ann/b")["NetworkSettings"]["Networks"]
+    assert {each["IPAddress"] for each in seen.values()} >= {"10.128.77.3"}
+    assert world.inspect("ann/a")["HostConfig"]["Dns"] == list(NAMESERVERS)
+    await engine.stop("ann/a")
+    await engine.stop("ann/b")
+    assert networks(world) == {}
+
+
+async def test_a_network_to_reach_out_by_is_adopted(world: DockerWorld, engine: DockerEngine) -> None:
+    await engine.start(reaching("ann/a", "internet"))
+    before = rules()
+    await engine.close()
+    again = world.engine(Endings())
+    await again.open()
+    assert sorted(rules()) == sorted(before)
+    await again.stop("ann/a")
+    assert networks(world) == {}
+    await again.close()
+
+
+async def test_without_a_packet_filter_nobody_reaches_out(
+    world: DockerWorld, engine: DockerEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(firewall, "PATH", "/nonexistent")
+    with pytest.raises(StartFailed, match=r"ann/a did not start.*no iptables: install it"):
+        await engine.start(reaching("ann/a", "internet"))
+    assert world.there() == set()
+    monkeypatch.undo()
+    await engine.stop("ann/a")
+    assert networks(world) == {}
+
+
+def reaching(name: str, egress: Egress) -> EnvironmentSpec:
+    return EnvironmentSpec(name, 2 * identity(name), "token", ContainerData(), egress=egress)

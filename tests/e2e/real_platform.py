@@ -34,7 +34,8 @@ async def until(condition: Callable[[], object], seconds: float = 20.0, what: st
 class RealPlatform:
     """A platform in `directory`, by which all of its processes are found again. `segments` are those of Fast DDS."""
 
-    def __init__(self, directory: Path, *arguments: str) -> None:
+    def __init__(self, directory: Path, *arguments: str, dev: bool = True) -> None:
+        self._mode = ["--dev"] if dev else []
         self.directory = directory
         self.url = ""
         self.segments: set[Path] = set()
@@ -46,7 +47,16 @@ class RealPlatform:
         return (self.directory / "log").read_text()
 
     async def start(self) -> None:
-        words = [RCE, "up", "--dev", "--http-port", "0", "--data-dir", str(self.directory / "data"), *self._arguments]
+        words = [
+            RCE,
+            "up",
+            *self._mode,
+            "--http-port",
+            "0",
+            "--data-dir",
+            str(self.directory / "data"),
+            *self._arguments,
+        ]
         with (self.directory / "log").open("w") as log:
             self._process = await asyncio.create_subprocess_exec(*words, stdout=asyncio.subprocess.PIPE, stderr=log)
         assert self._process.stdout is not None

@@ -1,0 +1,113 @@
+"""Two programs of the standard library alone, for whoever tries to reach somebody, and for whoever is to be reached.
+
+`reach.py serve` answers at TCP port 7000, UDP port 7001 and, of the group 239.1.2.3, UDP port 7002.
+`reach.py try TARGETS` tries each of the JSON list's `[kind, address, port]`, plainly and tied to each interface, for
+which the kernel takes every address for one on that line; prints the JSON list of those that answered, for multicast
+with the addresses of all who did.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import struct
+import sys
+import threading
+import time
+
+TCP, UDP, MULTICAST = 7000, 7001, 7002
+GROUP = "239.1.2.3"
+PATIENCE = 1.0  # seconds
+
+
+def serve() -> None:
+    listener = socket.create_server(("0.0.0.0", TCP), backlog=50)
+    for port in (UDP, MULTICAST):
+        threading.Thread(target=echo, args=(port,), daemon=True).start()
+    print("serving", flush=True)
+    while True:
+        connection, _ = listener.accept()
+        connection.sendall(b"hello")
+        connection.close()
+
+
+def echo(port: int) -> None:
+    line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    line.bind(("0.0.0.0", port))
+    if port == MULTICAST:
+        for name in interfaces():
+            request = struct.pack("4s4si", socket.inet_aton(GROUP), b"\0" * 4, socket.if_nametoindex(name))
+            line.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, request)
+    while True:
+        data, sender = line.recvfrom(100)
+        line.sendto(data, sender)
+
+
+def interfaces() -> list[str]:
+    return [name for _, name in socket.if_nameindex() if name != "lo"]
+
+
+def attempt(kind: str, address: str, port: int, device: str) -> list[str]:
+    """Who answered."""
+    line = socket.socket(socket.AF_INET, socket.SOCK_STREAM if kind == "tcp" else socket.SOCK_DGRAM)
+    line.settimeout(PATIENCE)
+    with line:
+        try:
+            if device:
+                line.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, device.encode())
+            if kind == "tcp":
+                line.connect((address, port))
+                return [address]
+            if kind == "multicast" and device:
+                line.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 8)
+            line.sendto(b"anybody?", (address, port))
+            found: set[str] = set()
+            until = time.monotonic() + PATIENCE
+            while time.monotonic() < until:
+                found.add(line.recvfrom(100)[1][0])
+                if kind == "udp":
+                    break
+        except OSError:
+            return sorted(found) if "found" in locals() else []
+        return sorted(found)
+
+
+def try_all(targets: list[tuple[str, str, int]]) -> list[list[object]]:
+    reached: list[list[object]] = []
+
+    def one(kind: str, address: str, port: int) -> None:
+        answers = {who for device in ("", *interfaces()) for who in attempt(kind, address, port, device)}
+        if answers:
+            reached.append([kind, address, port, sorted(answers)])
+
+    threads = [threading.Thread(target=one, args=tuple(target)) for target in targets]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return reached
+
+
+def knock(directory: str) -> list[str]:
+    """What the data ports of other endpoints say to a guessed key."""
+    said = []
+    for name in sorted(os.listdir(directory)):
+        with socket.socket(socket.AF_UNIX) as line:
+            line.settimeout(5)
+            line.connect(os.path.join(directory, name))
+            line.sendall(b"RCE1" + b"guessed guessed!")
+            try:
+                said.append(line.recv(100).hex())
+            except ConnectionError:
+                said.append("")
+    return said
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "serve":
+        serve()
+    elif sys.argv[1] == "knock":
+        print(json.dumps(knock(sys.argv[2])))
+    else:
+        print(json.dumps(try_all(json.loads(sys.argv[2]))))
