@@ -3,7 +3,7 @@
 `reach.py serve` answers at TCP port 7000, UDP port 7001 and, of the group 239.1.2.3, UDP port 7002.
 `reach.py try TARGETS` tries each of the JSON list's `[kind, address, port]`, plainly and tied to each interface, for
 which the kernel takes every address for one on that line; prints the JSON list of those that answered, for multicast
-with the addresses of all who did.
+one for each who did.
 """
 
 from __future__ import annotations
@@ -48,45 +48,45 @@ def interfaces() -> list[str]:
     return [name for _, name in socket.if_nameindex() if name != "lo"]
 
 
-def attempt(kind: str, address: str, port: int, device: str) -> list[str]:
+def attempt(kind: str, address: str, port: int, device: str) -> set[str]:
     """Who answered."""
-    line = socket.socket(socket.AF_INET, socket.SOCK_STREAM if kind == "tcp" else socket.SOCK_DGRAM)
-    line.settimeout(PATIENCE)
-    with line:
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM if kind == "tcp" else socket.SOCK_DGRAM) as line:
+        line.settimeout(PATIENCE)
+        if device:
+            line.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, device.encode())
+        found: set[str] = set()
         try:
-            if device:
-                line.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, device.encode())
             if kind == "tcp":
                 line.connect((address, port))
-                return [address]
-            if kind == "multicast" and device:
-                line.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 8)
+                return {address}
             line.sendto(b"anybody?", (address, port))
-            found: set[str] = set()
-            until = time.monotonic() + PATIENCE
-            while time.monotonic() < until:
-                found.add(line.recvfrom(100)[1][0])
-                if kind == "udp":
-                    break
+            if kind == "multicast":
+                until = time.monotonic() + PATIENCE
+                while time.monotonic() < until:
+                    found.add(line.recvfrom(100)[1][0])
+            else:
+                line.recv(100)
+                found.add(address)
         except OSError:
-            return sorted(found) if "found" in locals() else []
-        return sorted(found)
+            pass
+        return found
 
 
-def try_all(targets: list[tuple[str, str, int]]) -> list[list[object]]:
-    reached: list[list[object]] = []
+def try_all(targets: list[tuple[str, str, int]]) -> list[tuple[str, str, int]]:
+    """Kind, address and port of all who answered."""
+    reached: set[tuple[str, str, int]] = set()
 
-    def one(kind: str, address: str, port: int) -> None:
-        answers = {who for device in ("", *interfaces()) for who in attempt(kind, address, port, device)}
-        if answers:
-            reached.append([kind, address, port, sorted(answers)])
+    def one(kind: str, address: str, port: int, device: str) -> None:
+        reached.update((kind, who, port) for who in attempt(kind, address, port, device))
 
-    threads = [threading.Thread(target=one, args=tuple(target)) for target in targets]
+    threads = [
+        threading.Thread(target=one, args=(*target, device)) for target in targets for device in ("", *interfaces())
+    ]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    return reached
+    return sorted(reached)
 
 
 def knock(directory: str) -> list[str]:

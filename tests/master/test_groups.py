@@ -8,10 +8,11 @@ import pytest
 from fleet import calls
 from test_presence import machines, placed
 
-from master import groups
+from master import graph, groups, presence
+from master.policies import Policy, parse
 from rce import messages as m
 from rce.calls import Group, StartEnvironment
-from rce.errors import AlreadyExists, NoCapacity
+from rce.errors import AlreadyExists, InvalidRequest, NoCapacity
 
 
 def test_addresses_in_a_group() -> None:
@@ -68,3 +69,18 @@ def test_a_group_is_on_one_machine() -> None:
         placed(fleet, "ann", "second", group="g")
     placed(fleet, "ann", "other", group="h")
     assert fleet.state.environments["ann/other"].machine == "small"
+
+
+def test_an_environment_reaches_what_the_policy_of_its_user_says_in_all_of_its_lives() -> None:
+    fleet = machines(big=9)
+    command = m.CreateContainer("a")
+    plan = graph.execute(fleet.state, "ann", command, fleet.ids, policy=Policy(egress="internet")).plan
+    (first,) = calls(plan, "big")
+    again = presence.restart(fleet.state, fleet.state.environments["ann/a"], fleet.ids)
+    (second,) = calls(again, "big")
+    assert isinstance(first, StartEnvironment)
+    assert isinstance(second, StartEnvironment)
+    assert first.environment.egress == second.environment.egress == "internet"
+    assert parse(["egress=all"]) == {"egress": "all"}
+    with pytest.raises(InvalidRequest, match="egress"):
+        parse(["egress=some"])

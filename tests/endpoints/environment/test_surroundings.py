@@ -1,23 +1,48 @@
-"""What nodes find around them."""
+"""The profile of Fast DDS: alone in an environment, or in a network group."""
 
 from __future__ import annotations
 
+import os
+import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
+import pytest
+
+from endpoints.environment import surroundings
 from endpoints.environment.settings import Settings
-from endpoints.environment.surroundings import for_nodes
+
+DDS = "{http://www.eprosima.com}"
 
 
-def settings(tmp_path: Path, env: str) -> Settings:
-    return Settings("ann/brain", "0" * 32, "t", "tcp:x:1", tmp_path, env=env)
+def profile(directory: Path, monkeypatch: pytest.MonkeyPatch, address: str = "", peers: list[str] | None = None) -> str:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setenv("FASTDDS_DEFAULT_PROFILES_FILE", "")
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    settings = Settings("ann/map", "0" * 32, "token", "tcp:127.0.0.1:1", directory, address=address, peers=peers or [])
+    surroundings.prepare(settings)
+    assert surroundings.for_nodes(settings).get("RCE_GROUP_IP", "") == address
+    return Path(os.environ["FASTDDS_DEFAULT_PROFILES_FILE"]).read_text()
 
 
-def test_the_users_variables_reach_nodes_and_nothing_of_ours_does(tmp_path: Path) -> None:
-    found = for_nodes(settings(tmp_path, '{"MODE": "fast", "LANG": "C"}'), {"RCE_TOKEN": "secret", "LANG": "de_CH"})
-    assert (found["MODE"], found["LANG"]) == ("fast", "C")
-    assert [name for name in found if name.startswith("RCE_")] == ["RCE_RUN"]
+def texts(profile: str, path: str) -> list[str | None]:
+    return [
+        each.text for each in ElementTree.fromstring(profile).findall("/".join(DDS + each for each in path.split("/")))
+    ]
 
 
-def test_what_the_platform_sets_stays(tmp_path: Path) -> None:
-    found = for_nodes(settings(tmp_path, '{"PATH": "/mine"}'), {"PATH": "/bin"})
-    assert found["PATH"].endswith(":/bin")
+def test_alone_only_shared_memory_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = profile(tmp_path, monkeypatch)
+    assert texts(found, "profiles/participant/rtps/userTransports/transport_id") == ["shared_memory"]
+    assert "initialPeersList" not in found
+
+
+def test_in_a_group_the_network_of_the_group_and_its_members_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = profile(tmp_path, monkeypatch, "10.128.0.3", ["10.128.0.2"])
+    assert texts(found, "profiles/participant/rtps/userTransports/transport_id") == ["shared_memory", "network"]
+    interfaces = "profiles/transport_descriptors/transport_descriptor/interfaceWhiteList/address"
+    assert texts(found, interfaces) == ["10.128.0.3", "127.0.0.1"]
+    peers = "profiles/participant/rtps/builtin/initialPeersList/locator/udpv4/address"
+    assert texts(found, peers) == ["239.255.0.1", "127.0.0.1", "10.128.0.3", "10.128.0.2"]
