@@ -85,8 +85,10 @@ async def _measure(large: Path, small: Path, ours: MapService, other: MapService
     for service in (ours, other):
         await asyncio.to_thread(service.jobs)  # what the first request loads is not the recording's
     idle = resident(process)
-    copy = await _timed(shutil.copyfile, large, large.with_suffix(".copy"))
+    await asyncio.to_thread(os.sync)  # neither pays for what was written before
+    copy = await _timed(_copy, large, large.with_suffix(".copy"))
     large.with_suffix(".copy").unlink()
+    await asyncio.to_thread(os.sync)
     async with watched(process) as peak:
         began = time.perf_counter()
         upload = await asyncio.to_thread(ours.upload, large)
@@ -106,6 +108,10 @@ async def _measure(large: Path, small: Path, ours: MapService, other: MapService
     await asyncio.to_thread(ours.remove, job.id)
     meanwhile = seen.state == "running" and seen.stage == "mapping"
     return Result(upload.length, copy, sent, checked, idle, peak[0], needed, done.scans, meanwhile, seen.scans)
+
+
+def _copy(source: Path, target: Path) -> None:
+    subprocess.run(["cp", str(source), str(target)], check=True)
 
 
 async def _timed(work: Any, *arguments: Any) -> float:
