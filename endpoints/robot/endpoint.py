@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 
 from msgspec import Struct
 from twisted.logger import Logger
 
-from converters.types import TypeRegistry
 from endpoints.data_port import DataPort
 from endpoints.robot.interfaces import make
 from endpoints.robot.server import Admitted, Greeting, ServerLimits
 from endpoints.robot.session import Session
+from endpoints.robot.types import UserTypes
 from endpoints.switchboard import Interface, Switchboard
 from rce import calls as c
 from rce.blobs import Buffer
 from rce.control import Handlers, MasterLink
-from rce.errors import NotFound, RceError, Unavailable, UnknownType
+from rce.errors import NotFound, RceError, Unavailable
 from rce.messages import DataMessage
-from rce.names import parse_type
 
 LEAVE_RETRY = 1.0
 LOGIN_WAIT = 5.0  # for a Master that is away: less than robots wait, so that they hear the reason
@@ -45,7 +45,7 @@ class RobotEndpoint:
         self._timeout = options.service_timeout
         self.switchboard = Switchboard(port, self._link_lost)
         self.sessions: dict[str, Session] = {}
-        self._types: dict[str, TypeRegistry] = {}  # by user: one user's types are no business of another's
+        self._types: dict[str, UserTypes] = {}  # by user: one user's types are no business of another's
         self._away: dict[str, asyncio.TimerHandle] = {}
         self._leaving: dict[str, asyncio.Task[None]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
@@ -162,19 +162,12 @@ class RobotEndpoint:
     async def _make(self, spec: c.InterfaceSpec) -> Interface:
         # Without a session the robot's login is under way: the Master binds what it has before it answers.
         session = self.sessions.get(spec.owner) or self._begin(spec.owner)
-        types = self._types.setdefault(spec.owner.partition("/")[0], TypeRegistry())
-        try:
-            return make(spec, self.switchboard, session, types, self._timeout)
-        except UnknownType:
-            await self._learn(spec, types)
-            return make(spec, self.switchboard, session, types, self._timeout)
-
-    async def _learn(self, spec: c.InterfaceSpec, types: TypeRegistry) -> None:
-        name = parse_type(spec.type)
-        service = spec.kind.startswith("Service")
         user = spec.owner.partition("/")[0]
-        found = await self.master.call(c.Describe(user, name.srv if service else name.msg, service))
-        types.learn(found.texts)
+        types = self._types.setdefault(user, UserTypes(partial(self._describe, user)))
+        return make(spec, self.switchboard, session, await types.of(spec), self._timeout)
+
+    async def _describe(self, user: str, name: str, service: bool) -> c.Definitions:
+        return await self.master.call(c.Describe(user, name, service))
 
     async def _unbind(self, call: c.Unbind) -> c.Nothing:
         self.switchboard.unbind(call.interface)

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from real_platform import USER, RealPlatform, containers, until
-from test_pushed_packages import TEST_PACKAGE, echo, rce
+from test_pushed_packages import TEST_PACKAGE, answer, echo, rce
 
 docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
 
@@ -74,8 +74,8 @@ async def test_an_image_of_a_users_own(contained_bare: RealPlatform, images: Any
                 await asyncio.sleep(0.5)  # the Master sees what another process has changed within seconds
         async with robot.environment("brain", image=name) as brain:
             await brain.add_node("greeter", "greeter", "greet")
-            service = await brain.service_client("/greet", "greeter_msgs/Greet")
-            assert await service.call({"name": "robot"}) == {"text": "hello robot"}
+            said = await answer(brain, "/greet", "greeter_msgs/Greet", {"name": "robot"})
+            assert said == {"text": "hello robot"}
     images.remove_image(f"{name}:{__version__}", force=True)
 
 
