@@ -21,7 +21,7 @@ from pathlib import Path
 from twisted.internet.base import ReactorBase
 from twisted.logger import Logger
 
-from containers import docker_disks
+from containers import docker_disks, shaping
 from containers.data_relay import GATE, DataRelay
 from containers.docker_daemon import RUN, Daemon, Found, describe
 from containers.docker_events import Event
@@ -107,6 +107,8 @@ class DockerEngine(Engine):
         granted = limits(spec, gpus, Size.here())
         if spec.options.disk:
             docker_disks.check(spec.options.disk)
+        if spec.options.bandwidth and spec.group is not None:
+            shaping.check()
         packages = places(self._packages, spec.packages)
         with_packages = package_path(packages, self._settings)
         try:
@@ -121,6 +123,7 @@ class DockerEngine(Engine):
                     variables(spec, environment.places, self._host, self._settings | with_packages),
                     walls(granted, environment.places, [*self._read_only, *packages], networks, disk, self._machine),
                 )
+                await self._shape(spec, len(networks.networks))
             finally:
                 if disk is not None:  # it stays as long as it is mounted
                     await asyncio.to_thread(docker_disks.let_go, disk)
@@ -139,6 +142,12 @@ class DockerEngine(Engine):
                 free=len(free),
             )
         return free[: spec.options.gpus]
+
+    async def _shape(self, spec: EnvironmentSpec, networks: int) -> None:
+        """What goes over data links is held to the bandwidth by those who take it."""
+        if spec.options.bandwidth and networks:
+            process = await self._daemon.process(spec.run)
+            await asyncio.to_thread(shaping.shape, process, networks, spec.options.bandwidth)
 
     async def _disk(self, spec: EnvironmentSpec) -> docker_disks.Disk | None:
         if not spec.options.disk:

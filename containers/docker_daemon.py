@@ -91,6 +91,10 @@ class Daemon(Asked):
         """How a container stands, None if there is none."""
         return await self._call(lambda: self._state(run))
 
+    async def process(self, run: str) -> int:
+        """The process id of a running container's first process, as the host sees it."""
+        return await self._call(lambda: int(self._api.inspect_container(self._id(run))["State"]["Pid"]))
+
     async def last_lines(self, run: str, count: int) -> list[str]:
         """The last lines of output."""
         output = await self._call(lambda: self._output(run, count))

@@ -10,6 +10,7 @@ from typing import Protocol
 from twisted.logger import Logger
 
 from endpoints.frames import Buffer, FrameReader, Message, pieces
+from endpoints.throttle import Throttle
 from rce.errors import LimitExceeded, Unavailable
 from rce.outbox import Outbox
 from rce.sockets import tune
@@ -93,8 +94,12 @@ class StreamLink(asyncio.BufferedProtocol):
         name: str,
         deliver: Callable[[Message, Link], None],
         lost: Callable[[StreamLink, str], None],
+        throttle: Throttle | None = None,
     ) -> None:
-        """`lost` is called once, if the link breaks or does not open; not when it is closed on purpose."""
+        """`lost` is called once, if the link breaks or does not open; not when it is closed on purpose.
+
+        `throttle` is for what comes in, perhaps together with other links.
+        """
         self.name = name
         self.opened: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.opened.add_done_callback(lambda opened: opened.exception())  # `lost` has said it
@@ -107,6 +112,8 @@ class StreamLink(asyncio.BufferedProtocol):
         self._streams = itertools.cycle(range(1 << 32))
         self._transport: asyncio.Transport | None = None
         self._full = False
+        self._throttle = throttle
+        self._holding = 0  # how many reasons there are to take nothing at present
 
     def carry(self, transport: asyncio.Transport) -> None:
         """The greeting is over: this end of the link has `transport` from now on."""
@@ -151,10 +158,23 @@ class StreamLink(asyncio.BufferedProtocol):
         self._outbox.forget(source)
 
     def pause(self, until: asyncio.Future[None]) -> None:
-        transport = self._transport
-        if transport is not None and transport.is_reading():
-            transport.pause_reading()
-            until.add_done_callback(lambda _: None if transport.is_closing() else transport.resume_reading())
+        if self._transport is None or self._transport.is_closing():
+            return
+        self._holding += 1
+        if self._holding == 1:
+            self._transport.pause_reading()
+        until.add_done_callback(self._released)
+
+    def _released(self, _: asyncio.Future[None]) -> None:
+        self._holding -= 1
+        if not self._holding and self._transport is not None and not self._transport.is_closing():
+            self._transport.resume_reading()
+
+    def _hold(self, seconds: float) -> None:
+        loop = asyncio.get_running_loop()
+        over: asyncio.Future[None] = loop.create_future()
+        loop.call_later(seconds, over.set_result, None)
+        self.pause(over)
 
     def close(self) -> None:
         self._end("closed")
@@ -181,6 +201,8 @@ class StreamLink(asyncio.BufferedProtocol):
         return self._reader.buffer()
 
     def buffer_updated(self, nbytes: int) -> None:
+        if self._throttle is not None and (wait := self._throttle.take(nbytes)):
+            self._hold(wait)
         try:
             for message in self._reader.filled(nbytes):
                 self._deliver(message, self)

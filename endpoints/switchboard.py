@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable
+from weakref import WeakValueDictionary
 
 import msgspec
 from twisted.logger import Logger
@@ -12,6 +13,7 @@ from twisted.logger import Logger
 from endpoints.data_port import DataPort
 from endpoints.frames import Message
 from endpoints.link import Link, LoopLink, StreamLink
+from endpoints.throttle import Throttle
 from rce.calls import InterfaceSpec, LinkSpec, Route, Sync
 from rce.errors import ErrorInfo, LimitExceeded, NotConnected, NotFound, RceError, Unavailable
 
@@ -113,6 +115,7 @@ class Switchboard:
         self._port = port
         self._link_lost = link_lost
         self._dialling: set[asyncio.Task[None]] = set()
+        self._throttles: WeakValueDictionary[str, Throttle] = WeakValueDictionary()
 
     # interfaces
 
@@ -228,7 +231,7 @@ class Switchboard:
         if not spec.key:
             self.links[spec.name] = LoopLink(spec.name, self.deliver)
             return
-        link = StreamLink(spec.name, self.deliver, self._lost)
+        link = StreamLink(spec.name, self.deliver, self._lost, self._throttle(spec))
         self.links[spec.name] = link
         key = bytes.fromhex(spec.key)
         if spec.dial:
@@ -238,6 +241,15 @@ class Switchboard:
             link.opened.add_done_callback(lambda _: task.cancel() if link.broken else None)  # it was closed meanwhile
         else:
             self._port.expect(link, key)
+
+    def _throttle(self, spec: LinkSpec) -> Throttle | None:
+        """One for all links of a sender, as long as one of them is there."""
+        if not spec.rate:
+            return None
+        throttle = self._throttles.get(spec.sender)
+        if throttle is None:
+            throttle = self._throttles[spec.sender] = Throttle(spec.rate)
+        return throttle
 
     def close_link(self, name: str) -> None:
         link = self.links.pop(name, None)

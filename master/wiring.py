@@ -117,11 +117,16 @@ def routes_of(state: State, interface: Interface) -> list[Route]:
 
 def link_spec(state: State, link: Link, end: str) -> LinkSpec:
     """A link as one of its ends shall open it."""
-    if link.listener == link.dialler or end == link.listener:
+    if link.listener == link.dialler:
         return LinkSpec(link.name, link.key_hex)
+    other = link.dialler if end == link.listener else link.listener
+    environment = state.environments.get(other)
+    rate = environment.options.bandwidth if environment else 0
+    ways: list[str] = []
     listener, dialler = state.processes.get(link.listener), state.processes.get(link.dialler)
-    ways = _ways(state, listener, dialler) if listener and dialler else []
-    return LinkSpec(link.name, link.key_hex, ways)
+    if end == link.dialler and listener and dialler:
+        ways = _ways(state, listener, dialler)
+    return LinkSpec(link.name, link.key_hex, ways, rate, other if rate else "")
 
 
 def _ways(state: State, to: Process, of: Process) -> list[str]:

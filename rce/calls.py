@@ -72,6 +72,8 @@ class LinkSpec(Struct, frozen=True):
     name: str
     key: str  # 32 hex, known to both ends, good for one opening
     dial: list[str] = []  # unix:/PATH, tcp:HOST:PORT, relay:HOST:PORT/user/tag; empty: wait for the other side
+    rate: int = 0  # bytes a second that are taken from `sender`, over all links together; 0: no limit
+    sender: str = ""
 
 
 class NodeSpec(Struct, frozen=True):

@@ -52,7 +52,7 @@ VariableValue = Annotated[str, Meta(pattern=r"^[^\x00]*$", max_length=32_768)]
 class ContainerData(Struct, frozen=True, omit_defaults=True):
     """Options of an environment (`containerData` of CC); what is left at 0 or empty is as its user's defaults say.
 
-    `size` is in slots of a machine, `cpu` in cores; `memory` and `disk` are in bytes, `bandwidth` (of all that the
+    `size` is in slots of a machine, `cpu` in cores; `memory` and `disk` are in bytes, `bandwidth` (of what the
     environment sends) in bytes a second.
     """
 

@@ -17,6 +17,7 @@ from endpoints import data_port as module
 from endpoints.data_port import GREETING, MAGIC, DataPort, answer_to
 from endpoints.frames import Message
 from endpoints.link import Link, LoopLink, StreamLink
+from endpoints.throttle import BURST, LEAST, Throttle
 from rce.certificates import Authority
 from rce.errors import Unavailable
 from rce.tls import CA, Tls
@@ -28,11 +29,11 @@ A, B = bytes(16), b"b" * 16
 class End:
     """A link with what came out of it and how it ended."""
 
-    def __init__(self, name: str = "l") -> None:
+    def __init__(self, name: str = "l", throttle: Throttle | None = None) -> None:
         self.got: list[Message] = []
         self.lost: list[str] = []
         self.news = asyncio.Event()
-        self.link = StreamLink(name, self._deliver, self._lost)
+        self.link = StreamLink(name, self._deliver, self._lost, throttle)
 
     def _deliver(self, message: Message, link: Link) -> None:
         self.got.append(message)
@@ -317,6 +318,61 @@ async def test_a_paused_end_takes_nothing_until_then_and_then_all(pair: tuple[En
     await asyncio.wait_for(room, WAIT)
     await there.until(lambda: len(there.got) == 60)
     assert [m.msg_id for m in there.got] == [str(number) for number in range(60)]
+
+
+async def test_what_comes_in_is_taken_at_the_rate_of_its_sender(port: tuple[Listener, list[str]]) -> None:
+    """Over two links together, and all of it arrives."""
+    listener, addresses = port
+    rate, size = 4_000_000, 1_000_000
+    throttle = Throttle(rate)
+    ends = []
+    for number in range(2):
+        key = bytes([number]) * 16
+        here, there = End(), End(throttle=throttle)
+        listener.expect(there.link, key)
+        await listener.dial(here.link, key, addresses)
+        ends.append((here, there))
+    began = asyncio.get_running_loop().time()
+    for here, _ in ends:
+        here.link.send(Message(A, "1", bytes(size)), None)
+    for _, there in ends:
+        await there.until(lambda there=there: len(there.got) == 1)  # type: ignore[misc]
+    assert asyncio.get_running_loop().time() - began > (2 * size / rate - BURST) * 0.9 - 0.1
+    for here, there in ends:
+        here.link.close()
+        there.link.close()
+
+
+async def test_a_pause_outlasts_the_wait_for_the_rate(port: tuple[Listener, list[str]]) -> None:
+    listener, addresses = port
+    here, there = End(), End(throttle=Throttle(1_000_000))
+    listener.expect(there.link, KEY)
+    await listener.dial(here.link, KEY, addresses)
+    here.link.send(Message(A, "1", bytes(200_000)), None)
+    await there.until(lambda: len(there.got) == 1)  # and now it waits, having taken more than a tenth of a second's
+    until: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+    there.link.pause(until)
+    await asyncio.sleep(0.3)
+    here.link.send(Message(A, "2", b""), None)
+    await asyncio.sleep(0.05)
+    assert len(there.got) == 1
+    until.set_result(None)
+    await there.until(lambda: len(there.got) == 2)
+    here.link.close()
+    there.link.close()
+
+
+def test_a_throttle() -> None:
+    now = 0.0
+    throttle = Throttle(1_000_000, lambda: now)
+    assert throttle.take(100_000) == 0  # a tenth of a second's worth goes at once
+    assert throttle.take(500_000) == 0.5
+    now = 0.5
+    assert throttle.take(0) == 0
+    now = 100
+    assert throttle.take(100_000) == 0
+    assert throttle.take(1_000) == pytest.approx(0.001)
+    assert Throttle(1, lambda: now).take(LEAST) == 0
 
 
 async def test_a_flood_does_not_starve_the_loop(pair: tuple[End, End]) -> None:

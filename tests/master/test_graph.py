@@ -423,6 +423,24 @@ def test_an_interface_is_bound_where_its_robot_is() -> None:
     assert [(send.to, type(send.call)) for send in sends(plan)] == [("west", Bind)]
 
 
+def test_what_an_environment_sends_is_taken_at_its_bandwidth_by_others() -> None:
+    fleet = Fleet()
+    fleet.join("west", "robot", host="h1", addresses=["tcp:w:1"])
+    fleet.join("m1", "container", capacity=4)
+    fleet.robot("ann/r1")
+    fleet.do("ann", m.CreateContainer("brain", m.ContainerData(bandwidth=5000)))
+    fleet.join("ann/brain", "environment", host="h2")
+    fleet.do("ann", interface("r1", "pose", "SubscriberConverter"))
+    fleet.do("ann", interface("brain", "pose", "PublisherInterface"))
+    fleet.do("ann", m.Connect("r1/pose", "brain/pose"))
+    (link,) = fleet.state.links
+    at_robot, at_environment = (wiring.link_spec(fleet.state, link, end) for end in ("west", "ann/brain"))
+    assert (at_robot.rate, at_robot.sender) == (5000, "ann/brain")
+    assert (at_environment.rate, at_environment.sender) == (0, "")
+    assert at_robot.key == at_environment.key
+    assert len(at_robot.dial) + len(at_environment.dial) == 1
+
+
 def test_gpus_are_found_where_they_are_free() -> None:
     """A machine has them for itself; the one with more free slots has none."""
     fleet = Fleet()
