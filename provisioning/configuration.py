@@ -26,7 +26,8 @@ CHANGES = {  # option: the settings that it decides, also where a file says othe
     "address": {"address", "public_url", "data_address", "master"},
     "http_port": {"http"},
     "ws_port": {"ws_port", "public_url"},
-    "engine": {"engine", "allow_unisolated"},
+    "engine": {"engine"},
+    "allow_unisolated": {"allow_unisolated"},
     "size": {"size"},
     "certificate": {"http", "certificate", "private_key"},
 }
@@ -151,7 +152,8 @@ def _container(wanted: Wanted) -> Settings:
         **_common(wanted, "container"),
     }
     if not wanted.uses_docker:
-        values |= {"typesupport": f"{TYPESUPPORT}/current"}
+        unisolated = bool(wanted.options.get("allow_unisolated"))
+        values |= {"typesupport": f"{TYPESUPPORT}/current", "allow_unisolated": unisolated}
     return values
 
 

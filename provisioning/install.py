@@ -18,7 +18,7 @@ from provisioning.system import KNOWN, ROLES, System, own_address
 if TYPE_CHECKING:
     from provisioning.steps import Commands
 
-OPTIONS = ("address", "http_port", "ws_port", "engine", "size", "certificate", "private_key")
+OPTIONS = ("address", "http_port", "ws_port", "engine", "allow_unisolated", "size", "certificate", "private_key")
 
 
 def install(options: argparse.Namespace, rest: list[str]) -> int:
@@ -51,6 +51,12 @@ def add_commands(commands: Commands) -> None:
     command.add_argument(
         "--engine", choices=["docker", "swarm", "process"], help="what runs environments (default: docker)"
     )
+    command.add_argument(
+        "--allow-unisolated",
+        action="store_true",
+        default=None,
+        help="engine process on a machine that joins another: whoever uses the platform runs programs as its user here",
+    )
     command.add_argument("--size", type=int, metavar="N", help="slots for environments (default: 10)")
     command.add_argument("--http-port", type=int, metavar="PORT", help="of the robots' entry (default: 9000)")
     command.add_argument("--ws-port", type=int, metavar="PORT", help="of the robots' WebSockets (default: 9010)")
@@ -74,6 +80,7 @@ def wanted_from(options: argparse.Namespace, system: System) -> Wanted:
     if bool(options.certificate) != bool(options.private_key):
         raise Failed("--certificate and --private-key go together")
     found = {role: configuration.read(system, role) for role in installed}
+    _check_isolation(options, roles, code is not None)
     given = {name: getattr(options, name) for name in OPTIONS}
     engine = str(options.engine or found.get("container", {}).get("engine", "docker"))
     name = code.name if code else options.name or found.get("container", {}).get("name") or socket.gethostname()
@@ -83,6 +90,14 @@ def wanted_from(options: argparse.Namespace, system: System) -> Wanted:
     wanted = Wanted(merged, str(name), str(address), {**given, "engine": engine}, code)
     notes.check(wanted)
     return wanted
+
+
+def _check_isolation(options: argparse.Namespace, roles: Sequence[str], joins: bool) -> None:
+    if "container" in roles and joins and options.engine == "process" and not options.allow_unisolated:
+        raise Failed(
+            "the engine process lets users of a platform elsewhere run programs as one user of this machine: "
+            "use --engine docker, or --allow-unisolated if they are all your own"
+        )
 
 
 def _roles(given: Sequence[str] | None) -> tuple[str, ...]:

@@ -119,6 +119,7 @@ def test_an_unknown_system_is_refused(tmp_path: Path) -> None:
         (["--certificate", "c.pem"], "go together"),
         (["--join", "nonsense"], "no join code"),
         (["--join", join_code("container"), "--role", "robot"], "is for container"),
+        (["--join", join_code("container"), "--engine", "process"], "--allow-unisolated"),
         (["--http-port", "8080"], "port 8080 would be for"),
     ],
 )
