@@ -179,7 +179,7 @@ def _clock(trust: ssl.SSLContext, host: str) -> float | None:
             socket.create_connection((host, configuration.MACHINES_PORT), TIMEOUT) as plain,
             trust.wrap_socket(plain, server_hostname=host) as secured,
         ):
-            secured.sendall(b"HEAD /authority HTTP/1.0\r\n\r\n")
+            secured.sendall(b"GET /authority HTTP/1.0\r\n\r\n")
             answer = secured.recv(4096).decode("latin-1")
     except OSError:
         return None

@@ -134,7 +134,6 @@ def test_a_master_does_not_join_another(debian: System) -> None:
         planned(debian, "--join", join_code("container"))
 
 
-@pytest.mark.xfail(reason="robot and container do not have the setting tls yet", strict=False)
 @pytest.mark.parametrize("engine", ["docker", "process", "swarm"])
 def test_the_programs_understand_their_settings(debian: System, engine: str) -> None:
     values = write_settings(debian, "--engine", engine, "--name", "alpha", "--address", "10.0.0.1")
