@@ -15,6 +15,7 @@ import msgspec
 import sqlalchemy as sa
 from sqlalchemy.pool import StaticPool
 
+from master.migration import bring_up_to_date
 from master.records import State
 from rce.errors import InvalidRequest
 
@@ -100,9 +101,9 @@ class Store:
         self._flush: asyncio.Task[None] | None = None
 
     async def open(self) -> None:
-        """Make the tables that are missing."""
+        """Make the tables and columns that are missing."""
         try:
-            await self._do(lambda: tables.create_all(self._engine))
+            await self._do(lambda: bring_up_to_date(self._engine, tables))
         except sa.exc.SQLAlchemyError as error:
             raise InvalidRequest(f"database {self._engine.url!r} cannot be opened: {error}", field="database") from None
 

@@ -23,7 +23,8 @@ def user_data(code: Code, authority: str, options: str = "") -> str:
     words = shlex.join(["--role", ",".join(code.roles), "--name", code.name, *shlex.split(options)])
     commands = [
         f"mkdir -p {SOURCE}",
-        f"{fetch} {shlex.quote(urljoin(code.url, 'source'))} | tar -xz -C {SOURCE}",
+        f"{fetch} --output {SOURCE}.tar.gz {shlex.quote(urljoin(code.url, 'source'))}",
+        f"tar -xzf {SOURCE}.tar.gz -C {SOURCE}",
         f'{SOURCE}/provisioning/provision install {words} --join "$(cat {CODE})"',
         f"rm -f {CODE} {CA}",
         f"{SOURCE}/provisioning/provision doctor",
@@ -36,6 +37,6 @@ def user_data(code: Code, authority: str, options: str = "") -> str:
             {"path": CA, "permissions": "0644", "content": authority},
             {"path": CODE, "permissions": "0600", "content": code.text},
         ],
-        "runcmd": [["sh", "-ec", "\n".join(["set -o pipefail 2>/dev/null || true", *commands])]],
+        "runcmd": [["sh", "-ec", "\n".join(commands)]],
     }
     return "#cloud-config\n" + "".join(f"{key}: {json.dumps(value)}\n" for key, value in config.items())

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import shlex
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -79,32 +79,39 @@ def run(*command: str | Path, environment: Mapping[str, str] | None = None, secr
     With `secret`, which becomes its input, neither its arguments nor its output go to the log.
     """
     words = list(map(str, command))
-    shown = shlex.join(words[:1]) + " …" if secret is not None else shlex.join(words)
-    with tempfile.TemporaryFile() if secret is not None else LOG.open("ab") as log:
-        log.write(f"\n$ {shown}\n".encode())
-        log.flush()
-        begin = log.tell()
+    shown = shlex.join(words) if secret is None else f"{words[0]} …"
+    pipe = subprocess.PIPE
+    lines: list[str] = []
+    with LOG.open("a") as log:
+        print(f"\n$ {shown}", file=log, flush=True)
         try:
-            done = subprocess.run(
+            program = subprocess.Popen(
                 words,
                 cwd=ROOT,
                 env={**os.environ, **(environment or {})},
-                input=(secret or "").encode(),
-                stdout=log,
-                stderr=log,
+                stdin=pipe,
+                stdout=pipe,
+                stderr=subprocess.STDOUT,
+                text=True,
+                errors="replace",
             )
         except OSError as error:
             raise Failed(f"{words[0]} cannot be run: {error}") from None
-        if secret is not None:
-            log.seek(begin)
-            output = log.read().decode(errors="replace")
-        else:
-            output = LOG.read_bytes()[begin:].decode(errors="replace")
-    if done.returncode:
-        tail = "\n".join(output.splitlines()[-30:])
-        rest = "" if secret is not None else f"; all of its output is in {LOG}"
-        raise Failed(f"{tail}\n\n{shown}\nended with status {done.returncode}{rest}")
-    return output
+        with program:
+            assert program.stdin is not None
+            assert program.stdout is not None
+            with contextlib.suppress(BrokenPipeError):
+                program.stdin.write(secret or "")
+                program.stdin.close()
+            for line in program.stdout:
+                lines.append(line)
+                if secret is None:
+                    log.write(line)
+                    log.flush()
+    if program.returncode:
+        rest = f"; all of its output is in {LOG}" if secret is None else ""
+        raise Failed(f"{''.join(lines[-30:])}\n{shown}\nended with status {program.returncode}{rest}")
+    return "".join(lines)
 
 
 def add_command(

@@ -73,9 +73,21 @@ def test_user_data() -> None:
     assert files[cloudinit.CODE] == {"path": cloudinit.CODE, "permissions": "0600", "content": "rce1-abc"}
     (command,) = config["runcmd"]
     assert command[:2] == ["sh", "-ec"]
-    assert "--cacert /etc/rce/bootstrap-ca.pem https://10.0.0.1:8081/source" in command[2]
+    assert (
+        "--cacert /etc/rce/bootstrap-ca.pem --output /usr/local/src/rce.tar.gz https://10.0.0.1:8081/source"
+        in command[2]
+    )
     assert "install --role robot,container --name beta --size 4 --no-images --join" in command[2]
-    subprocess.run(["sh", "-n"], input=command[2].encode(), check=True)
+    assert steps_of(command[2]) == ["mkdir", "curl", "tar", "cat", "provision", "rm", "provision"]
+
+
+def steps_of(script: str) -> list[str]:
+    """The programs that a script runs, in order; each is replaced by one that does nothing."""
+    names = ("mkdir", "curl", "tar", "rm", "cat")
+    harmless = "".join(f"{name}() {{ echo {name} >&2; }}\n" for name in (*names, "provision"))
+    script = script.replace(f"{cloudinit.SOURCE}/provisioning/provision", "provision")
+    done = subprocess.run(["sh", "-euc", harmless + script], env={}, check=True, capture_output=True, text=True)
+    return done.stderr.split()
 
 
 @pytest.mark.skipif(shutil.which("cloud-init") is None, reason="needs cloud-init: apt-get install cloud-init")

@@ -1,0 +1,107 @@
+"""`provision install` for real: into a copy-on-write image of this system, in a network of its own.
+
+The Master and a Robot endpoint are installed, started as their units say, met by a robot and by a second machine that
+joins, looked at by the doctor, and removed without a trace. Environments have tests of their own.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from provisioning.system import KNOWN, System, program
+
+CHECKOUT = Path(__file__).parents[2]
+LIMIT = 400  # seconds; about 50 on a quiet machine with pip's cache filled
+SYSTEM = """
+mount -t tmpfs -o mode=755 tmpfs "$1"
+mkdir "$1/upper" "$1/work" "$1/root"
+mount -t overlay overlay -o "lowerdir=/,upperdir=$1/upper,workdir=$1/work" "$1/root"
+mount --rbind /proc "$1/root/proc"
+mount --rbind /dev "$1/root/dev"
+mkdir -p "$1/root/$2"
+mount --bind "$2" "$1/root/$2"
+rm -rf "$1/root/run/systemd/system"
+exec chroot "$1/root" sh -euc "$3" sh "$2"
+"""
+LIFE = """
+provision="$1/provisioning/provision"
+$provision install --role master,robot --name alpha --address 127.0.0.1
+$provision install | grep -c 'already done'
+exec unshare -n sh -euc "$2" sh "$provision"
+"""
+RUN = """
+ip link set lo up
+cd /
+rce=/opt/rce/current/bin
+as="runuser -u rce -g rce --"
+for role in master robot; do
+    $as $rce/rce $role --config /etc/rce/$role.toml > /tmp/$role.log 2>&1 &
+done
+trap 'cat /tmp/master.log /tmp/robot.log >&2; kill $(jobs -p)' EXIT
+for turn in $(seq 100); do
+    grep -q '"program":"robot"' /tmp/robot.log && break
+    sleep 0.2
+done
+echo secret | $as $rce/rce user --data-dir=/var/lib/rce/master add ada
+SSL_CERT_FILE=/etc/rce/tls/ca.pem $rce/python -P -c '
+import asyncio
+from rce.client import Robot
+async def main():
+    async with Robot("https://127.0.0.1:9000/", user="ada", robot="r2d2", password="secret"):
+        print("robot: met")
+asyncio.run(main())'
+code=$($1 machine add beta --role container | grep -o 'rce1-.*')
+mkdir /tmp/beta
+printf %s "$code" | $rce/python -P -m provisioning.identity --directory /tmp/beta join > /tmp/beta/membership.json
+echo "machine: $(ls /tmp/beta | tr '\\n' ' ')"
+printf %s "$code" | $rce/python -P -m provisioning.identity --directory /tmp/beta join 2>&1 || echo refused
+$1 doctor --json > /tmp/findings.json && echo "doctor: well"
+tr -d '\\n' < /tmp/findings.json; echo
+trap - EXIT
+$1 uninstall --purge
+echo "left: $(ls -d /opt/rce /etc/rce /var/lib/rce /etc/systemd/system/rce-* 2> /dev/null) $(grep -c ^rce: /etc/passwd)"
+"""
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Iterator[Path]:
+    """Where the image is mounted, seen by nobody else."""
+    if os.geteuid() != 0:
+        pytest.skip("an image of this system needs root")
+    if System().release() not in KNOWN or System().roles():
+        pytest.skip(f"for {sorted(KNOWN)}, where nothing of RCE is installed")
+    lacking = [name for name in ("ip", "unshare", "runuser", "useradd") if program(name) is None]
+    if lacking:
+        pytest.skip(f"no {', '.join(lacking)}: apt-get install iproute2 util-linux passwd")
+    (tmp_path / "image").mkdir()
+    script = SYSTEM.replace('exec chroot "$1/root" sh -euc "$3" sh "$2"', "")
+    probe = subprocess.run(
+        ["unshare", "-mn", "sh", "-euc", script, "sh", tmp_path / "image", CHECKOUT], capture_output=True
+    )
+    if probe.returncode:
+        pytest.skip(f"no image of this system can be made here: {probe.stderr.decode()[-200:]}")
+    yield tmp_path / "image"
+    shutil.rmtree(tmp_path / "image")
+
+
+def test_a_platform_from_its_installation_to_its_end(place: Path) -> None:
+    life = LIFE.replace('"$2"', f"'{RUN.replace(chr(39), chr(39) + chr(92) + chr(39) * 2)}'")
+    command = ["unshare", "-m", "sh", "-euc", SYSTEM, "sh", str(place), str(CHECKOUT), life]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT)
+    assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
+    lines = done.stdout.splitlines()
+    assert "robot: met" in lines
+    assert "machine: ca.pem cert.pem key.pem membership.json " in lines
+    assert "refused" in lines  # the code is good once
+    findings = json.loads(next(line for line in lines if line.startswith("[")))
+    assert {finding["level"] for finding in findings} <= {"ok", "warn"}
+    assert {"master", "clock", "port 9000", "cert.pem"} <= {finding["about"] for finding in findings}
+    assert "doctor: well" in lines
+    assert lines[-1] == "left:  0"
