@@ -99,6 +99,7 @@ def make_engine(
             image=settings.image,
             settings=surroundings,
             agent=AgentService(settings.agent_image, settings.agent_address, settings.data_port, settings.mounts),
+            tls=tls,
             stay=not settings.stop_environments,
             read_only=read_only,
         )

@@ -32,6 +32,7 @@ from rce.calls import Call, Cleared, ClearRun, ContainerEnded, Hello, KnowRelays
 from rce.control import Handlers, MasterLink
 from rce.errors import RceError, Unavailable
 from rce.settings import load_or_exit
+from rce.tls import load
 
 PROGRAM = "rce agent"
 PAUSE = 1.0  # seconds until Docker is asked again that did not answer
@@ -47,6 +48,7 @@ class Settings(Struct, frozen=True):
     node: Annotated[str, Meta(description="id of this node")]
     platform: Annotated[str, Meta(description="name of the task set")]
     directory: Annotated[str, Meta(description="directory of the task set")]
+    tls: Annotated[Path | None, Meta(description="directory with ca.pem, cert.pem and key.pem of this node")] = None
     data_port: Annotated[int, Meta(description="port for data links; 0 takes a free one")] = 0
 
 
@@ -64,7 +66,8 @@ class Agent:
         self._settings = settings
         self._labels = {"rce.platform": settings.platform, "rce.directory": settings.directory}
         self._docker = NodeDaemon(self._labels)
-        self._data_relay = DataRelay()
+        self._tls = load(settings.tls)
+        self._data_relay = DataRelay(self._tls)
         self._served: dict[str, _Served] = {}  # by run
         self._dead: set[str] = set()  # runs that Docker says are dead: its list says so a moment later
         self._told: set[str] = set()  # runs whose end the task set knows of
@@ -73,7 +76,7 @@ class Agent:
         handlers = Handlers()
         handlers.on(ClearRun, self._clear)
         handlers.on(KnowRelays, self._know)
-        self._link = MasterLink(reactor, settings.task_set, self._hello, handlers, self._welcomed)
+        self._link = MasterLink(reactor, settings.task_set, self._hello, handlers, self._welcomed, self._tls)
 
     async def run(self) -> None:
         """Until it is cancelled, or the task set refuses it."""
@@ -142,7 +145,7 @@ class Agent:
 
     async def _serve(self, task: Task) -> None:
         names = Names.of(self._labels, task.name, task.run)
-        served = self._served[task.run] = _Served(task.name, Relay(self._reactor, self._settings.master))
+        served = self._served[task.run] = _Served(task.name, Relay(self._reactor, self._settings.master, self._tls))
         control, sockets = await self._docker.volume(names.control), await self._docker.volume(names.sockets)
         try:
             await self._data_relay.admit(task.name, sockets / names.places.socket.name, control)

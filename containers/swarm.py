@@ -16,6 +16,7 @@ import secrets
 from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from weakref import WeakValueDictionary
 
 import msgspec
 from msgspec import Struct
@@ -25,17 +26,18 @@ from twisted.logger import Logger
 from containers.data_relay import GATE
 from containers.docker_daemon import RUN, SIZE
 from containers.docker_events import Event
-from containers.docker_networks import ENVIRONMENT
+from containers.docker_networks import ENVIRONMENT, GROUP, group_network
 from containers.docker_options import CONTROL, Size, limits, reference, variables
 from containers.engine import Ended, Engine, Life
 from containers.settings import is_local
 from containers.swarm_agents import Agents
-from containers.swarm_manager import Found, Manager, Node
+from containers.swarm_manager import AGENT, Found, Manager, Network, Node
 from containers.swarm_spec import FEATURE, Names, agent_task, environment_task
 from rce import __version__
 from rce.calls import ContainerEnded, EnvironmentSpec
 from rce.errors import InvalidRequest, NoCapacity, StartFailed, TimedOut, Unavailable
 from rce.messages import Rates
+from rce.tls import Tls
 
 log = Logger()
 COMMAND: Sequence[str] = ("python3", "-P", "-m", "endpoints.environment")
@@ -93,6 +95,7 @@ class SwarmEngine(Engine):
         image: str,
         settings: Mapping[str, str],
         agent: AgentService,
+        tls: Tls | None = None,
         stay: bool = True,
         read_only: Sequence[str] = (),
         command: Sequence[str] = COMMAND,
@@ -104,6 +107,7 @@ class SwarmEngine(Engine):
         self._image = image
         self._settings = settings
         self._agent = agent
+        self._tls = tls
         self._stay = stay
         self._read_only = read_only
         self._command = command
@@ -117,6 +121,7 @@ class SwarmEngine(Engine):
         self._looking: set[asyncio.Task[None]] = set()
         self._tidying: set[asyncio.Task[None]] = set()  # what is removed while nobody waits for it
         self._following = asyncio.Event()
+        self._network_locks: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
 
     @property
     def relays(self) -> list[str]:
@@ -132,7 +137,12 @@ class SwarmEngine(Engine):
         names = Names.of(self._labels, spec.name, spec.run)
         service = f"rce-{spec.run}-{secrets.token_hex(4)}"  # what is left of a service keeps its name for some seconds
         labels = {ENVIRONMENT: spec.name, RUN: spec.run, SIZE: str(spec.options.size)}
+        network = Network(service)
+        if spec.group is not None:
+            network = Network(group_network(self._labels, spec.group.name), spec.group.subnet)
+            labels[GROUP] = network.name
         values = variables(spec, names.places, "", {**self._settings, "relay": f"{CONTROL}/{GATE}"})
+        values |= _in_group(spec)
         values = {key: _literal(value) for key, value in values.items()} | {"RCE_HOST": "{{.Node.ID}}"}
         task = environment_task(
             spec,
@@ -144,10 +154,11 @@ class SwarmEngine(Engine):
             {**self._labels, **labels},
             constraints,
             self._read_only,
-            service,
+            network.name,
         )
         place = self._places[spec.name] = _Place(spec.run)
-        await self._manager.make(service, task, labels)
+        async with self._lock_of(network.name):
+            await self._manager.make(service, task, labels, network)
         try:
             async with asyncio.timeout(START_TIMEOUT):
                 place.node = await self._manager.running(spec.name, service)
@@ -175,7 +186,7 @@ class SwarmEngine(Engine):
         wanted: set[str] = set()
         for found in await self._manager.present():
             if self._runs(found):
-                wanted.add(found.service)
+                wanted.add(found.network)
                 self._places[found.name] = _Place(found.run, found.node)
                 lives[found.name] = Life(found.run, found.size)
             else:
@@ -216,7 +227,7 @@ class SwarmEngine(Engine):
         self._agents = Agents(kept.secret, self._reported, self._container_ended)
         address = self._agent.address or self._manager.address
         try:
-            port = await self._agents.listen(self._reactor, f"tcp:{kept.port}:interface={address}")
+            port = await self._agents.listen(self._reactor, f"tcp:{kept.port}:interface={address}", self._tls)
         except OSError as error:
             raise Unavailable(f"the agents of the swarm cannot be taken at {address}: {error}") from None
         self._keep(_Kept(kept.secret, port))
@@ -229,8 +240,13 @@ class SwarmEngine(Engine):
             "RCE_DIRECTORY": self._labels["rce.directory"],
             "RCE_DATA_PORT": str(self._agent.data_port),
         }
-        mounts, image = self._agent.mounts, await self._manager.image(self._agent.image) or self._agent.image
-        task = agent_task(image, self._agent.command, surroundings, self._labels, self._manager.volumes, mounts)
+        mounts, image = list(self._agent.mounts), await self._manager.image(self._agent.image) or self._agent.image
+        if self._tls is not None:  # each node has its own certificate there
+            surroundings["RCE_TLS"] = str(self._tls.directory)
+            mounts.append(str(self._tls.directory))
+        task = agent_task(
+            image, self._agent.command, surroundings, {**self._labels, AGENT: "yes"}, self._manager.volumes, mounts
+        )
         await self._manager.keep_agents(self._agent_name, task)
         lacking = await self._agents.wait_for(usable, AGENTS_TIMEOUT)
         for node in lacking:
@@ -299,7 +315,19 @@ class SwarmEngine(Engine):
         if not cleared:
             await self._no_task(found.service)
             await self._agents.clear_everywhere(found.run)
-        self._look(self._manager.remove_network(found.service), self._tidying)
+        self._look(self._remove_network(found.network), self._tidying)
+
+    async def _remove_network(self, name: str) -> None:
+        """That of a group goes with its last member."""
+        async with self._lock_of(name):
+            if all(found.network != name for found in await self._manager.present()):
+                await self._manager.remove_network(name)
+
+    def _lock_of(self, network: str) -> asyncio.Lock:
+        lock = self._network_locks.get(network)
+        if lock is None:
+            lock = self._network_locks[network] = asyncio.Lock()
+        return lock
 
     async def _no_task(self, service: str) -> None:
         try:
@@ -367,13 +395,21 @@ class SwarmEngine(Engine):
 
 def _check(spec: EnvironmentSpec) -> None:
     """InvalidRequest for what services of a swarm do not have."""
-    asked = {name: getattr(spec.options, name) for name in ("disk", "bandwidth", "packages", "group")}
+    asked = {name: getattr(spec.options, name) for name in ("disk", "bandwidth", "packages", "groupIP", "groupIp")}
     asked["egress"] = spec.egress if spec.egress != "none" else ""
     asked["io"] = spec.options.io if spec.options.io != Rates() else None
     for field in [field for field, value in asked.items() if value]:
         raise InvalidRequest(
             f"environment {spec.name}: the swarm engine has no {field}; use docker", field=f"containerData.{field}"
         )
+
+
+def _in_group(spec: EnvironmentSpec) -> dict[str, str]:
+    """Swarm chooses the address of a task, which finds it out itself; others are known by their containerTags."""
+    if spec.group is None:
+        return {}
+    own = spec.name.partition("/")[2]
+    return {"RCE_ADDRESS": spec.group.subnet, "RCE_PEERS": ",".join(tag for tag in spec.group.members if tag != own)}
 
 
 def _literal(value: str) -> str:

@@ -17,6 +17,7 @@ from rce import control
 from rce.calls import ClearRun, ContainerEnded, Hello, KnowRelays, NodeReport, Nothing, Welcome
 from rce.control import Control, Handlers
 from rce.errors import Lost, RceError, Unauthorized
+from rce.tls import Tls
 
 log = Logger()
 ROLE = "agent"
@@ -48,9 +49,9 @@ class Agents:
         self._others: list[str] = []
         self._telling: set[asyncio.Task[None]] = set()
 
-    async def listen(self, reactor: ReactorBase, description: str) -> int:
+    async def listen(self, reactor: ReactorBase, description: str, tls: Tls | None = None) -> int:
         """Take agents at a Twisted server endpoint; returns the port."""
-        self._port = await control.listen(reactor, description, self)
+        self._port = await control.listen(reactor, description, self, tls)
         address = self._port.getHost()  # type: ignore[misc]  # zope declares it without self
         return int(address.port)
 

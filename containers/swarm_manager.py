@@ -8,13 +8,14 @@ from contextlib import suppress
 from typing import Any
 
 from docker.errors import APIError, NotFound
+from docker.types import IPAMConfig, IPAMPool
 from docker.utils import version_gte
 from msgspec import Struct
 
 from containers.docker_api import Asked, said
 from containers.docker_daemon import RUN, SIZE
 from containers.docker_events import Event, Events
-from containers.docker_networks import ENVIRONMENT
+from containers.docker_networks import ENVIRONMENT, GROUP
 from containers.docker_options import Size
 from containers.swarm_spec import GPU
 from rce.errors import InvalidRequest, NoCapacity, StartFailed, TimedOut, Unavailable
@@ -38,6 +39,13 @@ class Node(Struct, frozen=True):
     gpus: int
 
 
+class Network(Struct, frozen=True):
+    """A network without a way out: of one environment, or with a subnet of its own that of a group."""
+
+    name: str
+    subnet: str = ""
+
+
 class Found(Struct, frozen=True):
     """A service of ours: one life of an environment, on a node, an empty string while it has none."""
 
@@ -45,6 +53,7 @@ class Found(Struct, frozen=True):
     name: str
     run: str
     size: int
+    network: str
     node: str
     running: bool
 
@@ -95,9 +104,9 @@ class Manager(Asked):
         ]
         return errors[0] if errors else "Swarm has not placed it there"
 
-    async def make(self, name: str, task: Mapping[str, Any], labels: Mapping[str, str]) -> None:
-        """A service of one task in a network of its own, without a way out. StartFailed, TimedOut, Unavailable."""
-        await self._call(lambda: self._make(name, dict(task), {**self._labels, **labels}))
+    async def make(self, name: str, task: Mapping[str, Any], labels: Mapping[str, str], network: Network) -> None:
+        """A service of one task, and its network unless that is there. StartFailed, TimedOut, Unavailable."""
+        await self._call(lambda: self._make(name, dict(task), {**self._labels, **labels}, network))
 
     async def running(self, name: str, service: str) -> str:
         """The node on which the task of a service runs, once it does. NoCapacity, StartFailed."""
@@ -151,21 +160,29 @@ class Manager(Asked):
             tasks = self._tasks(service)
             running = any(task["Status"]["State"] == "running" for task in tasks)
             node = tasks[0].get("NodeID", "") if tasks else ""
-            found.append(Found(service, labels[ENVIRONMENT], labels[RUN], int(labels[SIZE]), node, running))
+            network = labels.get(GROUP, service)
+            found.append(Found(service, labels[ENVIRONMENT], labels[RUN], int(labels[SIZE]), network, node, running))
         return found
 
     def _tasks(self, service: str) -> list[dict[str, Any]]:
         tasks: list[dict[str, Any]] = self._api.tasks(filters={"name": service})
         return tasks
 
-    def _make(self, name: str, task: dict[str, Any], labels: dict[str, str]) -> None:
+    def _make(self, name: str, task: dict[str, Any], labels: dict[str, str], network: Network) -> None:
         try:
-            self._api.create_network(name, driver="overlay", internal=True, labels=labels, scope="swarm")
+            self._make_network(network)
             self._api.create_service(
                 task, name, labels, {"Replicated": {"Replicas": 1}}, endpoint_spec={"Mode": "dnsrr"}
             )
         except APIError as error:
             raise StartFailed(f"environment {labels[ENVIRONMENT]} did not start: {said(error)}") from None
+
+    def _make_network(self, network: Network) -> None:
+        ipam = IPAMConfig(pool_configs=[IPAMPool(subnet=network.subnet)]) if network.subnet else None
+        if not network.subnet or not self._api.networks(names=[network.name]):
+            self._api.create_network(
+                network.name, driver="overlay", internal=True, labels=self._labels, scope="swarm", ipam=ipam
+            )
 
     def _remove(self, service: str) -> None:
         try:

@@ -9,6 +9,7 @@ from typing import Any
 
 from msgspec import Struct
 
+from containers.docker_networks import NO_NAMESERVER
 from containers.docker_options import (
     CONTROL,
     HOME,
@@ -94,6 +95,7 @@ def environment_task(
             "ReadOnly": True,
             "CapabilityDrop": ["ALL"],
             "Privileges": {"NoNewPrivileges": True},  # an older Docker does not know it; see `protected` of NodeReport
+            "DNSConfig": {"Nameservers": [NO_NAMESERVER]},
             "Init": False,  # the image has its own
             "StopGracePeriod": STOP_TIMEOUT * NANO,
             "Ulimits": [
@@ -120,7 +122,7 @@ def environment_task(
         },
         "RestartPolicy": {"Condition": "none"},
         "Placement": {"Constraints": list(constraints)},
-        "Networks": [{"Target": network}],
+        "Networks": [{"Target": network, "Aliases": [spec.name.partition("/")[2]]}],
         "LogDriver": {"Name": "json-file", "Options": {"max-size": LOG_SIZE, "max-file": "2"}},
     }
 

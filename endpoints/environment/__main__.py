@@ -12,12 +12,13 @@ from twisted.logger import Logger
 
 from endpoints.data_port import DataPort
 from endpoints.environment import surroundings
+from endpoints.environment.group import settled
 from endpoints.environment.settings import Settings
 from endpoints.host import listen
 from rce import __version__, loop
 from rce.calls import Call, Hello, Nothing, Welcome
 from rce.control import MasterLink
-from rce.errors import RceError
+from rce.errors import RceError, StartFailed
 from rce.host import host_identity
 from rce.settings import load_or_exit
 from rce.tls import load
@@ -100,6 +101,11 @@ class Endpoint:
 def main() -> int:
     settings = load_or_exit(Settings, "rce environment")
     os.environ.pop("RCE_TOKEN", None)  # nodes shall not inherit it
+    try:
+        settings = settled(settings)
+    except StartFailed as error:
+        print(f"rce environment: {error}", file=sys.stderr)
+        return 1
     surroundings.prepare(settings)
     sys.setswitchinterval(SWITCH_INTERVAL)
 

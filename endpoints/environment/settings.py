@@ -27,8 +27,11 @@ class Settings(Struct, frozen=True):
     relay: Annotated[
         Path | None, Meta(description="UNIX socket by which data links reach other machines; empty: the network")
     ] = None
-    address: Annotated[str, Meta(description="of this environment in its network group, if it is in one")] = ""
-    peers: Annotated[list[str], Meta(description="addresses of the group's members, comma-separated")] = []
+    address: Annotated[
+        str,
+        Meta(description="of this environment in its network group, if it is in one; a subnet where it finds it out"),
+    ] = ""
+    peers: Annotated[list[str], Meta(description="addresses or names of the group's members, comma-separated")] = []
     tls: Annotated[
         Path | None, Meta(description="directory with ca.pem, cert.pem and key.pem, for TLS between machines")
     ] = None

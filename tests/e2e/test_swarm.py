@@ -23,6 +23,13 @@ from rce.client import Environment, Publisher, Subscriber
 
 STRING = "std_msgs/String"
 MOVE_TIMEOUT = 90.0
+REACH = """
+import socket
+try:
+    socket.create_connection(("{address}", 22), 3)
+except OSError as error:
+    print(error)
+"""
 
 
 @pytest.fixture(scope="module")
@@ -123,6 +130,36 @@ async def test_a_machine_that_is_drained_gives_its_environments_away(swarm: Swar
         await chain.answers(MOVE_TIMEOUT)
     label(swarm, before["two"], {"rce.feature.cloud": "true"}, "active")
     await until(lambda: not volumes(before["two"]), 30)  # what it had left, once its agent is back
+
+
+async def test_a_group_is_one_graph_over_two_machines(platform: Machines, swarm: Swarm) -> None:
+    """Said in one environment, answered by a node in the other, heard in the first; and each has the other's name."""
+    async with (
+        platform.robot("r2") as robot,
+        robot.environment("left", special_features=["cloud"], group="pair") as left,
+        robot.environment("right", special_features=["cloud"], group="pair") as right,
+    ):
+        there = containers(swarm)
+        assert there["left"] is not there["right"], "Swarm spreads them"
+        await right.add_node("echo", "rce_demo", "echo.py")
+        await Echo(await left.publisher("/say", STRING), await left.subscriber("/heard", STRING)).answers(30)
+        assert run_in(there["left"], "left", "import socket; print(socket.gethostbyname('right'))").startswith("10.")
+        for address in (swarm.address, there["left"].address, "169.254.169.254"):
+            assert "unreachable" in run_in(there["left"], "left", REACH.format(address=address))
+    manager = swarm.nodes[0].api()
+    await until(lambda: not manager.networks(filters={"label": "rce.directory"}), 30, "its network is left")
+
+
+def run_in(node: Node, tag: str, program: str) -> str:
+    api = node.api()
+    (found,) = [
+        each["Id"]
+        for each in api.containers(filters={"label": "rce.environment"})
+        if each["Labels"]["rce.environment"].endswith(f"/{tag}")
+    ]
+    call = api.exec_create(found, ["python3", "-c", program])
+    output: bytes = api.exec_start(call["Id"])
+    return output.decode()
 
 
 def volumes(node: Node) -> list[dict[str, Any]]:
