@@ -1,11 +1,14 @@
 """Where nodes are found."""
 
+import platform
 import sys
 from pathlib import Path
 
 import pytest
 
 from endpoints.environment.packages import SHIPPED, Packages
+from endpoints.environment.settings import Settings
+from endpoints.environment.surroundings import for_nodes, python_paths
 from rce.errors import InvalidName, NotFound
 
 
@@ -40,6 +43,37 @@ def _program(path: Path, mode: int) -> None:
 
 def test_installed_executable(prefix: Path) -> None:
     assert Packages([prefix], []).command("walk", "legs") == [str(prefix / "lib" / "walk" / "legs")]
+
+
+@pytest.mark.parametrize(
+    ("first", "by_us"),
+    [
+        ("#!/usr/bin/python3\n", True),
+        ("#!/home/ann/venv/bin/python3.12\n", True),
+        ("#! /usr/bin/python\n", True),
+        ("#!/usr/bin/env python3\n", False),
+        ("#!/bin/sh\n", False),
+        ("#!/usr/bin/python3 -u\n", False),
+        ("\x7fELF", False),
+    ],
+)
+def test_a_python_of_another_machine_means_ours(prefix: Path, first: str, by_us: bool) -> None:
+    program = prefix / "lib" / "walk" / "legs"
+    program.write_text(f"{first}print()\n")
+    assert Packages([prefix], []).command("walk", "legs") == [*([sys.executable] if by_us else []), str(program)]
+
+
+def test_modules_of_pushed_packages_are_found(tmp_path: Path, prefix: Path) -> None:
+    version = f"python{sys.version_info.major}.{sys.version_info.minor}"
+    built = prefix / f"{version}-{platform.machine()}"
+    installed = prefix / "lib" / version / "site-packages"
+    for directory in (built, installed, prefix / "python2.7-x86_64", prefix / "lib/python2.7/site-packages"):
+        directory.mkdir(parents=True)
+    settings = Settings("ann/e", "0" * 32, "", "", tmp_path, package_path=[prefix], typesupport=[Path("/types")])
+    assert python_paths(settings) == ["/types/python", str(built), str(installed)]
+    variables = for_nodes(settings, {"LD_LIBRARY_PATH": "/ros/lib"})
+    assert variables["LD_LIBRARY_PATH"] == f"{prefix}/lib:/ros/lib"
+    assert variables["PYTHONPATH"].split(":")[1:3] == [str(built), str(installed)]
 
 
 def test_a_root_may_be_a_prefix(prefix: Path) -> None:
