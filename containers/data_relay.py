@@ -30,7 +30,8 @@ LINKS = 256  # through this relay, of one environment
 STRANGERS = 64  # connections at a time that have not yet said where they lead
 PATIENCE = 5.0  # seconds for the first line, and for the way on; less than the caller's own patience
 EARLY = 1_000_000  # bytes
-HIGH_WATER = 256 * 1024  # bytes that wait for one side before the other is asked to pause
+_space = memoryview(bytearray(256 * 1024))  # for all connections: what is read into it is taken at once
+HIGH_WATER = 512 * 1024  # bytes that wait for one side before the other is asked to pause
 
 
 class _Refused(Exception):
@@ -41,7 +42,7 @@ class _Refused(Exception):
         self.reason = reason
 
 
-class _Side(asyncio.Protocol):
+class _Side(asyncio.BufferedProtocol):
     """One of two connections: what comes in here goes out at the other."""
 
     def __init__(self) -> None:
@@ -54,7 +55,13 @@ class _Side(asyncio.Protocol):
         self.transport.set_write_buffer_limits(high=HIGH_WATER)
         tune(transport)
 
-    def data_received(self, data: bytes) -> None:
+    def get_buffer(self, sizehint: int) -> memoryview:
+        return _space
+
+    def buffer_updated(self, nbytes: int) -> None:
+        self.received(bytes(_space[:nbytes]))
+
+    def received(self, data: bytes) -> None:
         if self._other is not None:
             self._other.transport.write(data)
         elif len(self.early) + len(data) <= EARLY:
@@ -95,8 +102,8 @@ class _Visitor(_Side):
         super().connection_made(transport)
         self._relay.entered(self)
 
-    def data_received(self, data: bytes) -> None:
-        super().data_received(data)
+    def received(self, data: bytes) -> None:
+        super().received(data)
         line, newline, rest = self.early.partition(b"\n")
         if self._said or not (newline or len(line) > LONGEST):
             return

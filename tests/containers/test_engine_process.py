@@ -15,12 +15,15 @@ from engine_contract import CAPACITY, FEATURES, Endings, EngineContract, World, 
 from msgspec.structs import replace
 
 from containers import process, processes
+from containers.data_relay import DataRelay
 from containers.domains import Domains
 from containers.engine import Ended, Engine, Life
 from containers.process import ProcessEngine
 from rce.calls import EnvironmentSpec, Group
 from rce.errors import InvalidRequest, LimitExceeded, NoCapacity, StartFailed
 from rce.messages import ContainerData
+from rce.passage import Passage, refused
+from rce.sockets import reaching
 
 STAND_IN = (sys.executable, "-I", "-S", str(Path(__file__).with_name("stand_in.py")))
 
@@ -248,6 +251,31 @@ async def test_a_half_started_one_is_removed(world: ProcessWorld, engine: Proces
     assert world.there() == {"ann/b"}
     await again.keep([])
     await again.close()
+
+
+async def test_an_environment_has_a_gate_to_other_machines_also_once_it_is_adopted(world: ProcessWorld) -> None:
+    relay, ended = DataRelay(), Endings()
+    engine = world.engine(ended)
+    engine._relay = relay
+    await engine.open()
+    await engine.start(spec("ann/brain"))
+    variables = (await world.seen("ann/brain"))["environ"]
+    gate = Path(variables["RCE_RELAY"])
+    for _ in range(2):
+        assert relay._places["ann/brain"].socket == Path(variables["RCE_SOCKET"])
+        with reaching(gate) as path:
+            reader, writer = await asyncio.open_unix_connection(path)
+        writer.write(Passage("bob/brain").line())
+        assert refused(await reader.read()) == "another user's"
+        writer.close()
+        await engine.close()
+        assert not relay._places
+        engine = world.engine(ended)
+        engine._relay = relay
+        await engine.open()
+    await engine.stop("ann/brain")
+    assert not relay._places
+    await engine.close()
 
 
 async def test_a_pid_that_is_another_process_is_not_adopted(world: ProcessWorld, engine: ProcessEngine) -> None:

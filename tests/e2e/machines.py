@@ -21,7 +21,6 @@ from rce.client import Robot
 
 MODULES = {"master": "master", "robot": "endpoints.robot", "container": "containers"}
 START_TIMEOUT = 60.0
-WS_PORT = 9010
 STOP_TIMEOUT = 60.0
 
 
@@ -86,12 +85,14 @@ class Machines:
         arguments: Sequence[str],
         size: int,
         grace: float = 2,
+        ws_port: int = 9010,
     ) -> None:
         self.directory = directory
         self.hosts = {host.name: host for host in hosts}
         self.grace = grace
         self._arguments = arguments
         self._size = size
+        self._ws_port = ws_port
         self._tokens = {
             f"{kind}-{name}": secrets.token_hex(32) for kind in ("robot", "container") for name in self.hosts
         }
@@ -128,14 +129,13 @@ class Machines:
             *host.tls_words(),
         ]
         if program.kind == "robot":
-            port = WS_PORT if host.entered_by else 0  # in a network of its own every port is free
+            port = self._ws_port if host.entered_by else 0  # in a network of its own every port is free
             public = f"ws://{host.address}:{port}/" if port else ""
             words += [f"--ws-host={host.address}", f"--ws-port={port}", f"--public-url={public}"]
             words += [f"--grace={self.grace}"]
         else:
             words += [
                 f"--features={host.name}",
-                "--allow-unisolated",
                 f"--size={self._size}",
                 "--stop-environments",
                 *self._arguments,
