@@ -49,15 +49,22 @@ class LaserOdometry:
         """Take the next scan and its points (n, 2), metres, frame of the robot; None if they are too few to be matched.
         None too if the pose is that of the wheels or the last motion alone."""
         predictions = self._motion.predict(scan)
-        found = self._local.match(points, predictions) if points is not None else None
+        found = self._local.match(points, predictions, self._motion.blind(scan)) if points is not None else None
         self._motion.follow(scan, found.pose if found else predictions[0])
         if points is not None:
             self._keep(points)
         return found
 
-    def seen(self) -> Points:
-        """All points (n, 2) of the way it remembers, metres, frame of the robot."""
-        return self.pose.inverse().transform(np.concatenate([np.empty((0, 2)), *(kept.points for kept in self._kept)]))
+    @property
+    def count(self) -> int:
+        """How many scans it has kept so far, with those that it has forgotten."""
+        return self._count
+
+    def seen(self, since: int = 0) -> Points:
+        """All points (n, 2) of the scans kept on the way it remembers, or `since` so many, metres, frame of the robot.
+        A scan that was kept just now is not among them."""
+        pieces = [kept.points for kept in self._kept if kept.number >= since and kept.pose != self.pose]
+        return self.pose.inverse().transform(np.concatenate([np.empty((0, 2)), *pieces]))
 
     def state(self) -> State:
         kept = list(self._kept)

@@ -18,6 +18,8 @@ AROUND = 15.0  # metres from the robot to the places whose points are in it
 FARTHEST = 40.0  # metres from the robot; beyond, the points of a laser are too sparse to match
 MARGIN = 4.0  # metres that the robot may go before it is made anew
 NEAR, FAR = Window(0.5, math.radians(30)), Window(1.5, math.radians(60))
+# Where nothing is known about the motion between two scans but how far a robot may get.
+BLIND = Window(1.5, math.radians(60), 0.3 / 9, 0.3 / 4)
 DOUBT = 0.65  # a score under this makes the search go far
 
 
@@ -76,8 +78,9 @@ class LocalMap:
         if self._field is not None:
             self._field.add(points)
 
-    def match(self, points: Points, predictions: list[Pose]) -> Match | None:
-        """Where the robot is that sees the points (n, 2), metres, its frame.
+    def match(self, points: Points, predictions: list[Pose], blind: bool = False) -> Match | None:
+        """Where the robot is that sees the points (n, 2), metres, its frame. `blind`: nothing is known about how it
+        moved.
 
         None while the map is empty, or has no prediction in it.
         """
@@ -87,8 +90,8 @@ class LocalMap:
         inside = [p for p in predictions if (np.array(p[:2]) > low).all() and (np.array(p[:2]) < high).all()]
         if not inside:
             return None
-        found = match(self._field, points, inside, NEAR)
-        if found.score >= DOUBT:
+        found = match(self._field, points, inside, BLIND if blind else NEAR)
+        if blind or found.score >= DOUBT:
             return found
         far = match(self._field, points, inside, FAR)
         return max(found, far, key=lambda candidate: candidate.score)

@@ -101,12 +101,14 @@ class Localiser:
         """Collect what is seen, and search the map for it now and then."""
         self._odometry.add(scan, points)
         pose = self._odometry.pose
+        if points is None:
+            return None
         if self._searched is not None:
             if not self._searched.to(pose).moved(self._way, math.pi / 2):
                 return None
             self._way = min(2 * self._way, LAST_WAY)
         self._searched = pose
-        found = self._map.find(self._odometry.seen())
+        found = self._map.find(np.concatenate([points, self._odometry.seen()]))
         if found is not None:
             self._set(found.pose)
             self._motion = Motion(found.pose)

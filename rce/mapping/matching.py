@@ -16,7 +16,6 @@ SURE = 0.9  # score of a fitted prediction from which on nothing else is searche
 STRIDE = 0.1  # metres between places of the search: the likelihood reaches from one to the next
 TURN = math.radians(1.5)
 SEARCH_POINTS = 150  # more make the search slower, not better
-MOVE_COST, TURN_COST = 0.3, 0.3  # of leaving the prediction, per square metre and square radian, in mean likelihood
 DISTRUST = 0.05  # by how much a place around a later prediction must be likelier than one around an earlier one
 PREFERENCE = 0.02  # by how much a pose that was searched for must be likelier than the fitted prediction
 WORSE = 0.02  # by how much fitting may lower the score; more means that there was too little to fit to
@@ -26,10 +25,13 @@ ITERATIONS = 20
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """What the search covers on each side of a predicted pose: metres along x and y, radians."""
+    """What the search covers on each side of a predicted pose: metres along x and y, radians. `move_cost` and
+    `turn_cost`: of leaving the prediction, per square metre and square radian, in mean likelihood."""
 
     reach: float
     turn: float
+    move_cost: float = 0.3
+    turn_cost: float = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,9 +81,9 @@ def _search(field: Field, thinned: Points, centres: list[Pose], window: Window) 
     """The best pose of the lattices around the centres, and its centre."""
     stride = max(1, round(STRIDE / field.resolution))
     steps, turns = round(window.reach / (stride * field.resolution)), round(window.turn / TURN)
-    move_cost = MOVE_COST * field.resolution**2
+    move_cost = window.move_cost * field.resolution**2
     found = [
-        kernels.correlate(field.likelihood, thinned, *centre, stride, steps, turns, TURN, move_cost, TURN_COST)
+        kernels.correlate(field.likelihood, thinned, *centre, stride, steps, turns, TURN, move_cost, window.turn_cost)
         for centre in centres
     ]
     best = max(range(len(found)), key=lambda i: found[i][3] - DISTRUST * i)

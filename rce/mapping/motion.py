@@ -11,6 +11,7 @@ from rce.mapping.scans import Scan
 from rce.mapping.state import Reader, State, optional
 
 RESET = 10.0  # metres; if odometry moves this far between two scans, it was set anew
+SHORTEST = 1e-3  # seconds; no laser is faster
 STEADY = 0.5  # seconds for which a robot may be supposed to go on as it did
 
 
@@ -30,13 +31,19 @@ class Motion:
             return [self.pose]
         repeated = self.pose @ self._last
         if scan.odometry is None or self._wheels is None:
-            return [repeated]
+            return [repeated, self.pose] if self.blind(scan) else [repeated]
         odometry, pose = self._wheels
         motion = odometry.to(scan.odometry)
         plausible = math.hypot(motion.x, motion.y) < RESET  # False for NaN
         if not plausible:
             return [repeated]
         return [pose @ motion, repeated] if scan.stamp - self._stamp < STEADY else [pose @ motion]
+
+    def blind(self, scan: Scan) -> bool:
+        """Whether nothing tells how far the robot went: it has no wheels, and scans are too rare, or their stamps
+        (which logs may have lost) too close, to suppose that it goes on as it did."""
+        steady = self._stamp is not None and SHORTEST < scan.stamp - self._stamp < STEADY
+        return scan.odometry is None and not steady
 
     def state(self) -> State:
         return {

@@ -38,6 +38,7 @@ class ParticleMapper:
         self._history = History()
         self._stamp = -math.inf
         self._then: Pose | None = None  # of the laser odometry at the last step
+        self._kept = 0  # scans that it had kept then
         self._lost = False  # since the last step
         self._sweeps: dict[int, Sweep] = {}  # by step, frame of the robot
         self._grid = GridMap(self.settings.resolution)
@@ -75,7 +76,7 @@ class ParticleMapper:
         """The robot was carried to a pose (map frame) while nothing was recorded."""
         self._filter.relocate(pose)
         self._odometry = LaserOdometry(self.settings.max_range)
-        self._then, self._lost = None, False
+        self._then, self._kept, self._lost = None, 0, False
 
     def state(self) -> State:
         return {
@@ -84,6 +85,7 @@ class ParticleMapper:
             "history": self._history.state(),
             "stamp": np.array([self._stamp] if math.isfinite(self._stamp) else [], np.float64),
             "then": optional(self._then),
+            "seen": np.array(self._kept, np.int64),
             "lost": np.array(self._lost),
             "steps": np.array(list(self._sweeps), np.int64),
             "points": pack([sweep.points for sweep in self._sweeps.values()], np.float32),
@@ -101,6 +103,7 @@ class ParticleMapper:
         mapper._history.restore(saved.part("history"), count)
         mapper._stamp = max(saved.array("stamp", np.float64, None).tolist(), default=-math.inf)
         mapper._then, mapper._lost = saved.optional("then"), bool(saved.array("lost", np.bool_))
+        mapper._kept = saved.whole("seen", mapper._odometry.count + 1)
         points = saved.unpack("points", np.float32)
         steps = saved.indices("steps", count, len(points)).tolist()
         mapper._sweeps = {step: Sweep(np.zeros((1, 2)), piece) for step, piece in zip(steps, points, strict=True)}
@@ -126,14 +129,15 @@ class ParticleMapper:
         motion = self._since()
         if self._then is not None and not motion.moved(MOVE, TURN):
             return
+        seen = None if points is None else np.concatenate([points, self._odometry.seen(self._kept)])
         if self._then is None:
             self._filter.paths.append(self._filter.poses)
         else:
-            self._filter.move(motion, self._spread(covariance), points)
-        self._then, self._lost = self._odometry.pose, False
-        if points is not None:
-            self._filter.learn(points)
+            self._filter.move(motion, self._spread(covariance), seen)
+        if points is not None and seen is not None:
+            self._filter.learn(seen)
             self._keep(points)
+        self._then, self._kept, self._lost = self._odometry.pose, self._odometry.count, False
         self._filter.resample()
 
     def _spread(self, covariance: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,0 +1,125 @@
+"""What both mappers have to bear, on a piece of a real log."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rce.mapping.geometry import Pose
+from rce.mapping.graph_mapper import GraphMapper
+from rce.mapping.mapper import MapperSettings
+from rce.mapping.mappers import MAPPERS
+from rce.mapping.recordings import open_recording
+from rce.mapping.scans import Scan
+from rce.mapping.trials import Odometry, error_of, relations_of, run, with_odometry
+
+SETTINGS = MapperSettings(particles=10)
+SCANS = 250
+
+
+@pytest.fixture(scope="module")
+def piece(data: Path) -> list[Scan]:
+    """The first 60 s of MIT CSAIL, with the poses that the whole map has (better than 3 cm) as odometry."""
+    mapper, scans = GraphMapper(), list(open_recording(data / "mit-csail.clf.gz"))[:SCANS]
+    for scan in scans:
+        mapper.add(scan)
+    return [
+        dataclasses.replace(scan, odometry=Pose(*row))
+        for scan, row in zip(scans, mapper.trajectory()[:, 1:], strict=True)
+    ]
+
+
+def beams(scan: Scan, which: slice) -> Scan:
+    """Some of the beams."""
+    first, step = which.start or 0, which.step or 1
+    return dataclasses.replace(
+        scan,
+        ranges=np.ascontiguousarray(scan.ranges[which]),
+        angle_min=scan.angle_min + first * scan.angle_increment,
+        angle_increment=step * scan.angle_increment,
+    )
+
+
+def spoilt(scan: Scan) -> Scan:
+    """A third of the beams say nothing, in all ways that drivers have for it."""
+    ranges = scan.ranges.copy()
+    for i, value in enumerate((np.nan, np.inf, -np.inf, 0.0, -1.0, 81.91, scan.range_max)):
+        ranges[i::21] = value
+    return dataclasses.replace(scan, ranges=ranges)
+
+
+def noisy(scan: Scan) -> Scan:
+    """Ranges with 3 cm of noise."""
+    noise = np.random.default_rng(round(scan.stamp * 1e3) % 2**32).normal(0.0, 0.03, len(scan.ranges))
+    return dataclasses.replace(scan, ranges=(scan.ranges + noise).astype(np.float32))
+
+
+def elsewhere(scan: Scan) -> Scan:
+    """Odometry that begins far from its origin, turned."""
+    assert scan.odometry
+    return dataclasses.replace(scan, odometry=Pose(1e4, -3e3, 2.5) @ scan.odometry)
+
+
+CHANGES: dict[str, Callable[[Scan], Scan]] = {
+    "90 degrees": lambda scan: beams(scan, slice(90, 271)),
+    "73 beams": lambda scan: beams(scan, slice(0, None, 5)),
+    "no returns": spoilt,
+    "noise": noisy,
+    "odometry from elsewhere": elsewhere,
+}
+WORSE = {
+    "scale": Odometry(scale=1.1),
+    "noise": Odometry(scale=1.05, noise=0.3),
+    "slip": Odometry(slip=1.0, slip_every=50),
+    "none": Odometry(none=True),
+}
+
+
+@pytest.mark.parametrize("name", MAPPERS)
+@pytest.mark.parametrize("change", CHANGES)
+def test_any_laser_and_any_start(piece: list[Scan], name: str, change: str) -> None:
+    given = [CHANGES[change](scan) for scan in with_odometry(piece, Odometry(scale=1.02, noise=0.05))]
+    assert error(name, piece, given) < 0.1
+
+
+@pytest.mark.parametrize("name", MAPPERS)
+@pytest.mark.parametrize("worse", WORSE)
+def test_any_odometry(piece: list[Scan], name: str, worse: str) -> None:
+    assert error(name, piece, list(with_odometry(piece, WORSE[worse]))) < 0.1
+
+
+@pytest.mark.parametrize("name", MAPPERS)
+def test_stamps_in_any_order(piece: list[Scan], name: str) -> None:
+    """Each scan twice, and now and then an old one: the map is that of each once."""
+    mixed = [twice for scan in piece[:100] for twice in (scan, scan)]
+    for i in range(50, len(mixed), 40):
+        mixed.insert(i, mixed[i - 30])
+    plain, mapper = MAPPERS[name](SETTINGS), MAPPERS[name](SETTINGS)
+    for scan in piece[:100]:
+        plain.add(scan)
+    taken = sum(mapper.add(scan).taken for scan in mixed)
+    assert taken == 100
+    np.testing.assert_array_equal(mapper.trajectory(), plain.trajectory())
+    np.testing.assert_array_equal(mapper.grid().cells, plain.grid().cells)
+
+
+def error(name: str, truth: list[Scan], given: list[Scan]) -> float:
+    """Mean error of poses 2 m of way apart, metres."""
+    poses = np.array([(scan.stamp, *scan.odometry) for scan in truth if scan.odometry])
+    trial = run(lambda: MAPPERS[name](SETTINGS), given, relations={"near": relations_of(poses)["near"]})
+    assert len(trial.trajectory) == len(truth)
+    assert error_of(poses, relations_of(poses)["near"]).translation == 0.0
+    return trial.errors["near"].translation
+
+
+def test_sparse_scans_without_odometry(data: Path) -> None:
+    """A metre or a turn of 40 degrees between scans, and nothing known about it."""
+    scans = list(open_recording(data / "corrected" / "belgioioso-corrected.log.gz"))[:100]
+    trial = run(GraphMapper, scans, Odometry(none=True))
+    assert trial.errors["near"].translation < 0.1
+    assert math.degrees(trial.errors["near"].rotation) < 2.0
