@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +76,20 @@ class GraphMapper:
                 for sweep in node.sweeps:
                     self._render(self._grid, node.pose, sweep)
         return self._grid.render()
+
+    @property
+    def graph(self) -> PoseGraph:
+        """What has been measured, to be read only."""
+        return self._graph
+
+    @property
+    def reference(self) -> int:
+        """The node near the robot, with which its pose moves."""
+        return self._reference
+
+    def trajectory_by(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The trajectory if the nodes were at these poses (nodes, 3)."""
+        return self._history.trajectory(poses)
 
     def trajectory(self) -> NDArray[np.float64]:
         return self._history.trajectory(self._graph.poses())
