@@ -14,6 +14,7 @@ from twisted.internet.base import ReactorBase
 from endpoints.bridge.config import (
     Action,
     BridgeConfig,
+    BuildMap,
     EndRecording,
     Record,
     StartOffloading,
@@ -50,6 +51,7 @@ async def serve(config: BridgeConfig, typesupport: list[Path]) -> None:
     """Until cancelled, or until the platform refuses what the file wants."""
     from endpoints.bridge.bridge import Offloading  # they load ROS 2
     from endpoints.bridge.ends import LocalRos
+    from endpoints.bridge.mapping import MapMaker
     from endpoints.bridge.recorder import Recording
     from endpoints.bridge.requests import Desk
     from endpoints.environment.ros import RosThread
@@ -58,7 +60,18 @@ async def serve(config: BridgeConfig, typesupport: list[Path]) -> None:
     await ros.start()
     local = LocalRos(ros, [*typesupport, *_system_prefixes(), Path(sys.prefix)])
     offloading = Offloading(config, local)
+    maps = MapMaker(config, local)
     recording: Recording | None = None
+    recorded: Path | None = None
+
+    def end_recording() -> str:
+        nonlocal recording, recorded
+        if recording is None:
+            raise NotFound("no recording runs")
+        ended, recording = recording, None
+        ended.end()
+        recorded = ended.path
+        return f"{ended.messages} messages recorded in {ended.path}"
 
     async def perform(action: Action) -> str:
         nonlocal recording
@@ -75,11 +88,13 @@ async def serve(config: BridgeConfig, typesupport: list[Path]) -> None:
                 recording = await Recording.begin(local, topics, directory)
                 return f"recording into {recording.path}"
             case EndRecording():
-                if recording is None:
-                    raise NotFound("no recording runs")
-                ended, recording = recording, None
-                ended.end()
-                return f"{ended.messages} messages recorded in {ended.path}"
+                return end_recording()
+            case BuildMap():
+                if recording is not None:
+                    end_recording()
+                if recorded is None:
+                    raise NotFound("nothing has been recorded yet")
+                return await maps.make(recorded, action)
         raise AssertionError("every action is one of these")
 
     desk = Desk(config.requests, perform)

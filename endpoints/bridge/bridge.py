@@ -36,11 +36,14 @@ class Offloading:
         """Start unless it is on; returns when everything is carried. Raises why that cannot be."""
         if self._task is None:
             self._task = asyncio.create_task(self._keep_carrying())
+        task = self._task
         carries = asyncio.create_task(self._carries.wait())
-        await asyncio.wait([self._task, carries], return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait([task, carries], return_when=asyncio.FIRST_COMPLETED)
         carries.cancel()
-        if self._task is not None and self._task.done():
-            task, self._task = self._task, None
+        if task.cancelled():
+            raise Unavailable("offloading was stopped while it started")
+        if task.done():
+            self._task = None
             task.result()
 
     async def stop(self) -> None:

@@ -11,6 +11,7 @@ from msgspec import Meta, Struct
 
 from rce import structfile
 from rce.errors import InvalidRequest
+from rce.map_jobs import Mapper
 from rce.messages import ContainerData, ParameterValue, Qos
 
 Name = Annotated[str, Meta(min_length=1)]
@@ -96,7 +97,21 @@ class EndRecording(Struct, frozen=True, forbid_unknown_fields=True, tag_field="a
     """End the recording that runs."""
 
 
-Action = StartOffloading | StopOffloading | Record | EndRecording
+class BuildMap(Struct, frozen=True, forbid_unknown_fields=True, tag_field="action", tag="build_map"):
+    """Have the cloud build a map of what was recorded last (ends a recording that runs).
+
+    The map is published on `topic`, latched; with `out` its files are written there. `scan` and `odometry` name topics of
+    a recording that has several of these types.
+    """
+
+    topic: str = "/cloud_map"
+    mapper: Mapper = "graph"
+    scan: str = ""
+    odometry: str = ""
+    out: Path | None = None
+
+
+Action = StartOffloading | StopOffloading | Record | EndRecording | BuildMap
 
 
 class BridgeConfig(Struct, frozen=True, forbid_unknown_fields=True):

@@ -44,12 +44,11 @@ class Response(Struct, frozen=True):
 
 
 class Desk:
-    """Takes requests, one after the other, and says what becomes of them."""
+    """Takes requests and says what becomes of them."""
 
     def __init__(self, actions: Mapping[str, Action], perform: Perform) -> None:
         self._actions = actions
         self._perform = perform
-        self._turn = asyncio.Lock()
         self._tasks: set[asyncio.Task[None]] = set()
         self._say: RosInterface
         self._codec = TypeRegistry().message(parse_type(STRING))
@@ -81,8 +80,7 @@ class Desk:
         if action is None:
             raise NotFound(f"no request has the id {name[:80]!r}; there are: {', '.join(self._actions) or 'none'}")
         self.say(Response(name, "accepted"))
-        async with self._turn:
-            return await self._perform(action)
+        return await self._perform(action)
 
     async def _answer(self, name: str) -> None:
         try:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from endpoints.bridge.config import Record, read
+from endpoints.bridge.config import BuildMap, Record, read
 from rce.errors import InvalidRequest
 
 HEAD = "{url: 'http://cloud:9000/', user: u, robot: r, environment: {tag: e}"
@@ -25,10 +25,13 @@ def test_a_credential_may_stand_in_the_environment(tmp_path: Path) -> None:
 
 
 def test_requests_by_their_ids(tmp_path: Path) -> None:
-    actions = "rec: {action: record, topics: {/scan: sensor_msgs/LaserScan}, directory: ~/bags}"
+    actions = (
+        "rec: {action: record, topics: {/scan: sensor_msgs/LaserScan}, directory: ~/bags}, map: {action: build_map}"
+    )
     requests = read(config(tmp_path, f"key: k, requests: {{{actions}}}")).requests
     assert requests == {
         "rec": Record({"/scan": "sensor_msgs/LaserScan"}, Path("~/bags").expanduser()),
+        "map": BuildMap(),
     }
 
 
