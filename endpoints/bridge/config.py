@@ -100,8 +100,8 @@ class EndRecording(Struct, frozen=True, forbid_unknown_fields=True, tag_field="a
 class BuildMap(Struct, frozen=True, forbid_unknown_fields=True, tag_field="action", tag="build_map"):
     """Have the cloud build a map of what was recorded last (ends a recording that runs).
 
-    The map is published on `topic`, latched; with `out` its files are written there. `scan` and `odometry` name topics of
-    a recording that has several of these types.
+    The map is published on `topic`, latched; with `out` its files are written there. `scan` and `odometry` name topics
+    of a recording that has several of these types.
     """
 
     topic: str = "/cloud_map"

@@ -47,17 +47,19 @@ class Robot:
 
     def __init__(self, parameters: list[Any]) -> None:
         from rce_mapping import node
+        from rce_mapping.inputs import EVERYTHING
+        from rce_mapping.map_output import LATCHED
 
         self.mapper = node.MapperNode()
         self.node = rclpy.create_node("robot")
         self.poses: list[PoseWithCovarianceStamped] = []
         self.maps: list[OccupancyGrid] = []
         self.paths: list[PathMessage] = []
-        self.node.create_subscription(PoseWithCovarianceStamped, "pose", self.poses.append, node.EVERYTHING)
-        self.node.create_subscription(OccupancyGrid, "map", self.maps.append, node.LATCHED)
-        self.node.create_subscription(PathMessage, "path", self.paths.append, node.LATCHED)
-        self.scans = self.node.create_publisher(LaserScan, "scan", node.EVERYTHING)
-        self.odometry = self.node.create_publisher(Odometry, "odom", node.EVERYTHING)
+        self.node.create_subscription(PoseWithCovarianceStamped, "pose", self.poses.append, EVERYTHING)
+        self.node.create_subscription(OccupancyGrid, "map", self.maps.append, LATCHED)
+        self.node.create_subscription(PathMessage, "path", self.paths.append, LATCHED)
+        self.scans = self.node.create_publisher(LaserScan, "scan", EVERYTHING)
+        self.odometry = self.node.create_publisher(Odometry, "odom", EVERYTHING)
         self.client = self.node.create_client(GetMap, "dynamic_map")
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.mapper)
@@ -183,6 +185,48 @@ def test_pause_reset_and_save(robot: Robot, simulation: Simulation, tmp_path: Pa
     assert robot.poses[-1].pose.pose.position.x == 0.0
 
 
+def test_a_session_is_saved_and_goes_on(robot: Robot, simulation: Simulation, tmp_path: Path) -> None:
+    file = str(tmp_path / "session.npz")
+    for scan in simulation.records[:20]:
+        robot.send_scan(scan)
+    robot.until(lambda: len(robot.poses) == 20)
+    assert call(robot, "slam_toolbox", "SerializePoseGraph", "slam_toolbox/serialize_map", filename=file).result == 0
+    robot.send_scan(simulation.records[20])
+    robot.until(lambda: len(robot.poses) == 21)
+    call(robot, "slam_toolbox", "Reset", "slam_toolbox/reset")
+    call(robot, "slam_toolbox", "DeserializePoseGraph", "slam_toolbox/deserialize_map", filename=file)
+    robot.send_scan(simulation.records[20])
+    robot.until(lambda: len(robot.poses) == 22)
+    assert robot.poses[21].pose.pose == robot.poses[20].pose.pose
+    robot.until(lambda: len(robot.paths[-1].poses) >= 20)
+    answer = call(robot, "slam_toolbox", "SerializePoseGraph", "slam_toolbox/serialize_map", filename="/proc/no/file")
+    assert answer.result == 255
+
+
+def test_the_robot_is_followed_in_a_map_that_was_loaded(robot: Robot, simulation: Simulation, tmp_path: Path) -> None:
+    for scan in simulation.records[:60]:
+        robot.send_scan(scan)
+    robot.until(lambda: len(robot.poses) == 60)
+    map_url = str(tmp_path / "map.yaml")
+    assert call(robot, "nav2_msgs", "SaveMap", "map_saver/save_map", map_url=map_url).result
+    assert call(robot, "nav2_msgs", "LoadMap", "map_server/load_map", map_url="/no/map.yaml").result == 1
+    answer = call(robot, "nav2_msgs", "LoadMap", "map_server/load_map", map_url=map_url)
+    assert answer.result == 0
+    assert answer.map.info.width > 1
+    place = robot.node.create_publisher(PoseWithCovarianceStamped, "initialpose", 10)
+    robot.until(lambda: place.get_subscription_count() == 1)
+    place.publish(robot.poses[39])
+    robot.until(lambda: not robot.mapper.mapper.lost)
+    for scan in simulation.records[40:50]:
+        robot.send_scan(scan)
+    robot.until(lambda: len(robot.poses) == 70)
+    for then, now in zip(robot.poses[40:50], robot.poses[60:70], strict=True):
+        before, after = then.pose.pose.position, now.pose.pose.position
+        assert math.hypot(before.x - after.x, before.y - after.y) < 0.1
+    call(robot, "std_srvs", "Empty", "reinitialize_global_localization")
+    assert robot.mapper.mapper.lost
+
+
 def test_updates_say_what_has_changed_since_the_last_whole_map(robot: Robot, simulation: Simulation) -> None:
     from map_msgs.msg import OccupancyGridUpdate
 
@@ -237,8 +281,8 @@ def test_the_place_of_the_laser_comes_from_tf(robot: Robot, simulation: Simulati
             ]
         )
     )
-    robot.until(lambda: robot.mapper._transforms.place("laser") == pytest.approx((0.5, 0.0, -math.pi)))
-    assert robot.mapper._transforms.place("unknown") == (0.0, 0.0, 0.0)
+    robot.until(lambda: robot.mapper.track.transforms.place("laser") == pytest.approx((0.5, 0.0, -math.pi)))
+    assert robot.mapper.track.transforms.place("unknown") == (0.0, 0.0, 0.0)
     for scan in simulation.records[:3]:
         robot.send_scan(scan, frame="laser")
     robot.until(lambda: len(robot.poses) == 3)
@@ -258,7 +302,7 @@ def test_odometry_from_tf(robot: Robot, simulation: Simulation) -> None:
         out.publish(TFMessage(transforms=[transform("odom", "base_link", x, theta, stamp_of(scan.stamp))]))
         robot.send_scan(scan)
     robot.until(lambda: len(robot.poses) == 5)
-    assert robot.mapper._odometry_expected, "no scan has waited for its odometry in vain"
+    assert robot.mapper.track._odometry_expected, "no scan has waited for its odometry in vain"
 
 
 def test_an_unknown_mapper_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,20 +25,23 @@ OFTEN = 100  # scans; a loss is logged at the first, and then as often
 
 
 class ScanInput:
-    """The topic `scan`: reliable, so that a recording arrives whole; best effort where a driver offers no more.
+    """A topic of scans: reliable, so that a recording arrives whole; best effort where a driver offers no more.
 
     What ROS drops before it is taken, because the mapper does not keep up, is counted and logged.
     """
 
-    def __init__(self, node: Node, take: Callable[[LaserScan], None]) -> None:
+    def __init__(self, node: Node, topic: str, take: Callable[[LaserScan], None]) -> None:
         self.lost = 0
         self._node = node
+        self._topic = topic
         self._take = take
         self._subscribe(EVERYTHING)
 
     def _subscribe(self, qos: QoSProfile) -> None:
         events = SubscriptionEventCallbacks(message_lost=self._on_lost, incompatible_qos=self._on_incompatible)
-        self._subscription = self._node.create_subscription(LaserScan, "scan", self._take, qos, event_callbacks=events)
+        self._subscription = self._node.create_subscription(
+            LaserScan, self._topic, self._take, qos, event_callbacks=events
+        )
 
     def _on_incompatible(self, _: QoSRequestedIncompatibleQoSInfo) -> None:
         if self._subscription.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT:
@@ -89,13 +92,13 @@ class Transforms:
                 self._take(each.header.stamp, _flat(each))
 
 
-def listen_to_odometry(node: Node, take: Callable[[Time, Pose], None]) -> None:
-    """The topic `odom`."""
+def listen_to_odometry(node: Node, topic: str, take: Callable[[Time, Pose], None]) -> None:
+    """The odometry as a topic of its own."""
 
     def on_odometry(message: Odometry) -> None:
         take(message.header.stamp, messages.pose_from(message))
 
-    node.create_subscription(Odometry, "odom", on_odometry, EVERYTHING)
+    node.create_subscription(Odometry, topic, on_odometry, EVERYTHING)
 
 
 def _flat(transform: TransformStamped) -> Pose:

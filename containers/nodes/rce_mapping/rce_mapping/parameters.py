@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from rce.mapping.mapper import MapperSettings
 
 INTERVAL, UPDATES, MAPPER = "map_update_interval", "map_updates_interval", "mapper"
 
@@ -54,6 +57,22 @@ def _count(node: Node, name: str, default: int, bounds: tuple[int, int], descrip
 
 def _text(node: Node, name: str, default: str, description: str) -> None:
     node.declare_parameter(name, default, ParameterDescriptor(description=description, read_only=True))
+
+
+def settings_of(node: Node) -> MapperSettings:
+    return MapperSettings(
+        resolution=number(node, "resolution"),
+        max_range=number(node, "max_range"),
+        particles=int(number(node, "particles")),
+        seed=int(number(node, "seed")),
+    )
+
+
+def texts(node: Node, name: str, description: str) -> list[str]:
+    """Declare a list of texts, which has no default; empty if it is not set."""
+    kind = Parameter.Type.STRING_ARRAY
+    node.declare_parameter(name, kind, ParameterDescriptor(description=description, read_only=True))
+    return [str(each) for each in node.get_parameter_or(name, Parameter(name, kind, [])).value or []]
 
 
 def number(node: Node, name: str) -> float:

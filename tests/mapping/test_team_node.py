@@ -1,0 +1,72 @@
+"""The node with which several robots build one map together."""
+
+# ruff: noqa: E402  (ROS is imported only where it is there)
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from array import array
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rce.mapping.simulation import Simulation
+
+rclpy = pytest.importorskip("rclpy", reason="needs the extra `ros`")
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.executors import SingleThreadedExecutor
+from sensor_msgs.msg import LaserScan
+from std_msgs.msg import String
+
+PACKAGE = Path(__file__).parents[2] / "containers" / "nodes" / "rce_mapping"
+TURNS = 4000  # of the executor before a test gives up
+NAMES = "one", "two"
+
+
+def test_each_robot_is_answered_under_its_name(monkeypatch: pytest.MonkeyPatch, simulation: Simulation) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setattr(sys, "path", [str(PACKAGE), *sys.path])
+    rclpy.init(args=["--ros-args", "-p", "robots:=[one, two]"], domain_id=os.getpid() % 100 + 1)
+    from rce_mapping.map_output import LATCHED
+    from rce_mapping.team import TeamNode
+
+    team, node = TeamNode(), rclpy.create_node("robots")
+    executor = SingleThreadedExecutor()
+    executor.add_node(team)
+    executor.add_node(node)
+    said: dict[str, list[Any]] = {name: [] for name in NAMES}
+    poses: dict[str, list[Any]] = {name: [] for name in NAMES}
+    out = {name: node.create_publisher(LaserScan, f"{name}/scan", 10) for name in NAMES}
+    for name in NAMES:
+        node.create_subscription(String, f"{name}/team", said[name].append, LATCHED)
+        node.create_subscription(PoseWithCovarianceStamped, f"{name}/pose", poses[name].append, 10)
+
+    def until(done: Callable[[], bool]) -> None:
+        for _ in range(TURNS):
+            if done():
+                return
+            executor.spin_once(timeout_sec=0.05)
+        raise AssertionError("it never came to that")
+
+    try:
+        until(lambda: all(each.get_subscription_count() for each in out.values()))
+        until(lambda: all(said.values()))
+        assert [json.loads(each[-1].data) for each in said.values()] == [["one"], ["two"]]
+        for count, scan in enumerate(simulation.records[:5], 1):
+            for name, publisher in out.items():
+                message = LaserScan(angle_min=scan.angle_min, angle_increment=scan.angle_increment)
+                message.range_max, message.ranges = scan.range_max, array("f", scan.ranges.tobytes())
+                message.header.stamp = Time(sec=int(scan.stamp), nanosec=int(scan.stamp % 1 * 1e9))
+                publisher.publish(message)
+                until(lambda name=name, count=count: len(poses[name]) == count)  # type: ignore[misc]
+    finally:
+        executor.shutdown()
+        team.destroy_node()
+        node.destroy_node()
+        rclpy.shutdown()
