@@ -119,6 +119,7 @@ class Jobs:
         if waiting >= self._limits.queued:
             text = f"{waiting} jobs of yours wait already, and {self._limits.queued} may: wait, or cancel some"
             raise LimitExceeded(text, limit=self._limits.queued)
+        self._uploads().check_quota(user)
         name = new_id()
         place = self._shelf.place(name)
         place.mkdir(mode=0o700)

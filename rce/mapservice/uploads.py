@@ -19,6 +19,7 @@ from rce.mapservice.kinds import HEAD, check_head, suffix_of
 
 PIECE = 4 * 1024 * 1024  # bytes that are written at once
 DAY = 86_400.0
+FILES_MOST = 1000  # of one user: also small ones take room
 UNFINISHED = DAY  # seconds that an upload may rest
 
 
@@ -71,6 +72,9 @@ class Uploads:
             raise InvalidRequest(f"{name} is empty", field="Upload-Length")
         if length > self._limits.file:
             raise _exceeded("a file may have", self._limits.file, length)
+        if len(self.of(user)) >= FILES_MOST:
+            text = f"you have {FILES_MOST} files here already: remove some that you do not need"
+            raise LimitExceeded(text, limit=FILES_MOST)
         used = self.used(user)
         if used + length > self._limits.user:
             raise _exceeded(f"you have {used} bytes here already; all your files may have", self._limits.user, length)
@@ -83,6 +87,13 @@ class Uploads:
         self.path(upload).touch(mode=0o600)
         self._shelf.put(upload, self._stored[upload])
         return self.get(user, upload)
+
+    def check_quota(self, user: str) -> None:
+        """LimitExceeded if there is no room for more results of this user."""
+        used = self.used(user)
+        if used >= self._limits.user:
+            text = f"you have {used} bytes here, and may have {self._limits.user}: remove jobs or uploads"
+            raise LimitExceeded(text, limit=self._limits.user)
 
     def get(self, user: str, upload: str, field: str = "") -> Upload:
         """NotFound also for another user's."""

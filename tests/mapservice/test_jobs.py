@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from hand_turned import HandTurnedLoop
 from maps_in_memory import LIMITS, FakeMaster, FakeWorkers
+from msgspec.structs import replace
 
 from rce.errors import Died, InvalidRequest, LimitExceeded, NoCapacity, NotFound, Unavailable
 from rce.map_jobs import Job, JobRequest, MapOptions
@@ -123,6 +124,14 @@ def test_so_many_may_wait(bench: Bench) -> None:
     assert len(list((bench.directory / "jobs").iterdir())) == 5
 
 
+def test_results_take_their_part_of_the_quota(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    upload = bench.upload("ann")
+    bench.finish(bench.submit("ann", upload))
+    monkeypatch.setattr(bench.uploads, "_limits", replace(LIMITS.uploads, user=bench.uploads.used("ann")))
+    with pytest.raises(LimitExceeded, match="remove jobs or uploads"):
+        bench.submit("ann", upload)
+
+
 @pytest.mark.parametrize("error", [Unavailable("the Master is away"), NoCapacity("no machine has room")])
 def test_what_is_nobodys_fault_is_tried_again(bench: Bench, error: Exception) -> None:
     job = bench.submit("ann")
@@ -188,7 +197,9 @@ def test_cancelling(bench: Bench) -> None:
 
 
 def test_a_job_begins_anew_when_the_service_died(bench: Bench) -> None:
-    job, waiting = bench.submit("ann"), bench.submit("ann")
+    job = bench.submit("ann")
+    bench.loop.turn(1)
+    waiting = bench.submit("ann")
     bench.loop.do(lambda: bench.workers.tell(job.id, Report("mapping", 7, 12)))
     bench.die()
     bench.begin()

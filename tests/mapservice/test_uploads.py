@@ -160,6 +160,21 @@ def test_limits(tmp_path: Path, clock: Clock) -> None:
         make(tmp_path, clock, spare=2**60).create("cleo", "a.bag", 1)
 
 
+def test_so_many_files(uploads: Uploads, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rce.mapservice.uploads.FILES_MOST", 2)
+    for _ in range(2):
+        uploads.create("ann", "a.bag", 1)
+    with pytest.raises(LimitExceeded, match="2 files"):
+        uploads.create("ann", "a.bag", 1)
+    uploads.create("bob", "a.bag", 1)
+
+
+def test_results_count_and_end_the_room_for_more(tmp_path: Path, clock: Clock) -> None:
+    make(tmp_path, clock, results=11_999_999).check_quota("ann")
+    with pytest.raises(LimitExceeded, match="remove jobs or uploads"):
+        make(tmp_path, clock, results=12_000_000).check_quota("ann")
+
+
 async def test_uploads_are_their_users(uploads: Uploads) -> None:
     upload = uploads.create("ann", "a.bag", len(BAG), "mark")
     with pytest.raises(NotFound):
