@@ -49,6 +49,11 @@ WITH_ENVIRONMENTS = """\
 KillMode=process
 RestrictAddressFamilies=AF_INET AF_INET6 AF_UNIX AF_NETLINK
 """
+# Its environments hold ROS domains by locks in /tmp, which all platforms of this host share and which outlive it.
+WITH_PROCESSES = """\
+PrivateTmp=no
+ReadWritePaths=/tmp
+"""
 
 
 def text(role: str, engine: str = "") -> str:
@@ -68,6 +73,7 @@ def text(role: str, engine: str = "") -> str:
         f"LimitNOFILE=65536\n"
         f"{HARDENING}"
         f"{WITH_ENVIRONMENTS if role == 'container' else FACING_THE_NETWORK}"
+        f"{WITH_PROCESSES if engine == 'process' and role == 'container' else ''}"
         f"{''.join(f'InaccessiblePaths=-{path}{chr(10)}' for path in SECRETS[role])}"
         f"\n[Install]\nWantedBy=multi-user.target\n"
     )

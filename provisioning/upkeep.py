@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 BACKUPS = f"{VAR}/backup"
 IMAGES = ("rce/base", "rce/mapping", "rce/ground", "rce/system")
+LOCKS = "/tmp/rce-domains"  # of the engine process
 PATIENCE = 10.0  # seconds for processes to end
 
 
@@ -125,7 +126,7 @@ def uninstall_steps(system: System, purge: bool) -> list[Step]:
     return [
         *steps,
         Step("images", lambda: "remove " + " ".join(IMAGES) if docker_answers() else "", _remove_images),
-        _remove_step(system, "settings and data", [ETC, VAR]),
+        _remove_step(system, "settings and data", [ETC, VAR, LOCKS]),
         Step("user", lambda: f"remove {USER}" if system.has_user() else "", _remove_user),
     ]
 
