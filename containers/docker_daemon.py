@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,8 @@ RUN, SIZE, GPUS = "rce.run", "rce.size", "rce.gpus"
 VERSION = "rce.version"  # of images
 LONGEST_HOSTNAME = 63
 STOP_TIMEOUT = 12  # seconds; the endpoint stops its nodes by SIGINT, SIGTERM, SIGKILL in less
+KILLED = 128 + 9  # exit status of what the kernel or somebody else has killed
+SECOND_LOOKS, PAUSE = 5, 0.2  # seconds
 CONFLICT = 409  # another removal of the same container is under way
 
 
@@ -88,8 +91,13 @@ class Daemon(Asked):
         await self._call(lambda: self._remove(label))
 
     async def state(self, run: str) -> State | None:
-        """How a container stands, None if there is none."""
-        return await self._call(lambda: self._state(run))
+        """How a container stands, None if there is none. That memory was used up Docker may know only after the end."""
+        for _ in range(SECOND_LOOKS):
+            state = await self._call(lambda: self._state(run))
+            if state is None or state.status != KILLED or state.out_of_memory:
+                break
+            await asyncio.sleep(PAUSE)
+        return state
 
     async def process(self, run: str) -> int:
         """The process id of a running container's first process, as the host sees it."""
