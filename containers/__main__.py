@@ -81,7 +81,8 @@ def make_engine(
         )
     try:
         from containers.docker import NAMESERVERS, DockerEngine
-        from containers.swarm import AgentService, SwarmEngine
+        from containers.swarm import SwarmEngine
+        from containers.swarm_spec import AgentService
     except ModuleNotFoundError as error:
         raise StartFailed(
             f"the {settings.engine} engine needs docker-py ({error}): pip install 'rce[docker]'"

@@ -11,15 +11,12 @@ A service cannot be without a network, so each has one of its own that leads now
 from __future__ import annotations
 
 import asyncio
-import os
 import secrets
 from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from weakref import WeakValueDictionary
 
-import msgspec
-from msgspec import Struct
 from twisted.internet.base import ReactorBase
 from twisted.logger import Logger
 
@@ -27,43 +24,23 @@ from containers.data_relay import GATE
 from containers.docker_daemon import RUN, SIZE
 from containers.docker_events import Event
 from containers.docker_networks import ENVIRONMENT, GROUP, group_network
-from containers.docker_options import CONTROL, Size, limits, reference, variables
+from containers.docker_options import CONTROL, Size, limits, reference
 from containers.engine import Ended, Engine, Life
 from containers.settings import is_local
-from containers.swarm_agents import Agents
+from containers.swarm_agents import Agents, Kept
 from containers.swarm_manager import AGENT, Found, Manager, Network, Node
-from containers.swarm_spec import FEATURE, Names, agent_task, environment_task
+from containers.swarm_spec import FEATURE, AgentService, Names, agent_task, check, environment_task, surroundings
 from rce import __version__
 from rce.calls import ContainerEnded, EnvironmentSpec
 from rce.errors import InvalidRequest, NoCapacity, StartFailed, TimedOut, Unavailable
-from rce.messages import Rates
 from rce.tls import Tls
 
 log = Logger()
 COMMAND: Sequence[str] = ("python3", "-P", "-m", "endpoints.environment")
-AGENT_COMMAND: Sequence[str] = ("python3", "-P", "-m", "containers.agent")
 AGENTS_TIMEOUT = 30.0  # seconds for the agents to come up when the engine opens
 START_TIMEOUT = 120.0  # for a task to run
 END_TIMEOUT = 30.0  # for a task to end that was told to
 SECOND_LOOK = 3.0  # after this Swarm knows what an agent knew before
-
-
-class AgentService(Struct, frozen=True):
-    """How the agents are made. `address` is where they reach this task set; empty: that of the manager's node.
-    `data_port` is where they take data links from other machines; 0: any that is free."""
-
-    image: str
-    address: str = ""
-    data_port: int = 0
-    mounts: Sequence[str] = ()
-    command: Sequence[str] = AGENT_COMMAND
-
-
-class _Kept(Struct, frozen=True):
-    """What agents know of their task set, the same for the next one."""
-
-    secret: str
-    port: int
 
 
 @dataclass
@@ -131,7 +108,7 @@ class SwarmEngine(Engine):
         self._agents.know(relays)
 
     async def launch(self, spec: EnvironmentSpec) -> None:
-        _check(spec)
+        check(spec)
         granted = limits(spec, [], self._largest())
         image, constraints = self._fit(spec)
         names = Names.of(self._labels, spec.name, spec.run)
@@ -141,9 +118,7 @@ class SwarmEngine(Engine):
         if spec.group is not None:
             network = Network(group_network(self._labels, spec.group.name), spec.group.subnet)
             labels[GROUP] = network.name
-        values = variables(spec, names.places, "", {**self._settings, "relay": f"{CONTROL}/{GATE}"})
-        values |= _in_group(spec)
-        values = {key: _literal(value) for key, value in values.items()} | {"RCE_HOST": "{{.Node.ID}}"}
+        values = surroundings(spec, names, {**self._settings, "relay": f"{CONTROL}/{GATE}"})
         task = environment_task(
             spec,
             granted,
@@ -223,30 +198,24 @@ class SwarmEngine(Engine):
                 "Master: give one that they do",
                 field="master",
             )
-        kept = self._load()
+        kept = Kept.load(self._file)
         self._agents = Agents(kept.secret, self._reported, self._container_ended)
         address = self._agent.address or self._manager.address
         try:
             port = await self._agents.listen(self._reactor, f"tcp:{kept.port}:interface={address}", self._tls)
         except OSError as error:
             raise Unavailable(f"the agents of the swarm cannot be taken at {address}: {error}") from None
-        self._keep(_Kept(kept.secret, port))
-        surroundings = {
+        Kept(kept.secret, port).store(self._file)
+        image = await self._manager.image(self._agent.image) or self._agent.image
+        known = {
             "RCE_MASTER": self._master,
             "RCE_TASK_SET": f"tcp:{address}:{port}",
             "RCE_TOKEN": kept.secret,
-            "RCE_NODE": "{{.Node.ID}}",
             "RCE_PLATFORM": self._labels["rce.platform"],
             "RCE_DIRECTORY": self._labels["rce.directory"],
-            "RCE_DATA_PORT": str(self._agent.data_port),
         }
-        mounts, image = list(self._agent.mounts), await self._manager.image(self._agent.image) or self._agent.image
-        if self._tls is not None:  # each node has its own certificate there
-            surroundings["RCE_TLS"] = str(self._tls.directory)
-            mounts.append(str(self._tls.directory))
-        task = agent_task(
-            image, self._agent.command, surroundings, {**self._labels, AGENT: "yes"}, self._manager.volumes, mounts
-        )
+        labels = {**self._labels, AGENT: "yes"}
+        task = agent_task(self._agent, image, known, labels, self._manager.volumes, self._tls)
         await self._manager.keep_agents(self._agent_name, task)
         lacking = await self._agents.wait_for(usable, AGENTS_TIMEOUT)
         for node in lacking:
@@ -286,20 +255,6 @@ class SwarmEngine(Engine):
         if node is None or not node.usable:
             return False
         return found.running if report is None else found.run in report.runs
-
-    def _load(self) -> _Kept:
-        self._file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        try:
-            return msgspec.json.decode(self._file.read_bytes(), type=_Kept)
-        except FileNotFoundError:
-            return _Kept(secrets.token_hex(32), 0)
-
-    def _keep(self, kept: _Kept) -> None:
-        draft = self._file.with_suffix(".new")
-        draft.unlink(missing_ok=True)
-        with os.fdopen(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
-            file.write(msgspec.json.encode(kept))
-        draft.rename(self._file)
 
     # --- ends ---------------------------------------------------------------------------------------------------------
 
@@ -391,27 +346,3 @@ class SwarmEngine(Engine):
     def _looked(self, task: asyncio.Task[None]) -> None:
         if not task.cancelled() and (error := task.exception()):
             log.error("the swarm could not be asked: {error}", error=str(error))
-
-
-def _check(spec: EnvironmentSpec) -> None:
-    """InvalidRequest for what services of a swarm do not have."""
-    asked = {name: getattr(spec.options, name) for name in ("disk", "bandwidth", "packages", "groupIP", "groupIp")}
-    asked["egress"] = spec.egress if spec.egress != "none" else ""
-    asked["io"] = spec.options.io if spec.options.io != Rates() else None
-    for field in [field for field, value in asked.items() if value]:
-        raise InvalidRequest(
-            f"environment {spec.name}: the swarm engine has no {field}; use docker", field=f"containerData.{field}"
-        )
-
-
-def _in_group(spec: EnvironmentSpec) -> dict[str, str]:
-    """Swarm chooses the address of a task, which finds it out itself; others are known by their containerTags."""
-    if spec.group is None:
-        return {}
-    own = spec.name.partition("/")[2]
-    return {"RCE_ADDRESS": spec.group.subnet, "RCE_PEERS": ",".join(tag for tag in spec.group.members if tag != own)}
-
-
-def _literal(value: str) -> str:
-    """A value as Swarm, which takes it for a template, shall give it on."""
-    return value.replace("{{", '{{"{{"}}')

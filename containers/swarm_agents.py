@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import hmac
+import os
+import secrets
 from collections import Counter
 from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 
+import msgspec
+from msgspec import Struct
 from twisted.internet.base import ReactorBase
 from twisted.internet.interfaces import IListeningPort
 from twisted.logger import Logger
@@ -21,6 +26,29 @@ from rce.tls import Tls
 
 log = Logger()
 ROLE = "agent"
+
+
+class Kept(Struct, frozen=True):
+    """What agents know of their task set, the same for the next one; `port` is 0 before the first."""
+
+    secret: str
+    port: int
+
+    @staticmethod
+    def load(file: Path) -> Kept:
+        try:
+            return msgspec.json.decode(file.read_bytes(), type=Kept)
+        except FileNotFoundError:
+            return Kept(secrets.token_hex(32), 0)
+
+    def store(self, file: Path) -> None:
+        """Readable by its owner only; raises OSError."""
+        file.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        draft = file.with_suffix(".new")
+        draft.unlink(missing_ok=True)
+        with os.fdopen(os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as stream:
+            stream.write(msgspec.json.encode(self))
+        draft.rename(file)
 
 
 @dataclass

@@ -22,8 +22,12 @@ from containers.docker_options import (
     USER,
     Limits,
     Places,
+    variables,
 )
 from rce.calls import EnvironmentSpec
+from rce.errors import InvalidRequest
+from rce.messages import Rates
+from rce.tls import Tls
 
 Spec = dict[str, Any]
 SOCKETS = "/run/rce-user"  # where a container sees the sockets of its user's environments on its node
@@ -32,7 +36,19 @@ SOCKETS_SIZE, SOCKETS_INODES = 64 * 1024, 1000
 FEATURE = "node.labels.rce.feature."  # a node that has a special feature has this label with the value `true`
 GPU = "NVIDIA-GPU"  # the generic resource that Docker's own manual has for them
 DOCKER_SOCKET = "/var/run/docker.sock"
+NODE = "{{.Node.ID}}"  # Swarm puts the id of the node there where the task runs
 NANO = 1_000_000_000
+
+
+class AgentService(Struct, frozen=True):
+    """How the agents are made. `address` is where they reach this task set; empty: that of the manager's node.
+    `data_port` is where they take data links from other machines; 0: any that is free."""
+
+    image: str
+    address: str = ""
+    data_port: int = 0
+    mounts: Sequence[str] = ()
+    command: Sequence[str] = ("python3", "-P", "-m", "containers.agent")
 
 
 class Names(Struct, frozen=True):
@@ -66,6 +82,36 @@ class Names(Struct, frozen=True):
     def places(self) -> Places:
         """As the environment sees them."""
         return Places(Path(CONTROL), Path(SOCKETS) / f"{self.run}.sock")
+
+
+def check(spec: EnvironmentSpec) -> None:
+    """InvalidRequest for what services of a swarm do not have."""
+    asked = {name: getattr(spec.options, name) for name in ("disk", "bandwidth", "packages", "groupIP", "groupIp")}
+    asked["egress"] = spec.egress if spec.egress != "none" else ""
+    asked["io"] = spec.options.io if spec.options.io != Rates() else None
+    for field in [field for field, value in asked.items() if value]:
+        raise InvalidRequest(
+            f"environment {spec.name}: the swarm engine has no {field}; use docker", field=f"containerData.{field}"
+        )
+
+
+def surroundings(spec: EnvironmentSpec, names: Names, settings: Mapping[str, str]) -> dict[str, str]:
+    """What the Environment endpoint finds in its environment."""
+    values = variables(spec, names.places, "", settings) | _in_group(spec)
+    return {key: _literal(value) for key, value in values.items()} | {"RCE_HOST": NODE}
+
+
+def _in_group(spec: EnvironmentSpec) -> dict[str, str]:
+    """Swarm chooses the address of a task, which finds it out itself; others are known by their containerTags."""
+    if spec.group is None:
+        return {}
+    own = spec.name.partition("/")[2]
+    return {"RCE_ADDRESS": spec.group.subnet, "RCE_PEERS": ",".join(tag for tag in spec.group.members if tag != own)}
+
+
+def _literal(value: str) -> str:
+    """A value as Swarm, which takes it for a template, shall give it on."""
+    return value.replace("{{", '{{"{{"}}')
 
 
 def environment_task(
@@ -128,18 +174,21 @@ def environment_task(
 
 
 def agent_task(
-    image: str,
-    command: Sequence[str],
-    variables: Mapping[str, str],
-    labels: Mapping[str, str],
-    volumes: str,
-    mounts: Sequence[str],
+    agent: AgentService, image: str, known: Mapping[str, str], labels: Mapping[str, str], volumes: str, tls: Tls | None
 ) -> Spec:
-    """One agent on each node, in its network; `volumes` is where Docker keeps volumes, on all nodes alike."""
+    """One agent on each node, in its network; `known` is what it is told of the task set and the Master.
+
+    `volumes` is where Docker keeps volumes, and `tls` where each node has its own certificate, on all nodes alike.
+    """
+    variables = {**known, "RCE_NODE": NODE, "RCE_DATA_PORT": str(agent.data_port)}
+    mounts = list(agent.mounts)
+    if tls is not None:
+        variables["RCE_TLS"] = str(tls.directory)
+        mounts.append(str(tls.directory))
     return {
         "ContainerSpec": {
             "Image": image,
-            "Args": list(command),
+            "Args": list(agent.command),
             "Env": [f"{key}={value}" for key, value in variables.items()],
             "Labels": dict(labels),
             "User": "0:0",

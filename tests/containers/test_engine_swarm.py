@@ -18,7 +18,8 @@ docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce
 from swarm_nodes import HOST_IMAGE, Node, Swarm, host_mounts, load_host_image, swarm_of
 
 from containers.engine import Ended, Engine
-from containers.swarm import AgentService, SwarmEngine
+from containers.swarm import SwarmEngine
+from containers.swarm_spec import AgentService
 from rce.calls import EnvironmentSpec
 from rce.errors import InvalidRequest, LimitExceeded, NoCapacity, StartFailed
 from rce.messages import ContainerData, Rates
