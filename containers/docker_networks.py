@@ -32,6 +32,7 @@ from rce.errors import StartFailed, Unavailable
 log = Logger()
 ENVIRONMENT, GROUP, EGRESS = "rce.environment", "rce.group", "rce.egress"
 BRIDGE, NO_ADDRESS = "com.docker.network.bridge.name", "com.docker.network.bridge.inhibit_ipv4"
+WITHIN = {NO_ADDRESS: "true", "com.docker.network.driver.mtu": "65000"}  # it never leaves this machine
 EGRESS_PREFIX = 30  # the bridge and the environment
 NO_NAMESERVER = "127.0.0.1"  # Docker's resolver asks it from within the container: only names of the group are found
 R = TypeVar("R")
@@ -224,7 +225,7 @@ def _create(api: docker.APIClient, network: Network) -> None:
     api.create_network(
         network.name,
         driver="bridge",
-        options={BRIDGE: network.bridge, **({NO_ADDRESS: "true"} if internal else {})},
+        options={BRIDGE: network.bridge, **(WITHIN if internal else {})},
         ipam=IPAMConfig(pool_configs=[IPAMPool(subnet=network.subnet)]),
         check_duplicate=True,
         internal=internal,

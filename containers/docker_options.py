@@ -19,7 +19,8 @@ from rce.errors import LimitExceeded
 from rce.messages import Rates
 from rce.slots import MB
 
-SHARED_MEMORY, HOME_SIZE, TEMPORARY_SIZE = 256 * MB, 256 * MB, 128 * MB  # all in memory, and counted in its limit
+# In memory, and counted in its limit; so is /dev/shm, where Fast DDS takes a segment for each process: it has no other.
+HOME_SIZE, TEMPORARY_SIZE = 256 * MB, 128 * MB
 INODES = 50_000  # of each file system in memory
 OPEN_FILES = 4096
 LOG_SIZE = "2m"
@@ -134,7 +135,7 @@ def walls(
         "read_only": True,
         "mounts": mounts,
         "tmpfs": tmpfs,
-        "shm_size": SHARED_MEMORY,
+        "shm_size": granted.memory,
         "mem_limit": granted.memory,
         "memswap_limit": granted.memory,
         "nano_cpus": int(granted.cpu * 1e9),

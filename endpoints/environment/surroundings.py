@@ -80,7 +80,8 @@ INTERFACE = """
           <address>{address}</address>
           <address>{loopback}</address>
         </interfaceWhiteList>
-        <maxInitialPeersRange>{participants}</maxInitialPeersRange>"""
+        <maxInitialPeersRange>{participants}</maxInitialPeersRange>
+        <receiveBufferSize>{buffer}</receiveBufferSize>"""
 PEERS = """
           <initialPeersList>{locators}
           </initialPeersList>"""
@@ -92,6 +93,7 @@ LOCATOR = """
             </locator>"""
 MULTICAST = "239.255.0.1"  # RTPS 2.5, 9.6.2.4
 LOOPBACK = "127.0.0.1"  # without it nodes of one environment do not find each other, or a second later
+BUFFER = 4 * MB  # for bursts of large messages; the kernel gives net.core.rmem_max at most
 PARTICIPANTS = 32  # processes with ROS of one environment that others find without multicast
 
 
@@ -117,7 +119,9 @@ def _profile(settings: Settings) -> str:
         segment=settings.shared_memory * MB,
         heartbeat=HEARTBEAT,
         transports="".join(f"<transport_id>{name}</transport_id>" for name in names),
-        interface=INTERFACE.format(address=address, loopback=LOOPBACK, participants=PARTICIPANTS) if address else "",
+        interface=INTERFACE.format(address=address, loopback=LOOPBACK, participants=PARTICIPANTS, buffer=BUFFER)
+        if address
+        else "",
         peers=PEERS.format(locators=locators) if address else "",
     )
 

@@ -56,3 +56,18 @@ def test_unknown_route() -> None:
     done = rce("bench", "rtt", "--routes", "n2n,c2x")
     assert done.returncode == 1
     assert "c2x" in done.stderr
+
+
+def test_between_two_environments() -> None:
+    done = rce("bench", "rtt", "--routes", "c2c,group", "--sizes", "2", "--samples", "1", "--json")
+    assert done.returncode == 0, done.stderr
+    series = {each["name"]: each for each in json.loads(done.stdout)["series"]}
+    assert set(series) == {f"{route} {kind}" for route in ("c2c", "group") for kind in ("string", "bytes", "service")}
+    assert all(min(taken) > 0 for each in series.values() for taken in each["seconds"].values())
+    assert series["group service"]["transport"] == "service"
+
+
+def test_two_machines_are_told_by_their_features() -> None:
+    done = rce("bench", "rtt", "--routes", "c2c2", "--quick")
+    assert done.returncode == 1
+    assert "--features" in done.stderr

@@ -99,6 +99,19 @@ async def test_two_environments_of_a_user_talk(contained: RealPlatform) -> None:
             assert await anext(aiter(heard)) == {"data": "hello"}
 
 
+async def test_as_many_nodes_as_memory_allows(contained: RealPlatform) -> None:
+    """Fast DDS takes 64 MB of shared memory for each."""
+    async with contained.robot("r7") as robot, robot.environment("full") as full:
+        for number in range(5):
+            await full.add_node(f"echo{number}", "rce_demo", "echo.py")
+        heard = await full.subscriber("/heard", STRING)
+        say = await full.publisher("/say", STRING)
+        async with asyncio.timeout(30):
+            await say.publish({"data": "all"})
+            for _ in range(5):
+                assert await anext(aiter(heard)) == {"data": "all"}
+
+
 async def test_what_a_hostile_node_can_reach(contained: RealPlatform, images: Any) -> None:
     async with contained.robot("r2") as robot, robot.environment("hostile"):
         (container,) = [each["Id"] for each in containers(images, contained)]

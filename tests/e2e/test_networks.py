@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import subprocess
 from collections.abc import AsyncIterator, Iterator, Sequence
 from contextlib import AsyncExitStack
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 
 REACH = Path(reach.__file__).read_text()
 STRING = "std_msgs/String"
+MPI_IMAGE = os.environ.get("RCE_TEST_MPI_IMAGE", "")
+PACKAGES = Path(__file__).parents[1] / "ros"
 Target = tuple[str, str, int]  # kind, address, port
 LISTEN = """
 import json, time, rclpy
@@ -105,7 +108,9 @@ async def platform(inside: Any, tmp_path_factory: pytest.TempPathFactory) -> Asy
         rce_user(directory, "add", user, given=f"{user}\n")
         if egress != "none":
             rce_user(directory, "limits", user, f"egress={egress}")
-    platform = RealPlatform(directory, "--engine", "docker", "--host", "0.0.0.0", "--size", "12", dev=False)
+    rce_user(directory, "limits", "ann", f"images={MPI_IMAGE}")
+    packages = ["--package-path", str(PACKAGES)]
+    platform = RealPlatform(directory, "--engine", "docker", "--host", "0.0.0.0", "--size", "12", *packages, dev=False)
     await platform.start()
     yield platform
     await platform.stop()
@@ -168,6 +173,21 @@ async def test_members_know_each_other_and_later_ones_too(platform: RealPlatform
         async with asyncio.timeout(10):
             ready = await anext(events)
         assert ready == EnvironmentEvent("First", "ready", address=first.addresses["group"])
+
+
+@pytest.mark.skipif(not MPI_IMAGE, reason="RCE_TEST_MPI_IMAGE names an image made from tests/ros/Mpi/image/Dockerfile")
+async def test_open_mpi_over_a_group_of_three(platform: RealPlatform) -> None:
+    async with robot(platform, "ann", "r3") as ann, AsyncExitStack() as stack:
+        made = [
+            stack.enter_async_context(ann.environment(tag, group="mpi", image=MPI_IMAGE)) for tag in ("m1", "m2", "m3")
+        ]
+        first, *others = await asyncio.gather(*made)
+        for each in others:
+            await each.add_node("member", "Mpi", "member.py")
+        said = await first.subscriber("/mpi", STRING)
+        await first.add_node("launch", "Mpi", "launch.py", args="m1 m2 m3")
+        async with asyncio.timeout(60):
+            assert await anext(aiter(said)) == {"data": "sum 6 of 3 ranks on m1 m2 m3"}
 
 
 async def test_what_hostile_nodes_reach(platform: RealPlatform, inside: Any, island: Island) -> None:
