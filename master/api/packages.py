@@ -92,8 +92,8 @@ class PackagesApi:
         announced = upload.announced
         self._check_quota(announced, 0)
         version = Version(contents.digest, contents.size, contents.packages, 0)
-        package = packages.add(self._master.state, announced.user, announced.name, version)
         self._depot.keep(upload)
+        package = packages.add(self._master.state, announced.user, announced.name, version)
         await self._master.save()
         return Answer(_shown(package, announced.user), 201)
 

@@ -48,7 +48,7 @@ async def test_pushed_and_seen_by_who_asks(contained_bare: RealPlatform, images:
             await brain.add_node("echo", "Test", "stringEcho.py")
             await echo(brain)
             (container,) = containers(images, contained_bare)
-            words = ["sh", "-c", f"ls {cache}; touch {mount['Destination']}/x"]
+            words = ["sh", "-c", f"exec 2>&1; ls {cache}; touch {mount['Destination']}/x"]
             call = images.exec_create(container["Id"], words)
             seen = (await asyncio.to_thread(images.exec_start, call["Id"])).decode()
             assert seen.splitlines()[0] == Path(mount["Source"]).name
