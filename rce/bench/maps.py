@@ -96,11 +96,10 @@ async def _measure(large: Path, small: Path, ours: MapService, other: MapService
         began = time.perf_counter()
         job = await asyncio.to_thread(ours.submit, [upload.id])
         checked = time.perf_counter() - began
-        await asyncio.to_thread(_until_mapping, ours, job.id)
         began = time.perf_counter()
         done = await asyncio.to_thread(_whole_job, other, small)
         needed = time.perf_counter() - began
-        seen = ours.job(job.id)
+        seen = await asyncio.to_thread(_when_mapping, ours, job.id)
         await asyncio.to_thread(ours.cancel, job.id)
         last = await asyncio.to_thread(_until_over, ours, job.id)
     if done.state != "done" or last.state != "cancelled":
@@ -120,10 +119,9 @@ async def _timed(work: Any, *arguments: Any) -> float:
     return time.perf_counter() - began
 
 
-def _until_mapping(service: MapService, job: str) -> None:
-    for seen in service.watch(job):
-        if seen.scans > 0 or seen.state in OVER:
-            return
+def _when_mapping(service: MapService, job: str) -> Job:
+    """The job as soon as scans of it are mapped, or when it is over."""
+    return next(seen for seen in service.watch(job) if seen.scans > 0 or seen.state in OVER)
 
 
 def _until_over(service: MapService, job: str) -> Job:

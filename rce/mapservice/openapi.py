@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Awaitable, Callable
 from typing import Any, NamedTuple, get_args, get_origin
 
 import msgspec
@@ -11,7 +12,9 @@ from aiohttp.typedefs import Handler
 from msgspec import Struct
 
 import rce
+from rce.errors import RceError
 from rce.map_jobs import PREFIX, Job, JobRequest, Problem, Upload
+from rce.mapservice.problems import answer
 from rce.mapservice.rest import PIECE_TYPE, Rest
 
 REF = "#/components/schemas/{name}"
@@ -141,14 +144,27 @@ def _operation(route: Route) -> dict[str, Any]:
     return operation
 
 
-def add(application: web.Application, table: list[Route]) -> None:
-    """The routes, and the document that describes them."""
+def add(application: web.Application, table: list[Route], asked: Callable[[web.Request], Awaitable[None]]) -> None:
+    """The routes, and the document that describes them.
+
+    `asked` raises why a client that asks first (`Expect: 100-continue`) need not send its body.
+    """
+
+    async def expect(request: web.Request) -> web.StreamResponse | None:
+        try:
+            await asked(request)
+        except RceError as error:
+            return answer(error)
+        if request.transport is not None:
+            request.transport.write(b"HTTP/1.1 100 Continue\r\n\r\n")
+        return None
+
     text = msgspec.json.format(msgspec.json.encode(document(table)), indent=1)
 
     async def describe(_: web.Request) -> web.Response:
         return web.Response(body=text, content_type="application/json")
 
     for route in table:
-        application.router.add_route(route.method, PREFIX + route.path, route.handler)
+        application.router.add_route(route.method, PREFIX + route.path, route.handler, expect_handler=expect)
     for path in ("", "/", "/openapi.json"):
         application.router.add_get(PREFIX + path, describe)

@@ -41,6 +41,13 @@ class Rest:
     async def _client(self, request: web.Request) -> Client:
         return await self._access.client(request.headers, request.query)
 
+    async def asked(self, request: web.Request) -> None:
+        """Raises what is wrong with a request whose body has not been sent yet."""
+        await self._client(request)
+        upload = request.match_info.get("upload")
+        if upload is not None and request.method == "PATCH":
+            await self.show_upload(request)
+
     # --- uploads -----------------------------------------------------------------------------------------------------
 
     async def abilities(self, request: web.Request) -> web.Response:

@@ -54,7 +54,8 @@ class MapService:
         self.jobs = Jobs(directory / "jobs", lambda: self.uploads, workers, access, limits.jobs, entry, trust)
         self.uploads = Uploads(directory / "uploads", limits.uploads, self.jobs.size)
         application = web.Application(middlewares=[problems], client_max_size=BODY_MOST)
-        openapi.add(application, openapi.routes(Rest(access, self.uploads, self.jobs)))
+        rest = Rest(access, self.uploads, self.jobs)
+        openapi.add(application, openapi.routes(rest), rest.asked)
         Soap(access, self.uploads, self.jobs).add(application)
         self._runner = web.AppRunner(
             application, handle_signals=False, access_log=None, shutdown_timeout=SHUTDOWN, read_bufsize=READ_AHEAD

@@ -69,6 +69,28 @@ async def test_a_broken_connection_costs_nothing_that_had_come(service: Service)
 
 
 @pytest.mark.parametrize(
+    ("user", "upload", "status"),
+    [("ann", "", "100"), ("nobody", "", "401"), ("ann", "0" * 24, "404"), ("bob", "", "404")],
+)
+async def test_a_client_that_asks_first_hears_what_is_wrong(
+    service: Service, user: str, upload: str, status: str
+) -> None:
+    name = upload or service.service.uploads.create("ann", "a.log", len(LOG)).id
+    host, port = service.url.split("/")[2].split(":")
+    reader, writer = await asyncio.open_connection(host, int(port))
+    lines = [f"PATCH /map-service/uploads/{name} HTTP/1.1", "Host: x", f"Authorization: Bearer rce_{user}"]
+    lines += ["Expect: 100-continue", "Upload-Offset: 0", f"Content-Type: {PIECE['Content-Type']}"]
+    writer.write("\r\n".join([*lines, f"Content-Length: {len(LOG)}", "", ""]).encode())
+    async with asyncio.timeout(20):
+        assert (await reader.readline()).split()[1] == status.encode()
+        if status == "100":
+            await reader.readline()
+            writer.write(LOG)
+            assert (await reader.readline()).split()[1] == b"204"
+    writer.close()
+
+
+@pytest.mark.parametrize(
     ("headers", "status", "field"),
     [
         ({"Upload-Length": "9", **metadata("a.csv")}, 400, "Upload-Metadata.filename"),
