@@ -7,4 +7,3 @@ MB = 1024 * 1024
 CORES = 1.0
 MEMORY = 1024 * MB  # bytes
 PIDS = 512  # processes and threads
-DISK = 1024 * MB  # bytes
