@@ -71,3 +71,16 @@ def test_two_machines_are_told_by_their_features() -> None:
     done = rce("bench", "rtt", "--routes", "c2c2", "--quick")
     assert done.returncode == 1
     assert "--features" in done.stderr
+
+
+def test_starts() -> None:
+    done = rce("bench", "start", "--engines", "process", "--samples", "1", "--json")
+    assert done.returncode == 0, done.stderr
+    (taken,) = json.loads(done.stdout)["seconds"]["process"]
+    assert 0 < taken < math.inf
+
+
+def test_starts_of_an_unknown_engine() -> None:
+    done = rce("bench", "start", "--engines", "cloud")
+    assert done.returncode == 1
+    assert "cloud" in done.stderr
