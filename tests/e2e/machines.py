@@ -155,6 +155,10 @@ class Machines:
     def robot(self, name: str, timeout: float = 40.0) -> Robot:
         return Robot(self.master.ready["url"], user=USER, robot=name, password=USER, timeout=timeout)
 
+    def url(self, host: str) -> str:
+        """Where robots find its Robot endpoint."""
+        return self.programs[f"robot-{host}"].ready["url"].replace("://:", f"://{self.hosts[host].address}:")
+
     def on(self, host: str) -> list[Program]:
         return [program for program in self.programs.values() if program.host.name == host]
 

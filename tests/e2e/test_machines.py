@@ -76,7 +76,7 @@ def machine_of(machines: Machines, robot: Robot) -> str:
     """The one whose Robot endpoint serves this robot."""
     assert robot.connection is not None
     endpoint = robot.connection.endpoint
-    (name,) = [host for host in machines.hosts if machines.programs[f"robot-{host}"].ready["url"].endswith(endpoint)]
+    (name,) = [name for name in machines.hosts if machines.url(name) == endpoint]
     return name
 
 
