@@ -29,7 +29,7 @@ def packages(platform: RealPlatform) -> Packages:
 async def rce(*words: str, given: str = "") -> str:
     pipe = asyncio.subprocess.PIPE
     process = await asyncio.create_subprocess_exec(RCE, *words, stdin=pipe, stdout=pipe, stderr=pipe)
-    out, errors = await asyncio.wait_for(process.communicate(given.encode()), 60)
+    out, errors = await asyncio.wait_for(process.communicate(given.encode()), 150)
     assert process.returncode == 0, errors.decode()
     return out.decode()
 
@@ -57,7 +57,7 @@ async def echo(environment: Environment) -> None:
 async def answer(environment: Environment, name: str, type_name: str, request: dict[str, str]) -> Any:
     """Of a service whose node may just be starting, on a busy machine."""
     service = await environment.service_client(name, type_name)
-    async with asyncio.timeout(40):
+    async with asyncio.timeout(120):
         while True:
             try:
                 found = await service.call(request)
@@ -106,7 +106,7 @@ async def test_the_life_of_a_package(bare: RealPlatform, tmp_path: Path) -> None
                 await echo(theirs)
                 before = _endpoint(bare, "theirs")
                 bare.kill(before)  # in its next life it has the same version
-                await until(lambda: _endpoint(bare, "theirs", before) != 0)
+                await until(lambda: _endpoint(bare, "theirs", before) != 0, 60)
                 await echo(theirs)
                 for environment in (mine, theirs):
                     with pytest.raises(NotFound, match=f"no executable {OTHER_NODE}"):
