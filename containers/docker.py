@@ -107,7 +107,7 @@ class DockerEngine(Engine):
         granted = limits(spec, gpus, Size.here())
         if spec.options.disk:
             docker_disks.check(spec.options.disk)
-        if spec.options.bandwidth and spec.group is not None:
+        if spec.options.bandwidth and (spec.group is not None or spec.egress != "none"):
             shaping.check()
         packages = places(self._packages, spec.packages)
         with_packages = package_path(packages, self._settings)

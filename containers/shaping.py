@@ -16,7 +16,7 @@ from rce.errors import InvalidRequest, StartFailed
 PROGRAMS = ("tc", "nsenter")
 PATH = f"{os.environ.get('PATH', os.defpath)}:/usr/sbin:/sbin"
 LATENCY = 200  # ms that a packet may wait before it is dropped
-LEAST_BURST = 16 * 1024  # bytes; less than a few packets would hold even slow senders up
+LEAST_BURST = 66 * 1024  # bytes; what is larger than this never gets through, and packets in a group have up to 65,014
 MOST = 2**32  # bytes a second
 
 

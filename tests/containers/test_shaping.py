@@ -67,6 +67,16 @@ def test_what_is_sent_is_held_to_the_rate(process: int) -> None:
     assert 0.2 * RATE < sent(process) - before < RATE * (took + 0.1)
 
 
+def test_the_large_packets_of_a_group_get_through(process: int) -> None:
+    for device in ("eth0", "other"):
+        inside(process, "ip", "link", "set", device, "mtu", "65000")
+    shaping.shape(process, 1, 100_000)
+    before = sent(process)
+    large = SEND.replace("20_000", "200_000").replace("1000", "64_000")
+    inside(process, "python3", "-c", large)
+    assert sent(process) - before > 64_000
+
+
 def test_a_network_that_is_not_there(process: int) -> None:
     with pytest.raises(StartFailed, match="eth1"):
         shaping.shape(process, 2, RATE)
