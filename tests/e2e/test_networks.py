@@ -93,7 +93,8 @@ def inside(island: Island, request: pytest.FixtureRequest) -> Iterator[Any]:
     api = docker.APIClient(base_url=island.host, version="auto", timeout=600)
     if not island.kept:
         images = request.getfixturevalue("images")
-        api.load_image(images.get_image(f"{MAPPING}:{__version__}"))
+        for _ in api.load_image(images.get_image(f"{MAPPING}:{__version__}")):
+            pass  # it is loaded when all has been said
     with island.inside():
         yield api
     api.close()
