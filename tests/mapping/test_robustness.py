@@ -19,12 +19,12 @@ from rce.mapping.scans import Scan
 from rce.mapping.trials import Odometry, error_of, relations_of, run, with_odometry
 
 SETTINGS = MapperSettings(particles=10)
-SCANS = 250
+SCANS = 150
 
 
 @pytest.fixture(scope="module")
 def piece(data: Path) -> list[Scan]:
-    """The first 60 s of MIT CSAIL, with the poses that the whole map has (better than 3 cm) as odometry."""
+    """The first 30 s of MIT CSAIL, with the poses that the whole map has (better than 3 cm) as odometry."""
     mapper, scans = GraphMapper(), list(open_recording(data / "mit-csail.clf.gz"))[:SCANS]
     for scan in scans:
         mapper.add(scan)

@@ -24,7 +24,7 @@ def started(name: str, simulation: Simulation, count: int) -> AnyMapper:
 
 
 @pytest.mark.parametrize("name", MAPPERS)
-@pytest.mark.parametrize("count", [0, 1, 450])
+@pytest.mark.parametrize("count", [0, 1, 250])
 def test_a_resumed_mapper_goes_on_as_if_never_stopped(
     simulation: Simulation, tmp_path: Path, name: str, count: int
 ) -> None:
