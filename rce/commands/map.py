@@ -8,15 +8,18 @@ import math
 import secrets
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import AsyncExitStack
 from pathlib import Path
+
+import numpy as np
 
 from rce.client import Robot
 from rce.commands.platform import Access, add_arguments, platform
 from rce.errors import InvalidRequest
-from rce.mapping.outputs import write_outputs
+from rce.mapping.outputs import trajectory_text, write_atomically, write_outputs
 from rce.mapping.recordings import Recording, open_recording
-from rce.mapping.robot import MappingRobot, Result
+from rce.mapping.robot import MappingRobot, Result, start_node
 from rce.mapping.simulation import Accuracy, Simulation, evaluate, simulate
 from rce.messages import ParameterValue
 
@@ -43,6 +46,9 @@ def parser() -> argparse.ArgumentParser:
     )
     whole.add_argument("--particles", type=int, default=30, help="of the mapper particle (default: %(default)s)")
     whole.add_argument("--seed", type=int, default=0, help="of the mapper particle (default: %(default)s)")
+    whole.add_argument(
+        "--team", action="store_true", help="one robot for each FILE, all at the same time, and one map by all of them"
+    )
     whole.add_argument("--scan-topic", default="", help="of a bag with several topics of laser scans")
     whole.add_argument("--odometry-topic", default="", help="of a bag with several topics of odometry")
     add_arguments(whole)
@@ -53,6 +59,8 @@ def main(arguments: list[str]) -> int:
     words = parser().parse_args(arguments)
     if bool(words.recordings) == words.simulate:
         raise InvalidRequest("rce map: give recordings, or --simulate")
+    if words.team and (len(words.recordings) < 2 or words.mapper != MAPPERS[0]):
+        raise InvalidRequest(f"rce map: --team is for several recordings and the mapper {MAPPERS[0]}")
     # Before anything is started: what cannot be read is said at once.
     sources: list[Source] = [
         open_recording(path, words.scan_topic, words.odometry_topic) for path in words.recordings
@@ -63,6 +71,9 @@ def main(arguments: list[str]) -> int:
 
 async def run(words: argparse.Namespace, sources: list[Source]) -> None:
     async with platform(words) as access:
+        if words.team:
+            save_together(words.out, sources, await build_together(access, sources, parameters(words)))
+            return
         for source in sources:
             directory = words.out if len(sources) == 1 else words.out / source.name
             result = await build(access, source, parameters(words))
@@ -70,6 +81,21 @@ async def run(words: argparse.Namespace, sources: list[Source]) -> None:
             print(f"{result.scans} scans mapped; map in {directory}: {', '.join(path.name for path in written)}")
             if isinstance(source, Simulation):
                 print(describe(evaluate(result.grid, result.trajectory, source)))
+
+
+def save_together(directory: Path, sources: Sequence[Source], results: Sequence[Result]) -> None:
+    """A directory for each map, with the trajectory of each robot that is on it."""
+    maps: list[tuple[Result, Path]] = []
+    for number, (source, result) in enumerate(zip(sources, results, strict=True), 1):
+        known = next((path for other, path in maps if np.array_equal(other.grid.cells, result.grid.cells)), None)
+        path = known or (directory / f"map_{len(maps) + 1}" if maps else directory)
+        if known is None:
+            maps.append((result, path))
+            write_outputs(path, result.grid, result.trajectory)
+        write_atomically(path / f"trajectory_{number}.txt", trajectory_text(result.trajectory))
+        print(f"robot {number} ({source.name}): {result.scans} scans mapped, on the map in {path}")
+    if len(maps) > 1:
+        print(f"{len(maps)} maps: robots on different ones have not found out that they were at the same places")
 
 
 def describe(accuracy: Accuracy) -> str:
@@ -101,9 +127,40 @@ async def build(access: Access, source: Source, parameters: Mapping[str, Paramet
     ):
         await mapping.prepare(parameters)
         progress.begin()
-        result = await mapping.drive(source, progress.done)
+        await mapping.drive(source, progress.done)
         progress.end()
-        return result
+        return await mapping.result()
+
+
+async def build_together(
+    access: Access, sources: Sequence[Source], parameters: Mapping[str, ParameterValue]
+) -> list[Result]:
+    """Map several recordings at the same time, each by a robot of its own, in one environment whose node joins maps."""
+    name = f"team_{secrets.token_hex(4)}"
+    tags = [f"robot_{number}" for number, _ in enumerate(sources, 1)]
+    async with AsyncExitStack() as stack:
+        robots = [
+            await stack.enter_async_context(
+                Robot(access.url, user=access.user, robot=f"{name}_{tag}", password=access.password, key=access.key)
+            )
+            for tag in tags
+        ]
+        environment = await stack.enter_async_context(robots[0].environment(f"env_{name}", restart="no"))
+        await start_node(environment, "team", {**parameters, "robots": [*tags]})
+        team = [
+            await stack.enter_async_context(MappingRobot(robot, robot.environment(environment.tag), f"/{tag}"))
+            for robot, tag in zip(robots, tags, strict=True)
+        ]
+        await asyncio.gather(*(each.wire() for each in team))
+        progress = [Progress(source) for source in sources]
+        for each in progress:
+            each.begin()
+        await asyncio.gather(
+            *(each.drive(source, told.done) for each, source, told in zip(team, sources, progress, strict=True))
+        )
+        for each in progress:
+            each.end()
+        return list(await asyncio.gather(*(each.result() for each in team)))
 
 
 class Progress:

@@ -22,6 +22,7 @@ from rce.mapping.grid import OccupancyGrid
 from rce.mapping.scans import Scan
 from rce.messages import EnvironmentEvent, NodeEvent, ParameterValue, Qos
 
+NODE = "mapper"  # the tag of the mapping node
 WINDOW = 8
 START_TIMEOUT = 120.0  # seconds; a node compiles at its very first start
 STALL_TIMEOUT = 60.0
@@ -47,9 +48,12 @@ class Result(NamedTuple):
 class MappingRobot:
     """One recording, one environment, one map. Use it as an asynchronous context."""
 
-    def __init__(self, robot: Robot, environment: Environment) -> None:
+    def __init__(self, robot: Robot, environment: Environment, namespace: str = "") -> None:
+        """`namespace`: of the robot's topics and services in the environment, "/NAME" or none."""
         self._robot = robot
         self._environment = environment
+        self._namespace = namespace
+        self._sent = 0
         self._unanswered: dict[int, Scan] = {}  # by stamp, nanoseconds
         self._slots = asyncio.Semaphore(WINDOW)
         self._tasks: list[asyncio.Task[None]] = []
@@ -66,35 +70,39 @@ class MappingRobot:
 
     async def prepare(self, parameters: Mapping[str, ParameterValue]) -> None:
         """Start the node, wire its topics, and wait until it is ready. StartFailed, TimedOut."""
-        environment = self._environment
-        for name, value in parameters.items():
-            await environment.set_parameter(name, value)
-        await environment.add_node("mapper", "rce_mapping", "mapper")
+        await start_node(self._environment, "mapper", parameters)
+        await self.wire()
+
+    async def wire(self) -> None:
+        """Wire the topics of a node that was started, and wait until it is ready. TimedOut."""
+        environment, own = self._environment, self._namespace
         latched = Qos(reliability="reliable", durability="transient_local", depth=1)
         deep = Qos(reliability="reliable", depth=DEPTH)
-        self._scans = await environment.publisher("/scan", "sensor_msgs/LaserScan", qos=deep, raw=True)
-        self._odometry = await environment.publisher("/odom", "nav_msgs/Odometry", qos=deep, raw=True)
+        self._scans = await environment.publisher(f"{own}/scan", "sensor_msgs/LaserScan", qos=deep, raw=True)
+        self._odometry = await environment.publisher(f"{own}/odom", "nav_msgs/Odometry", qos=deep, raw=True)
         self._poses = await environment.subscriber(
-            "/pose", "geometry_msgs/PoseWithCovarianceStamped", qos=deep, depth=DEPTH, raw=True
+            f"{own}/pose", "geometry_msgs/PoseWithCovarianceStamped", qos=deep, depth=DEPTH, raw=True
         )
-        self._paths = await environment.subscriber("/path", "nav_msgs/Path", qos=latched, depth=1, raw=True)
-        self._maps = await environment.service_client("/dynamic_map", "nav_msgs/GetMap", raw=True)
-        ready = await environment.subscriber("/map", "nav_msgs/OccupancyGrid", qos=latched, depth=1, raw=True)
+        self._paths = await environment.subscriber(f"{own}/path", "nav_msgs/Path", qos=latched, depth=1, raw=True)
+        self._maps = await environment.service_client(f"{own}/dynamic_map", "nav_msgs/GetMap", raw=True)
+        ready = await environment.subscriber(f"{own}/map", "nav_msgs/OccupancyGrid", qos=latched, depth=1, raw=True)
         await self._guarded(ready.get(), START_TIMEOUT, "the mapping node to be ready")
         await ready.close()
 
-    async def drive(self, recording: Iterable[Scan], progress: Progress) -> Result:
-        """Send all scans, each once, and fetch the map. Died if the node or its environment does."""
+    async def drive(self, recording: Iterable[Scan], progress: Progress) -> None:
+        """Send all scans, each once, until all are answered. Died if the node or its environment does."""
         self._tasks.append(asyncio.create_task(self._take_answers(progress)))
-        sent = 0
         for scan in recording:
             await self._guarded(self._slots.acquire(), STALL_TIMEOUT, "the mapping node to answer a scan")
             self._unanswered[nanoseconds(scan.stamp)] = scan
             await self._send(scan)
-            sent += 1
+            self._sent += 1
         for _ in range(WINDOW):  # all slots are free once all scans are answered
             await self._guarded(self._slots.acquire(), STALL_TIMEOUT, "the mapping node to answer the last scans")
-        return await self._guarded(self._fetch(sent), STALL_TIMEOUT, "the map")
+
+    async def result(self) -> Result:
+        """The map and the way, as they are now. Died, TimedOut."""
+        return await self._guarded(self._fetch(self._sent), STALL_TIMEOUT, "the map")
 
     async def _send(self, scan: Scan) -> None:
         stamp = nanoseconds(scan.stamp)
@@ -113,7 +121,7 @@ class MappingRobot:
 
     async def _fetch(self, sent: int) -> Result:
         """The node publishes its path before it answers with the map, but the two come by different ways."""
-        response = await self._maps.call(EMPTY_REQUEST)
+        response = await self._maps.call(EMPTY_REQUEST, STALL_TIMEOUT)
         trajectory = np.empty((0, 4))
         while len(trajectory) < sent:
             trajectory = trajectory_of(await self._paths.get())
@@ -123,7 +131,9 @@ class MappingRobot:
         tag = self._environment.tag
         async for event in events:
             match event:
-                case NodeEvent(containerTag=where, nodeTag="mapper", status=status, lines=lines) if where == tag:
+                case NodeEvent(containerTag=where, nodeTag=name, status=status, lines=lines) if (
+                    where == tag and name == NODE
+                ):
                     raise Died("\n".join([f"the mapping node ended with status {status}", *lines]))
                 case EnvironmentEvent(containerTag=where, state="lost" | "gone" | "failed", reason=why) if where == tag:
                     raise Died(f"the environment {tag} is lost: {why}")
@@ -143,6 +153,13 @@ class MappingRobot:
             raise TimedOut(f"waited {seconds:g} s for {what} in vain")
         finally:
             task.cancel()
+
+
+async def start_node(environment: Environment, executable: str, parameters: Mapping[str, ParameterValue]) -> None:
+    """Start a node of the package rce_mapping. StartFailed."""
+    for name, value in parameters.items():
+        await environment.set_parameter(name, value)
+    await environment.add_node(NODE, "rce_mapping", executable)
 
 
 def nanoseconds(stamp: float) -> int:

@@ -25,6 +25,7 @@ STEP = 3  # nodes; every so many one is searched in the whole map of a robot of 
 PENDING = 30  # overlaps that wait for confirmation, for each pair of robots
 SEEN_FROM = 5.0  # metres to the place of another robot that a place is tied to, once the maps are joined
 EVERY = 3  # ties after which all is optimised again
+SHIFTED = 0.01  # metres or radians; when a node moves further, the map is rendered anew
 WRONG = 50.0  # squared Mahalanobis distance; a tie that is further off after all is dropped
 STRIDE = 1_000_000  # between the numbers of two robots' nodes in the joined graph
 
@@ -57,6 +58,7 @@ class TeamMapper:
         self._teams = {name: [name] for name in self.names}  # each in the order of `names`
         self._placed: dict[int, Pose] = {}  # of the nodes of joined robots, at the last optimisation
         self._fresh = 0  # ties since then
+        self._grids: dict[str, tuple[GridMap, dict[int, int]]] = {}  # by the first of a team; sweeps entered, by node
 
     def add(self, name: str, scan: Scan) -> Estimate:
         """Take a robot's next scan."""
@@ -76,12 +78,16 @@ class TeamMapper:
         team = self._teams[name]
         if len(team) == 1:
             return self._mappers[name].grid()
-        grid = GridMap(self.settings.resolution)
+        if team[0] not in self._grids:
+            self._grids[team[0]] = GridMap(self.settings.resolution), {}
+        grid, entered = self._grids[team[0]]
         for member in team:
             for number, node in self._mappers[member].graph.nodes.items():
+                known = self._number(member, number)
                 pose = self._node_pose(member, number)
-                for sweep in node.sweeps:
+                for sweep in node.sweeps[entered.get(known, 0) :]:
                     grid.insert(pose.transform(sweep.sensor), pose.transform(sweep.points.astype(np.float64)))
+                entered[known] = len(node.sweeps)
         return grid.render()
 
     def trajectory(self, name: str) -> NDArray[np.float64]:
@@ -155,6 +161,7 @@ class TeamMapper:
         self._placed.update(placed)
         team = sorted((*first, *second), key=self.names.index)
         self._teams.update(dict.fromkeys(team, team))
+        self._grids.clear()
         for overlap in overlaps:
             query = place(self._mappers[name].graph, overlap.node)
             if query is not None:
@@ -199,6 +206,9 @@ class TeamMapper:
             nodes[number].pose = pose
         wrong = {id(tie) for tie, off in zip(ties, disagreement(nodes, ties), strict=True) if off > WRONG}
         self._ties = [tie for tie in self._ties if id(tie) not in wrong]
+        moved = (np.subtract(pose, self._placed.get(number, pose)) for number, pose in poses.items())
+        if max(float(np.abs(each).max()) for each in moved) > SHIFTED:
+            self._grids.clear()
         self._placed.update(poses)
 
 

@@ -121,7 +121,8 @@ async def build(task: Task, platform: Platform) -> None:
                     {"mapper": options.mapper, "resolution": options.resolution, "max_range": options.max_range}
                 )
                 times.end("preparing")
-                result = await mapping.drive(recording, progress)
+                await mapping.drive(recording, progress)
+                result = await mapping.result()
                 times.end("mapping")
             say(Report("writing", result.scans, result.scans, times.done))
             await asyncio.to_thread(write_outputs, Path(task.out), result.grid, result.trajectory)
