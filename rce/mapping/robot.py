@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Coroutine, Iterable, Mapping
+from contextlib import suppress
 from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
@@ -120,7 +121,13 @@ class MappingRobot:
                 progress(answered)
 
     async def _fetch(self, sent: int) -> Result:
-        """The node publishes its path before it answers with the map, but the two come by different ways."""
+        """The node publishes its path before it answers with the map, but the two come by different ways.
+
+        Paths that have come already do not count: in a team, what others have seen since may have moved this one.
+        """
+        with suppress(TimedOut):
+            while True:
+                await self._paths.get(0)
         response = await self._maps.call(EMPTY_REQUEST, STALL_TIMEOUT)
         trajectory = np.empty((0, 4))
         while len(trajectory) < sent:
