@@ -149,7 +149,8 @@ def edges_of(saved: Reader, nodes: int) -> list[Edge]:
     ]
 
 
-def _rotation(theta: float) -> Matrix:
+def rotation(theta: float) -> Matrix:
+    """Of x and y; the angle stays (3, 3)."""
     c, s = math.cos(theta), math.sin(theta)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
@@ -160,7 +161,7 @@ def information_of(covariance: Matrix, theta: float, floor: tuple[float, float],
     Points of a scan are not independent and walls are not quite where the map has them: the covariance is taken
     `scale` times, and `floor` (standard deviations, metres and radians) is added.
     """
-    turn = _rotation(theta)
+    turn = rotation(theta)
     metres, radians = floor
     whole: Matrix = scale * turn.T @ covariance @ turn + np.square(np.diag([metres, metres, radians]))
     return np.asarray(np.linalg.inv(whole), np.float64)

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rce.mapping.geometry import ORIGIN, Pose
-from rce.mapping.graph import Edge, Node, PoseGraph
+from rce.mapping.graph import Edge, Matrix, Node, PoseGraph, rotation
 from rce.mapping.graph_mapper import GraphMapper
 from rce.mapping.grid import GridMap, OccupancyGrid
 from rce.mapping.mapper import Estimate, MapperSettings
 from rce.mapping.optimisation import disagreement, optimise
-from rce.mapping.overlaps import Match, WholeMap, find_near, place
+from rce.mapping.overlaps import WholeMap, find_near, place
 from rce.mapping.scans import Scan
 
 AGREE, AGREE_TURN = 0.4, math.radians(4)  # metres, radians between what two overlaps say of how two maps lie
@@ -32,10 +32,12 @@ STRIDE = 1_000_000  # between the numbers of two robots' nodes in the joined gra
 
 @dataclass(frozen=True, slots=True)
 class Overlap:
-    """A place of one robot found in the map of another. `transform`: that robot's map in the frame of the other's."""
+    """A place of one robot found in the map of another. `transform`: the one's map in the frame of the other's;
+    `information` (3, 3) about the place, along the axes of the other's map."""
 
     node: int
     transform: Pose
+    information: Matrix
 
 
 class TeamMapper:
@@ -123,35 +125,34 @@ class TeamMapper:
             graph = self._mappers[other].graph
             if other == name or len(graph.nodes) < 2:
                 continue
-            if other in self._teams[name]:
-                self._tie_near(name, number, other, query)
+            if other in self._teams[name] and self._tie_near(name, number, other, query):
                 continue
-            if number % STEP:
-                continue
-            found = self._maps[other].find(query)
+            found = None if number % STEP else self._maps[other].find(query)
             if found is not None:
                 own = self._mappers[name].graph.nodes[number].pose
-                self._suspect(name, other, Overlap(number, found.motion @ own.inverse()))
+                self._suspect(name, other, Overlap(number, found.motion @ own.inverse(), found.information))
 
     def _suspect(self, name: str, other: str, overlap: Overlap) -> None:
-        """Join two teams if enough overlaps agree with this one."""
+        """Believe overlaps once enough of them agree: join two teams, or close a loop between two robots of one."""
         graph = self._mappers[name].graph
         waiting = self._overlaps.setdefault((name, other), [])
         agreeing = [each for each in waiting if _agree(graph, each, overlap)]
         waiting.append(overlap)
         del waiting[:-PENDING]
-        if len(agreeing) + 1 >= CONFIRMED:
-            self._join(name, other, [*agreeing, overlap])
-            self._overlaps[name, other] = []
+        if len(agreeing) + 1 < CONFIRMED:
+            return
+        self._overlaps[name, other] = []
+        if other not in self._teams[name]:
+            self._join(name, other, overlap)
+        self._ties += [self._tie(name, other, each) for each in (*agreeing, overlap)]
+        self._optimise(self._teams[name])
 
-    def _join(self, name: str, other: str, overlaps: list[Overlap]) -> None:
-        """One team of two: first laid over each other as the overlaps say, then tied there and optimised."""
+    def _join(self, name: str, other: str, overlap: Overlap) -> None:
+        """One team of two, laid over each other as the overlap says."""
         ours, theirs = self._teams[name], self._teams[other]
         first, second = (theirs, ours) if self.names.index(theirs[0]) < self.names.index(ours[0]) else (ours, theirs)
-        across = overlaps[-1].transform  # the map of `name` in that of `other`
-        at = overlaps[-1].node
-        here = self._node_pose(name, at)
-        there = self._in_team(other, 0, across @ self._mappers[name].graph.nodes[at].pose)
+        here = self._node_pose(name, overlap.node)
+        there = self._in_team(other, 0, overlap.transform @ self._mappers[name].graph.nodes[overlap.node].pose)
         shift = there @ here.inverse() if first is theirs else here @ there.inverse()
         placed = {
             self._number(member, number): (shift if member in second else ORIGIN) @ self._node_pose(member, number)
@@ -162,29 +163,34 @@ class TeamMapper:
         team = sorted((*first, *second), key=self.names.index)
         self._teams.update(dict.fromkeys(team, team))
         self._grids.clear()
-        for overlap in overlaps:
-            query = place(self._mappers[name].graph, overlap.node)
-            if query is not None:
-                self._tie_near(name, overlap.node, other, query, now=False)
-        self._optimise(team)
 
-    def _tie_near(self, name: str, number: int, other: str, query: NDArray[np.float64], now: bool = True) -> None:
-        """Tie a place to the nearest one of another robot of the team, if they see the same."""
+    def _tie(self, name: str, other: str, overlap: Overlap) -> Edge:
+        """An overlap as an edge from the nearest place of the other robot."""
+        graph = self._mappers[other].graph
+        found = overlap.transform @ self._mappers[name].graph.nodes[overlap.node].pose
+        near = min(graph.nodes, key=lambda each: math.dist(graph.nodes[each].pose[:2], found[:2]))
+        turn = rotation(graph.nodes[near].pose.theta)
+        motion = graph.nodes[near].pose.to(found)
+        return self._edge(other, near, name, overlap.node, motion, turn.T @ overlap.information @ turn)
+
+    def _tie_near(self, name: str, number: int, other: str, query: NDArray[np.float64]) -> bool:
+        """Tie a place to the nearest one of another robot of the team, if they see the same. Whether they do."""
         pose = self._node_pose(name, number)
         graph = self._mappers[other].graph
         apart, near = min((math.dist(self._node_pose(other, each)[:2], pose[:2]), each) for each in graph.nodes)
         if apart > SEEN_FROM:
-            return
+            return False
         match = find_near(graph, near, query, self._node_pose(other, near).to(pose))
         if match is None:
-            return
-        self._ties.append(self._edge(other, near, name, number, match))
+            return False
+        self._ties.append(self._edge(other, near, name, number, match.motion, match.information))
         self._fresh += 1
-        if now and self._fresh >= EVERY:
+        if self._fresh >= EVERY:
             self._optimise(self._teams[name])
+        return True
 
-    def _edge(self, other: str, near: int, name: str, number: int, match: Match) -> Edge:
-        return Edge(self._number(other, near), self._number(name, number), match.motion, match.information, True)
+    def _edge(self, other: str, near: int, name: str, number: int, motion: Pose, information: Matrix) -> Edge:
+        return Edge(self._number(other, near), self._number(name, number), motion, information, closure=True)
 
     # --- all graphs as one
 
