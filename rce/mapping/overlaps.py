@@ -23,9 +23,10 @@ BUDGET = 150_000  # poses looked at in a search of a whole map
 APART, APART_TURN, RIVAL = 1.0, math.radians(10), 0.9  # another pose as good as this makes a place ambiguous
 NOTHING = np.zeros(5)  # is excluded
 PLACE = 10.0  # metres along edges around a known place that are compared
-NEAR, NEAR_TURN, NEAR_BUDGET = 1.5, math.radians(8), 40_000  # window around a pose that is known already
+NEAR, NEAR_TURN, NEAR_BUDGET = 2.5, math.radians(8), 40_000  # window around a pose that is known already
+NEAR_APART = 0.6  # metres, as APART
 FLOOR, SCALE = (0.03, math.radians(0.5)), 4.0
-GROWN = 8  # nodes after which a map is looked at anew
+GROWN, MOVED = 8, 0.05  # nodes, and metres or radians by which one has moved, after which a map is looked at anew
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,11 +53,11 @@ def place(graph: PoseGraph, number: int) -> Points | None:
 
 
 class WholeMap:
-    """One robot's map, to be searched as a whole; kept until the map has grown."""
+    """One robot's map, to be searched as a whole; kept until the map has grown or was corrected."""
 
     def __init__(self, graph: PoseGraph) -> None:
         self._graph = graph
-        self._nodes = 0
+        self._poses = np.empty((0, 3))  # of the nodes that are in the field
         self._field: Field
         self._pyramid: NDArray[np.uint8]
 
@@ -77,9 +78,12 @@ class WholeMap:
         return _refined(self._field, cells, Pose(x, y, theta))
 
     def _renew(self) -> None:
-        if len(self._graph.nodes) < self._nodes + GROWN and self._nodes:
+        poses = self._graph.poses()
+        known = len(self._poses)
+        moved = np.abs(poses[:known] - self._poses).max(initial=0.0)
+        if known and len(poses) < known + GROWN and moved < MOVED:
             return
-        self._nodes = len(self._graph.nodes)
+        self._poses = poses
         points = np.concatenate([node.points() for node in self._graph.nodes.values()])
         low, high = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
         self._field = Field((low[0], low[1]), (high[0], high[1]), RESOLUTION)
@@ -97,16 +101,22 @@ class WholeMap:
 
 
 def find_near(graph: PoseGraph, number: int, query: Points, guess: Pose) -> Match | None:
-    """Where a place (n, 2) is, seen from a node, near a guess that is good to a metre or so."""
+    """Where a place (n, 2) is, seen from a node, near a guess that is good to a metre or so; None if nowhere, or in
+    doubt, as in a corridor that looks the same all along."""
     field = square_around(ORIGIN, VIEW + PLACE, RESOLUTION)
     for points in around(graph, number, PLACE):
         field.add(points)
     cells = query / RESOLUTION
     start = field.pose_to_cells(guess)
     steps, turns = round(NEAR / RESOLUTION), math.ceil(NEAR_TURN / TURN)
-    found = branching.branch_and_bound(field.pyramid(5), cells, *start, steps, turns, TURN, LEAST, NOTHING, NEAR_BUDGET)
-    x, y, theta, score = found.tolist()
-    return _refined(field, cells, Pose(x, y, theta)) if score > LEAST else None
+    window = field.pyramid(5), cells, *start, steps, turns, TURN
+    x, y, theta, score = branching.branch_and_bound(*window, LEAST, NOTHING, NEAR_BUDGET).tolist()
+    if score <= LEAST:
+        return None
+    excluded, rival = np.array([x, y, theta, NEAR_APART / RESOLUTION, APART_TURN]), RIVAL * score
+    if branching.branch_and_bound(*window, rival, excluded, NEAR_BUDGET)[3] != rival:
+        return None
+    return _refined(field, cells, Pose(x, y, theta))
 
 
 def _refined(field: Field, cells: Points, start: Pose) -> Match:

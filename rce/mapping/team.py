@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -15,12 +16,13 @@ from rce.mapping.graph_mapper import GraphMapper
 from rce.mapping.grid import GridMap, OccupancyGrid
 from rce.mapping.mapper import Estimate, MapperSettings
 from rce.mapping.optimisation import disagreement, optimise
-from rce.mapping.overlaps import WholeMap, find_near, place
+from rce.mapping.overlaps import Match, WholeMap, find_near, place
 from rce.mapping.scans import Scan
 
 AGREE, AGREE_TURN = 0.4, math.radians(4)  # metres, radians between what two overlaps say of how two maps lie
 SEPARATE = 1.5  # metres between the places of two overlaps that confirm each other
 CONFIRMED = 3  # overlaps that have to agree before two maps are joined
+LATE_STEP = 2  # nodes; so many share one comparison with what was seen before two teams joined
 STEP = 3  # nodes; every so many one is searched in the whole map of a robot of another team
 PENDING = 30  # overlaps that wait for confirmation, for each pair of robots
 SEEN_FROM = 5.0  # metres to the place of another robot that a place is tied to, once the maps are joined
@@ -32,11 +34,12 @@ STRIDE = 1_000_000  # between the numbers of two robots' nodes in the joined gra
 
 @dataclass(frozen=True, slots=True)
 class Overlap:
-    """A place of one robot found in the map of another. `transform`: the one's map in the frame of the other's;
-    `information` (3, 3) about the place, along the axes of the other's map."""
+    """A place (`node`) of one robot found in the map of another: at `motion` in the frame of the other's node `near`,
+    with information (3, 3) about it. Both maps may be corrected later, and the places with them."""
 
     node: int
-    transform: Pose
+    near: int
+    motion: Pose
     information: Matrix
 
 
@@ -60,16 +63,26 @@ class TeamMapper:
         self._teams = {name: [name] for name in self.names}  # each in the order of `names`
         self._placed: dict[int, Pose] = {}  # of the nodes of joined robots, at the last optimisation
         self._fresh = 0  # ties since then
+        self._late: deque[tuple[str, int, str]] = deque()  # places to be compared with what another has seen before
         self._grids: dict[str, tuple[GridMap, dict[int, int]]] = {}  # by the first of a team; sweeps entered, by node
 
     def add(self, name: str, scan: Scan) -> Estimate:
         """Take a robot's next scan."""
         mapper = self._mappers[name]
         own = mapper.add(scan)
+        if self._late:
+            self._compare_late(*self._late.popleft())
         while self._complete[name] < len(mapper.graph.nodes) - 1:
             self._compare(name, self._complete[name])
             self._complete[name] += 1
         return replace(own, pose=self._in_team(name, mapper.reference, own.pose))
+
+    def settle(self) -> None:
+        """Make all comparisons that wait, and optimise: before a result is taken. It may take seconds."""
+        while self._late:
+            self._compare_late(*self._late.popleft())
+        for team in {tuple(team) for team in self._teams.values() if len(team) > 1}:
+            self._optimise(list(team))
 
     def team(self, name: str) -> list[str]:
         """The robots whose maps are joined with this one's, itself included."""
@@ -129,14 +142,13 @@ class TeamMapper:
                 continue
             found = None if number % STEP else self._maps[other].find(query)
             if found is not None:
-                own = self._mappers[name].graph.nodes[number].pose
-                self._suspect(name, other, Overlap(number, found.motion @ own.inverse(), found.information))
+                self._suspect(name, other, _overlap(number, graph, found))
 
     def _suspect(self, name: str, other: str, overlap: Overlap) -> None:
         """Believe overlaps once enough of them agree: join two teams, or close a loop between two robots of one."""
-        graph = self._mappers[name].graph
+        graphs = self._mappers[name].graph, self._mappers[other].graph
         waiting = self._overlaps.setdefault((name, other), [])
-        agreeing = [each for each in waiting if _agree(graph, each, overlap)]
+        agreeing = [each for each in waiting if _agree(*graphs, each, overlap)]
         waiting.append(overlap)
         del waiting[:-PENDING]
         if len(agreeing) + 1 < CONFIRMED:
@@ -144,7 +156,7 @@ class TeamMapper:
         self._overlaps[name, other] = []
         if other not in self._teams[name]:
             self._join(name, other, overlap)
-        self._ties += [self._tie(name, other, each) for each in (*agreeing, overlap)]
+        self._ties += [self._tie(name, each.node, other, each.near, each) for each in (*agreeing, overlap)]
         self._optimise(self._teams[name])
 
     def _join(self, name: str, other: str, overlap: Overlap) -> None:
@@ -152,7 +164,7 @@ class TeamMapper:
         ours, theirs = self._teams[name], self._teams[other]
         first, second = (theirs, ours) if self.names.index(theirs[0]) < self.names.index(ours[0]) else (ours, theirs)
         here = self._node_pose(name, overlap.node)
-        there = self._in_team(other, 0, overlap.transform @ self._mappers[name].graph.nodes[overlap.node].pose)
+        there = self._node_pose(other, overlap.near) @ overlap.motion
         shift = there @ here.inverse() if first is theirs else here @ there.inverse()
         placed = {
             self._number(member, number): (shift if member in second else ORIGIN) @ self._node_pose(member, number)
@@ -163,15 +175,21 @@ class TeamMapper:
         team = sorted((*first, *second), key=self.names.index)
         self._teams.update(dict.fromkeys(team, team))
         self._grids.clear()
+        self._late += (
+            (member, number, new)
+            for member in first
+            for new in second
+            for number in range(0, self._complete[member], LATE_STEP)
+        )
 
-    def _tie(self, name: str, other: str, overlap: Overlap) -> Edge:
-        """An overlap as an edge from the nearest place of the other robot."""
+    def _compare_late(self, name: str, number: int, other: str) -> None:
+        """Compare a place with one that the other robot saw before the two were joined; one a scan, to keep up."""
+        pose = self._node_pose(name, number)
         graph = self._mappers[other].graph
-        found = overlap.transform @ self._mappers[name].graph.nodes[overlap.node].pose
-        near = min(graph.nodes, key=lambda each: math.dist(graph.nodes[each].pose[:2], found[:2]))
-        turn = rotation(graph.nodes[near].pose.theta)
-        motion = graph.nodes[near].pose.to(found)
-        return self._edge(other, near, name, overlap.node, motion, turn.T @ overlap.information @ turn)
+        if any(math.dist(self._node_pose(other, each)[:2], pose[:2]) <= SEEN_FROM for each in graph.nodes):
+            query = place(self._mappers[name].graph, number)
+            if query is not None:
+                self._tie_near(name, number, other, query)
 
     def _tie_near(self, name: str, number: int, other: str, query: NDArray[np.float64]) -> bool:
         """Tie a place to the nearest one of another robot of the team, if they see the same. Whether they do."""
@@ -183,14 +201,14 @@ class TeamMapper:
         match = find_near(graph, near, query, self._node_pose(other, near).to(pose))
         if match is None:
             return False
-        self._ties.append(self._edge(other, near, name, number, match.motion, match.information))
+        self._ties.append(self._tie(name, number, other, near, match))
         self._fresh += 1
         if self._fresh >= EVERY:
             self._optimise(self._teams[name])
         return True
 
-    def _edge(self, other: str, near: int, name: str, number: int, motion: Pose, information: Matrix) -> Edge:
-        return Edge(self._number(other, near), self._number(name, number), motion, information, closure=True)
+    def _tie(self, name: str, number: int, other: str, near: int, seen: Match | Overlap) -> Edge:
+        return Edge(self._number(other, near), self._number(name, number), seen.motion, seen.information, closure=True)
 
     # --- all graphs as one
 
@@ -218,10 +236,19 @@ class TeamMapper:
         self._placed.update(poses)
 
 
-def _agree(graph: PoseGraph, first: Overlap, second: Overlap) -> bool:
+def _overlap(node: int, graph: PoseGraph, found: Match) -> Overlap:
+    """What was found in the frame of a map, as seen from the nearest place in it."""
+    near = min(graph.nodes, key=lambda each: math.dist(graph.nodes[each].pose[:2], found.motion[:2]))
+    pose = graph.nodes[near].pose
+    turn = rotation(pose.theta)
+    return Overlap(node, near, pose.to(found.motion), turn.T @ found.information @ turn)
+
+
+def _agree(own: PoseGraph, other: PoseGraph, first: Overlap, second: Overlap) -> bool:
     """Whether two overlaps, of places well apart, say the same of how the maps lie: at the place of the second."""
-    one, other = graph.nodes[first.node].pose, graph.nodes[second.node].pose
-    if math.dist(one[:2], other[:2]) < SEPARATE:
+    one, two = own.nodes[first.node].pose, own.nodes[second.node].pose
+    if math.dist(one[:2], two[:2]) < SEPARATE:
         return False
-    off = (first.transform @ other).to(second.transform @ other)
+    expected = other.nodes[first.near].pose @ first.motion @ one.to(two)
+    off = expected.to(other.nodes[second.near].pose @ second.motion)
     return math.hypot(off.x, off.y) < AGREE and abs(off.theta) < AGREE_TURN

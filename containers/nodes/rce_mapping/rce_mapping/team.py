@@ -77,5 +77,6 @@ class _Member:
         return message
 
     def _on_get_map(self, _request: GetMap.Request, response: GetMap.Response) -> GetMap.Response:
+        self._node.team.settle()
         response.map = self._publish_map()
         return response
