@@ -36,7 +36,7 @@ class RceError(Exception):
         self.info = ErrorInfo(self.code, message, item, field, fields)
 
     def __init_subclass__(cls) -> None:
-        type_of_code[cls.code] = cls
+        type_of_code.setdefault(cls.code, cls)  # one that is derived without a code of its own crosses as its base
 
     def __str__(self) -> str:
         return self.info.message

@@ -179,4 +179,4 @@ def test_command_names_what_it_leaves_out(
 
 
 def test_what_is_shipped() -> None:
-    assert [path.name for path in shipped()] == ["map_msgs", "tf2_msgs"]
+    assert [path.name for path in shipped()] == ["map_msgs", "nav2_msgs", "slam_toolbox", "tf2_msgs"]

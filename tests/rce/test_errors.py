@@ -39,3 +39,10 @@ def test_the_place_is_added_on_the_way() -> None:
     error = NoCapacity("full", free=0)
     assert error.at("connect[1]") is error
     assert crossed(error).info == ErrorInfo("no_capacity", "full", "connect[1]", "", {"free": 0})
+
+
+def test_an_error_without_a_code_of_its_own_crosses_as_what_it_is_derived_from() -> None:
+    class Special(NoCapacity):
+        pass
+
+    assert type(crossed(Special("it is full"))) is NoCapacity

@@ -32,7 +32,7 @@ class Service:
     def __init__(self) -> None:
         self.there = True
         self.asked: list[bytes] = []
-        self.later: list[Callable[[], None]] = []
+        self.postponed: list[Callable[[], None]] = []
 
     def post(self, action: Callable[[], None]) -> None:
         action()
@@ -40,7 +40,10 @@ class Service:
     deliver = post
 
     def again(self, action: Callable[[], None]) -> None:
-        self.later.append(action)
+        self.postponed.append(action)
+
+    def later(self, seconds: float, action: Callable[[], None]) -> None:
+        action()
 
     def unwatch(self, client: object) -> None: ...
 
@@ -128,7 +131,7 @@ async def test_requests_wait_for_the_service(parts: Parts) -> None:
     ask(interface, 2)
     assert (service.asked, robot.heard) == ([], [])
     service.there = True
-    service.later.pop()()
+    service.postponed.pop()()
     assert len(service.asked) == 2
 
 
@@ -138,5 +141,5 @@ async def test_a_removed_interface_asks_no_more(parts: Parts) -> None:
     ask(interface, 1)
     interface.close()
     service.there = True
-    service.later.pop()()
+    service.postponed.pop()()
     assert service.asked == []
