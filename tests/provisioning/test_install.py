@@ -41,6 +41,12 @@ def make_system(root: Path, name: str, version: str, python: str) -> System:
     return System(root)
 
 
+@pytest.fixture(autouse=True)
+def no_docker(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Other tests may have a daemon running, which a fresh system has not."""
+    monkeypatch.setenv("DOCKER_HOST", f"unix://{tmp_path}/none.sock")
+
+
 @pytest.fixture(params=SYSTEMS, ids=lambda each: "-".join(each[:2]))
 def fresh(request: pytest.FixtureRequest, tmp_path: Path) -> System:
     return make_system(tmp_path, *request.param)
