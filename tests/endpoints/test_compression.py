@@ -20,15 +20,15 @@ async def test_only_who_asks_gets_it_and_messages_pass_both_ways(platform: Platf
     offers = await platform.robot("offers", compression="deflate")  # as every browser does
     assert (deflates(asks), deflates(offers)) == (True, False)
     await asks.add("out", "SubscriberConverter")
-    await offers.add("in", "PublisherConverter")
+    await asks.add("in", "PublisherConverter", of="offers")  # by the same robot: its commands run in their order
     await asks.connect("asks/out", "offers/in")
     assert await asks.take() == status("out", True)
     assert await offers.take() == status("in", True)
     await asks.data("out", {"data": LONG})
     assert await offers.take() == dm("in", {"data": LONG})
     await asks.add("blob_in", "PublisherForwarder")
-    await offers.add("blob_out", "SubscriberForwarder")
-    await offers.connect("asks/blob_in", "offers/blob_out")
+    await asks.add("blob_out", "SubscriberForwarder", of="offers")
+    await asks.connect("asks/blob_in", "offers/blob_out")
     assert await asks.take() == status("blob_in", True)
     assert await offers.take() == status("blob_out", True)
     name = "a" * 32
