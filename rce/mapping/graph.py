@@ -149,6 +149,14 @@ def edges_of(saved: Reader, nodes: int) -> list[Edge]:
     ]
 
 
+def around(graph: PoseGraph, number: int, way: float) -> Iterator[Points]:
+    """The points of each node at most `way` metres along edges from a node, in its frame."""
+    frame = graph.nodes[number].pose
+    for other in sorted(graph.distances(number, way)):
+        node = graph.nodes[other]
+        yield frame.to(node.pose).transform(node.own_points())
+
+
 def rotation(theta: float) -> Matrix:
     """Of x and y; the angle stays (3, 3)."""
     c, s = math.cos(theta), math.sin(theta)

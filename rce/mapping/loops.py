@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from rce.mapping import branching
 from rce.mapping.fields import Field, square_around, thin
 from rce.mapping.geometry import ORIGIN, Points, Pose
-from rce.mapping.graph import Edge, Matrix, PoseGraph, edges_of, edges_state, information_of
+from rce.mapping.graph import Edge, Matrix, PoseGraph, around, edges_of, edges_state, information_of
 from rce.mapping.matching import fit
 from rce.mapping.state import Reader, State
 
@@ -103,22 +102,15 @@ class LoopFinder:
 
     def _query(self, new: int) -> Points:
         """Points around a new node, its frame."""
-        points = np.concatenate(list(self._around(new, RECENT)))
+        points = np.concatenate(list(around(self._graph, new, RECENT)))
         return thin(points[np.hypot(points[:, 0], points[:, 1]) < VIEW], WIDTH, MOST)
 
     def _field(self, old: int) -> Field:
         """The walls around an old node, its frame."""
         field = square_around(ORIGIN, VIEW + PLACE, RESOLUTION)
-        for points in self._around(old, PLACE):
+        for points in around(self._graph, old, PLACE):
             field.add(points)
         return field
-
-    def _around(self, number: int, way: float) -> Iterator[Points]:
-        """The points of each node at most `way` metres along edges from a node, in its frame."""
-        frame = self._graph.nodes[number].pose
-        for other in sorted(self._graph.distances(number, way)):
-            node = self._graph.nodes[other]
-            yield frame.to(node.pose).transform(node.own_points())
 
     def _compare(self, new: int, old: int, query: Points, way: float) -> Candidate | None:
         """Where the new node is, seen from an old one; None if it does not fit there, or fits at several places."""

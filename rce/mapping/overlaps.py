@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from rce.mapping import branching
 from rce.mapping.fields import Field, square_around, thin
 from rce.mapping.geometry import ORIGIN, Points, Pose
-from rce.mapping.graph import Matrix, PoseGraph, information_of
+from rce.mapping.graph import Matrix, PoseGraph, around, information_of
 from rce.mapping.matching import fit
 
 RESOLUTION, LEVELS, TURN = 0.1, 7, math.radians(1)
@@ -35,14 +34,6 @@ class Match:
 
     motion: Pose
     information: Matrix
-
-
-def around(graph: PoseGraph, number: int, way: float) -> Iterator[Points]:
-    """The points of each node at most `way` metres along edges from a node, in its frame."""
-    frame = graph.nodes[number].pose
-    for other in sorted(graph.distances(number, way)):
-        node = graph.nodes[other]
-        yield frame.to(node.pose).transform(node.own_points())
 
 
 def place(graph: PoseGraph, number: int) -> Points | None:
