@@ -15,8 +15,9 @@ import msgspec
 from master.limits import Limits
 from master.policies import parse
 from master.store import Store
-from master.users import UserRole, Users
+from master.users import Users
 from rce.errors import NotFound, RceError
+from rce.roles import UserRole
 
 DAY = 86_400.0
 ADD_IMAGE = "images+="

@@ -21,8 +21,9 @@ from master.pauses import Pauses
 from master.placement import place
 from master.policies import UNLIMITED, Policy
 from master.records import Environment, Process, Robot, State, at, user_of, what
+from master.rights import Principal
 from master.store import Store
-from master.users import Principal, Processes, Users, must_drive
+from master.users import Processes, Users, must_drive
 from rce import calls as c
 from rce.control import Control, Handlers
 from rce.errors import (

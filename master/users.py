@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import secrets
 import time
-from typing import Any, Literal
+from typing import Any
 
 import argon2
 import sqlalchemy as sa
@@ -19,23 +19,14 @@ from master import store as db
 from master.grants import LENT_PREFIX, Grants
 from master.grants import digest as digest
 from master.records import Role
-from rce.errors import AlreadyExists, Forbidden, InvalidRequest, NotFound, Unauthorized
+from master.rights import Principal, check
+from rce.errors import AlreadyExists, InvalidRequest, NotFound, Unauthorized
 from rce.names import check_tag
+from rce.roles import UserRole
 
-UserRole = Literal["admin", "operator", "user", "viewer", "robot"]
-MAY_DRIVE: frozenset[UserRole] = frozenset({"operator", "user", "robot"})  # may connect as a robot
 KEY_PREFIX = "rce_"
 CHECKS_AT_ONCE = 2
 MACHINE = "machine"  # the role of a token that is a machine's invitation
-
-
-class Principal(Struct, frozen=True):
-    """Who somebody has proved to be; `key` is the id of the API key, empty for a password or a lent key."""
-
-    user: str
-    role: UserRole
-    key: str = ""
-    lent: bool = False  # by the user to a service that acts for them
 
 
 class ApiKey(Struct, frozen=True):
@@ -139,12 +130,11 @@ class Users:
             raise NotFound(f"user {user} has no API key {key_id}")
 
 
-def must_drive(principal: Principal) -> None:
-    """Refuse those who may not connect as a robot."""
+def must_drive(principal: Principal, robot: str = "") -> None:
+    """Refuse those who may not connect as this robot."""
     if principal.role == "admin":
         raise InvalidRequest("an administrator cannot connect as a robot: use a user of another role", field="userID")
-    if principal.role not in MAY_DRIVE:
-        raise Forbidden(f"the role {principal.role} may not connect as a robot")
+    check(principal, "robot.connect", principal.user, robot=robot)
 
 
 class Processes:

@@ -11,9 +11,9 @@ from master.api.router import Answer, Api, Call
 from master.depot import UPLOAD_PATH, Announced, Depot, Upload
 from master.records import Package, Version
 from master.service import Master
-from master.users import UserRole
 from rce.errors import Forbidden, InvalidRequest, NotFound, Unauthorized
 from rce.names import check_tag
+from rce.roles import UserRole
 
 MAY_CHANGE: frozenset[UserRole] = frozenset({"admin", "operator", "user"})
 MOST_SHARES = 1000

@@ -19,7 +19,8 @@ from twisted.web.resource import Resource
 from twisted.web.server import NOT_DONE_YET, Request
 
 from master.grants import digest
-from master.users import KEY_PREFIX, Principal, Users
+from master.rights import Principal
+from master.users import KEY_PREFIX, Users
 from rce.errors import InternalError, InvalidRequest, NotFound, RceError, Unauthorized
 from rce.http import PROBLEM, Problem
 

@@ -12,8 +12,9 @@ import sqlalchemy as sa
 
 from master import grants as module
 from master import store as db
+from master.rights import Principal
 from master.store import Store
-from master.users import Principal, Users, digest
+from master.users import Users, digest
 from rce.errors import Unauthorized
 
 

@@ -11,9 +11,11 @@ import sqlalchemy as sa
 
 from master import store as db
 from master import users as module
+from master.rights import Principal
 from master.store import Store
-from master.users import Principal, Processes, UserRole, Users, digest, must_drive
+from master.users import Processes, Users, digest, must_drive
 from rce.errors import AlreadyExists, Forbidden, InvalidName, InvalidRequest, NotFound, RceError, Unauthorized
+from rce.roles import UserRole
 
 
 @pytest.fixture
