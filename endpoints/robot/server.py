@@ -44,6 +44,7 @@ SLICE = 0.0005  # seconds for which one robot's frames may be worked on at a str
 TICK = 10.0  # seconds: a robot from which nothing came for so long is pinged, and given up after as long again
 BAD_WINDOW = 60.0
 NORMAL = 1000  # the close code of a peer that has done all it wanted
+REFUSED = 4000  # plus the HTTP status: the close code of a robot that is refused and asked to hear it so
 
 log = Logger()
 
@@ -128,6 +129,11 @@ def _optional(request: ConnectionRequest, name: str) -> str:
     return str(values[0])
 
 
+def _hears_by_closing(request: ConnectionRequest) -> bool:
+    """Browsers tell scripts neither status nor reason of a handshake that was refused, but those of a closed socket."""
+    return "close" in request.params.get("refuse", [])
+
+
 def _compress(value: str) -> bool:
     if value not in ("", "deflate"):
         raise InvalidRequest(f"parameter compress may be deflate, not {value[:40]!r}")
@@ -181,6 +187,7 @@ class RobotSocket(WebSocketServerProtocol):
         self._door = door
         self._admitted: Admitted | None = None
         self._session: Session | None = None
+        self._denied: ConnectionDeny | None = None  # what a robot hears by closing
         self._full = False
         self._bad: deque[float] = deque()
         self._reason = ""
@@ -201,7 +208,11 @@ class RobotSocket(WebSocketServerProtocol):
             features = greeting.features
             self._admitted = await self._door.login(greeting)
         except RceError as error:
-            raise _denial(error, features) from None
+            denial = _denial(error, features)
+            if not _hears_by_closing(request):
+                raise denial from None
+            self._denied = denial
+            return None, {}
         if greeting.compress:  # browsers offer it always; it costs more than it gains unless the line is slow
             self.perMessageCompressionAccept = _accept_deflate
         session = self._admitted.session
@@ -211,6 +222,9 @@ class RobotSocket(WebSocketServerProtocol):
         return None, {"RCE-Features": ",".join(sorted(session.features))} if session.features else {}
 
     def onOpen(self) -> None:
+        if self._denied is not None:
+            self._close(REFUSED + self._denied.code, str(self._denied.reason))
+            return
         assert self._admitted is not None
         session = self._session = self._admitted.session
         limits = self._door.limits
@@ -390,8 +404,11 @@ class RobotSocket(WebSocketServerProtocol):
     def end(self, reason: str) -> None:
         self._reason = reason
         if self.state == self.STATE_OPEN:
-            # Not `sendClose`: that one takes the codes of applications only.
-            self.sendCloseFrame(1008, reason.encode()[:120].decode(errors="ignore").encode(), isReply=False)
+            self._close(1008, reason)
+
+    def _close(self, code: int, reason: str) -> None:
+        """Not `sendClose`: that one takes the codes of applications only."""
+        self.sendCloseFrame(code, reason.encode()[:120].decode(errors="ignore").encode(), isReply=False)
 
     def sendCloseFrame(self, *args: Any, **more: Any) -> None:
         """Whoever closes: what is for the robot waits for its next socket from here on."""

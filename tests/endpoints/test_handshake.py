@@ -6,8 +6,11 @@ import asyncio
 import hashlib
 from contextlib import suppress
 
+import pytest
 from platforms import Platform
 from raw_robot import PASSWORD, USER, WAIT
+from websockets.asyncio.client import connect
+from websockets.exceptions import ConnectionClosed
 
 WS = (
     "Host: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
@@ -59,6 +62,16 @@ async def test_the_table(platform: Platform) -> None:
         assert (got, names in reason) == (status, True), f"{query}: {got} {reason}"
         assert PASSWORD not in reason
         await platform.forget("r")
+
+
+async def test_a_script_hears_by_the_close_code_why_it_is_refused(platform: Platform) -> None:
+    for query, status, words in TABLE:
+        if status != 101:
+            async with connect(f"ws://127.0.0.1:{platform.port}/?{query}&refuse=close") as socket:
+                with pytest.raises(ConnectionClosed):
+                    await asyncio.wait_for(socket.recv(), WAIT)
+            assert socket.close_code == 4000 + status, query
+            assert words in (socket.close_reason or "")
 
 
 async def test_a_credential_in_the_header(platform: Platform) -> None:

@@ -193,3 +193,14 @@ async def test_a_recording_is_turned_away_by_its_headers(
     assert location in answer
     assert b"100 Continue" not in answer
     writer.close()
+
+
+async def test_pages_of_any_origin_may_ask(port: int) -> None:
+    def header() -> str | None:
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+        connection.request("GET", GOOD, headers={"Connection": "close", "Origin": "https://elsewhere.example"})
+        answer = connection.getresponse().getheader("access-control-allow-origin")
+        connection.close()
+        return answer
+
+    assert await asyncio.to_thread(header) == "*"

@@ -142,3 +142,20 @@ def test_an_old_python_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_status_is_that_of_the_last_program() -> None:
     program = "import os, sys; sys.exit(int(os.environ['STATUS']))"
     assert development.hand_over([sys.executable, "-c", program], environment={"STATUS": "7"}) == 7
+
+
+def test_what_a_distribution_lacks_for_the_browser_does_not_stop_the_tests(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+
+    def run(*command: str | Path, environment: object = None) -> str:
+        asked.append(" ".join(map(str, command)))
+        if "chromium" in command:
+            raise steps.Failed("Unable to locate package chromium")
+        return ""
+
+    monkeypatch.setattr(development, "IS_ROOT", True)
+    monkeypatch.setattr(development, "run", run)
+    monkeypatch.setattr(development.shutil, "which", lambda name: None if name == "chromium" else f"/usr/bin/{name}")
+    monkeypatch.setattr(development, "missing_debian", lambda tests: ["g++", "chromium"])
+    assert development.install_debian(tests=True) == "installed g++"
+    assert asked[-1].endswith("chromium")

@@ -1,0 +1,66 @@
+// Queues in front of one socket, one for each interface, emptied in turns so that a large message does not hold up
+// small ones. A message is an iterator of pieces (strings or bytes).
+
+const HIGH_WATER = 8; // messages of one source at which its sender is asked to wait
+
+export class Outbox {
+  #queues = new Map(); // {current, waiting, room} by source, in the order of their turns
+  #write;
+  #open = true;
+
+  /** `write(piece)` says whether there is room for another. */
+  constructor(write) {
+    this.#write = write;
+  }
+
+  get empty() {
+    return this.#queues.size === 0;
+  }
+
+  /** Queue a message; at most `keep` of the source wait. How many older ones were dropped for it. */
+  put(source, pieces, keep = Infinity) {
+    const queue = this.#queues.get(source) ?? { current: null, waiting: [], room: null };
+    this.#queues.set(source, queue);
+    queue.waiting.push(pieces);
+    this.#pump();
+    const dropped = Math.max(0, queue.waiting.length - keep);
+    queue.waiting.splice(0, dropped);
+    return dropped;
+  }
+
+  /** null while the source may go on; else a promise of the time when its queue has emptied. */
+  room(source) {
+    const queue = this.#queues.get(source);
+    if (!queue || queue.waiting.length < HIGH_WATER) return null;
+    if (!queue.room) {
+      queue.room = {};
+      queue.room.promise = new Promise((resolve) => { queue.room.resolve = resolve; });
+    }
+    return queue.room.promise;
+  }
+
+  resume() {
+    this.#open = true;
+    this.#pump();
+  }
+
+  /** Drop everything: the socket is gone. */
+  clear() {
+    this.#open = false;
+    for (const queue of this.#queues.values()) queue.room?.resolve();
+    this.#queues.clear();
+  }
+
+  #pump() {
+    while (this.#open && this.#queues.size) {
+      const [source, queue] = this.#queues.entries().next().value;
+      this.#queues.delete(source);
+      queue.current ??= queue.waiting.shift();
+      const { value, done } = queue.current.next();
+      if (done) queue.current = null;
+      if (queue.current || queue.waiting.length) this.#queues.set(source, queue); // behind the others
+      else queue.room?.resolve();
+      if (!done) this.#open = this.#write(value);
+    }
+  }
+}

@@ -1,0 +1,66 @@
+// A bounded queue that keeps the newest, read with `for await` or `get`.
+
+import { TimedOut, Unavailable } from "./errors.js";
+
+export class Stream {
+  #items = [];
+  #readers = [];
+  #depth;
+  #end = null; // {error} once no more will come
+
+  constructor(depth) {
+    this.#depth = depth;
+    this.dropped = 0;
+  }
+
+  /** Add the newest; the oldest is dropped when more than the depth wait. */
+  put(item) {
+    if (this.#end) return;
+    const reader = this.#readers.shift();
+    if (reader) return reader.resolve({ value: item, done: false });
+    this.#items.push(item);
+    if (this.#items.length > this.#depth) {
+      this.#items.shift();
+      this.dropped += 1;
+    }
+  }
+
+  /** No more will come; readers take what is there, and then get `error` or the end of the iteration. */
+  end(error = null) {
+    this.#end ??= { error };
+    for (const reader of this.#readers.splice(0)) this.#finish(reader);
+  }
+
+  /** The next item. TimedOut after `timeout` seconds, Unavailable (or why it ended) after the end. */
+  async get(timeout = Infinity) {
+    const reader = this.#read();
+    let timer;
+    if (timeout < Infinity) {
+      timer = setTimeout(() => {
+        this.#readers = this.#readers.filter((each) => each !== reader);
+        reader.reject(new TimedOut(`nothing arrived within ${timeout} s`));
+      }, timeout * 1000);
+    }
+    const { value, done } = await reader.promise.finally(() => clearTimeout(timer));
+    if (done) throw new Unavailable("nothing more will arrive: this has been closed");
+    return value;
+  }
+
+  [Symbol.asyncIterator]() {
+    return { next: () => this.#read().promise };
+  }
+
+  #read() {
+    const reader = {};
+    reader.promise = new Promise((resolve, reject) => Object.assign(reader, { resolve, reject }));
+    if (this.#items.length) reader.resolve({ value: this.#items.shift(), done: false });
+    else if (this.#end) this.#finish(reader);
+    else this.#readers.push(reader);
+    return reader;
+  }
+
+  #finish(reader) {
+    if (this.#end.error) reader.reject(this.#end.error);
+    else reader.resolve({ value: undefined, done: true });
+  }
+}
