@@ -18,8 +18,7 @@ from twisted.internet.interfaces import IListeningPort
 from twisted.logger import Logger
 from twisted.web.server import Site
 
-from master.api.packages import PackagesApi
-from master.api.router import Api
+from master.api.resources import make_api
 from master.api.site import ApiSite
 from master.depot import Depot
 from master.entry import Entry
@@ -89,8 +88,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     ports = [await control.listen(reactor, options.control, master, tls)]
     try:
         endpoint = endpoints.serverFromString(reactor, http)
-        api = Api(master.users)
-        PackagesApi(master, depot).add_to(api)
+        api = make_api(master, depot)
         site = ApiSite(Entry(master.state), api, depot)
         ports.append(await endpoint.listen(site).asFuture(asyncio.get_running_loop()))
         if options.machines:

@@ -22,6 +22,7 @@ from master.placement import place
 from master.policies import UNLIMITED, Policy
 from master.records import Environment, Process, Robot, State, at, user_of, what
 from master.rights import Principal
+from master.shown import Shown
 from master.store import Store
 from master.users import Processes, Users, must_drive
 from rce import calls as c
@@ -76,6 +77,7 @@ class Master:
         self._depot = depot
         self._store = store
         self._carrier = Carrier(self._prepare, self._carried)
+        self.shown = Shown(self.state, self._carrier.is_real)
         self._retries: dict[str, float] = {}  # seconds to the next start of what keeps dying
         self._breaks = Pauses(LINK_RETRY_FIRST, LINK_RETRY_MOST, STEADY)
         self._away: dict[str, asyncio.Task[None]] = {}  # processes whose time to come back runs

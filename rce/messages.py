@@ -14,6 +14,7 @@ import msgspec
 from msgspec import UNSET, Meta, Raw, Struct, UnsetType
 
 from rce.errors import ErrorInfo, InvalidRequest
+from rce.names import MAX_TAG, TAG, TYPE
 
 CURRENT_VERSION = "20130902"
 MINIMAL_VERSION = "20130415"
@@ -23,6 +24,11 @@ FEATURES = frozenset({"ack", "events", "resume", "parts"})
 T = TypeVar("T")
 Text = Annotated[str, Meta(min_length=1)]
 Amount = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+# Names are checked where they are used, with an error of their own (rce.names); schemas have the rule from here.
+Tag = Annotated[str, Meta(extra_json_schema={"pattern": f"^{TAG.pattern}$", "maxLength": MAX_TAG})]
+TagOrNone = Annotated[str, Meta(extra_json_schema={"pattern": f"^({TAG.pattern})?$", "maxLength": MAX_TAG})]
+InterfaceTag = Annotated[str, Meta(extra_json_schema={"pattern": f"^{TAG.pattern}/{TAG.pattern}$"})]
+TypeText = Annotated[str, Meta(extra_json_schema={"pattern": f"^{TYPE.pattern}$"})]
 FrameId = Annotated[str, Meta(max_length=255)] | int
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 from msgspec import Meta, Struct
 
 from master import packages
-from master.api.router import Answer, Api, Call
+from master.api.calls import Answer, Call
+from master.api.router import Api, Route
 from master.depot import UPLOAD_PATH, Announced, Depot, Upload
 from master.records import Package, Version
 from master.service import Master
@@ -56,15 +58,29 @@ class PackagesApi:
         self._depot = depot
 
     def add_to(self, api: Api) -> None:
-        api.add("GET", "/packages", self.list)
-        api.add("POST", "/packages", self.announce)
-        api.add("DELETE", "/packages/{name}", self.remove)
-        api.add("DELETE", "/packages/{name}/versions/{version}", self.remove)
-        api.add("POST", "/packages/{name}/shares", self.share)
-        api.add("DELETE", "/packages/{name}/shares", self.unshare)
-        api.add("DELETE", "/packages/{name}/shares/{other}", self.unshare)
-        api.add("PUT", "/uploads", self.upload, for_all=True)
-        api.add("GET", "/archives", self.fetch, for_all=True)
+        users = Route("POST", "/packages/{name}/shares", self.share, "Share a package", body=Shares, answer=Shown)
+        api.add(
+            Route("GET", "/packages", self.list, "Packages: your own, and those shared with you", answer=list[Shown]),
+            Route(
+                *("POST", "/packages", self.announce, "Announce an archive; its bytes go to `upload`"),
+                *(None, Announcement, Invitation, 202),
+            ),
+            Route("DELETE", "/packages/{name}", self.remove, "Remove a package", status=204),
+            Route("DELETE", "/packages/{name}/versions/{version}", self.remove, "Remove one version", status=204),
+            users,
+            users._replace(method="DELETE", handler=self.unshare, summary="Share it with none, or with these no more"),
+            Route(
+                "DELETE",
+                "/packages/{name}/shares/{other}",
+                self.unshare,
+                "Share it with one user no more",
+                answer=Shown,
+            ),
+            Route(
+                "PUT", "/uploads", self.upload, "The bytes that were announced", answer=Shown, status=201, for_all=True
+            ),
+            Route("GET", "/archives", self.fetch, "An archive, for task sets with a ticket", answer=Path, for_all=True),
+        )
 
     async def list(self, call: Call) -> Answer:
         return Answer([_shown(each, call.user) for each in packages.visible(self._master.state, call.user)])

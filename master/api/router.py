@@ -9,7 +9,8 @@ import os
 import re
 from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
+from urllib.parse import parse_qs, unquote
 
 import msgspec
 from msgspec import Struct
@@ -18,6 +19,7 @@ from twisted.protocols.basic import FileSender
 from twisted.web.resource import Resource
 from twisted.web.server import NOT_DONE_YET, Request
 
+from master.api.calls import Answer, Call
 from master.grants import digest
 from master.rights import Principal
 from master.users import KEY_PREFIX, Users
@@ -25,6 +27,7 @@ from rce.errors import InternalError, InvalidRequest, NotFound, RceError, Unauth
 from rce.http import PROBLEM, Problem
 
 PREFIX = "/api/v1"
+JSON = "application/json"
 HASH = re.compile(r"[0-9a-f]{64}", re.ASCII)
 STATUS = {
     "unauthorized": 401,
@@ -34,6 +37,7 @@ STATUS = {
     "already_exists": 409,
     "not_connectable": 409,
     "limit_exceeded": 413,
+    "unsupported_media_type": 415,
     "no_capacity": 503,
     "unavailable": 503,
     "lost": 503,
@@ -44,7 +48,12 @@ STATUS = {
 """Status codes by those of errors; every other error is the asker's (400)."""
 
 log = Logger()
-T = TypeVar("T")
+
+
+class UnsupportedMediaType(InvalidRequest):
+    """The body is not in JSON."""
+
+    code = "unsupported_media_type"
 
 
 class MethodNotAllowed(InvalidRequest):
@@ -53,38 +62,28 @@ class MethodNotAllowed(InvalidRequest):
     code = "method_not_allowed"
 
 
-class Call(NamedTuple):
-    """A request, as its handler sees it. `content` is the file-like body; without `principal` a token says it all."""
-
-    user: str
-    principal: Principal | None
-    path: dict[str, str]
-    token: str
-    content: Any
-
-    def body(self, kind: type[T]) -> T:
-        """The JSON body. InvalidRequest."""
-        try:
-            return msgspec.json.decode(self.content.read(), type=kind)
-        except msgspec.DecodeError as error:
-            raise InvalidRequest(f"body: {error}", field="body") from None
-
-
-class Answer(NamedTuple):
-    """`body` goes out as JSON, a path as the file there, None not at all."""
-
-    body: Struct | list[Any] | Path | None = None
-    status: int = 200
-
-
 Handler = Callable[[Call], Awaitable[Answer]]
 
 
-class _Route(NamedTuple):
-    pattern: re.Pattern[str]
+class Route(NamedTuple):
+    """What one method does at one path, with all that its description needs.
+
+    `query`, `body` and `answer` are types; `for_all`: who asks is not asked for, tickets say it.
+    """
+
     method: str
+    path: str
     handler: Handler
-    for_all: bool
+    summary: str = ""
+    query: type[Struct] | None = None
+    body: Any = None
+    answer: Any = None
+    status: int = 200
+    for_all: bool = False
+
+    @property
+    def pattern(self) -> re.Pattern[str]:
+        return re.compile(re.sub(r"\\\{(\w+)\\\}", r"(?P<\1>[^/]+)", re.escape(PREFIX + self.path)))
 
 
 class Api(Resource):
@@ -95,13 +94,14 @@ class Api(Resource):
     def __init__(self, users: Users) -> None:
         super().__init__()  # type: ignore[no-untyped-call]  # Twisted's
         self._users = users
-        self._routes: list[_Route] = []
+        self.routes: list[Route] = []
+        self._patterns: list[tuple[re.Pattern[str], Route]] = []
         self._tasks: set[asyncio.Task[None]] = set()
 
-    def add(self, method: str, path: str, handler: Handler, *, for_all: bool = False) -> None:
-        """`{word}` in the path stands for any one part. `for_all`: who asks is not asked for; tickets say it."""
-        pattern = re.sub(r"\\\{(\w+)\\\}", r"(?P<\1>[^/]+)", re.escape(PREFIX + path))
-        self._routes.append(_Route(re.compile(pattern), method, handler, for_all))
+    def add(self, *routes: Route) -> None:
+        """`{word}` in a path stands for any one part."""
+        self.routes += routes
+        self._patterns += [(route.pattern, route) for route in routes]
 
     def render(self, request: Request) -> int:
         task = asyncio.ensure_future(self._serve(request))
@@ -130,22 +130,29 @@ class Api(Resource):
             case None:
                 request.finish()
             case body:
-                _write(request, msgspec.json.encode(body), "application/json")
+                _write(request, msgspec.json.encode(body), JSON)
 
     async def _answer(self, request: Request) -> Answer:
         path = request.path.decode("ascii", "replace")
-        matches = [(route, match) for route in self._routes if (match := route.pattern.fullmatch(path))]
+        matches = {
+            route.method: (route, match) for pattern, route in self._patterns if (match := pattern.fullmatch(path))
+        }
         if not matches:
             raise NotFound(f"there is nothing at {path[:200]}")
         method = request.method.decode("ascii", "replace")
-        for route, match in matches:
-            if route.method == method:
-                kind, credentials = authorization(request)
-                principal = None if route.for_all else await self._authenticate(kind, credentials)
-                user = principal.user if principal else ""
-                return await route.handler(Call(user, principal, match.groupdict(), credentials, request.content))
-        allowed = ", ".join(sorted(route.method for route, _ in matches))
-        raise MethodNotAllowed(f"{path[:200]} takes {allowed}, not {method[:20]}")
+        found = matches.get("GET" if method == "HEAD" else method)
+        if found is None:
+            allowed = ", ".join(sorted([*matches, *(["HEAD"] if "GET" in matches else [])]))
+            request.setHeader("allow", allowed)
+            raise MethodNotAllowed(f"{path[:200]} takes {allowed}, not {method[:20]}")
+        route, match = found
+        kind, credentials = authorization(request)
+        principal = None if route.for_all else await self._authenticate(kind, credentials)
+        if route.body is not None:
+            _check_kind(request)
+        parts = {name: _unquoted(part, path) for name, part in match.groupdict().items()}
+        user = principal.user if principal else ""
+        return await route.handler(Call(user, principal, parts, credentials, request.content, _query(request), request))
 
     async def _authenticate(self, kind: str, credentials: str) -> Principal:
         """An API key as bearer, or `user:secret` as basic. The secret is a key, a password, or its SHA-256 in hex, as
@@ -168,6 +175,32 @@ def authorization(request: Request) -> tuple[str, str]:
     """The kind of the credentials, in lower case, and the credentials."""
     kind, _, credentials = (request.getHeader("authorization") or "").partition(" ")
     return kind.lower(), credentials.strip()
+
+
+def _unquoted(part: str, path: str) -> str:
+    try:
+        return unquote(part, errors="strict")
+    except UnicodeDecodeError:
+        raise NotFound(f"there is nothing at {path[:200]}") from None
+
+
+def _query(request: Request) -> dict[str, str]:
+    """Each parameter of the address once; a form in the body is none."""
+    try:
+        words = parse_qs(request.uri.partition(b"?")[2].decode("ascii"), keep_blank_values=True, errors="strict")
+    except ValueError:
+        raise InvalidRequest("query: it is not percent-encoded UTF-8", field="query") from None
+    for name, values in words.items():
+        if len(values) > 1:
+            raise InvalidRequest(f"query.{name[:80]}: given {len(values)} times", field=name[:80])
+    return {name: values[0] for name, values in words.items()}
+
+
+def _check_kind(request: Request) -> None:
+    """A browser that knows a user's password sends forms for whoever asks it to; JSON it does not."""
+    kind = (request.getHeader("content-type") or JSON).partition(";")[0].strip().lower()
+    if kind != JSON:
+        raise UnsupportedMediaType(f"the body must be {JSON}, not {kind[:80]}")
 
 
 def _refuse(request: Request, error: RceError) -> None:

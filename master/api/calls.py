@@ -1,0 +1,71 @@
+"""A request, as its handler sees it, and what a handler answers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, TypeVar
+
+import msgspec
+from msgspec import Meta, Struct
+from twisted.web.server import Request
+
+from master.rights import Principal
+from rce.errors import InvalidRequest
+from rce.messages import decode_as
+
+MOST = 1000  # items of a page
+T = TypeVar("T")
+Limit = Annotated[int, Meta(ge=1, le=MOST, description="items of a page")]
+Whose = Annotated[str, Meta(max_length=255, description="whose: another user, for those who may; empty: one's own")]
+Everybodys = Annotated[str, Meta(max_length=255, description="whose: another user, or * for all who may be seen")]
+
+
+class One(Struct, frozen=True, forbid_unknown_fields=True):
+    """What may be said in the query about a single thing."""
+
+    user: Whose = ""
+
+
+class Paging(Struct, frozen=True, forbid_unknown_fields=True):
+    """What may be said in the query of each list."""
+
+    limit: Limit = 100
+    after: Annotated[str, Meta(max_length=2000, description="`next` of the page before")] = ""
+
+
+class Listing(Paging, frozen=True, forbid_unknown_fields=True):
+    """What may be said in the query of a list of users' things."""
+
+    user: Everybodys = ""
+
+
+class Call(NamedTuple):
+    """`path` and `query` are decoded; without `principal` a token says it all. `content` is the file-like body."""
+
+    user: str
+    principal: Principal | None
+    path: dict[str, str]
+    token: str
+    content: Any
+    query: dict[str, str]
+    request: Request
+
+    def body(self, kind: type[T]) -> T:
+        """The JSON body. InvalidRequest with the path of the field."""
+        return decode_as(kind, self.content.read(), "body")
+
+    def asked(self, kind: type[T]) -> T:
+        """The query. InvalidRequest with the parameter's name."""
+        try:
+            return msgspec.convert(self.query, kind, strict=False)
+        except msgspec.ValidationError as error:
+            reason, _, path = str(error).partition(" - at `$")
+            name = path.rstrip("`").lstrip(".")
+            raise InvalidRequest(f"query{'.' if name else ''}{name}: {reason}", field=name) from None
+
+
+class Answer(NamedTuple):
+    """`body` goes out as JSON, a path as the file there, None not at all."""
+
+    body: Struct | list[Any] | Path | None = None
+    status: int = 200
