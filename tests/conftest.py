@@ -89,10 +89,10 @@ def docker_host() -> Iterator[str]:
 
 
 @pytest.fixture(scope="session")
-def island() -> Iterator[Island]:
-    """A machine with a network of its own, and a Docker daemon in it."""
+def island(request: pytest.FixtureRequest) -> Iterator[Island]:
+    """A machine with a network of its own, and a Docker daemon in it, which has the images."""
     pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
     from island import island as make
 
-    with make() as made:
+    with make(lambda: request.getfixturevalue("images")) as made:
         yield made

@@ -77,6 +77,25 @@ def private_daemon(directory: Path, namespace: str = "") -> Iterator[str]:
             subprocess.run(["umount", str(mount)], check=False)
 
 
+def linked_images(api: docker.APIClient, data: Path) -> bool:
+    """Whether a daemon yet to start in the directory `data` has got the images of this one. It does by hard links, in
+    two seconds where saving and loading takes half a minute; not where it is on another disk. Layers never change."""
+    info = api.info()
+    root = Path(info["DockerRootDir"])
+    data.mkdir()
+    script = 'umount --lazy "$1"; exec cp --archive --link "$1/image" "$1/$2" "$3"'  # dockerd has it mounted on itself
+    words = ["unshare", "--mount", "sh", "-c", script, "sh", str(root), info["Driver"], str(data)]
+    done = subprocess.run(words, capture_output=True)
+    if done.returncode:
+        shutil.rmtree(data)
+    return done.returncode == 0
+
+
+def copy_image(source: docker.APIClient, target: docker.APIClient, tag: str) -> None:
+    for _ in target.load_image(source.get_image(tag)):
+        pass  # it is loaded when all has been said
+
+
 def _in(namespace: str) -> list[str]:
     script = 'mount -t tmpfs none /run && mkdir -p /run/docker && exec "$@"'
     return ["nsenter", f"--net=/run/netns/{namespace}", "unshare", "--mount", "sh", "-c", script, "sh"]

@@ -7,17 +7,24 @@ DOCKER_HOST is its address and RCE_TEST_NAMESPACE the name of its namespace.
 
 from __future__ import annotations
 
+import asyncio
 import ctypes
 import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+import docker
 import pytest
-from docker_daemon import NEEDED, private_daemon
+from docker_daemon import NEEDED, copy_image, linked_images, private_daemon
+
+from provisioning.image import MAPPING
+from rce import __version__
 
 CLONE_NEWNET = 0x40000000
 IN_INTERNET, IN_PRIVATE, METADATA = "203.0.113.10", "172.30.7.10", "169.254.169.254"
@@ -36,9 +43,13 @@ class Island:
 
     @contextmanager
     def inside(self) -> Iterator[None]:
-        """This thread, and all that it starts, are in the machine's network meanwhile, with its Docker."""
+        """This thread, its event loop's other threads, and all that they start are in the machine's network meanwhile,
+        with its Docker."""
+        loop = asyncio.get_running_loop()
         with entered(self.namespace), _variable("DOCKER_HOST", self.host):
+            loop.set_default_executor(ThreadPoolExecutor())  # idle threads of before are where they were started
             yield
+        loop.set_default_executor(ThreadPoolExecutor())
 
     def open_world(self) -> None:
         run("ip", "netns", "add", self.world)
@@ -74,14 +85,14 @@ def _enter(handle: int) -> None:
 
 
 @contextmanager
-def island() -> Iterator[Island]:
-    """Skips the test where there can be none."""
+def island(images: Callable[[], Any]) -> Iterator[Island]:
+    """With the images of the Docker that `images` gives the API of. Skips the test where there can be none."""
     lacking = [name for name in (*NEEDED, "ip", "nsenter", "unshare") if not _has(name)]
     if lacking:
         pytest.skip(f"no {', '.join(lacking)}: install docker.io, containerd, runc, iptables and iproute2")
     if os.geteuid() != 0:
         pytest.skip("network namespaces need root: run the tests as root")
-    with _machine() as made:
+    with _machine(images) as made:
         made.open_world()
         try:
             yield made
@@ -90,22 +101,22 @@ def island() -> Iterator[Island]:
 
 
 @contextmanager
-def _machine() -> Iterator[Island]:
+def _machine(images: Callable[[], Any]) -> Iterator[Island]:
     kept = os.environ.get("RCE_TEST_NAMESPACE", "")
     if kept:
         yield Island(os.environ["DOCKER_HOST"], kept, kept=True)
         return
-    if "RCE_TEST_DOCKER" not in os.environ:
-        pytest.skip("starts a Docker daemon of its own: RCE_TEST_DOCKER=1 provisioning/provision test runs it too")
+    source = images()
     name = f"rce-test-{os.getpid()}"
     run("ip", "netns", "add", name)
     run("ip", "-n", name, "link", "set", "lo", "up")
     try:
-        with (
-            tempfile.TemporaryDirectory(prefix="rce-island-", ignore_cleanup_errors=True) as directory,
-            private_daemon(Path(directory), namespace=name) as host,
-        ):
-            yield Island(host, name)
+        with tempfile.TemporaryDirectory(prefix="rce-island-", ignore_cleanup_errors=True) as directory:
+            linked = linked_images(source, Path(directory) / "data")
+            with private_daemon(Path(directory), namespace=name) as host:
+                if not linked:
+                    copy_image(source, docker.APIClient(host, version="auto", timeout=600), f"{MAPPING}:{__version__}")
+                yield Island(host, name)
     finally:
         run("ip", "netns", "delete", name)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import subprocess
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,7 +38,7 @@ def image(island: Island, load_stand_in: Callable[[str], None]) -> str:
 
 
 @pytest.fixture
-def world(island: Island, image: str, tmp_path: Path, reactor: ReactorBase) -> Iterator[DockerWorld]:
+async def world(island: Island, image: str, tmp_path: Path, reactor: ReactorBase) -> AsyncIterator[DockerWorld]:
     with island.inside():
         yield DockerWorld(tmp_path, image, reactor)
 

@@ -10,7 +10,7 @@ import asyncio
 import json
 import os
 import subprocess
-from collections.abc import AsyncIterator, Iterator, Sequence
+from collections.abc import AsyncIterator, Sequence
 from contextlib import AsyncExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -83,18 +83,11 @@ class Inside:
 
 
 @pytest.fixture(scope="module")
-def inside(island: Island, request: pytest.FixtureRequest) -> Iterator[Any]:
-    """Docker's API on the island, where this thread is from now on; its images are those of the usual daemon."""
+async def inside(island: Island) -> AsyncIterator[Any]:
+    """Docker's API on the island, where this thread is from now on."""
     import docker
 
-    from provisioning.image import MAPPING
-    from rce import __version__
-
     api = docker.APIClient(base_url=island.host, version="auto", timeout=600)
-    if not island.kept:
-        images = request.getfixturevalue("images")
-        for _ in api.load_image(images.get_image(f"{MAPPING}:{__version__}")):
-            pass  # it is loaded when all has been said
     with island.inside():
         yield api
     api.close()
