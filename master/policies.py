@@ -6,7 +6,6 @@ and stands in their place. Nothing here waits: the graph asks before it takes a 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from fnmatch import fnmatchcase
 from typing import Annotated, Any
@@ -16,7 +15,7 @@ from msgspec import Meta, Struct
 from msgspec.structs import replace
 
 from master.records import State
-from rce import slots
+from rce import quantities, slots
 from rce.calls import Egress
 from rce.errors import InvalidRequest, LimitExceeded
 from rce.messages import ContainerData, Rates
@@ -24,9 +23,6 @@ from rce.messages import ContainerData, Rates
 Number = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Cores = Annotated[float, Meta(ge=0)]
 IMAGES = ("rce/base", "rce/mapping")  # what `provisioning/provision image` builds
-UNITS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
-UNITS |= {f"{prefix}i": 1024**power for power, prefix in enumerate(("K", "M", "G", "T"), 1)}
-_QUANTITY = re.compile(r"(\d+(?:\.\d+)?) ?([kMGT]|[KMGT]i|)B?")
 _AMOUNTS = ("cpu", "memory", "pids", "disk", "bandwidth")  # of containerData, with a default and a ceiling each
 
 
@@ -129,11 +125,8 @@ def parse(assignments: Iterable[str]) -> dict[str, Any]:
 def _value(name: str, text: str) -> Any:
     if isinstance(getattr(UNLIMITED, name), list):
         return [item for item in text.split(",") if item]
-    match = _QUANTITY.fullmatch(text)
-    if match is None:
-        return text
-    amount = float(match[1]) * UNITS[match[2]]
-    return int(amount) if amount.is_integer() else amount
+    amount = quantities.number(text)
+    return text if amount is None else amount
 
 
 def with_changes(policy: Policy, changes: dict[str, Any]) -> Policy:

@@ -36,6 +36,7 @@ from rce.errors import (
     RceError,
     StartFailed,
     Unauthorized,
+    Unavailable,
     UnknownType,
 )
 from rce.messages import Command, DestroyContainer, EnvironmentEvent, LimitEvent, NodeEvent, StatusData
@@ -46,6 +47,7 @@ LINK_RETRY_FIRST, LINK_RETRY_MOST = 0.1, 5.0
 STEADY = 5.0  # what ran this long before it died was no failed start: it is started again
 
 log = Logger()
+R = TypeVar("R")
 T = TypeVar("T")
 
 
@@ -306,6 +308,14 @@ class Master:
             except RceError as error:
                 log.debug("{name} does not know {type}: {error}", name=environment.name, type=call.type, error=error)
         raise UnknownType(f"type {call.type} is known neither here nor in an environment of {call.user}")
+
+    async def ask(self, environment: Environment, call: c.Call[R]) -> R:
+        """Ask an environment, once it is there. TimedOut, Unavailable, and what the environment answers."""
+        await self._carrier.wait(what(environment), START_TIMEOUT)
+        control = self._carrier.controls.get(environment.name)
+        if control is None:
+            raise Unavailable(f"environment {environment.name} is away at present")
+        return await control.call(call)
 
     def tell(self, user: str, status: StatusData | None = None, error: ErrorInfo | None = None) -> None:
         """A status or an error to all robots of a user; those without the feature `events` are spared."""

@@ -190,6 +190,26 @@ class ReadLog(Call[Log], frozen=True):
     lines: int = 100
 
 
+class RosName(Struct, frozen=True):
+    """A topic or service of ROS in an environment, with its types; of a topic, how many nodes publish and subscribe."""
+
+    name: str
+    types: list[str]
+    publishers: int = 0
+    subscribers: int = 0
+
+
+class RosGraph(Struct, frozen=True):
+    """What ROS has in an environment now, in the order of the names."""
+
+    topics: list[RosName]
+    services: list[RosName]
+
+
+class ReadGraph(Call[RosGraph], frozen=True):
+    """The topics and services of an environment."""
+
+
 class Tell(Call[Nothing], frozen=True):
     """Send a status to a robot (Robot endpoint only); `error` goes as an ER."""
 

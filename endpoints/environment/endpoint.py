@@ -11,6 +11,7 @@ from twisted.logger import Logger
 
 from endpoints.data_port import DataPort
 from endpoints.environment.definitions import Definitions
+from endpoints.environment.graph import read
 from endpoints.environment.interfaces import RosInterface, Surroundings
 from endpoints.environment.live import LiveParameters
 from endpoints.environment.nodes import Nodes
@@ -71,6 +72,7 @@ class Environment:
         handlers.on(c.DropParameter, _called(lambda call: self._parameters.drop(call.key)))
         handlers.on(c.ReadLog, self._read_log)
         handlers.on(c.Describe, self._describe)
+        handlers.on(c.ReadGraph, self._read_graph)
         return handlers
 
     async def run(self) -> None:
@@ -144,6 +146,9 @@ class Environment:
 
     async def _describe(self, call: c.Describe) -> c.Definitions:
         return c.Definitions(self._definitions.describe(call.type, call.service))
+
+    async def _read_graph(self, call: c.ReadGraph) -> c.RosGraph:
+        return await self._ros.run(lambda: read(self._ros.node))
 
     # reports
 

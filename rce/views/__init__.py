@@ -4,6 +4,7 @@ Things of the protocol have the names that they have in CC, CN and CX (`containe
 are single words. Every view of what belongs to a user begins with `user`. Times are seconds since 1970, sizes bytes.
 """
 
+from rce.calls import RosName as RosName
 from rce.views.live import Deltas as Deltas
 from rce.views.live import Event as Event
 from rce.views.live import Greeting as Greeting

@@ -9,6 +9,7 @@ import pytest
 from served import Served, serve
 from twisted.internet.base import ReactorBase
 
+from rce import calls as c
 from rce import messages as m
 
 
@@ -29,6 +30,18 @@ async def served(reactor: ReactorBase, tmp_path: Path) -> AsyncIterator[Served]:
             await served.master.execute("ann", command)
         await served.master.execute("bob", m.CreateContainer("other"))
         yield served
+
+
+async def test_an_environment_is_asked_for_its_topics_and_services(served: Served) -> None:
+    here = c.RosName("/pose", ["geometry_msgs/msg/Pose2D"], 1, 2)
+    served.peers["ann/brain"].answers[c.ReadGraph] = c.RosGraph([here], [c.RosName("/reset", ["std_srvs/srv/Empty"])])
+    topics = await served.ask("GET", "/environments/brain/topics")
+    assert topics.body["items"] == [
+        {"name": "/pose", "types": ["geometry_msgs/msg/Pose2D"], "publishers": 1, "subscribers": 2}
+    ]
+    services = await served.ask("GET", "/environments/brain/services")
+    assert [each["name"] for each in services.body["items"]] == ["/reset"]
+    assert (await served.ask("GET", "/environments/brain/topics", user="bob")).status == 404
 
 
 async def test_the_graph_is_shown(served: Served) -> None:

@@ -141,6 +141,15 @@ async def test_describe(master: FakeMaster) -> None:
     assert {"sensor_msgs/msg/Image", "std_msgs/msg/Header", "builtin_interfaces/msg/Time"} == set(described.texts)
 
 
+async def test_what_ros_has_is_read(master: FakeMaster) -> None:
+    await master.interface("SubscriberInterface", "std_msgs/String", "/read/here")
+    await master.interface("ServiceProviderInterface", "std_srvs/SetBool", "/read/asked")
+    graph = await master.call(c.ReadGraph())
+    (topic,) = [each for each in graph.topics if each.name == "/read/here"]
+    assert (topic.types, topic.publishers, topic.subscribers) == (["std_msgs/msg/String"], 0, 1)
+    assert c.RosName("/read/asked", ["std_srvs/srv/SetBool"]) in graph.services
+
+
 async def test_unbound_interfaces_are_gone(master: FakeMaster) -> None:
     bound = await master.bind("SubscriberInterface", "std_msgs/String", "back")
     heard = await master.connect(bound)
