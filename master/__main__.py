@@ -23,7 +23,7 @@ from master.api.site import ApiSite
 from master.depot import Depot
 from master.entry import Entry
 from master.groups import PREFIX
-from master.machines import Registrar, Registry, SmallRequest, port_of
+from master.machines import Inviter, Registrar, Registry, SmallRequest, port_of
 from master.policies import IMAGES, Policy, parse, with_changes
 from master.records import GROUP_POOL, Role
 from master.service import Master
@@ -88,7 +88,8 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     ports = [await control.listen(reactor, options.control, master, tls)]
     try:
         endpoint = endpoints.serverFromString(reactor, http)
-        api = make_api(master, depot)
+        inviter = Inviter.of(master.processes, options.machines, options.tls, options.address)
+        api = make_api(master, depot, inviter)
         site = ApiSite(Entry(master.state), api, depot)
         ports.append(await endpoint.listen(site).asFuture(asyncio.get_running_loop()))
         if options.machines:

@@ -12,14 +12,12 @@ from typing import get_args
 import msgspec
 
 from master.__main__ import Settings
-from master.machines import HOURS, invite, port_of
+from master.machines import HOURS, Inviter
 from master.store import Store
 from master.users import Processes
 from rce import settings
-from rce.certificates import fingerprint
 from rce.errors import InvalidRequest, RceError
-from rce.joining import JoinCode, Role, process_name
-from rce.tls import CA
+from rce.joining import Role, process_name
 
 ROLES: tuple[Role, ...] = get_args(Role)
 CONFIG = Path("/etc/rce/master.toml")
@@ -54,13 +52,12 @@ async def run(words: argparse.Namespace) -> None:
 async def _act(processes: Processes, options: Settings, words: argparse.Namespace) -> None:
     match words.command:
         case "add":
-            if not options.machines or not options.tls:
+            inviter = Inviter.of(processes, options.machines, options.tls, options.address)
+            if inviter is None:
                 raise InvalidRequest(
                     f"{words.config} lacks the settings `machines` or `tls`: this Master takes no machines in"
                 )
-            invitation = await invite(processes, words.name, words.role or ROLES, words.address, words.hours)
-            url = f"https://{_bracketed(options.address)}:{port_of(options.machines)}/"
-            print(JoinCode(url, fingerprint((options.tls / CA).read_text()), invitation).text())
+            print((await inviter.code(words.name, words.role or ROLES, words.address, words.hours)).text())
         case "remove":
             for role in ROLES:
                 await processes.forget(process_name(words.name, role))
@@ -68,10 +65,6 @@ async def _act(processes: Processes, options: Settings, words: argparse.Namespac
         case "list":
             names = await processes.names()
             print(msgspec.json.encode(names).decode() if words.json else "\n".join(names))
-
-
-def _bracketed(host: str) -> str:
-    return f"[{host}]" if ":" in host else host
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -21,9 +21,10 @@ from twisted.web.server import NOT_DONE_YET, Request
 
 import rce
 from master.users import Processes
-from rce.certificates import Authority
+from rce.certificates import Authority, fingerprint
 from rce.errors import InternalError, InvalidRequest, RceError, Unauthorized
-from rce.joining import Application, Invitation, Membership, Role, process_name
+from rce.joining import Application, Invitation, JoinCode, Membership, Role, process_name
+from rce.tls import CA
 
 HOURS = 24.0
 LARGEST_BODY = 16_384
@@ -43,6 +44,27 @@ async def invite(
     invitation = Invitation(name, list(dict.fromkeys(roles)), expires, secrets.token_hex(16), address)
     await processes.invite(name, invitation.digest)
     return invitation
+
+
+class Inviter:
+    """Writes join codes. `url` is that of the Registry, `authority` the SHA-256 of the certificate that is known by."""
+
+    def __init__(self, processes: Processes, url: str, authority: str) -> None:
+        self._processes = processes
+        self._url = url
+        self._authority = authority
+
+    @staticmethod
+    def of(processes: Processes, machines: str, tls: Path | None, address: str) -> Inviter | None:
+        """By the settings of these names; None if the Master takes no machines in."""
+        if not machines or tls is None:
+            return None
+        host = f"[{address}]" if ":" in address else address
+        return Inviter(processes, f"https://{host}:{port_of(machines)}/", fingerprint((tls / CA).read_text()))
+
+    async def code(self, name: str, roles: Sequence[Role], address: str = "", hours: float = HOURS) -> JoinCode:
+        """For one machine, once, within these hours."""
+        return JoinCode(self._url, self._authority, await invite(self._processes, name, roles, address, hours))
 
 
 def check_name(name: str) -> None:

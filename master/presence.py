@@ -208,6 +208,15 @@ def robot_left(state: State, name: str) -> Plan:
     return plan
 
 
+def robot_dismissed(state: State, name: str, reason: str) -> Plan:
+    """A robot's session ends now: its socket is closed with the reason."""
+    robot = state.robots.get(name)
+    plan = robot_left(state, name)
+    if robot is not None and robot.endpoint in state.joined:
+        plan.append([Send(robot.endpoint, DropRobot(name, reason), name)])
+    return plan
+
+
 def endpoint_gone(state: State, process: str) -> tuple[Plan, list[str]]:
     """A Robot endpoint does not come back: its robots have the grace time to appear elsewhere. Returns their names."""
     plan = take_down(state, process)

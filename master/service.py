@@ -270,6 +270,13 @@ class Master:
             self._apply(presence.robot_left(self.state, call.robot))
         return c.Nothing()
 
+    async def disconnect(self, robot: str, reason: str) -> None:
+        """End a robot's session; returns once its socket is closed, or its Robot endpoint is away."""
+        plan = presence.robot_dismissed(self.state, robot, reason)
+        saved = self._save()
+        await asyncio.shield(self._carrier.carry(plan))
+        await saved
+
     async def _execute(self, process: Process, call: c.Execute) -> c.Nothing:
         robot = self.state.robots.get(call.robot)
         if robot is None or robot.endpoint != process.name:

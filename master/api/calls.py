@@ -69,3 +69,4 @@ class Answer(NamedTuple):
 
     body: Struct | list[Any] | Path | None = None
     status: int = 200
+    headers: dict[str, str] = {}  # noqa: RUF012  # never changed

@@ -10,10 +10,11 @@ from master import rights
 from master.api.acting import acting, cut, listing, principal
 from master.api.calls import Answer, Call, Listing, One, Paging
 from master.api.router import Api, Route
+from master.machines import Inviter
 from master.records import user_of
 from master.service import Master
 from rce.errors import NotFound
-from rce.views import GroupView, MachineView, Page
+from rce.views import GroupView, Invited, MachineView, NewInvitation, Page
 
 ROLES = ("container", "robot", "service")
 
@@ -28,9 +29,10 @@ class Machines(Paging, frozen=True, forbid_unknown_fields=True):
 class MachinesApi:
     """The platform's own processes, and network groups."""
 
-    def __init__(self, master: Master) -> None:
+    def __init__(self, master: Master, inviter: Inviter | None) -> None:
         self._master = master
         self._state = master.state
+        self._inviter = inviter
 
     def add_to(self, api: Api) -> None:
         api.add(
@@ -38,6 +40,10 @@ class MachinesApi:
                 "GET", "/machines", self.list, "Task sets, Robot endpoints, services", Machines, None, Page[MachineView]
             ),
             Route("GET", "/machines/{name}", self.show, "One of them", answer=MachineView),
+            Route(
+                *("POST", "/machines/invitations", self.invite, "A join code for a machine"),
+                *(None, NewInvitation, Invited, 201),
+            ),
             Route("GET", "/groups", self.groups, "Network groups", Listing, answer=Page[GroupView]),
             Route("GET", "/groups/{group}", self.group, "A network group", One, answer=GroupView),
         )
@@ -55,6 +61,14 @@ class MachinesApi:
         if machine is None or machine.role not in ROLES:
             raise NotFound(f"there is no machine {call.path['name'][:80]!r}", field="name")
         return Answer(self._master.shown.machine(machine))
+
+    async def invite(self, call: Call) -> Answer:
+        rights.check(principal(call), "machine.invite", rights.NOBODY)
+        wanted = call.body(NewInvitation)
+        if self._inviter is None:
+            raise NotFound("this Master takes no machines in: it lacks the settings machines and tls")
+        code = await self._inviter.code(wanted.name, wanted.roles, wanted.address, wanted.hours)
+        return Answer(Invited(wanted.name, code.text(), code.invitation.expires), 201)
 
     async def groups(self, call: Call) -> Answer:
         asked = call.asked(Listing)

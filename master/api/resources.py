@@ -10,13 +10,15 @@ from master.api.robots import RobotsApi
 from master.api.ros import RosApi
 from master.api.router import Api
 from master.depot import Depot
+from master.machines import Inviter
 from master.service import Master
 
 
-def make_api(master: Master, depot: Depot) -> Api:
-    """The API of this Master."""
+def make_api(master: Master, depot: Depot, inviter: Inviter | None = None) -> Api:
+    """The API of this Master; without an inviter no machines are invited."""
     api = Api(master.users)
-    for family in (RobotsApi, EnvironmentsApi, InterfacesApi, MachinesApi, RosApi):
+    for family in (RobotsApi, EnvironmentsApi, InterfacesApi, RosApi):
         family(master).add_to(api)
+    MachinesApi(master, inviter).add_to(api)
     PackagesApi(master, depot).add_to(api)
     return api

@@ -10,6 +10,7 @@ from master import rights
 from master.api.acting import acting, listing, page, principal
 from master.api.calls import Answer, Call, Listing, One
 from master.api.router import Api, Route
+from master.records import Robot
 from master.service import Master
 from rce.errors import NotFound
 from rce.views import Page, RobotView
@@ -31,6 +32,9 @@ class RobotsApi:
         api.add(
             Route("GET", "/robots", self.list, "Robots that have a session", Robots, answer=Page[RobotView]),
             Route("GET", "/robots/{robot}", self.show, "A robot", One, answer=RobotView),
+            Route(
+                "DELETE", "/robots/{robot}", self.disconnect, "End its session and close its socket", One, status=204
+            ),
         )
 
     async def list(self, call: Call) -> Answer:
@@ -44,8 +48,16 @@ class RobotsApi:
         return page(self._master.state.robots, user, asked, self._master.shown.robot, keep)
 
     async def show(self, call: Call) -> Answer:
-        user = acting(call, "robot.read", call.asked(One).user, robot=call.path["robot"])
-        robot = self._master.state.robots.get(f"{user}/{call.path['robot']}")
+        return Answer(self._master.shown.robot(self._robot(call, "robot.read")))
+
+    async def disconnect(self, call: Call) -> Answer:
+        robot = self._robot(call, "robot.disconnect")
+        await self._master.disconnect(robot.name, f"disconnected by {call.user}")
+        return Answer(status=204)
+
+    def _robot(self, call: Call, operation: str) -> Robot:
+        tag = call.path["robot"]
+        robot = self._master.state.robots.get(f"{acting(call, operation, call.asked(One).user, robot=tag)}/{tag}")
         if robot is None:
-            raise NotFound(f"there is no robot {call.path['robot'][:80]!r}", field="robot")
-        return Answer(self._master.shown.robot(robot))
+            raise NotFound(f"there is no robot {tag[:80]!r}", field="robotID")
+        return robot

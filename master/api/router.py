@@ -7,7 +7,6 @@ import base64
 import binascii
 import os
 import re
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import parse_qs, unquote
@@ -20,49 +19,17 @@ from twisted.web.resource import Resource
 from twisted.web.server import NOT_DONE_YET, Request
 
 from master.api.calls import Answer, Call
+from master.api.problems import MethodNotAllowed, UnsupportedMediaType, refuse, write
+from master.api.repeats import Handler, Repeats
 from master.grants import digest
 from master.rights import Principal
 from master.users import KEY_PREFIX, Users
 from rce.errors import InternalError, InvalidRequest, NotFound, RceError, Unauthorized
-from rce.http import PROBLEM, Problem
 
 PREFIX = "/api/v1"
 JSON = "application/json"
 HASH = re.compile(r"[0-9a-f]{64}", re.ASCII)
-STATUS = {
-    "unauthorized": 401,
-    "forbidden": 403,
-    "not_found": 404,
-    "method_not_allowed": 405,
-    "already_exists": 409,
-    "not_connectable": 409,
-    "limit_exceeded": 413,
-    "unsupported_media_type": 415,
-    "no_capacity": 503,
-    "unavailable": 503,
-    "lost": 503,
-    "timed_out": 504,
-    "internal": 500,
-    "error": 500,
-}
-"""Status codes by those of errors; every other error is the asker's (400)."""
-
 log = Logger()
-
-
-class UnsupportedMediaType(InvalidRequest):
-    """The body is not in JSON."""
-
-    code = "unsupported_media_type"
-
-
-class MethodNotAllowed(InvalidRequest):
-    """The resource is there, and cannot be asked that."""
-
-    code = "method_not_allowed"
-
-
-Handler = Callable[[Call], Awaitable[Answer]]
 
 
 class Route(NamedTuple):
@@ -94,6 +61,7 @@ class Api(Resource):
     def __init__(self, users: Users) -> None:
         super().__init__()  # type: ignore[no-untyped-call]  # Twisted's
         self._users = users
+        self._repeats = Repeats()
         self.routes: list[Route] = []
         self._patterns: list[tuple[re.Pattern[str], Route]] = []
         self._tasks: set[asyncio.Task[None]] = set()
@@ -119,18 +87,20 @@ class Api(Resource):
         try:
             answer = await self._answer(request)
         except RceError as error:
-            return _refuse(request, error)
+            return refuse(request, error)
         except Exception:  # noqa: BLE001  # the asker must hear of a defect; the traceback is in the log
             log.failure("defect while answering {method} {path}", method=request.method, path=request.path)
-            return _refuse(request, InternalError("a defect while answering; see the Master's log"))
+            return refuse(request, InternalError("a defect while answering; see the Master's log"))
         request.setResponseCode(answer.status)
+        for name, value in answer.headers.items():
+            request.setHeader(name, value)
         match answer.body:
             case Path() as path:
                 await _send(request, path)
             case None:
                 request.finish()
             case body:
-                _write(request, msgspec.json.encode(body), JSON)
+                write(request, msgspec.json.encode(body), JSON)
 
     async def _answer(self, request: Request) -> Answer:
         path = request.path.decode("ascii", "replace")
@@ -152,7 +122,8 @@ class Api(Resource):
             _check_kind(request)
         parts = {name: _unquoted(part, path) for name, part in match.groupdict().items()}
         user = principal.user if principal else ""
-        return await route.handler(Call(user, principal, parts, credentials, request.content, _query(request), request))
+        made = Call(user, principal, parts, credentials, request.content, _query(request), request)
+        return await (self._repeats.answer(made, route.handler) if method == "POST" else route.handler(made))
 
     async def _authenticate(self, kind: str, credentials: str) -> Principal:
         """An API key as bearer, or `user:secret` as basic. The secret is a key, a password, or its SHA-256 in hex, as
@@ -203,28 +174,10 @@ def _check_kind(request: Request) -> None:
         raise UnsupportedMediaType(f"the body must be {JSON}, not {kind[:80]}")
 
 
-def _refuse(request: Request, error: RceError) -> None:
-    info = error.info
-    status = STATUS.get(info.code, 400)
-    title = info.code.replace("_", " ").capitalize()
-    problem = Problem(title, status, info.message, info.code, info.field, info.fields)
-    request.setResponseCode(status)
-    if status == 401:
-        request.setHeader("www-authenticate", 'Basic realm="rce"')
-    _write(request, msgspec.json.encode(problem), PROBLEM)
-
-
 async def _send(request: Request, path: Path) -> None:
     """A file, as fast as it is taken; ends with an exception when the other side goes away."""
     with path.open("rb") as file:
         request.setHeader("content-type", "application/octet-stream")
         request.setHeader("content-length", str(os.fstat(file.fileno()).st_size))
         await FileSender().beginFileTransfer(file, request).asFuture(asyncio.get_running_loop())
-    request.finish()
-
-
-def _write(request: Request, body: bytes, kind: str) -> None:
-    request.setHeader("content-type", kind)
-    request.setHeader("content-length", str(len(body)))
-    request.write(body)
     request.finish()
