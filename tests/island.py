@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import asyncio
 import ctypes
+import io
 import os
 import shutil
 import subprocess
+import tarfile
 import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -23,13 +25,15 @@ import docker
 import pytest
 from docker_daemon import NEEDED, copy_image, linked_images, private_daemon
 
-from provisioning.image import MAPPING
+from provisioning.image import BASE, MAPPING, Builder, add_file
 from rce import __version__
 
 CLONE_NEWNET = 0x40000000
 IN_INTERNET, IN_PRIVATE, METADATA = "203.0.113.10", "172.30.7.10", "169.254.169.254"
 OWN = ("203.0.113.1", "172.30.7.1", "169.254.1.1")  # the machine's addresses on those networks
 PREFIXES = (24, 24, 16)
+MPI_IMAGE = "rce-test/mpi"
+MPI_DOCKERFILE = Path(__file__).with_name("ros") / "Mpi" / "image" / "Dockerfile"
 
 
 class Island:
@@ -107,6 +111,7 @@ def _machine(images: Callable[[], Any]) -> Iterator[Island]:
         yield Island(os.environ["DOCKER_HOST"], kept, kept=True)
         return
     source = images()
+    build_mpi_image(source)  # here, as nothing leads out of the island
     name = f"rce-test-{os.getpid()}"
     run("ip", "netns", "add", name)
     run("ip", "-n", name, "link", "set", "lo", "up")
@@ -115,10 +120,19 @@ def _machine(images: Callable[[], Any]) -> Iterator[Island]:
             linked = linked_images(source, Path(directory) / "data")
             with private_daemon(Path(directory), namespace=name) as host:
                 if not linked:
-                    copy_image(source, docker.APIClient(host, version="auto", timeout=600), f"{MAPPING}:{__version__}")
+                    for name in (MAPPING, MPI_IMAGE):
+                        copy_image(source, docker.APIClient(host, version="auto", timeout=600), f"{name}:{__version__}")
                 yield Island(host, name)
     finally:
         run("ip", "netns", "delete", name)
+
+
+def build_mpi_image(api: docker.APIClient) -> None:
+    context = io.BytesIO()
+    with tarfile.open(fileobj=context, mode="w") as archive:
+        add_file(archive, MPI_DOCKERFILE, "Dockerfile")
+    base = f"{BASE}:{__version__}"
+    Builder(api).make(context.getvalue(), "Dockerfile", f"{MPI_IMAGE}:{__version__}", {"BASE": base})
 
 
 @contextmanager

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
 import subprocess
 from collections.abc import AsyncIterator, Sequence
 from contextlib import AsyncExitStack
@@ -21,7 +20,7 @@ from real_platform import RCE, RealPlatform
 pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
 
 import reach
-from island import IN_INTERNET, IN_PRIVATE, METADATA, OWN
+from island import IN_INTERNET, IN_PRIVATE, METADATA, MPI_IMAGE, OWN
 
 from rce.bench import pairs
 from rce.bench.nodes import Place
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
 
 REACH = Path(reach.__file__).read_text()
 STRING = "std_msgs/String"
-MPI_IMAGE = os.environ.get("RCE_TEST_MPI_IMAGE", "")
 PACKAGES = Path(__file__).parents[1] / "ros"
 Target = tuple[str, str, int]  # kind, address, port
 LISTEN = """
@@ -53,6 +51,7 @@ node.create_timer(0.1, lambda: speaker.publish(String(data="x")))
 print("speaking", flush=True)
 rclpy.spin(node)
 """
+EVERYWHERE = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
 
 
 class Inside:
@@ -75,6 +74,12 @@ class Inside:
         """It runs until the container ends."""
         call = self._api.exec_create(self.id, ["python3", "-c", program, *words], environment=environment)
         self._api.exec_start(call["Id"], detach=True)
+
+    async def serve(self) -> None:
+        self.begin(REACH, "serve")
+        async with asyncio.timeout(30):
+            while await self.reached("127.0.0.1") != set(both("127.0.0.1")):  # noqa: ASYNC110
+                await asyncio.sleep(0.1)
 
     async def reached(self, *addresses: str, also: Sequence[Target] = ()) -> set[Target]:
         """Who answered: at these addresses by TCP and UDP, and of those further targets."""
@@ -169,8 +174,9 @@ async def test_members_know_each_other_and_later_ones_too(platform: RealPlatform
         assert ready == EnvironmentEvent("First", "ready", address=first.addresses["group"])
 
 
-@pytest.mark.skipif(not MPI_IMAGE, reason="RCE_TEST_MPI_IMAGE names an image made from tests/ros/Mpi/image/Dockerfile")
-async def test_open_mpi_over_a_group_of_three(platform: RealPlatform) -> None:
+async def test_open_mpi_over_a_group_of_three(platform: RealPlatform, inside: Any) -> None:
+    if not inside.images(MPI_IMAGE):
+        pytest.skip(f"the Docker that is kept has no {MPI_IMAGE}, which is made from tests/ros/Mpi/image/Dockerfile")
     async with robot(platform, "ann", "r3") as ann, AsyncExitStack() as stack:
         made = [
             stack.enter_async_context(ann.environment(tag, group="mpi", image=MPI_IMAGE)) for tag in ("m1", "m2", "m3")
@@ -206,12 +212,10 @@ async def test_what_hostile_nodes_reach(platform: RealPlatform, inside: Any, isl
         ]
         await asyncio.gather(*made)
         here = seen(inside, platform)
-        for each in here.values():
-            each.begin(REACH, "serve")
-            async with asyncio.timeout(30):
-                while await each.reached("127.0.0.1") != set(both("127.0.0.1")):  # noqa: ASYNC110
-                    await asyncio.sleep(0.1)
+        await asyncio.gather(*(each.serve() for each in here.values()))
         await check_groups(here)
+        for tag, each in here.items():
+            each.begin(SPEAK, tag.replace("/", "_"), **EVERYWHERE)
         await check_machine(here, platform)
         await check_egress(here)
         await check_discovery(here)
@@ -264,10 +268,7 @@ async def check_egress(here: dict[str, Inside]) -> None:
 
 async def check_discovery(here: dict[str, Inside]) -> None:
     """A node that asks all others by their addresses finds those of its group."""
-    profile = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
-    for tag, each in here.items():
-        each.begin(SPEAK, tag.replace("/", "_"), **profile)
-    profile["ROS_STATIC_PEERS"] = ";".join(addresses(*here.values()))
+    profile = EVERYWHERE | {"ROS_STATIC_PEERS": ";".join(addresses(*here.values()))}
     found = await asyncio.gather(*(here[each].run(LISTEN, **profile) for each in ("ann/a1", "wide/w1")))
     topics = [json.loads(each.splitlines()[-1]) for each in found]
     assert topics == [["/secret_ann_a1", "/secret_ann_a2"], ["/secret_wide_w1"]]

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""`ask.py HOST COMMAND…`: has a member of the group run a command, as `ssh` would; Open MPI's `plm_rsh_agent`."""
+"""`ask.py HOST COMMAND…`: has a member of the group run a command, as `ssh` would; Open MPI's `plm_ssh_agent`."""
 
 from __future__ import annotations
 

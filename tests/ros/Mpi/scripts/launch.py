@@ -14,21 +14,22 @@ from rclpy.utilities import remove_ros_args
 from std_msgs.msg import String
 
 HERE = Path(__file__).parent
-PYTHON = "/usr/bin/python3"  # that which Debian's mpi4py belongs to
 ATTEMPTS = 10  # the other members' nodes may still be starting
 
 
 def run(hosts: list[str]) -> str:
     network = f"{os.environ['RCE_GROUP_IP']}/24"
     settings = {
-        "plm_rsh_agent": f"{PYTHON} {HERE / 'ask.py'}",
-        "plm_rsh_no_tree_spawn": "1",
-        "btl": "tcp,self",
-        "btl_tcp_if_include": network,
-        "oob_tcp_if_include": network,
+        "--prtemca": {
+            "plm_ssh_agent": f"{sys.executable} {HERE / 'ask.py'}",
+            "plm_ssh_no_tree_spawn": "1",
+            "prte_if_include": network,
+        },
+        "--mca": {"pml": "ob1", "btl": "tcp,self", "btl_tcp_if_include": network},
     }
-    options = [word for key, value in settings.items() for word in ("--mca", key, value)]
-    command = ["mpirun", *options, "--host", ",".join(hosts), "-n", str(len(hosts)), PYTHON, str(HERE / "ranks.py")]
+    options = [word for kind, each in settings.items() for item in each.items() for word in (kind, *item)]
+    program = [sys.executable, str(HERE / "ranks.py")]
+    command = ["mpirun", *options, "--host", ",".join(hosts), "-n", str(len(hosts)), *program]
     for _ in range(ATTEMPTS):
         done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
         if done.returncode == 0:
