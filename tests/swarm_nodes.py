@@ -56,6 +56,9 @@ class Node:
         """Pull its network plug."""
         run("ip", "link", "set", self.name, "down")
 
+    def plug_in(self) -> None:
+        run("ip", "link", "set", self.name, "up")
+
     def kill(self) -> None:
         """End its Docker daemon at once; the containers run on."""
         os.kill(int((self.directory / "pid").read_text()), signal.SIGKILL)
@@ -132,7 +135,7 @@ class Swarm:
         run("ip", "link", "delete", self._bridge)
 
     def _end(self, node: Node) -> None:
-        run("ip", "link", "set", node.name, "up")
+        node.plug_in()
         if node.process.poll() is None:
             node.process.terminate()
             node.process.wait(STOP_TIMEOUT)

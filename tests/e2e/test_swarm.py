@@ -1,5 +1,5 @@
 # ruff: noqa: E402  (Docker is imported only where it is there)
-"""The platform with the engine `swarm` on three machines: data, a machine that is drained, one whose Docker is killed.
+"""The platform with the engine `swarm` on three machines: data; one that is drained, cut off, its Docker killed.
 
 The first machine is the swarm's manager, the others have the special feature `cloud`, so that environments go there.
 """
@@ -71,12 +71,13 @@ async def platform(
 
 def containers(swarm: Swarm) -> dict[str, Node]:
     """The node of each environment that runs, by its tag."""
-    found: dict[str, Node] = {}
-    for node in swarm.nodes:
-        if node.process.poll() is None:
-            for each in node.api().containers(filters={"label": "rce.environment"}):
-                found[each["Labels"]["rce.environment"].partition("/")[2]] = node
-    return found
+    return {tag: node for node in swarm.nodes if node.process.poll() is None for tag in tags(node)}
+
+
+def tags(node: Node) -> list[str]:
+    """Of the environments that run on a node."""
+    found = node.api().containers(filters={"label": "rce.environment"})
+    return [each["Labels"]["rce.environment"].partition("/")[2] for each in found]
 
 
 class Echo:
@@ -167,10 +168,28 @@ def volumes(node: Node) -> list[dict[str, Any]]:
     return found
 
 
-@pytest.mark.skipif("RCE_TEST_LONG" not in os.environ, reason="another half minute: RCE_TEST_LONG=1 runs it too")
+async def test_a_machine_that_is_cut_off_under_traffic(swarm: Swarm, platform: Machines) -> None:
+    """Its environments live on elsewhere; what goes on there unseen is nobody's, and is removed once it is back."""
+    async with platform.robot("r3") as robot, robot.environment("stray", special_features=["cloud"]) as environment:
+        echo = await Echo.of(environment)
+        await echo.answers(30)
+        first = containers(swarm)["stray"]
+        first.cut_off()
+        try:
+            (other,) = (node for node in swarm.nodes[1:] if node is not first)
+            await until(lambda: "stray" in tags(other), MOVE_TIMEOUT)
+            await echo.answers(MOVE_TIMEOUT)
+            assert "stray" in tags(first)
+        finally:
+            first.plug_in()
+        await until(lambda: "stray" not in tags(first), MOVE_TIMEOUT)
+        await echo.answers(10)
+    await until(lambda: not volumes(first), 30, "its volumes are left")
+
+
 async def test_a_machine_whose_docker_is_killed_under_traffic(swarm: Swarm, platform: Machines) -> None:
     """The last of these tests: that machine stays dead."""
-    async with platform.robot("r3") as robot, robot.environment("survivor", special_features=["cloud"]) as environment:
+    async with platform.robot("r4") as robot, robot.environment("survivor", special_features=["cloud"]) as environment:
         echo = await Echo.of(environment)
         await echo.answers(30)
         first = containers(swarm)["survivor"]
