@@ -26,7 +26,7 @@ class Entry(Resource):
 
     def __init__(self, state: State) -> None:
         super().__init__()  # type: ignore[no-untyped-call]  # Twisted's
-        self._state = state
+        self.state = state
 
     def render(self, request: Request) -> bytes | int:
         try:
@@ -42,12 +42,12 @@ class Entry(Resource):
     def location(self, uri: bytes, host: bytes) -> bytes:
         """Where a service answers this, if its path begins with the name of one. Unavailable while that is away."""
         name = uri.lstrip(b"/").partition(b"?")[0].partition(b"/")[0].decode("ascii", "replace")
-        service = self._state.processes.get(name)
+        service = self.state.processes.get(name)
         if service is None or service.role != "service":
             return b""
-        if name not in self._state.joined:
+        if name not in self.state.joined:
             raise Unavailable(f"the service {name} is away at present; try again in a moment")
-        return _absolute(service.url, host).rstrip("/").encode() + b"/" + uri.lstrip(b"/")
+        return absolute(service.url, host).rstrip("/").encode() + b"/" + uri.lstrip(b"/")
 
     def render_GET(self, request: Request) -> bytes:
         request.setHeader("access-control-allow-origin", "*")  # what it tells is no secret, and it takes no credential
@@ -69,10 +69,10 @@ class Entry(Resource):
         return msgspec.json.encode(answer)
 
     def _url(self, request: Request) -> str:
-        return _absolute(robot_endpoint(self._state).url, request.getRequestHostname())
+        return absolute(robot_endpoint(self.state).url, request.getRequestHostname())
 
 
-def _absolute(url: str, host: bytes) -> str:
+def absolute(url: str, host: bytes) -> str:
     """The address of a process; where none is configured, on the host that brought the client here."""
     scheme, _, rest = url.partition("://")
     if rest.startswith(":"):

@@ -1,4 +1,4 @@
-"""The site at the Master's entry: the API under its prefix, else the robots' entry; archives go straight to disk."""
+"""The site at the entry: API and dashboard under their prefixes, else robots; archives go straight to disk."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from typing import Any
 
 from twisted.web.resource import Resource
 from twisted.web.server import Request
+from twisted.web.util import Redirect
 
+from master import dashboard
 from master.api.router import PREFIX, authorization
 from master.depot import Depot
 from master.entry import Entry
@@ -28,7 +30,7 @@ class ApiRequest(EntryRequest):
 
 
 class ApiSite(EntrySite):
-    """`entry` answers everything that is not the API's."""
+    """`entry` answers everything that is neither the API's nor the dashboard's."""
 
     requestFactory = ApiRequest
 
@@ -43,6 +45,13 @@ class _Root(Resource):
         super().__init__()  # type: ignore[no-untyped-call]  # Twisted's
         self._entry = entry
         self._api = api
+        self._dashboard = dashboard.Dashboard(entry.state)
 
     def getChild(self, path: bytes, request: Request) -> Resource:
-        return self._api if request.path.startswith(PREFIX.encode() + b"/") else self._entry
+        if request.path.startswith(PREFIX.encode() + b"/"):
+            return self._api
+        if request.path.startswith(dashboard.PREFIX):
+            return self._dashboard
+        if request.path == dashboard.PREFIX.rstrip(b"/") or dashboard.wants_dashboard(request):
+            return Redirect(dashboard.PREFIX)
+        return self._entry

@@ -1,0 +1,94 @@
+// The HTTP API of the Master: JSON with an API key, its problems as errors, its logs as streams.
+
+const BASE = "/api/v1";
+
+export class Problem extends Error {
+  constructor(status, { detail, title, code = "error", field = "" }) {
+    super(detail || title || `the server answered with status ${status}`);
+    Object.assign(this, { status, code, field });
+  }
+}
+
+export class Api {
+  constructor(key) {
+    this.key = key;
+  }
+
+  get(path, query) {
+    return call("GET", path, `Bearer ${this.key}`, { query });
+  }
+
+  post(path, body, query) {
+    return call("POST", path, `Bearer ${this.key}`, { body, query });
+  }
+
+  put(path, body, query) {
+    return call("PUT", path, `Bearer ${this.key}`, { body, query });
+  }
+
+  patch(path, body, query) {
+    return call("PATCH", path, `Bearer ${this.key}`, { body, query });
+  }
+
+  remove(path, query) {
+    return call("DELETE", path, `Bearer ${this.key}`, { query });
+  }
+
+  /** All items of a list, page by page. */
+  async list(path, query = {}) {
+    const items = [];
+    let after = "";
+    do {
+      const page = await this.get(path, { limit: 1000, ...query, after });
+      items.push(...page.items);
+      after = page.next;
+    } while (after);
+    return items;
+  }
+
+  /** The data of server-sent events, until `signal` or the server ends them. */
+  async* follow(path, query, signal) {
+    const answer = await ask("GET", path, `Bearer ${this.key}`, { query, signal, accept: "text/event-stream" });
+    const reader = answer.body.pipeThrough(new TextDecoderStream()).getReader();
+    let rest = "";
+    for (;;) {
+      const { value, done } = await reader.read();
+      if (done) return;
+      const events = (rest + value).split(/\r?\n\r?\n/);
+      rest = events.pop();
+      for (const event of events) {
+        const data = event.split(/\r?\n/).filter((line) => line.startsWith("data:")).map((line) => line.slice(5).trim());
+        if (data.length) yield JSON.parse(data.join("\n"));
+      }
+    }
+  }
+}
+
+/** An API key for this page, by user and password. */
+export function signIn(user, password, wanted) {
+  const pair = new TextEncoder().encode(`${user}:${password}`);
+  return call("POST", "/keys", `Basic ${btoa(String.fromCharCode(...pair))}`, { body: wanted });
+}
+
+async function call(method, path, authorization, options) {
+  const answer = await ask(method, path, authorization, options);
+  return answer.status === 204 ? null : answer.json();
+}
+
+async function ask(method, path, authorization, { body, query = {}, signal, accept = "application/json" }) {
+  const url = new URL(BASE + path, location.origin);
+  for (const [name, value] of Object.entries(query)) if (value !== "" && value !== undefined) url.searchParams.set(name, value);
+  const headers = { authorization, accept };
+  if (body !== undefined) headers["content-type"] = "application/json";
+  if (method === "POST") headers["idempotency-key"] = Array.from(crypto.getRandomValues(new Uint32Array(4))).join("-");
+  let answer;
+  try {
+    // Without `omit` the browser would ask for a password of its own after a 401.
+    answer = await fetch(url, { method, headers, signal, credentials: "omit", body: body && JSON.stringify(body) });
+  } catch (error) {
+    if (error.name === "AbortError") throw error;
+    throw new Problem(0, { detail: "the Master cannot be reached at present", code: "unavailable" });
+  }
+  if (!answer.ok) throw new Problem(answer.status, await answer.json().catch(() => ({})));
+  return answer;
+}

@@ -1,0 +1,38 @@
+// Which environment and which topics of it are looked at.
+
+import { h, show } from "./dom.js";
+
+/** The types of the topics of an environment that interfaces make known, by topic. */
+export function topicsOf(app, environment) {
+  const of = [...app.live.interfaces.values()].filter((each) =>
+    each.user === app.me.user && each.endpointTag === environment && /^(Publisher|Subscriber)Interface$/.test(each.interfaceType));
+  return new Map(of.map((each) => [each.addr, each.className]));
+}
+
+/** A form for `fields` {name, label, type, value}; sent, it leads to `page` with what was chosen. */
+export function chooser(app, page, environment, fields) {
+  const select = h("select", { name: "environment", required: true });
+  const inputs = fields.map((each) => h("input", { name: each.name, value: each.value, list: `${each.name}-topics`, size: 16, autocomplete: "off" }));
+  const lists = fields.map((each) => h("datalist", { id: `${each.name}-topics` }));
+  const element = h("form.panel.head", h("label.inline", "Environment", select),
+    fields.map((each, index) => h("label.inline", each.label, inputs[index], lists[index])), h("button.main", { type: "submit" }, "Show"));
+  const values = () => Object.fromEntries(fields.map((each, index) => [each.name, inputs[index].value.trim()]));
+  element.onsubmit = (event) => {
+    event.preventDefault();
+    const address = `/${page}/${select.value}?${new URLSearchParams(values())}`;
+    if (location.hash === `#${address}`) window.dispatchEvent(new HashChangeEvent("hashchange"));
+    else app.go(address);
+  };
+  const draw = () => {
+    const names = [...app.live.environments.values()].filter((each) => each.user === app.me.user).map((each) => each.containerTag);
+    const chosen = select.value || environment;
+    show(select, !names.includes(chosen) && h("option", { value: "" }, names.length ? "choose …" : "you have none"),
+      names.sort().map((name) => h("option", { value: name }, name)));
+    select.value = names.includes(chosen) ? chosen : "";
+    const topics = topicsOf(app, chosen);
+    fields.forEach((each, index) => show(lists[index],
+      [...topics].filter(([, type]) => type === each.type).map(([topic]) => h("option", { value: topic }))));
+  };
+  draw();
+  return { element, values, stop: app.live.on(draw) };
+}

@@ -1,0 +1,86 @@
+// Elements, tables and notices: all that the pages need of the DOM.
+
+const SVG = "http://www.w3.org/2000/svg";
+
+/** An element: `h("button.small", {onclick, title}, "text", child…)`. What is null or false is left out. */
+export function h(name, ...rest) {
+  return fill(document.createElement(name.split(".")[0]), name, rest);
+}
+
+export function svg(name, ...rest) {
+  return fill(document.createElementNS(SVG, name.split(".")[0]), name, rest);
+}
+
+function fill(element, name, rest) {
+  const classes = name.split(".").slice(1);
+  if (classes.length) element.setAttribute("class", classes.join(" "));
+  const plain = rest[0] && rest[0].constructor === Object ? rest.shift() : {};
+  for (const [key, value] of Object.entries(plain)) {
+    if (value === null || value === undefined || value === false) continue;
+    if (key.startsWith("on")) element.addEventListener(key.slice(2), value);
+    else element.setAttribute(key, value === true ? "" : value);
+  }
+  element.append(...rest.flat().filter((child) => child !== null && child !== undefined && child !== false));
+  return element;
+}
+
+/** A table of `columns`, {title: cell(row)}; a title that begins with # is of numbers, one that is blank of buttons. */
+export function table(columns, rows, none) {
+  if (!rows.length) return h("p.empty", none);
+  const kind = (title) => (title.startsWith("#") ? ".number" : title.trim() ? "" : ".actions");
+  const titles = Object.keys(columns);
+  return h("div.scroll", h("table",
+    h("thead", h("tr", titles.map((title) => h(`th${kind(title)}`, title.replace("#", "") || h("span", ""))))),
+    h("tbody", rows.map((row) => h("tr", titles.map((title) => h(`td${kind(title)}`, columns[title](row))))))));
+}
+
+/** Put `children` in place of what `element` holds, unless that is the same; the focus stays on the same `data-key`. */
+export function show(element, ...children) {
+  const fresh = h("div", ...children);
+  if (element.innerHTML === fresh.innerHTML && element.dataset.shown) return;
+  const key = element.contains(document.activeElement) ? document.activeElement.dataset.key : "";
+  element.replaceChildren(...fresh.childNodes);
+  element.dataset.shown = "yes";
+  if (key) element.querySelector(`[data-key="${CSS.escape(key)}"]`)?.focus();
+}
+
+export function notice(text, bad = false) {
+  const box = h(bad ? "div.bad" : "div", String(text), h("button.small", { onclick: () => box.remove() }, "Close"));
+  document.getElementById("notices").append(box);
+  setTimeout(() => box.remove(), bad ? 20_000 : 5_000);
+}
+
+/** Run what a click asks for; what the server says against it is shown. */
+export async function attempt(work, done = "") {
+  try {
+    const result = await work();
+    if (done) notice(done);
+    return result;
+  } catch (error) {
+    notice(error.message, true);
+    return undefined;
+  }
+}
+
+const GOOD = new Set(["connected", "ready", "running", "joined", "up", "active"]);
+const BAD = new Set(["gone", "down", "failed", "lost", "expired", "revoked"]);
+
+export function state(word) {
+  return h(`span.state${GOOD.has(word) ? ".good" : BAD.has(word) ? ".bad" : ""}`, word);
+}
+
+export function bytes(count) {
+  const units = ["B", "kB", "MB", "GB", "TB"];
+  let unit = 0;
+  while (count >= 999.5 && unit < 4) [count, unit] = [count / 1000, unit + 1];
+  return `${unit && count < 10 ? count.toFixed(1) : Math.round(count)} ${units[unit]}`;
+}
+
+export function rate(each) {
+  if (!each) return "";
+  const messages = each.messages >= 10 ? Math.round(each.messages) : Number(each.messages.toFixed(1));
+  return `${messages}/s · ${bytes(each.bytes)}/s`;
+}
+
+export const short = (type) => type.split("/").pop();
+export const time = (seconds) => (seconds ? new Date(seconds * 1000).toLocaleString() : "");

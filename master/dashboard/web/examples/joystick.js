@@ -1,0 +1,68 @@
+// Drives a robot and shows its camera: all that it takes to use rce.js in a page.
+
+import { Picture } from "../picture.js";
+import { Robot } from "../rce/rce.js";
+
+const [FORWARD, TURN] = [0.5, 1.5]; // metres and radians a second, at most
+const PERIOD = 100; // milliseconds between velocities while the stick is held
+const [form, says, stick] = ["form", "says", "stick"].map((id) => document.getElementById(id));
+const picture = new Picture();
+document.getElementById("camera").append(picture.says, picture.element);
+
+let velocity = null; // the publisher
+let held = { forward: 0, turn: 0 }; // each from -1 to 1
+
+form.onsubmit = async (event) => {
+  event.preventDefault();
+  const { user, key, environment: tag, velocity: topic, camera } = Object.fromEntries(new FormData(form));
+  says.textContent = "connecting …";
+  try {
+    const robot = new Robot(location.origin, { user, key, robot: "joystick" });
+    await robot.open();
+    const environment = robot.environment(tag);
+    velocity = await environment.publisher(topic, "geometry_msgs/Twist");
+    await environment.subscriber(camera, "sensor_msgs/Image", { format: "jpeg", depth: 1, callback: (image) => picture.take(image) });
+    says.textContent = `drives ${tag}`;
+    form.hidden = true;
+    for await (const happened of robot.events()) says.textContent = happened.topic === "reconnected" ? `drives ${tag}` : happened.topic;
+  } catch (error) {
+    says.textContent = error.message;
+  }
+};
+
+function hold(forward, turn) {
+  const still = held.forward === 0 && held.turn === 0 && forward === 0 && turn === 0;
+  held = { forward, turn };
+  stick.firstElementChild.style.transform = `translate(${-turn * 97}%, ${-forward * 97}%)`;
+  if (!still) send();
+}
+
+function send() {
+  const twist = { linear: { x: held.forward * FORWARD }, angular: { z: held.turn * TURN } };
+  document.getElementById("velocity").textContent = `${twist.linear.x.toFixed(2)} m/s, ${twist.angular.z.toFixed(2)} rad/s`;
+  velocity?.offer(twist); // only the newest counts
+}
+
+setInterval(() => (held.forward || held.turn) && send(), PERIOD); // robots stop by themselves when nothing comes
+
+const clamp = (value) => Math.max(-1, Math.min(1, value));
+stick.onpointerdown = (event) => { stick.setPointerCapture(event.pointerId); stick.onpointermove(event); };
+stick.onpointermove = (event) => {
+  if (!stick.hasPointerCapture(event.pointerId)) return;
+  const { left, top, width, height } = stick.getBoundingClientRect();
+  hold(clamp(1 - (2 * (event.clientY - top)) / height), clamp(1 - (2 * (event.clientX - left)) / width));
+};
+stick.onpointerup = stick.onpointercancel = () => hold(0, 0);
+
+const KEYS = { ArrowUp: ["forward", 1], ArrowDown: ["forward", -1], ArrowLeft: ["turn", 1], ArrowRight: ["turn", -1] };
+stick.onkeydown = (event) => {
+  const [axis, value] = KEYS[event.key] ?? [];
+  if (!axis) return;
+  event.preventDefault();
+  hold(axis === "forward" ? value : held.forward, axis === "turn" ? value : held.turn);
+};
+stick.onkeyup = (event) => {
+  const [axis] = KEYS[event.key] ?? [];
+  if (axis) hold(axis === "forward" ? 0 : held.forward, axis === "turn" ? 0 : held.turn);
+};
+stick.onblur = () => hold(0, 0);

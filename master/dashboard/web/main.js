@@ -1,0 +1,131 @@
+// The frame of the dashboard: who is signed in, the bar at the top, and which page is shown.
+
+import { Api, signIn } from "./api.js";
+import { attempt, h, show } from "./dom.js";
+import { environmentPage } from "./environment.js";
+import { graphPage } from "./graph.js";
+import { imagePage } from "./image.js";
+import { keysPage } from "./keys.js";
+import { Live } from "./live.js";
+import { machinesPage } from "./machines.js";
+import { mapPage } from "./map.js";
+import { Person } from "./person.js";
+import { userPage, usersPage } from "./users.js";
+
+const KEY = "rce.key"; // in the session's storage: gone with the tab
+const HOURS = 12;
+const [bar, main] = [document.getElementById("bar"), document.getElementById("main")];
+const PAGES = [ // what the address says, the page, its place in the bar, and the operation that it takes
+  [/^\/$/, graphPage, "Graph"],
+  [/^\/environments\/(\w+)\/(\w+)$/, environmentPage],
+  [/^\/map(?:\/(\w+))?$/, mapPage, "Map", "robot.connect"],
+  [/^\/image(?:\/(\w+))?$/, imagePage, "Image", "robot.connect"],
+  [/^\/machines$/, machinesPage, "Machines", "machine.read"],
+  [/^\/users$/, usersPage, "Users", "user.create"],
+  [/^\/users\/(\w+)$/, userPage],
+  [/^\/keys$/, keysPage, "Keys", "key.read"],
+];
+
+let app = null;
+let leave = null; // what ends the page that is shown
+
+async function start() {
+  const stored = sessionStorage.getItem(KEY);
+  if (!stored) return signInPage();
+  const api = new Api(stored);
+  try {
+    const me = new Person(await api.get("/whoami"));
+    const live = new Live(stored, me.user, () => forget("Your key is not good any more: sign in again."));
+    app = { api, me, live, key: stored, go: (path) => { location.hash = path; } };
+    app.acting = (user = live.user === "*" ? me.user : live.user) => (user === me.user ? {} : { user });
+    live.on(drawBar);
+    window.addEventListener("hashchange", route);
+    route();
+  } catch (error) {
+    if (error.status === 401) return forget("Sign in again: your key has expired or was revoked.");
+    show(main, h("p.error", error.message), h("button", { onclick: () => location.reload() }, "Try again"));
+  }
+  return undefined;
+}
+
+function route() {
+  const [path, query = ""] = (location.hash.slice(1) || "/").split("?");
+  const found = PAGES.map(([pattern, page]) => [pattern.exec(path), page]).find(([match]) => match);
+  leave?.();
+  leave = null;
+  main.replaceChildren();
+  delete main.dataset.shown;
+  drawBar();
+  if (!found) return show(main, h("p", `There is no page ${path}.`));
+  const [match, page] = found;
+  leave = page(main, app, ...match.slice(1).map((part) => part ?? ""), new URLSearchParams(query));
+  return undefined;
+}
+
+function drawBar() {
+  const here = location.hash.slice(1).split("?")[0] || "/";
+  const links = PAGES.filter(([, , title, operation]) => title && (!operation || app.me.may(operation)));
+  const everybody = app.me.may("environment.read", "*");
+  show(bar,
+    h("a.brand", { href: "#/" }, h("img", { src: "icon.svg", alt: "" }), "RCE"),
+    h("nav", { "aria-label": "Pages" }, links.map(([pattern, , title]) => {
+      const path = pattern.source.replace(/^\^|\(.*|\\|\$$/g, "") || "/";
+      return h("a", { href: `#${path}`, "aria-current": pattern.test(here) && "page", "data-key": path }, title);
+    })),
+    everybody && h("label.inline.soft", h("input", { type: "checkbox", id: "everybody", "data-key": "everybody",
+      checked: app.live.user === "*" }), "everybody's"),
+    h("span.who", h(`span.pulse${app.live.connected ? ".on" : ""}`, { role: "img",
+      "aria-label": app.live.connected ? "live" : "not connected", title: app.live.connected ? "live" : "not connected" }),
+    `${app.me.user} (${app.me.role})`, h("button.small", { id: "leave", "data-key": "leave" }, "Sign out")));
+  document.getElementById("leave").onclick = signOut;
+  const box = document.getElementById("everybody");
+  if (box) box.onchange = () => app.live.watch(box.checked ? "*" : app.me.user);
+}
+
+function signInPage(message = "") {
+  const error = h("p.error", { role: "alert" }, message);
+  const button = h("button.main", { type: "submit" }, "Sign in");
+  const form = h("form.panel.signin", h("img", { src: "icon.svg", alt: "" }), h("h1", "Sign in to RCE"),
+    h("label", "User", h("input", { name: "user", required: true, autocomplete: "username", autofocus: true })),
+    h("label", "Password", h("input", { name: "password", type: "password", required: true, autocomplete: "current-password" })),
+    error, button);
+  form.onsubmit = async (event) => {
+    event.preventDefault();
+    button.disabled = true;
+    error.textContent = "";
+    const { user, password } = Object.fromEntries(new FormData(form));
+    try {
+      const made = await signIn(user, password, { label: "dashboard", expires: Date.now() / 1000 + HOURS * 3600 });
+      sessionStorage.setItem(KEY, made.secret);
+      await start();
+    } catch (problem) {
+      error.textContent = problem.message;
+    }
+    button.disabled = false;
+  };
+  bar.replaceChildren();
+  main.replaceChildren(form);
+  form.user.focus();
+}
+
+async function signOut() {
+  await attempt(() => app.api.remove(`/keys/${app.me.key}`));
+  forget();
+}
+
+/** The key is of no use any more. */
+function forget(message = "") {
+  sessionStorage.removeItem(KEY);
+  window.removeEventListener("hashchange", route);
+  leave?.();
+  leave = null;
+  app?.live.close();
+  app?.robot?.then((robot) => robot.close(), () => {});
+  app = null;
+  delete bar.dataset.shown;
+  delete main.dataset.shown;
+  signInPage(message);
+}
+
+window.addEventListener("pagehide", () => app?.robot?.then((robot) => robot.connection?.close(), () => {}));
+start();

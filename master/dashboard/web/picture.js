@@ -1,0 +1,38 @@
+// Images of a topic on a canvas; those that come while one is being drawn are left out.
+
+import { h } from "./dom.js";
+
+export class Picture {
+  #busy = false;
+  #times = [];
+
+  constructor() {
+    this.element = h("canvas.picture", { role: "img", "aria-label": "Image of the topic", width: 4, height: 3 });
+    this.says = h("p.soft", { role: "status" }, "Waiting for an image …");
+  }
+
+  /** The bytes of a picture, or a CompressedImage, whose data is base64. */
+  async take(message) {
+    if (this.#busy || document.hidden) return;
+    this.#busy = true;
+    try {
+      const bytes = message instanceof Uint8Array ? message : Uint8Array.from(atob(message.data), (each) => each.charCodeAt(0));
+      const bitmap = await createImageBitmap(new Blob([bytes]));
+      const { element } = this;
+      if (element.width !== bitmap.width || element.height !== bitmap.height) [element.width, element.height] = [bitmap.width, bitmap.height];
+      element.getContext("2d").drawImage(bitmap, 0, 0);
+      bitmap.close();
+      this.#tell();
+    } catch (error) {
+      this.says.textContent = `This image cannot be shown: ${error.message}`;
+    } finally {
+      this.#busy = false;
+    }
+  }
+
+  #tell() {
+    const now = performance.now();
+    this.#times = [...this.#times.filter((each) => each > now - 2000), now];
+    this.says.textContent = `${this.element.width} × ${this.element.height}, ${Math.round(this.#times.length / 2)} images a second`;
+  }
+}

@@ -1,0 +1,90 @@
+// Users for administrators: roles, passwords, quotas and what is used of them, keys.
+
+import { attempt, bytes, h, show, table, time } from "./dom.js";
+import { ask, confirm } from "./forms.js";
+import { keysOf } from "./keys.js";
+
+const ROLES = ["user", "viewer", "operator", "admin"];
+const PASSWORD = { type: "password", required: true, autocomplete: "new-password" };
+
+export function usersPage(main, app) {
+  const list = h("div");
+  const { api } = app;
+  const load = () => attempt(async () => show(list, table({
+    Name: (each) => h("a", { href: `#/users/${each.name}` }, each.name),
+    Role: (each) => each.role,
+    Created: (each) => time(each.created),
+  }, await api.list("/users"), "There are no users.")));
+  const add = () => ask("New user", [
+    { name: "name", label: "Name", required: true, pattern: "[A-Za-z][A-Za-z0-9_]*", title: "a letter, then letters, digits or _" },
+    { name: "role", label: "Role", options: ROLES, value: "user" },
+    { name: "password", label: "Password", ...PASSWORD },
+  ], async (wanted) => { await api.post("/users", wanted); load(); });
+  main.append(h("div.head", h("h1", "Users"), h("span.grow"), h("button.main", { onclick: add }, "New user")), h("section.panel", list));
+  load();
+  return () => {};
+}
+
+export function userPage(main, app, name) {
+  const { api, me } = app;
+  const [about, limits, keys] = [h("div"), h("div"), h("div")];
+  const list = keysOf(app, keys, name === me.user ? {} : { user: name });
+  const path = `/users/${name}`;
+  const load = () => attempt(async () => {
+    const user = await api.get(path);
+    show(about, h("div.head", h("h1", user.name), h("span.soft", user.role)));
+    const [given, used] = [await api.get(`${path}/limits`), await api.get(`${path}/usage`)];
+    show(limits, quotas(given, used));
+  });
+  const change = {
+    role: () => ask(`Role of ${name}`, [{ name: "role", label: "Role", options: ROLES }],
+      async (wanted) => { await api.patch(path, wanted); load(); }, { button: "Change" }),
+    password: () => ask(`Password of ${name}`, [{ name: "password", label: "New password", ...PASSWORD }],
+      (wanted) => api.put(`${path}/password`, wanted), { button: "Change" }),
+    limits: () => ask(`Quotas of ${name}`, QUOTAS.map(([key, label, , , factor]) => ({
+      name: key, label, help: `${factor ? "MB; " : ""}0: no limit, empty: as it is`, type: "number", min: 0, step: "any" })),
+    async (wanted) => {
+      const factors = Object.fromEntries(QUOTAS.map(([key, , , , factor]) => [key, factor ?? 1]));
+      await api.patch(`${path}/limits`, Object.fromEntries(Object.entries(wanted).map(([key, value]) => [key, value * factors[key]])));
+      load();
+    }, { button: "Change" }),
+    remove: () => confirm(`Remove ${name}?`, "With all robots, environments, keys and packages of theirs.", "Remove user",
+      async () => { await api.remove(path); app.go("/users"); }),
+  };
+  const button = (does, text, kind = "") => h(`button${kind}`, { onclick: change[does] }, text);
+  main.append(h("div.head", about, h("span.grow"), me.may("user.change", name) && button("role", "Change role"),
+    me.may("password.change", name) && button("password", "Change password"),
+    me.may("user.remove", name) && name !== me.user && button("remove", "Remove user", ".danger")),
+  h("section.panel", h("div.head", h("h2", "Quotas"), h("span.grow"), me.may("limits.change", name) && button("limits", "Change quotas")), limits),
+  h("section.panel", h("div.head", h("h2", "API keys"), h("span.grow"),
+    me.may("key.create", name) && h("button", { onclick: list.add }, "New key")), keys));
+  load();
+  list.load();
+  return () => {};
+}
+
+const QUOTAS = [ // of the limits: key, label, key of what is used, words, factor of what is typed
+  ["environments", "Environments", "environments"],
+  ["cores", "Cores", "cores"],
+  ["total_memory", "Memory", "total_memory", bytes, 1_000_000],
+  ["robots", "Robots", "robots"],
+  ["connections", "Connections", "connections"],
+  ["package_bytes", "Stored packages", "package_bytes", bytes, 1_000_000],
+  ["memory", "Memory of one environment", "", bytes, 1_000_000],
+  ["bandwidth", "Bandwidth of one environment", "", (value) => `${bytes(value)}/s`, 1_000_000],
+];
+
+function quotas(given, used) {
+  return table({
+    Quota: ([, label]) => label,
+    "#Used": ([, , key, words = String]) => (key ? words(used[key] ?? 0) : ""),
+    "#Limit": ([key, , , words = String]) => (given[key] ? words(given[key]) : h("span.soft", "none")),
+    " ": ([key, label, use]) => (use && given[key] ? meter(used[use] ?? 0, given[key], label) : ""),
+  }, QUOTAS, "");
+}
+
+function meter(value, most, label) {
+  const inner = h(value >= most ? "div.full" : "div");
+  inner.style.width = `${Math.min(100, (100 * value) / most)}%`;
+  return h("div.bar", { role: "meter", "aria-label": label, "aria-valuenow": value, "aria-valuemin": 0, "aria-valuemax": most }, inner);
+}
