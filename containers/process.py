@@ -128,6 +128,7 @@ class ProcessEngine(Engine):
                     await kill_marked(directory.name)
                     await asyncio.to_thread(shutil.rmtree, directory)
             self._remove_empty(parent)
+        await asyncio.to_thread(shared_memory.clean)  # of those that were killed, by whomever, while nobody watched
         self._trimmer = asyncio.create_task(self._trim())
         return {name: Life(each.state.run, each.state.size) for name, each in self._environments.items()}
 

@@ -11,6 +11,7 @@ import os
 import re
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 SHARED_MEMORY = Path("/dev/shm")
@@ -30,13 +31,14 @@ def _remove_dead(directory: Path) -> bool:
     """Whether there are segments too young to tell."""
     young = False
     for path in _own(directory, LOCK):
-        if not _is_free(path):
-            continue
-        if time.time() - path.stat().st_mtime > YOUNG:
-            path.with_name(path.name.removesuffix("_el")).unlink(missing_ok=True)
-            path.unlink(missing_ok=True)
-        else:
-            young = True
+        with suppress(FileNotFoundError):  # others clean too
+            if not _is_free(path):
+                continue
+            if time.time() - path.stat().st_mtime > YOUNG:
+                path.with_name(path.name.removesuffix("_el")).unlink(missing_ok=True)
+                path.unlink()
+            else:
+                young = True
     return young
 
 
@@ -52,9 +54,13 @@ def clean_ports(domain: int, directory: Path = SHARED_MEMORY) -> None:
 
 
 def _own(directory: Path, pattern: re.Pattern[str]) -> list[Path]:
+    found = []
     with os.scandir(directory) as entries:
-        mine = [each for each in entries if pattern.fullmatch(each.name) and each.stat().st_uid == os.geteuid()]
-    return [Path(each.path) for each in mine]
+        for each in entries:
+            with suppress(FileNotFoundError):
+                if pattern.fullmatch(each.name) and each.stat().st_uid == os.geteuid():
+                    found.append(Path(each.path))
+    return found
 
 
 def _is_free(lock: Path) -> bool:

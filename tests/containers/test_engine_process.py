@@ -322,3 +322,14 @@ def test_two_uses_of_a_directory_are_apart(tmp_path: Path) -> None:
     os.close(other)
     os.close(again)
     assert (second > first, third) == (True, first)
+
+
+async def test_shared_memory_of_the_dead_is_removed_by_the_next_task_set(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cleaned: list[bool] = []
+    monkeypatch.setattr(process.shared_memory, "clean", lambda: cleaned.append(True))
+    engine = ProcessWorld(tmp_path).engine(Endings())
+    await engine.open()
+    await engine.close()
+    assert cleaned

@@ -2,6 +2,8 @@ import fcntl
 import os
 from pathlib import Path
 
+import pytest
+
 from containers import shared_memory
 
 
@@ -38,6 +40,20 @@ def test_only_segments_of_the_dead_are_removed(tmp_path: Path) -> None:
         other.name,
     }
     assert not dead.exists()
+
+
+def test_several_may_clean_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for number in range(3):
+        segment(tmp_path, number, 10)
+    is_free = shared_memory._is_free
+
+    def others_come_first(lock: Path) -> bool:
+        lock.unlink()
+        return is_free(lock)
+
+    monkeypatch.setattr(shared_memory, "_is_free", others_come_first)
+    shared_memory.clean(tmp_path)
+    assert not list(tmp_path.glob("*_el"))
 
 
 def test_ports_of_one_domain(tmp_path: Path) -> None:

@@ -1,11 +1,14 @@
-"""Many environments at once, and a task set that is killed while it has them: all come up, work on, and go."""
+"""Many environments at once, and a task set that is killed while it has them: all come up, work on, and go.
+
+Under `docker` they run on an island (tests/island.py), each with a disk, and in one network group.
+"""
 
 from __future__ import annotations
 
 import asyncio
-import os
+import subprocess
 from collections.abc import AsyncIterator, Callable
-from contextlib import AsyncExitStack, suppress
+from contextlib import AsyncExitStack, ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +16,11 @@ import pytest
 from real_platform import USER, RealPlatform, containers, until
 
 from rce.client import Environment
-from rce.errors import NotFound, RceError
+from rce.errors import NotFound, RceError, TimedOut
 
 MB = 1024 * 1024
 STRING = "std_msgs/String"
-MANY, ROBOTS = int(os.environ.get("RCE_TEST_MANY", "10")), 5  # 20 take twice the time and show the same
+MANY, ROBOTS = 20, 5
 TASK_SET = r"-m containers( |$)"
 
 
@@ -27,7 +30,7 @@ class Site:
     def __init__(self, engine: str, platform: RealPlatform, api: Any) -> None:
         self.engine = engine
         self.platform = platform
-        self.options: dict[str, Any] = {"disk": 8 * MB} if engine == "docker" and os.geteuid() == 0 else {}
+        self.options: dict[str, Any] = {"group": "crew"} | ({"disk": 8 * MB} if engine == "docker" else {})
         self._api = api
 
     def lives(self) -> dict[str, Any]:
@@ -38,13 +41,23 @@ class Site:
         return {f"{USER}/{tag}": pid for tag in tags if (pid := self.platform.environment_pid(tag))}
 
     def left(self) -> list[str]:
-        """All that there is of environments: containers, processes, directories, sockets, disks."""
+        """All that there is of environments: containers, networks, processes, directories, sockets, disks."""
         container = self.platform.directory / "data" / "container"
         places = [*self._environments.glob("*"), *container.glob("sockets/*")]
         found = [*self.lives(), *(str(path) for path in places)]
         found += [words for words in self.platform.processes().values() if "endpoints.environment" in words]
+        found += self.networks()
         disks = [path.read_text().strip() for path in Path("/sys/block").glob("loop*/loop/backing_file")]
         return found + [disk for disk in disks if disk.startswith(str(container))]
+
+    def networks(self) -> list[str]:
+        """Those of groups, and the rules of the packet filter for them."""
+        if self.engine != "docker":
+            return []
+        label = f"rce.directory={self.platform.directory / 'data' / 'container'}"
+        rules = subprocess.check_output(["iptables", "-S"], text=True).splitlines()
+        named = [each["Name"] for each in self._api.networks(filters={"label": label})]
+        return named + [rule for rule in rules if "--comment rce-" in rule]
 
     async def kill_task_set(self) -> None:
         """And wait for the next."""
@@ -59,12 +72,19 @@ class Site:
 
 @pytest.fixture(scope="module", params=["process", "docker"])
 async def site(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Site]:
-    api = request.getfixturevalue("images") if request.param == "docker" else None
     arguments = ["--engine", request.param, "--size", str(MANY)]
     platform = RealPlatform(tmp_path_factory.mktemp(request.param), *arguments)
-    await platform.start()
-    yield Site(request.param, platform, api)
-    await platform.stop()
+    with ExitStack() as stack:
+        api = None
+        if request.param == "docker":
+            import docker
+
+            island = request.getfixturevalue("island")
+            stack.enter_context(island.inside())
+            api = stack.enter_context(closing(docker.APIClient(island.host, version="auto", timeout=60)))
+        await platform.start()
+        yield Site(request.param, platform, api)
+        await platform.stop()
 
 
 async def test_many_environments_at_once(site: Site) -> None:
@@ -99,26 +119,34 @@ async def test_environments_work_on_without_their_task_set_and_are_adopted(site:
 class Talk:
     """From the robot to a node and back."""
 
-    def __init__(self, say: Any, heard: Any) -> None:
-        self._say, self._heard = say, heard
+    def __init__(self, name: str, say: Any, heard: Any) -> None:
+        self._name, self._say, self._heard = name, say, heard
+        self._checks = 0
 
     @staticmethod
     async def with_node(environment: Environment) -> Talk:
         await environment.add_node("echo", "rce_demo", "echo.py")
         heard = await environment.subscriber("/heard", STRING)
-        return Talk(await environment.publisher("/say", STRING), heard)
+        return Talk(environment.tag, await environment.publisher("/say", STRING), heard)
 
     async def check(self) -> None:
+        """The node hears what is said once it and the endpoint have found each other."""
+        self._checks += 1
+        wanted = {"data": f"check {self._checks} of {self._name}"}
         async with asyncio.timeout(30):
-            await self._say.publish({"data": "here"})
-            assert await anext(aiter(self._heard)) == {"data": "here"}
+            while True:
+                await self._say.publish(wanted)
+                with suppress(TimedOut):
+                    while await self._heard.get(1) != wanted:
+                        pass
+                    return
 
 
 @pytest.mark.parametrize("moment", ["at once", "when something is there", "when it runs"])
 async def test_a_task_set_killed_during_a_start_leaves_nothing(site: Site, moment: str) -> None:
     reached: dict[str, Callable[[], object]] = {
         "at once": lambda: True,
-        "when something is there": site.left,
+        "when something is there": site.networks if site.engine == "docker" else site.left,
         "when it runs": site.lives,
     }
     async with site.platform.robot("starter", 60) as robot:
@@ -135,12 +163,15 @@ async def test_a_task_set_killed_during_a_start_leaves_nothing(site: Site, momen
     assert site.left() == []
 
 
-async def test_a_task_set_killed_during_a_stop_leaves_nothing(site: Site) -> None:
+@pytest.mark.parametrize("moment", ["at once", "when one is gone"])
+async def test_a_task_set_killed_during_a_stop_leaves_nothing(site: Site, moment: str) -> None:
     async with site.platform.robot("stopper", 60) as robot:
         tags = ["ending0", "ending1", "ending2"]
         await asyncio.gather(*(robot.create_environment(tag, **site.options) for tag in tags))
         stops = [asyncio.create_task(robot.destroy_environment(tag)) for tag in tags]
         await asyncio.sleep(0.05)  # the calls are on their way; any moment will do
+        if moment == "when one is gone":
+            await until(lambda: len(site.lives()) < len(tags), what=moment)
         await site.kill_task_set()
         await asyncio.gather(*stops, return_exceptions=True)
         await until(lambda: not site.left(), what="nothing left")
