@@ -25,10 +25,11 @@ from master.entry import Entry
 from master.groups import PREFIX
 from master.machines import Inviter, Registrar, Registry, SmallRequest, port_of
 from master.policies import IMAGES, Policy, parse, with_changes
+from master.processes import Processes
 from master.records import GROUP_POOL, Role
 from master.service import Master
 from master.store import Store
-from master.users import Processes, Users
+from master.users import Users
 from rce import control, loop, settings
 from rce.certificates import Authority
 from rce.errors import InvalidRequest

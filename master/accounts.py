@@ -116,7 +116,7 @@ async def _act(users: Users, words: argparse.Namespace) -> None:
             secret, _ = await users.add_key(words.user, words.role, words.label, expires)
             print(secret)
         case "key-list":
-            keys = await users.keys(words.user)
+            keys = await users.keys.of(words.user)
             if words.json:
                 print(msgspec.json.encode(keys).decode())
             else:
@@ -124,7 +124,7 @@ async def _act(users: Users, words: argparse.Namespace) -> None:
                     until = time.strftime("%Y-%m-%d", time.gmtime(key.expires)) if key.expires else "never expires"
                     print(f"{key.id}  {key.role:8}  {until:13}  {key.label}")
         case "key-revoke":
-            await users.revoke_key(words.user, words.key)
+            await users.keys.revoke(words.user, words.key)
 
 
 def main() -> int:

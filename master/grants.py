@@ -16,7 +16,9 @@ import sqlalchemy as sa
 from master import store as db
 from rce.calls import LentKey
 from rce.errors import Unauthorized
+from rce.roles import Principal
 
+KEY_PREFIX = "rce_"
 LENT_PREFIX = "rce_lent_"
 VOID = "the right to act for this user has ended: the user or the API key is gone, or the key has expired"
 
@@ -64,17 +66,17 @@ class Grants:
         where = sa.and_(db.grants.c.id == grant, db.grants.c.service == service)
         await self._store.run(lambda connection: connection.execute(db.grants.delete().where(where)))
 
-    async def check(self, user: str, secret: str) -> str:
+    async def check(self, user: str, secret: str) -> Principal:
         """The user whose robot the bearer of a lent key may be. Unauthorized."""
         query = _valid().where(db.grants.c.lent == digest(secret), db.grants.c.expires > time.time())
         row = await self._store.run(lambda connection: connection.execute(query).first())
         if row is None or user not in ("", row.user):
             raise Unauthorized("the key is wrong or expired, or its job is over")
-        return str(row.user)
+        return Principal(row.user, "robot", row.key or "", lent=True)
 
 
-def _valid() -> sa.Select[tuple[str]]:
+def _valid() -> sa.Select[tuple[str, str]]:
     """Grants whose API key, if they were given with one, has not expired."""
     keys = db.api_keys
     good = sa.or_(db.grants.c.key.is_(None), keys.c.expires.is_(None), keys.c.expires > time.time())
-    return sa.select(db.grants.c.user).outerjoin(keys, keys.c.id == db.grants.c.key).where(good)
+    return sa.select(db.grants.c.user, db.grants.c.key).outerjoin(keys, keys.c.id == db.grants.c.key).where(good)

@@ -13,8 +13,8 @@ import msgspec
 
 from master.__main__ import Settings
 from master.machines import HOURS, Inviter
+from master.processes import Processes
 from master.store import Store
-from master.users import Processes
 from rce import settings
 from rce.errors import InvalidRequest, RceError
 from rce.joining import Role, process_name

@@ -20,7 +20,7 @@ from twisted.web.resource import Resource
 from twisted.web.server import NOT_DONE_YET, Request
 
 import rce
-from master.users import Processes
+from master.processes import Processes
 from rce.certificates import Authority, fingerprint
 from rce.errors import InternalError, InvalidRequest, RceError, Unauthorized
 from rce.joining import Application, Invitation, JoinCode, Membership, Role, process_name

@@ -13,6 +13,7 @@ from master.wiring import RELAY, Ids, bring_up, connections_of, deactivate, link
 from rce.calls import Bind, DropRobot, Hello, KeepEnvironments, KnowRelays, Sync
 from rce.errors import AlreadyExists, NoCapacity
 from rce.names import check_tag
+from rce.roles import Principal
 
 
 def joined(state: State, process: Process, hello: Hello, ids: Ids) -> Plan:
@@ -160,8 +161,11 @@ def robot_arrived(
     resume: str,
     ids: Ids,
     policy: Policy = UNLIMITED,
+    principal: Principal | None = None,
+    address: str = "",
 ) -> tuple[Outcome, bool]:
-    """A robot's socket at `endpoint`; `session` and `resume` are digests of its new and its presented token.
+    """A robot's socket at `endpoint`, from `address`; `session` and `resume` are digests of its new and its presented
+    token, `principal` is who it has proved to be.
 
     Returns what to do before the robot may go on, and whether it took its earlier session over.
     Raises AlreadyExists if the robotID is in use: by an environment, or by a session that was not resumed;
@@ -174,7 +178,7 @@ def robot_arrived(
     present = state.robots.get(name)
     if present is None:
         check_robots(state, user, policy)
-        state.robots.put(Robot(name, endpoint, session))
+        state.robots.put(Robot(name, endpoint, session, principal, address))
         return Outcome([]), False
     if not resume or resume != present.session:
         raise AlreadyExists(
@@ -183,7 +187,7 @@ def robot_arrived(
         )
     moved = present.endpoint != endpoint
     plan = _leave_endpoint(state, present) if moved else []
-    state.robots.put(Robot(name, endpoint, session))
+    state.robots.put(Robot(name, endpoint, session, principal, address))
     if moved:
         plan += [[Send(endpoint, Bind(interface.spec), interface.spec.id)] for interface in state.interfaces.by(name)]
         plan += bring_up(state, [name], ids)
@@ -214,6 +218,20 @@ def robot_dismissed(state: State, name: str, reason: str) -> Plan:
     plan = robot_left(state, name)
     if robot is not None and robot.endpoint in state.joined:
         plan.append([Send(robot.endpoint, DropRobot(name, reason), name)])
+    return plan
+
+
+def user_gone(state: State, user: str) -> Plan:
+    """Take all that a user has out of the graph."""
+    plan: Plan = []
+    for robot in state.robots.by(user):
+        plan += robot_dismissed(state, robot.name, "the user was removed")
+    for environment in state.environments.by(user):
+        plan += remove_environment(state, environment)
+    for package in state.packages.by(user):
+        state.packages.drop(package.key)
+    for package in state.packages.by(f">{user}"):  # a namesake to come is somebody else
+        state.packages.put(replace(package, shared=[each for each in package.shared if each != user]))
     return plan
 
 

@@ -22,6 +22,7 @@ from msgspec import Struct
 
 from rce.calls import Egress, InterfaceSpec, NodeSpec, ParameterSpec
 from rce.messages import ContainerData
+from rce.roles import Principal
 
 Role = Literal["robot", "container", "environment", "service"]
 GROUP_POOL = IPv4Network("10.128.0.0/10")  # the upper half of 10/8 is seldom used; 16384 groups
@@ -46,11 +47,21 @@ class Environment(Struct, frozen=True):
 
 
 class Robot(Struct, frozen=True):
-    """A robot with a session. `endpoint` is empty while it has lost its socket and its Robot endpoint too."""
+    """A robot with a session. `endpoint` is empty while it has lost its socket and its Robot endpoint too.
+
+    `principal` is who it proved to be when its socket opened; records of before this was kept have none.
+    """
 
     name: str  # user/robotID
     endpoint: str
     session: str  # SHA-256 of the token that resumes the session
+    principal: Principal | None = None
+    address: str = ""  # from where the socket came
+
+    @property
+    def by(self) -> Principal:
+        """Where it is not known, somebody whom the user has given the right to be a robot."""
+        return self.principal or Principal(user_of(self.name), "robot", lent=True)
 
     @property
     def key(self) -> str:

@@ -6,29 +6,15 @@ in the same words whether it is there or not. An operation that a role may not d
 
 from __future__ import annotations
 
-from msgspec import Struct
-
 from master.records import State
 from rce import messages as m
 from rce.errors import Forbidden, NotFound
 from rce.names import split_interface
-from rce.roles import FREE, Scopes, UserRole
+from rce.roles import Principal as Principal
+from rce.roles import Scopes
 
 EVERYBODY = "*"  # stands where the owner does, for the things of all users
 NOBODY = ""  # the owner of what is the platform's
-
-
-class Principal(Struct, frozen=True):
-    """Who somebody has proved to be; `key` is the id of the API key, empty for a password.
-
-    A service that acts for a user with a lent key has the id of the key by which the right was given.
-    """
-
-    user: str
-    role: UserRole
-    key: str = ""
-    lent: bool = False  # by the user to a service that acts for them
-    scopes: Scopes = FREE
 
 
 COLUMNS = ("tied", "robot", "viewer", "user", "operator", "admin")

@@ -16,22 +16,24 @@ from master.carrier import Carrier
 from master.depot import FETCH_PATH, Depot
 from master.effects import Plan, Send
 from master.grants import digest
+from master.guard import Guard
+from master.lending import Lending
 from master.lifecycle import RETRY_FIRST, STEADY, Lifecycle
 from master.limits import Limits
 from master.pauses import Pauses
 from master.placement import place
 from master.policies import UNLIMITED, Policy
+from master.processes import Processes
 from master.records import Environment, Process, Robot, State, at, user_of, what
-from master.rights import Principal
+from master.rights import check_command
 from master.rim import Rim
 from master.shown import Shown
 from master.store import Store
-from master.users import Processes, Users, must_drive
+from master.users import Users, must_drive
 from rce import calls as c
 from rce.control import Control, Handlers
 from rce.errors import (
     ErrorInfo,
-    Forbidden,
     InvalidRequest,
     NoCapacity,
     NotFound,
@@ -41,6 +43,7 @@ from rce.errors import (
     UnknownType,
 )
 from rce.messages import Command, DestroyContainer, EnvironmentEvent
+from rce.names import check_tag
 
 START_TIMEOUT = 60.0
 LINK_RETRY_FIRST, LINK_RETRY_MOST = 0.1, 5.0
@@ -81,6 +84,7 @@ class Master:
         self._rim = Rim(self.state, store, self._carrier, self._sweep)
         self._lives = Lifecycle(self._rim, ids, self._resettle)
         self.shown = Shown(self.state, self._carrier.is_real)
+        self.guard = Guard(self.users, self.state, self._rim.apply)
         self._breaks = Pauses(LINK_RETRY_FIRST, LINK_RETRY_MOST, STEADY)
         self._away: dict[str, asyncio.Task[None]] = {}  # processes whose time to come back runs
         self._reopening: set[str] = set()  # links that broke before, until they are opened again
@@ -90,6 +94,7 @@ class Master:
         await self._store.load(self.state)
         await self.limits.open()
         self._rim.keep(asyncio.create_task(self.limits.follow()))
+        self._rim.keep(asyncio.create_task(self.guard.follow()))
         packages.drop_strays(self.state, set(await self.users.names()))
         self._sweep()
         for process in self.state.processes:
@@ -205,10 +210,7 @@ class Master:
             handlers.on(c.Execute, lambda call: self._execute(process, call))
             handlers.on(c.Describe, self._describe)
         elif process.role == "service":
-            handlers.on(c.Vouch, self._vouch)
-            handlers.on(c.Delegate, lambda call: self._delegate(process, call))
-            handlers.on(c.Borrow, lambda call: self.users.grants.borrow(process.name, call.grant, call.seconds))
-            handlers.on(c.EndGrant, lambda call: self._end_grant(process, call))
+            Lending(self.users).add_to(handlers, process)
         elif process.role == "environment":
             self._lives.of_environment(handlers, process)
             handlers.on(c.Report, lambda call: self._report(process, call))
@@ -218,37 +220,19 @@ class Master:
         handlers.on(c.LinkLost, lambda call: self._link_lost(process, call))
         return handlers
 
-    # --- services that act for users ----------------------------------------------------------------------------------
-
-    async def _vouch(self, call: c.Vouch) -> c.Person:
-        principal = await self._client(call.user, call.secret)
-        return c.Person(principal.user, principal.role)
-
-    async def _delegate(self, process: Process, call: c.Delegate) -> c.Grant:
-        principal = await self._client(call.user, call.secret)
-        return c.Grant(await self.users.grants.give(process.name, principal.user, principal.key))
-
-    async def _end_grant(self, process: Process, call: c.EndGrant) -> c.Nothing:
-        await self.users.grants.end(process.name, call.grant)
-        return c.Nothing()
-
-    async def _client(self, user: str, secret: str) -> Principal:
-        """Who may have a service act as a robot of theirs: not a service that acts for somebody already."""
-        principal = await self.users.check(user, secret)
-        if principal.lent:
-            raise Forbidden("this key was lent to a service and is for robots only")
-        must_drive(principal)
-        return principal
-
     # --- robots -------------------------------------------------------------------------------------------------------
 
     async def _login(self, process: Process, call: c.Login) -> c.LoggedIn:
-        principal = await self.users.check(call.user, call.secret)
-        must_drive(principal)
+        address = _host(call.address)
+        check_tag(call.user, "userID")
+        principal = await self.users.check(call.user, call.secret, address)
+        must_drive(principal, call.robot)
         token = secrets.token_hex(32)
         resume = digest(call.resume) if call.resume else ""
         outcome, resumed = presence.robot_arrived(
-            self.state, call.user, call.robot, process.name, digest(token), resume, ids, self.limits.of(call.user)
+            self.state,
+            *(call.user, call.robot, process.name, digest(token), resume, ids),
+            *(self.limits.of(call.user), principal, address),
         )
         saved = self._rim.save()
         try:
@@ -275,7 +259,9 @@ class Master:
         robot = self.state.robots.get(call.robot)
         if robot is None or robot.endpoint != process.name:
             raise NotFound(f"robot {call.robot} has no session at {process.name}")
-        return await self.execute(user_of(call.robot), call.command, call.again)
+        user, command = user_of(call.robot), call.command
+        check_command(robot.by, self.state, user, command)
+        return await self.execute(user, command, call.again)
 
     async def execute(self, user: str, command: Command, again: bool = False) -> c.Nothing:
         """Carry a user's command out to its completion; what did not become real is taken back."""
@@ -410,3 +396,8 @@ class Master:
             self._carrier.settle(key)
         elif not self._carrier.settle(key, RceError.from_info(error)):
             self._rim.tell(user_of(owner), error=error)
+
+
+def _host(peer: str) -> str:
+    """The address in Autobahn's name of a peer, as tcp4:10.1.2.3:4567."""
+    return peer.partition(":")[2].rpartition(":")[0]

@@ -47,6 +47,8 @@ api_keys = sa.Table(
     sa.Column("label", sa.Text, nullable=False),
     sa.Column("created", sa.Float, nullable=False),
     sa.Column("expires", sa.Float),
+    sa.Column("used", sa.Float),
+    sa.Column("scopes", sa.Text),  # JSON; none: not narrowed
 )
 limits = (
     sa.Table(  # of users who do not have those of the platform; what the running Master takes for these stands at ""

@@ -1,133 +1,184 @@
-"""Users, their passwords and API keys; the credentials of the platform's own processes.
-
-A password is stored as argon2 of its SHA-256 hex, since that is what robots send; an API key and a join token as
-SHA-256: they are random, so a slow hash would add nothing. An argon2 check is slow on purpose, and few run at once.
-"""
+"""Users: who they are, what role they have, and by what they prove themselves."""
 
 from __future__ import annotations
 
-import asyncio
-import secrets
 import time
-from typing import Any
+from collections.abc import Callable
 
-import argon2
 import sqlalchemy as sa
 from msgspec import Struct
 
 from master import store as db
-from master.grants import LENT_PREFIX, Grants
+from master.grants import KEY_PREFIX, LENT_PREFIX, Grants
 from master.grants import digest as digest
-from master.records import Role
-from master.rights import Principal, check
+from master.keys import ApiKey, Keys
+from master.passwords import Passwords
+from master.rights import check
+from master.throttle import Throttle
 from rce.errors import AlreadyExists, InvalidRequest, NotFound, Unauthorized
 from rce.names import check_tag
-from rce.roles import UserRole
-
-KEY_PREFIX = "rce_"
-CHECKS_AT_ONCE = 2
-MACHINE = "machine"  # the role of a token that is a machine's invitation
+from rce.roles import FREE, WITHIN, Principal, Scopes, UserRole
 
 
-class ApiKey(Struct, frozen=True):
-    """An API key as it may be shown: without the key itself. Times are seconds since 1970."""
+class User(Struct, frozen=True):
+    """A user as they may be shown. `created` is in seconds since 1970."""
 
-    id: str
-    user: str
+    name: str
     role: UserRole
-    label: str
     created: float
-    expires: float | None
+
+
+class Standing(Struct, frozen=True):
+    """What credentials are good for just now: the roles of all users, and the keys that are not over."""
+
+    roles: dict[str, UserRole]
+    keys: set[str]
+
+    def holds(self, principal: Principal) -> bool:
+        """Whether who came in with these credentials could come in again."""
+        role = self.roles.get(principal.user)
+        if role is None or principal.role not in WITHIN[role] or (principal.key and principal.key not in self.keys):
+            return False
+        return bool(principal.key) or principal.lent or principal.role == role
 
 
 class Users:
-    """People and programs that may use the platform."""
+    """People and programs that may use the platform. `now` is for the throttle."""
 
-    def __init__(self, store: db.Store) -> None:
+    def __init__(self, store: db.Store, now: Callable[[], float] = time.monotonic) -> None:
         self.grants = Grants(store)
+        self.keys = Keys(store)
+        self.passwords = Passwords()
+        self.throttle = Throttle(now)
         self._store = store
-        self._hasher = argon2.PasswordHasher(time_cost=2, memory_cost=19_456, parallelism=1)  # OWASP's minimum
-        self._checks = asyncio.Semaphore(CHECKS_AT_ONCE)
+        self._changes: dict[str, int] = {}  # of passwords and roles: a check that was under way is void
 
-    async def add(self, name: str, password: str, role: UserRole = "user") -> None:
+    # --- who there is -------------------------------------------------------------------------------------------------
+
+    async def add(self, name: str, password: str, role: UserRole = "user") -> User:
+        """Whether the password is good enough is for who asks; see `master.passwords.check_password`."""
         check_tag(name, "userID")
-        hashed = await asyncio.to_thread(self._hasher.hash, digest(password))
-        row = {"name": name, "password": hashed, "role": role, "created": time.time()}
+        user = User(name, role, time.time())
+        row = {"name": name, "password": await self.passwords.hash(password), "role": role, "created": user.created}
         try:
             await self._store.run(lambda connection: connection.execute(db.users.insert(), row))
         except sa.exc.IntegrityError:
             raise AlreadyExists(f"user {name} exists already", field="userID") from None
+        return user
+
+    async def all(self) -> list[User]:
+        """By their names."""
+        query = sa.select(db.users.c.name, db.users.c.role, db.users.c.created)
+        rows = await self._store.run(lambda connection: list(connection.execute(query)))
+        return sorted((User(row.name, row.role, row.created) for row in rows), key=lambda user: user.name)
 
     async def names(self) -> list[str]:
-        found = await self._store.run(lambda connection: list(connection.scalars(sa.select(db.users.c.name))))
-        return sorted(found)
+        return [user.name for user in await self.all()]
+
+    async def get(self, name: str) -> User:
+        """NotFound."""
+        query = sa.select(db.users.c.name, db.users.c.role, db.users.c.created).where(db.users.c.name == name)
+        row = await self._store.run(lambda connection: connection.execute(query).first())
+        if row is None:
+            raise _unknown(name)
+        return User(row.name, row.role, row.created)
 
     async def remove(self, name: str) -> None:
+        """With limits, keys and grants. NotFound; InvalidRequest if it is the last administrator."""
+
         def drop(connection: sa.Connection) -> int:
+            _keep_an_admin(connection, name)
             connection.execute(db.limits.delete().where(db.limits.c.user == name))
             return connection.execute(db.users.delete().where(db.users.c.name == name)).rowcount
 
         if not await self._store.run(drop):
-            raise NotFound(f"there is no user {name}", field="userID")
+            raise _unknown(name)
+        self._changed(name)
 
-    async def check(self, name: str, secret: str) -> Principal:
-        """`secret` is an API key or the SHA-256 hex of the password. Unauthorized says no more than that.
+    async def change_role(self, name: str, role: UserRole) -> None:
+        """Keys and grants that go beyond the new role are gone with it. NotFound, InvalidRequest."""
+
+        def put(connection: sa.Connection) -> int:
+            if role != "admin":
+                _keep_an_admin(connection, name)
+            keys = db.api_keys
+            beyond = sa.and_(keys.c.user == name, keys.c.role.not_in(WITHIN[role]))
+            connection.execute(keys.delete().where(beyond))
+            if "robot" not in WITHIN[role]:
+                connection.execute(db.grants.delete().where(db.grants.c.user == name))
+            return connection.execute(db.users.update().where(db.users.c.name == name).values(role=role)).rowcount
+
+        if not await self._store.run(put):
+            raise _unknown(name)
+        self._changed(name)
+
+    async def change_password(self, name: str, password: str) -> None:
+        """What was lent on the word of the old one is void. NotFound."""
+        hashed = await self.passwords.hash(password)
+        grants = db.grants.delete().where(db.grants.c.user == name, db.grants.c.key.is_(None))
+
+        def put(connection: sa.Connection) -> int:
+            connection.execute(grants)
+            change = db.users.update().where(db.users.c.name == name).values(password=hashed)
+            return connection.execute(change).rowcount
+
+        if not await self._store.run(put):
+            raise _unknown(name)
+        self._changed(name)
+
+    def _changed(self, name: str) -> None:
+        self._changes[name] = self._changes.get(name, 0) + 1
+
+    # --- who somebody is ----------------------------------------------------------------------------------------------
+
+    async def check(self, name: str, secret: str, address: str = "") -> Principal:
+        """`secret` is an API key or the SHA-256 hex of the password. Unauthorized says no more; TooManyAttempts.
 
         With an API key the name may be empty: the key knows its user.
         """
         if secret.startswith(LENT_PREFIX):
-            return Principal(await self.grants.check(name, secret), "robot", lent=True)
+            return await self.grants.check(name, secret)
         if secret.startswith(KEY_PREFIX):
-            return await self._check_key(name, secret)
-        query = sa.select(db.users.c.password, db.users.c.role).where(db.users.c.name == name)
-        row = await self._store.run(lambda connection: connection.execute(query).first())
-        async with self._checks:
-            # An unknown user costs the same time as a wrong password.
-            good = await asyncio.to_thread(self._verify, row.password if row else self._decoy, secret.lower())
-        if row is None or not good:
-            raise Unauthorized("user or password is wrong")
+            return await self.keys.check(name, secret)
+        return await self._check_password(name, secret, address)
+
+    async def _check_password(self, name: str, secret: str, address: str) -> Principal:
+        self.throttle.check(name, address)
+        async with self.passwords.turn():
+            self.throttle.check(name, address)  # others may have guessed meanwhile
+            change = self._changes.get(name)
+            query = sa.select(db.users.c.password, db.users.c.role).where(db.users.c.name == name)
+            row = await self._store.run(lambda connection: connection.execute(query).first())
+            good = await self.passwords.verify(row.password if row else None, secret)
+            if row is None or not good or self._changes.get(name) != change:
+                self.throttle.wrong(name, address)
+                raise Unauthorized("user or password is wrong")
+        self.throttle.right(name, address)
         return Principal(name, row.role)
 
-    @property
-    def _decoy(self) -> str:
-        return "$argon2id$v=19$m=19456,t=2,p=1$MDEyMzQ1Njc4OWFiY2RlZg$1tTS0Sl0WxSQqvnBzLCbWa2CKYGFyN8s0mN0Pa6yjgk"
+    async def standing(self) -> Standing:
+        """Of all credentials, as the database has them: other processes change it too."""
+        keys = db.api_keys
+        good = sa.or_(keys.c.expires.is_(None), keys.c.expires > time.time())
 
-    def _verify(self, hashed: str, secret: str) -> bool:
-        try:
-            return self._hasher.verify(hashed, secret)
-        except argon2.exceptions.VerificationError:
-            return False
+        def read(connection: sa.Connection) -> Standing:
+            roles = {row.name: row.role for row in connection.execute(sa.select(db.users.c.name, db.users.c.role))}
+            return Standing(roles, set(connection.scalars(sa.select(keys.c.id).where(good))))
 
-    async def _check_key(self, name: str, secret: str) -> Principal:
-        query = sa.select(db.api_keys).where(db.api_keys.c.digest == digest(secret))
-        row = await self._store.run(lambda connection: connection.execute(query).first())
-        if row is None or name not in ("", row.user) or (row.expires is not None and row.expires < time.time()):
-            raise Unauthorized("the API key is wrong, expired or revoked, or another user's")
-        return Principal(row.user, row.role, row.id)
+        return await self._store.run(read)
+
+    # --- API keys -----------------------------------------------------------------------------------------------------
 
     async def add_key(
-        self, user: str, role: UserRole = "robot", label: str = "", expires: float | None = None
+        self,
+        user: str,
+        role: UserRole = "robot",
+        label: str = "",
+        expires: float | None = None,
+        scopes: Scopes = FREE,
     ) -> tuple[str, ApiKey]:
-        """A new key: the secret, shown this once, and what is kept."""
-        secret = KEY_PREFIX + secrets.token_hex(20)
-        key = ApiKey(secrets.token_hex(8), user, role, label, time.time(), expires)
-        row = {field: getattr(key, field) for field in key.__struct_fields__} | {"digest": digest(secret)}
-        try:
-            await self._store.run(lambda connection: connection.execute(db.api_keys.insert(), row))
-        except sa.exc.IntegrityError:
-            raise NotFound(f"there is no user {user}", field="userID") from None
-        return secret, key
-
-    async def keys(self, user: str) -> list[ApiKey]:
-        query = sa.select(db.api_keys).where(db.api_keys.c.user == user).order_by(db.api_keys.c.created)
-        rows: list[Any] = await self._store.run(lambda connection: list(connection.execute(query)))
-        return [ApiKey(row.id, row.user, row.role, row.label, row.created, row.expires) for row in rows]
-
-    async def revoke_key(self, user: str, key_id: str) -> None:
-        where = sa.and_(db.api_keys.c.user == user, db.api_keys.c.id == key_id)
-        gone = await self._store.run(lambda connection: connection.execute(db.api_keys.delete().where(where)).rowcount)
-        if not gone:
-            raise NotFound(f"user {user} has no API key {key_id}")
+        """See `Keys.add`."""
+        return await self.keys.add(user, role, label, expires, scopes)
 
 
 def must_drive(principal: Principal, robot: str = "") -> None:
@@ -137,82 +188,12 @@ def must_drive(principal: Principal, robot: str = "") -> None:
     check(principal, "robot.connect", principal.user, robot=robot)
 
 
-class Processes:
-    """Join tokens, each good for one process once, and the credentials that processes got for them."""
+def _unknown(name: str) -> NotFound:
+    return NotFound(f"there is no user {name[:80]}", field="user")
 
-    def __init__(self, store: db.Store) -> None:
-        self._store = store
 
-    async def allow(self, process: str, role: Role, token: str) -> None:
-        """Let a process join with this token; a token that was used stays used."""
-
-        def put(connection: sa.Connection) -> None:
-            row = {"digest": digest(token), "process": process, "role": role, "used": False}
-            if connection.execute(sa.select(db.tokens).where(db.tokens.c.digest == row["digest"])).first() is None:
-                connection.execute(db.tokens.insert(), row)
-
-        await self._store.run(put)
-
-    async def invite(self, machine: str, invitation: str) -> None:
-        """Let a machine join once with an invitation of this digest; an earlier one of the same machine is void."""
-
-        def put(connection: sa.Connection) -> None:
-            unused = sa.and_(db.tokens.c.process == machine, db.tokens.c.role == MACHINE, db.tokens.c.used.is_(False))
-            connection.execute(db.tokens.delete().where(unused))
-            row = {"digest": invitation, "process": machine, "role": MACHINE, "used": False}
-            connection.execute(db.tokens.insert(), row)
-
-        await self._store.run(put)
-
-    async def redeem(self, machine: str, invitation: str) -> bool:
-        """Whether the invitation of this digest was good; it is used up."""
-        where = sa.and_(
-            db.tokens.c.digest == invitation,
-            db.tokens.c.process == machine,
-            db.tokens.c.role == MACHINE,
-            db.tokens.c.used.is_(False),
-        )
-        statement = db.tokens.update().where(where).values(used=True)
-        return bool(await self._store.run(lambda connection: connection.execute(statement).rowcount))
-
-    async def admit(self, process: str, role: str, secret: str) -> str:
-        """The credential of a process that presents its token or its earlier credential. Unauthorized."""
-        fresh = secrets.token_hex(32)
-        if role == MACHINE:
-            raise Unauthorized("an invitation is for a machine, not for a process")
-
-        def check(connection: sa.Connection) -> str | None:
-            known = connection.execute(sa.select(db.credentials).where(db.credentials.c.process == process)).first()
-            if known is not None and known.role == role and secrets.compare_digest(known.digest, digest(secret)):
-                return secret
-            token = sa.and_(
-                db.tokens.c.digest == digest(secret),
-                db.tokens.c.process == process,
-                db.tokens.c.role == role,
-                db.tokens.c.used.is_(False),
-            )
-            if not connection.execute(db.tokens.update().where(token).values(used=True)).rowcount:
-                return None
-            connection.execute(db.credentials.delete().where(db.credentials.c.process == process))
-            row = {"process": process, "role": role, "digest": digest(fresh)}
-            connection.execute(db.credentials.insert(), row)
-            return fresh
-
-        credential = await self._store.run(check)
-        if credential is None:
-            raise Unauthorized(f"{role} {process} may not join: its token is unknown or was used; get a new one")
-        return credential
-
-    async def names(self) -> list[str]:
-        """The processes that have joined at least once; environments are not among them."""
-        query = sa.select(db.credentials.c.process).where(db.credentials.c.role != "environment")
-        return await self._store.run(lambda connection: sorted(connection.scalars(query)))
-
-    async def forget(self, process: str) -> None:
-        """The process shall not join again."""
-
-        def drop(connection: sa.Connection) -> None:
-            connection.execute(db.credentials.delete().where(db.credentials.c.process == process))
-            connection.execute(db.tokens.delete().where(db.tokens.c.process == process))
-
-        await self._store.run(drop)
+def _keep_an_admin(connection: sa.Connection, name: str) -> None:
+    """InvalidRequest if nobody would be left to administer the platform."""
+    admins = list(connection.scalars(sa.select(db.users.c.name).where(db.users.c.role == "admin")))
+    if admins == [name]:
+        raise InvalidRequest(f"{name} is the last administrator: make another first", field="user")

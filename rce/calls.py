@@ -311,6 +311,12 @@ class ClearRun(Call[Cleared], frozen=True):
     run: str
 
 
+class ForgetProofs(Call[Nothing], frozen=True):
+    """To a service: what this user has proved to it may not hold any more, and is to be proved again."""
+
+    user: str
+
+
 # --- to the Master ----------------------------------------------------------------------------------------------------
 
 
@@ -367,10 +373,15 @@ class Person(Struct, frozen=True):
 
 
 class Vouch(Call[Person], frozen=True):
-    """A service asks who its client is. With an API key the user may be left out. Unauthorized, Forbidden."""
+    """A service asks who its client is, and whether they may. With an API key the user may be left out.
+
+    Unauthorized, TooManyAttempts, Forbidden.
+    """
 
     user: str
     secret: str  # API key, or SHA-256 hex of the password
+    operation: str = "job.submit"  # or job.read
+    address: str = ""  # of the client
 
 
 class Grant(Struct, frozen=True):
@@ -384,6 +395,7 @@ class Delegate(Call[Grant], frozen=True):
 
     user: str
     secret: str
+    address: str = ""
 
 
 class LentKey(Struct, frozen=True):

@@ -120,6 +120,12 @@ class Unauthorized(RceError):
     code = "unauthorized"
 
 
+class TooManyAttempts(RceError):
+    """Too many wrong passwords; `retry_after` in `fields` are the seconds to wait. An API key is taken all the same."""
+
+    code = "too_many_attempts"
+
+
 class Forbidden(RceError):
     """The credentials are good, but their role does not allow this."""
 

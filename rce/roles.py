@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 UserRole = Literal["admin", "operator", "user", "viewer", "robot"]
+MOST_ENVIRONMENTS = 100
 
 WITHIN: dict[UserRole, frozenset[UserRole]] = {
     "admin": frozenset({"admin", "operator", "user", "viewer", "robot"}),
@@ -21,12 +22,12 @@ WITHIN: dict[UserRole, frozenset[UserRole]] = {
 class Scopes(Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
     """What narrows an API key further than its role. Ties are for keys of the role robot.
 
-    `robot` is the only robotID that it connects as and touches; `environments` are the only ones that exist for it, so
-    many as are named. One that is for `metrics` reads those and nothing else.
+    `robot` is the only robotID that it connects as and touches; `environments` are the only ones that exist for it. One
+    that is for `metrics` reads those and nothing else.
     """
 
     robot: str = ""
-    environments: list[str] = []
+    environments: Annotated[list[str], Meta(max_length=MOST_ENVIRONMENTS)] = []
     metrics: bool = False
 
     @property
@@ -35,3 +36,16 @@ class Scopes(Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True
 
 
 FREE = Scopes()
+
+
+class Principal(Struct, frozen=True, omit_defaults=True):
+    """Who somebody has proved to be; `key` is the id of the API key, empty for a password.
+
+    A service that acts for a user with a lent key has the id of the key by which the right was given.
+    """
+
+    user: str
+    role: UserRole
+    key: str = ""
+    lent: bool = False  # by the user to a service that acts for them
+    scopes: Scopes = FREE

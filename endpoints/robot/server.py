@@ -27,6 +27,7 @@ from rce.errors import (
     NotConnected,
     RceError,
     TimedOut,
+    TooManyAttempts,
     Unauthorized,
     Unavailable,
 )
@@ -151,6 +152,8 @@ def _denial(error: RceError, features: frozenset[str]) -> ConnectionDeny:
         return ConnectionDeny(409, str(error))
     if isinstance(error, Unauthorized):
         return ConnectionDeny(401, str(error))
+    if isinstance(error, TooManyAttempts):
+        return ConnectionDeny(429, str(error))
     if isinstance(error, Forbidden):
         return ConnectionDeny(403, str(error))
     if isinstance(error, Unavailable | TimedOut):
@@ -452,7 +455,7 @@ async def listen(door: Door, host: str, port: int, tls: Any) -> asyncio.Server:
         maxMessagePayloadSize=door.limits.message,
         maxFramePayloadSize=door.limits.message,
         openHandshakeTimeout=30,
-        closeHandshakeTimeout=2,
+        closeHandshakeTimeout=1,  # one that is cut off is gone by then
         failByDrop=False,  # a robot that breaks a rule is told which
         utf8validateIncoming=False,  # the decoders check it: the robot gets an error and keeps its socket
     )

@@ -10,6 +10,7 @@ from rce.http import PROBLEM, Problem
 
 STATUS = {
     "unauthorized": 401,
+    "too_many_attempts": 429,
     "forbidden": 403,
     "not_found": 404,
     "method_not_allowed": 405,
@@ -57,6 +58,8 @@ def refuse(request: Request, error: RceError) -> None:
     title = info.code.replace("_", " ").capitalize()
     problem = Problem(title, status, info.message, info.code, info.field, info.fields)
     request.setResponseCode(status)
+    if "retry_after" in info.fields:
+        request.setHeader("retry-after", str(info.fields["retry_after"]))
     if status == 401:
         request.setHeader("www-authenticate", 'Basic realm="rce"')
     write(request, msgspec.json.encode(problem), PROBLEM)

@@ -21,9 +21,9 @@ from twisted.web.server import NOT_DONE_YET, Request
 from master.api.calls import Answer, Call
 from master.api.problems import MethodNotAllowed, UnsupportedMediaType, refuse, write
 from master.api.repeats import Handler, Repeats
-from master.grants import digest
+from master.grants import KEY_PREFIX, digest
 from master.rights import Principal
-from master.users import KEY_PREFIX, Users
+from master.users import Users
 from rce.errors import InternalError, InvalidRequest, NotFound, RceError, Unauthorized
 
 PREFIX = "/api/v1"
@@ -117,7 +117,7 @@ class Api(Resource):
             raise MethodNotAllowed(f"{path[:200]} takes {allowed}, not {method[:20]}")
         route, match = found
         kind, credentials = authorization(request)
-        principal = None if route.for_all else await self._authenticate(kind, credentials)
+        principal = None if route.for_all else await self._authenticate(kind, credentials, host_of(request))
         if route.body is not None:
             _check_kind(request)
         parts = {name: _unquoted(part, path) for name, part in match.groupdict().items()}
@@ -125,7 +125,7 @@ class Api(Resource):
         made = Call(user, principal, parts, credentials, request.content, _query(request), request)
         return await (self._repeats.answer(made, route.handler) if method == "POST" else route.handler(made))
 
-    async def _authenticate(self, kind: str, credentials: str) -> Principal:
+    async def _authenticate(self, kind: str, credentials: str, address: str) -> Principal:
         """An API key as bearer, or `user:secret` as basic. The secret is a key, a password, or its SHA-256 in hex, as
         robots send it: a password that looks like one must be hashed by who sends it.
         """
@@ -138,7 +138,7 @@ class Api(Resource):
                 colon = ""
             if colon:
                 plain = not (secret.startswith(KEY_PREFIX) or HASH.fullmatch(secret))
-                return await self._users.check(user, digest(secret) if plain else secret)
+                return await self._users.check(user, digest(secret) if plain else secret, address)
         raise Unauthorized("say who you are: Authorization: Bearer API-KEY, or Basic with user and password or key")
 
 
@@ -146,6 +146,11 @@ def authorization(request: Request) -> tuple[str, str]:
     """The kind of the credentials, in lower case, and the credentials."""
     kind, _, credentials = (request.getHeader("authorization") or "").partition(" ")
     return kind.lower(), credentials.strip()
+
+
+def host_of(request: Request) -> str:
+    """The address that a request came from."""
+    return str(getattr(request.getClientAddress(), "host", ""))
 
 
 def _unquoted(part: str, path: str) -> str:

@@ -16,7 +16,7 @@ from twisted.logger import Logger
 import rce
 from rce import loop, settings
 from rce.calls import Hello, Welcome
-from rce.control import Handlers, MasterLink
+from rce.control import MasterLink
 from rce.credential import Credential, stay_joined
 from rce.errors import InvalidRequest
 from rce.host import host_identity
@@ -88,7 +88,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
         credential.keep(welcome)
         announce(Ready(NAME, url))
 
-    link = MasterLink(reactor, options.master, hello, Handlers(), welcomed)
+    link = MasterLink(reactor, options.master, hello, service.handlers(), welcomed)
     service.jobs.start()
     try:
         await stay_joined(link, credential)

@@ -40,27 +40,43 @@ class Access:
         self._now = now
         self._known: dict[bytes, tuple[str, float]] = {}
         self._asked: dict[bytes, asyncio.Task[str]] = {}
+        self._doubts: dict[str, asyncio.Future[None]] = {}
 
-    async def client(self, headers: Mapping[str, str], query: Mapping[str, str]) -> Client:
-        """Unauthorized, Forbidden, Unavailable (the Master is away)."""
+    async def client(
+        self, headers: Mapping[str, str], query: Mapping[str, str], operation: str = "job.submit", address: str = ""
+    ) -> Client:
+        """Who it is, if they may. Unauthorized, TooManyAttempts, Forbidden, Unavailable (the Master is away)."""
         user, secret = credentials(headers, query)
-        mark = hashlib.sha256(f"{user}\n{secret}".encode()).digest()
+        mark = hashlib.sha256(f"{operation}\n{user}\n{secret}".encode()).digest()
         known = self._known.get(mark)
         if known is not None and known[1] > self._now():
             return Client(known[0], secret)
         if mark not in self._asked:  # many requests at once are one question
-            self._asked[mark] = asyncio.create_task(self._ask(mark, user, secret))
+            self._asked[mark] = asyncio.create_task(self._ask(mark, Vouch(user, secret, operation, address)))
         return Client(await asyncio.shield(self._asked[mark]), secret)
 
-    async def _ask(self, mark: bytes, user: str, secret: str) -> str:
+    async def _ask(self, mark: bytes, question: Vouch) -> str:
         try:
-            person = await self._master().call(Vouch(user, secret))
+            person = await self._master().call(question)
         finally:
             self._asked.pop(mark, None)
         if len(self._known) >= MOST:
             self._known.clear()
         self._known[mark] = (person.user, self._now() + REMEMBER)
         return str(person.user)
+
+    def forget(self, user: str) -> None:
+        """What this user proved is to be proved again."""
+        self._known = {mark: known for mark, known in self._known.items() if known[0] != user}
+        doubt = self._doubts.pop(user, None)
+        if doubt is not None:
+            doubt.set_result(None)
+
+    def doubt(self, user: str) -> asyncio.Future[None]:
+        """Done when this user's proofs are forgotten: what goes on for long asks anew then."""
+        if user not in self._doubts:
+            self._doubts[user] = asyncio.get_running_loop().create_future()
+        return self._doubts[user]
 
     async def delegate(self, user: str, secret: str) -> str:
         return str((await self._master().call(Delegate(user, secret))).grant)

@@ -19,6 +19,7 @@ STATUS = {
     "invalid_name": 400,
     "offset_mismatch": 409,
     "unauthorized": 401,
+    "too_many_attempts": 429,
     "forbidden": 403,
     "not_found": 404,
     "already_exists": 409,

@@ -7,11 +7,13 @@ import base64
 import contextlib
 from collections.abc import AsyncIterator
 from email.utils import formatdate
+from typing import Any
 
 import msgspec
 from aiohttp import ClientError, web
+from twisted.logger import Logger
 
-from rce.errors import InvalidRequest, TimedOut
+from rce.errors import Forbidden, InvalidRequest, TimedOut, Unauthorized
 from rce.map_jobs import PREFIX, JobRequest, Upload
 from rce.mapservice.access import Access, Client
 from rce.mapservice.jobs import Jobs
@@ -30,6 +32,7 @@ TYPES = {
     ".yaml": "application/yaml",
     ".json": "application/json",
 }
+log = Logger()
 
 
 class Rest:
@@ -39,7 +42,8 @@ class Rest:
         self._access, self._uploads, self._jobs = access, uploads, jobs
 
     async def _client(self, request: web.Request) -> Client:
-        return await self._access.client(request.headers, request.query)
+        operation = "job.read" if request.method in ("GET", "HEAD") else "job.submit"
+        return await self._access.client(request.headers, request.query, operation, request.remote or "")
 
     async def asked(self, request: web.Request) -> None:
         """Raises what is wrong with a request whose body has not been sent yet."""
@@ -141,8 +145,12 @@ class Rest:
         coming = asyncio.ensure_future(anext(changes))
         try:
             while True:
-                done, _ = await asyncio.wait({coming}, timeout=HEARTBEAT)
-                if not done:
+                doubt = self._access.doubt(client.user)
+                ends: set[asyncio.Future[Any]] = {coming, doubt}
+                await asyncio.wait(ends, timeout=HEARTBEAT, return_when=asyncio.FIRST_COMPLETED)
+                if doubt.done():
+                    await self._client(request)
+                if not coming.done():
                     await stream.write(b": still here\n\n")
                     continue
                 await stream.write(b"event: job\ndata: " + msgspec.json.encode(coming.result()) + b"\n\n")
@@ -152,6 +160,8 @@ class Rest:
                 await stream.write_eof()
         except ConnectionError:
             pass  # nobody listens any more
+        except (Unauthorized, Forbidden) as error:
+            log.info("a stream of events ends: {error}", error=str(error))
         finally:
             coming.cancel()
         return stream

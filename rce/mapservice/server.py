@@ -11,6 +11,8 @@ from aiohttp import web
 from msgspec import Struct
 from twisted.logger import Logger
 
+from rce.calls import ForgetProofs, Nothing
+from rce.control import Handlers
 from rce.errors import InvalidRequest
 from rce.map_jobs import PREFIX
 from rce.mapservice import jobs as jobs_module
@@ -50,7 +52,7 @@ class MapService:
         entry: str,
         trust: str = "",
     ) -> None:
-        access = Access(master)
+        access = self.access = Access(master)
         self.jobs = Jobs(directory / "jobs", lambda: self.uploads, workers, access, limits.jobs, entry, trust)
         self.uploads = Uploads(directory / "uploads", limits.uploads, self.jobs.size)
         application = web.Application(middlewares=[problems], client_max_size=BODY_MOST)
@@ -73,6 +75,16 @@ class MapService:
         found: int = self._runner.addresses[0][1]
         log.info("maps are made at {host}:{port}{prefix}/", host=host, port=found, prefix=PREFIX)
         return found
+
+    def handlers(self) -> Handlers:
+        """The Master's calls."""
+        handlers = Handlers()
+        handlers.on(ForgetProofs, self._forget)
+        return handlers
+
+    async def _forget(self, call: ForgetProofs) -> Nothing:
+        self.access.forget(call.user)
+        return Nothing()
 
     async def _sweep(self) -> None:
         while True:

@@ -68,7 +68,8 @@ class Soap:
 
     async def _perform(self, request: web.Request) -> bytes:
         asked = self._envelopes.read(await request.read())
-        client = await self._client(request, asked)
+        reads = etree.QName(asked.body).localname.startswith(("Get", "List"))
+        client = await self._client(request, asked, "job.read" if reads else "job.submit")
         operation = self._operations.get(str(asked.body.tag))
         if operation is None:
             raise InvalidRequest(f"there is no operation {etree.QName(asked.body).localname}", field="Body")
@@ -76,10 +77,10 @@ class Soap:
         self._envelopes.check(found)
         return answer(found)
 
-    async def _client(self, request: web.Request, asked: Request) -> Client:
-        if asked.secret:
-            return await self._access.client({}, {"userID": asked.user, _kind(asked.secret): asked.secret})
-        return await self._access.client(request.headers, request.query)
+    async def _client(self, request: web.Request, asked: Request, operation: str) -> Client:
+        query = {"userID": asked.user, _kind(asked.secret): asked.secret} if asked.secret else request.query
+        headers = {} if asked.secret else request.headers
+        return await self._access.client(headers, query, operation, request.remote or "")
 
     async def _submit(self, client: Client, body: etree._Element, origin: str) -> etree._Element:
         given = body.find(own("options"))

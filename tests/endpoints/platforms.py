@@ -41,7 +41,7 @@ class Platform(Guests):
         await self.store.open()
         self.master = Master(self.store, self.grace)
         cheap = argon2.PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)  # tests log in often
-        self.master.users._hasher = cheap
+        self.master.users.passwords.hasher = cheap
         await self.master.users.add("admin", "admin", "admin")
         await self.master.users.add(USER, USER)
         await self.master.processes.allow("robot-1", "robot", "token")

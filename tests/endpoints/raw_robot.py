@@ -99,7 +99,8 @@ class Guests:
         self._open: list[ClientConnection] = []
 
     async def robot(self, tag: str, features: str = "", **more: Any) -> Robot:
-        query = f"userID={more.pop('user', USER)}&robotID={tag}&password={PASSWORD}"
+        secret = f"key={more.pop('key')}" if "key" in more else f"password={PASSWORD}"
+        query = f"userID={more.pop('user', USER)}&robotID={tag}&{secret}"
         query += f"&features={features}" if features else ""
         query += "".join(f"&{key}={more.pop(key)}" for key in ("resume", "compress") if key in more)
         more = {"max_size": None, "compression": None, "close_timeout": 1, "ping_interval": None} | more

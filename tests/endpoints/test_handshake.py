@@ -12,6 +12,8 @@ from raw_robot import PASSWORD, USER, WAIT
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 
+from master.throttle import Throttle
+
 WS = (
     "Host: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
@@ -44,6 +46,7 @@ TABLE = [
     (f"userID={USER}&robotID=r&password={'0' * 64}", 401, ""),
     (f"userID={USER}&robotID=r&password=", 400, "password"),
     (f"userID=nobody&robotID=r&password={PASSWORD}", 401, ""),
+    (f"userID=&robotID=r&password={PASSWORD}", 400, "userID"),
     (f"userID={USER}&robotID=1r&password={PASSWORD}", 400, "robotID"),
     (f"userID={USER}&robotID=r%C3%B6&password={PASSWORD}", 400, "robotID"),
     (f"userID={USER}&robotID=%FF&password={PASSWORD}", 400, "robotID"),
@@ -86,6 +89,7 @@ async def test_an_api_key(platform: Platform) -> None:
     secret, _ = await platform.master.users.add_key(USER)
     assert (await knock(platform.port, f"userID={USER}&robotID=a&key={secret}"))[0] == 101
     assert (await knock(platform.port, f"userID=admin&robotID=a&key={secret}"))[0] == 401
+    assert (await knock(platform.port, f"userID=&robotID=b&key={secret}"))[0] == 400  # a robot has its user's name
 
 
 async def test_a_robot_id_in_use(platform: Platform) -> None:
@@ -107,3 +111,15 @@ async def test_a_request_without_end_is_cut_off(platform: Platform) -> None:
             await asyncio.sleep(0)
     assert sent < 30_000_000
     writer.close()
+
+
+async def test_guessing_is_slowed_down_and_says_how_long(platform: Platform) -> None:
+    platform.master.users.throttle = Throttle(lambda: 0.0)
+    secret, _ = await platform.master.users.add_key(USER)
+    for user in (USER, "nobody"):
+        wrong = f"userID={user}&robotID=r&password={'0' * 64}"
+        said = [await knock(platform.port, wrong) for _ in range(6)]
+        assert [status for status, _ in said] == [401] * 5 + [429]
+        assert "try again in 1 s" in said[-1][1]
+    assert (await knock(platform.port, GOOD))[0] == 429
+    assert (await knock(platform.port, f"userID={USER}&robotID=r&key={secret}"))[0] == 101

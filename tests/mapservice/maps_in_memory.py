@@ -34,7 +34,7 @@ class FakeMaster:
         if self.away is not None:
             raise self.away
         match call:
-            case c.Vouch(user, secret) if KEYS.get(secret, "") and user in ("", KEYS[secret]):
+            case c.Vouch(user, secret, _, _) if KEYS.get(secret, "") and user in ("", KEYS[secret]):
                 return c.Person(KEYS[secret], "robot")
             case c.Delegate(user, _):
                 name = f"grant {len(self.calls)}"

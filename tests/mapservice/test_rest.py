@@ -11,7 +11,7 @@ import pytest
 from maps_in_memory import LOG, Service
 from openapi_spec_validator import OpenAPIV31SpecValidator
 
-from rce.errors import InvalidRequest, Unavailable
+from rce.errors import InvalidRequest, Unauthorized, Unavailable
 from rce.mapservice.work import Report
 
 PIECE = {"Content-Type": "application/offset+octet-stream"}
@@ -116,6 +116,21 @@ async def test_a_recording_that_is_none_is_refused_by_its_first_bytes(service: S
     assert answer.status == 400
     assert "1.2" in (await answer.json())["detail"]
     assert await (await service.ask("GET", "/uploads")).json() == []
+
+
+async def test_events_end_when_the_key_is_void(service: Service) -> None:
+    job = await service.submit()
+    answer = await service.session.get(f"{service.url}/jobs/{job}/events?key=rce_ann")
+    assert await answer.content.readline() == b"event: job\n"
+    service.service.access.forget("bob")
+    service.service.access.forget("ann")  # asked anew: the key is good still
+    service.workers.tell(job, Report(scans=1))
+    async with asyncio.timeout(20):
+        while await answer.content.readline() != b"event: job\n":
+            pass
+        service.master.away = Unauthorized("revoked")
+        service.service.access.forget("ann")
+        await answer.content.read()
 
 
 async def test_a_job_with_its_events_and_files(service: Service) -> None:

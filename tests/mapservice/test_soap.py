@@ -142,7 +142,8 @@ async def test_a_username_token(service: Service) -> None:
     assert fault(answer)[1] == "not_found"
     _, answer = await ask(service, envelope(asked, token("secret")), "nobody")
     assert fault(answer)[:2] == ("soap:Client", "unauthorized")
-    assert c.Vouch("ann", hashlib.sha256(b"secret").hexdigest()) in service.master.calls
+    vouch = c.Vouch("ann", hashlib.sha256(b"secret").hexdigest(), "job.read", "127.0.0.1")
+    assert vouch in service.master.calls
     _, answer = await ask(service, envelope(asked, token("x", "PasswordDigest")), "nobody")
     assert fault(answer)[:2] == ("soap:Client", "unauthorized")
 

@@ -78,7 +78,7 @@ async def test_a_grant_ends_with_the_user_and_with_the_key_that_it_was_given_wit
     _, key = await users.add_key("ann")
     grant = await users.grants.give("maps", "ann", key.id)
     lent = await users.grants.borrow("maps", grant, 60)
-    await (users.remove("ann") if gone == "user" else users.revoke_key("ann", key.id))
+    await (users.remove("ann") if gone == "user" else users.keys.revoke("ann", key.id))
     with pytest.raises(Unauthorized):
         await users.check("ann", lent.key)
     with pytest.raises(Unauthorized):

@@ -34,7 +34,7 @@ async def test_columns_and_tables_that_are_new(tmp_path: Path) -> None:
     store = Store(url)
     await store.open()
     assert (await Users(store).check("ann", secret)).user == "ann"
-    (key,) = await Users(store).keys("ann")
+    (key,) = await Users(store).keys.of("ann")
     assert key.expires is None
     await store.close()
 

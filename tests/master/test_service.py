@@ -602,7 +602,7 @@ async def test_a_service_acts_for_those_only_who_prove_themselves_and_may_use_ro
     key, _ = await platform.master.users.add_key("ann", "viewer")
     for call, error in (
         (c.Delegate("ann", digest("wrong")), Unauthorized),
-        (c.Delegate("root", digest("secret")), InvalidRequest),
+        (c.Delegate("root", digest("secret")), Forbidden),
         (c.Vouch("", key), Forbidden),
         (c.Borrow("0" * 32, 60), Unauthorized),
     ):

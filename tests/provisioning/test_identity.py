@@ -15,8 +15,8 @@ from twisted.internet.base import ReactorBase
 from twisted.web.server import Site
 
 from master.machines import Registrar, Registry, SmallRequest, invite, port_of
+from master.processes import Processes
 from master.store import Store
-from master.users import Processes
 from provisioning import identity
 from provisioning.joincode import parse as parse_plan
 from provisioning.steps import Failed
