@@ -28,7 +28,19 @@ from containers.swarm_agents import ROLE
 from containers.swarm_node import NodeDaemon, Task
 from containers.swarm_spec import Names
 from rce import __version__, loop
-from rce.calls import Call, Cleared, ClearRun, ContainerEnded, Hello, KnowRelays, NodeReport, Nothing, Welcome
+from rce.calls import (
+    Call,
+    Cleared,
+    ClearRun,
+    ContainerEnded,
+    Hello,
+    KnowRelays,
+    MeasureUsage,
+    NodeReport,
+    Nothing,
+    Usage,
+    Welcome,
+)
 from rce.control import Handlers, MasterLink
 from rce.errors import RceError, Unavailable
 from rce.settings import load_or_exit
@@ -76,6 +88,7 @@ class Agent:
         handlers = Handlers()
         handlers.on(ClearRun, self._clear)
         handlers.on(KnowRelays, self._know)
+        handlers.on(MeasureUsage, self._measure)
         self._link = MasterLink(reactor, settings.task_set, self._hello, handlers, self._welcomed, self._tls)
 
     async def run(self) -> None:
@@ -183,6 +196,9 @@ class Agent:
     async def _know(self, call: KnowRelays) -> Nothing:
         self._data_relay.know(call.relays)
         return Nothing()
+
+    async def _measure(self, _: MeasureUsage) -> Usage:
+        return Usage(await self._docker.usage())
 
     async def _tell(self, call: Call[Any]) -> None:
         try:

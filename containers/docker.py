@@ -31,7 +31,7 @@ from containers.engine import LAST_LINES, Ended, Engine, Life
 from containers.logfile import LONGEST_LINE
 from containers.packages import package_path, places
 from containers.relay import Relay
-from rce.calls import EnvironmentSpec
+from rce.calls import EnvironmentSpec, Used
 from rce.errors import NoCapacity, StartFailed, Unavailable
 from rce.host import host_identity
 from rce.tls import Tls
@@ -190,6 +190,9 @@ class DockerEngine(Engine):
     async def last_lines(self, name: str) -> list[str]:
         lines = await self._daemon.last_lines(self._environments[name].run, LAST_LINES)
         return [line[:LONGEST_LINE] for line in lines]
+
+    async def usage(self) -> dict[str, Used]:
+        return await self._daemon.usage()
 
     async def release(self) -> None:
         self._daemon.close()

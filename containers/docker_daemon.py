@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,10 @@ from containers.docker_disks import device_below
 from containers.docker_events import ENDS, Event, Events
 from containers.docker_networks import ENVIRONMENT, Attachment
 from containers.docker_options import Machine, Walls
+from containers.docker_used import used
 from containers.processes import describe_end
 from rce import __version__
+from rce.calls import Used
 from rce.errors import StartFailed
 from rce.slots import MB
 
@@ -107,6 +110,13 @@ class Daemon(Asked):
         """The last lines of output."""
         output = await self._call(lambda: self._output(run, count))
         return output.decode(errors="replace").splitlines()
+
+    async def usage(self) -> dict[str, Used]:
+        """What the environments that run have used, by name."""
+        running = await self._call(lambda: self._api.containers(filters={"label": [*self._filter, RUN]}))
+        measured = await asyncio.gather(*(self._call(partial(used, self._api, each["Id"])) for each in running))
+        names = [each["Labels"][ENVIRONMENT] for each in running]
+        return {name: found for name, found in zip(names, measured, strict=True) if found is not None}
 
     # --- in threads ---------------------------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""What every engine does for the task set, and the five things in which engines differ.
+"""What every engine does for the task set, and the six things in which engines differ.
 
 An environment has a `name` (`userID/containerTag`), which is taken by one at a time, and a `run`, which tells its lives
 apart. An engine finds again by itself what runs after the task set was restarted: nothing here is kept in memory only.
@@ -16,7 +16,7 @@ from weakref import WeakValueDictionary
 from msgspec import Struct
 from twisted.logger import Logger
 
-from rce.calls import EnvironmentSpec
+from rce.calls import EnvironmentSpec, Used
 from rce.errors import InvalidRequest, NoCapacity, RceError, StartFailed, Unavailable
 from rce.names import check_tag
 
@@ -55,7 +55,7 @@ class Engine(ABC):
     A caller may not assume that an environment still runs when `start` returns (it may have ended since: `ended` is
     told), nor that its endpoint has joined the Master.
 
-    A subclass implements `launch`, `remove`, `recover`, `last_lines` and `release`, and calls `died`.
+    A subclass implements `launch`, `remove`, `recover`, `last_lines`, `usage` and `release`, and calls `died`.
     """
 
     def __init__(self, capacity: int, features: Collection[str], ended: Callable[[Ended], None]) -> None:
@@ -160,6 +160,10 @@ class Engine(ABC):
     @abstractmethod
     async def last_lines(self, name: str) -> list[str]:
         """The last LAST_LINES lines of output of an environment that is not yet removed."""
+
+    @abstractmethod
+    async def usage(self) -> dict[str, Used]:
+        """What environments have used, by name; of one that has just begun or ended nothing may be known."""
 
     @abstractmethod
     async def release(self) -> None:

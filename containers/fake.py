@@ -10,7 +10,7 @@ import asyncio
 from collections.abc import Callable, Collection
 
 from containers.engine import Ended, Engine, Life
-from rce.calls import EnvironmentSpec
+from rce.calls import EnvironmentSpec, Used
 from rce.errors import StartFailed, Unavailable
 
 
@@ -21,6 +21,7 @@ class FakeMachine:
         self.running: dict[str, Life] = {}
         self.leftovers: dict[str, str] = {}
         self.watcher: FakeEngine | None = None
+        self.used: dict[str, Used] = {}
 
     def end(self, name: str, status: int) -> None:
         """The environment ends by itself; like a dead container it stays until somebody removes it."""
@@ -63,6 +64,9 @@ class FakeEngine(Engine):
 
     async def last_lines(self, name: str) -> list[str]:
         return [f"last words of {name}"]
+
+    async def usage(self) -> dict[str, Used]:
+        return {name: self.machine.used.get(name, Used(0.0, 1)) for name in self.machine.running}
 
     async def release(self) -> None:
         self.machine.watcher = None

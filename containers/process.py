@@ -27,7 +27,8 @@ from containers.engine import LAST_LINES, Ended, Engine, Life
 from containers.limits import check_limits
 from containers.packages import package_path, places
 from containers.processes import KILL_TIMEOUT, MARKER, Watch, describe_end, has_marker, kill_marked
-from rce.calls import EnvironmentSpec
+from containers.processes_used import used_below
+from rce.calls import EnvironmentSpec, Used
 from rce.errors import StartFailed, TimedOut
 
 log = Logger()
@@ -135,6 +136,11 @@ class ProcessEngine(Engine):
     async def last_lines(self, name: str) -> list[str]:
         environment = self._environments[name]
         return await asyncio.to_thread(logfile.last_lines, _log_file(environment.directory), LAST_LINES)
+
+    async def usage(self) -> dict[str, Used]:
+        pids = {name: each.state.pid for name, each in self._environments.items()}
+        found = await asyncio.to_thread(used_below, list(pids.values()))
+        return {name: found[pid] for name, pid in pids.items() if pid in found}
 
     async def release(self) -> None:
         if self._trimmer is not None:

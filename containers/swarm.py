@@ -31,7 +31,7 @@ from containers.swarm_agents import Agents, Kept
 from containers.swarm_manager import AGENT, Found, Manager, Network, Node
 from containers.swarm_spec import FEATURE, AgentService, Names, agent_task, check, environment_task, surroundings
 from rce import __version__
-from rce.calls import ContainerEnded, EnvironmentSpec
+from rce.calls import ContainerEnded, EnvironmentSpec, Used
 from rce.errors import InvalidRequest, NoCapacity, StartFailed, TimedOut, Unavailable
 from rce.tls import Tls
 
@@ -174,6 +174,10 @@ class SwarmEngine(Engine):
 
     async def last_lines(self, name: str) -> list[str]:
         return list(self._places[name].last_lines)
+
+    async def usage(self) -> dict[str, Used]:
+        found = await self._agents.usage()
+        return {name: found[name] for name in self.running() if name in found}
 
     async def release(self) -> None:
         self._manager.close()

@@ -19,7 +19,7 @@ from twisted.internet.interfaces import IListeningPort
 from twisted.logger import Logger
 
 from rce import control
-from rce.calls import ClearRun, ContainerEnded, Hello, KnowRelays, NodeReport, Nothing, Welcome
+from rce.calls import ClearRun, ContainerEnded, Hello, KnowRelays, MeasureUsage, NodeReport, Nothing, Used, Welcome
 from rce.control import Control, Handlers
 from rce.errors import Lost, RceError, Unauthorized
 from rce.tls import Tls
@@ -139,6 +139,20 @@ class Agents:
     async def clear_everywhere(self, run: str) -> bool:
         """As `clear`, wherever it is."""
         return any(await asyncio.gather(*(self.clear(node, run) for node in list(self._agents))))
+
+    async def usage(self) -> dict[str, Used]:
+        """What the environments on all nodes have used, by name."""
+        asked = [agent.control for agent in self._agents.values() if agent.control is not None]
+        answers = await asyncio.gather(*(control.call(MeasureUsage()) for control in asked), return_exceptions=True)
+        found: dict[str, Used] = {}
+        for answer in answers:
+            if isinstance(answer, RceError):  # its node is away, or its Docker
+                log.info("a node was not measured: {error}", error=str(answer))
+            elif isinstance(answer, BaseException):
+                raise answer
+            else:
+                found |= answer.environments
+        return found
 
     def know(self, relays: Collection[str]) -> None:
         """Tell the agents of the data relays of other machines; those of each other they learn here too."""

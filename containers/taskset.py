@@ -21,9 +21,11 @@ from rce.calls import (
     KeepEnvironments,
     KnowRelays,
     LimitReached,
+    MeasureUsage,
     Nothing,
     StartEnvironment,
     StopEnvironment,
+    Usage,
     Welcome,
 )
 from rce.control import Handlers, MasterLink
@@ -66,6 +68,7 @@ class TaskSet:
         handlers.on(StopEnvironment, self._stop)
         handlers.on(KeepEnvironments, self._keep)
         handlers.on(KnowRelays, self._know)
+        handlers.on(MeasureUsage, self._measure)
         self._link = MasterLink(reactor, master, self._hello, handlers, self._welcomed, tls)
         self._packages = PackageCache(packages, Fetcher(self._link, master, entry, tls).fetch)
         self._starting: set[str] = set()
@@ -137,6 +140,9 @@ class TaskSet:
         self._relay.know(call.relays)
         self._engine.know(call.relays)
         return Nothing()
+
+    async def _measure(self, _: MeasureUsage) -> Usage:
+        return Usage(await self._engine.usage())
 
     async def _release(self) -> None:
         """Packages that no environment has any more need not stay."""

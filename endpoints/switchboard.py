@@ -14,7 +14,8 @@ from endpoints.data_port import DataPort
 from endpoints.frames import Message
 from endpoints.link import Link, LoopLink, StreamLink
 from endpoints.throttle import Throttle
-from rce.calls import InterfaceSpec, LinkSpec, Route, Sync
+from endpoints.traffic import InterfaceCounts
+from rce.calls import CountTraffic, InterfaceSpec, LinkSpec, Route, Sync, Traffic
 from rce.errors import ErrorInfo, LimitExceeded, NotConnected, NotFound, RceError, Unavailable
 
 MAX_REQUESTS = 1000  # service messages of one interface that may wait for a link
@@ -31,6 +32,7 @@ class Interface(ABC):
         self.switchboard = switchboard
         self.peers: dict[bytes, Link] = {}
         self.dropped = 0
+        self.traffic = InterfaceCounts()
 
     @abstractmethod
     def receive(self, message: Message, link: Link) -> None:
@@ -66,12 +68,22 @@ class Interface(ABC):
             link = self.peers.get(message.destination)
             if link is None:
                 raise NotConnected(f"interface {self.spec.tag}: the peer that this is for is gone")
-            self.dropped += link.send(message, keep)
+            self._put(message, link, keep)
+            self.traffic.sent.passed(len(message.payload))
             return
         if not self.peers:
             raise NotConnected(f"interface {self.spec.tag} has no connection: wait for its status, or connect it")
         for link in set(self.peers.values()):
-            self.dropped += link.send(message, keep)
+            self._put(message, link, keep)
+        self.traffic.sent.passed(len(message.payload))
+
+    def _put(self, message: Message, link: Link, keep: int | None) -> None:
+        dropped = link.send(message, keep)
+        if dropped:
+            self.dropped += dropped
+            for peer, towards in self.peers.items():
+                if towards is link:
+                    self.traffic.peers[peer].drops += dropped
 
     def room(self) -> asyncio.Future[None] | None:
         """With keep_all: None while more may be sent, else what is done when it may."""
@@ -157,6 +169,7 @@ class Switchboard:
             return
         first = not interface.peers
         interface.peers[peer] = link
+        interface.traffic.join(peer)
         self._listeners.setdefault(peer, {})[interface] = route.link
         if first:
             interface.started()
@@ -174,6 +187,7 @@ class Switchboard:
         link = interface.peers.pop(peer, None)
         if link is None:
             return
+        interface.traffic.part(peer)
         listeners = self._listeners.get(peer, {})
         listeners.pop(interface, None)
         if not listeners:
@@ -188,9 +202,23 @@ class Switchboard:
         for interface, name in list(self._listeners.get(message.source, {}).items()):
             if name == link.name and (message.destination is None or message.destination == interface.id):
                 try:
-                    interface.receive(message, link)
+                    self._hand_over(message, link, interface)
                 except Exception:  # noqa: BLE001  # a defect in one interface must not cost others the link
                     log.failure("defect while delivering to {interface}", interface=interface.spec.tag)
+
+    @staticmethod
+    def _hand_over(message: Message, link: Link, interface: Interface) -> None:
+        count = interface.traffic.peers[message.source]
+        count.passed(len(message.payload))
+        before = interface.dropped
+        interface.receive(message, link)
+        if interface.dropped != before:
+            count.drops += interface.dropped - before
+
+    async def traffic(self, _: CountTraffic) -> Traffic:
+        """What has passed each interface."""
+        counted = {each.spec.id: each.traffic.traffic(each.dropped) for each in self.interfaces.values()}
+        return Traffic(counted)
 
     async def sync(self, call: Sync, make: Callable[[InterfaceSpec], Awaitable[Interface]]) -> dict[str, ErrorInfo]:
         """Have the interfaces, links and routes of this call and no others; returns what failed, by its name."""

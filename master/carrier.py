@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from typing import TypeVar
 
 from twisted.logger import Logger
 
 from master.effects import Plan, Send, Settle
+from rce.calls import Call
 from rce.control import Control
 from rce.errors import RceError, TimedOut, Unavailable
 
 log = Logger()
+R = TypeVar("R")
 Prepare = Callable[[Send], Awaitable[Send]]
 
 
@@ -151,6 +154,16 @@ class Carrier:
             self._answered(send, await turn.control.call(ready.call))
         finally:
             turn.end()
+
+    async def ask(self, process: str, call: Call[R], seconds: float) -> R:
+        """Outside of all plans. Unavailable if the process is not there, TimedOut if it takes longer."""
+        control = self.controls.get(process)
+        if control is None:
+            raise Unavailable(f"{process} is not connected")
+        try:
+            return await asyncio.wait_for(control.call(call), seconds)
+        except TimeoutError:
+            raise TimedOut(f"{process} did not answer within {seconds:g} s") from None
 
     async def close(self) -> None:
         for task in list(self._tasks):

@@ -15,6 +15,7 @@ from master import graph, packages, presence, wiring
 from master.carrier import Carrier
 from master.depot import FETCH_PATH, Depot
 from master.effects import Plan, Send
+from master.gauges import Gauges
 from master.grants import digest
 from master.guard import Guard
 from master.lending import Lending
@@ -85,6 +86,7 @@ class Master:
         self._lives = Lifecycle(self._rim, ids, self._resettle)
         self.shown = Shown(self.state, self._carrier.is_real)
         self.guard = Guard(self.users, self.state, self._rim.apply)
+        self.gauges = Gauges(self.state, self._carrier, self.shown)
         self._breaks = Pauses(LINK_RETRY_FIRST, LINK_RETRY_MOST, STEADY)
         self._away: dict[str, asyncio.Task[None]] = {}  # processes whose time to come back runs
         self._reopening: set[str] = set()  # links that broke before, until they are opened again
@@ -102,6 +104,7 @@ class Master:
         self._drop_later(2 * self.grace)
 
     async def stop(self) -> None:
+        self.gauges.close()
         await self._rim.close()
 
     # --- processes ----------------------------------------------------------------------------------------------------

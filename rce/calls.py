@@ -210,6 +210,35 @@ class ReadGraph(Call[RosGraph], frozen=True):
     """The topics and services of an environment."""
 
 
+class Counts(Struct, frozen=True):
+    """Messages and bytes of payload since the interface was made, or since two interfaces were routed to each other."""
+
+    messages: int = 0
+    bytes: int = 0
+    drops: int = 0  # messages that were dropped
+
+
+class InterfaceTraffic(Struct, frozen=True):
+    """What has passed an interface. `sent` counts a message once, however many peers it goes to, and has all drops.
+
+    Of each peer, by its id: what came from it, and the drops of that and of what was on the way to it.
+    """
+
+    sent: Counts
+    received: Counts
+    peers: dict[str, Counts] = {}
+
+
+class Traffic(Struct, frozen=True):
+    """By the id of the interface."""
+
+    interfaces: dict[str, InterfaceTraffic]
+
+
+class CountTraffic(Call[Traffic], frozen=True):
+    """What has passed the interfaces of this endpoint."""
+
+
 class Tell(Call[Nothing], frozen=True):
     """Send a status to a robot (Robot endpoint only); `error` goes as an ER."""
 
@@ -276,6 +305,23 @@ class KnowRelays(Call[Nothing], frozen=True):
     """The data relays of all machines, HOST:PORT: to these, and no others, environments here may be taken."""
 
     relays: list[str]
+
+
+class Used(Struct, frozen=True):
+    """What an environment has used since it began: processor time in seconds; and has now: memory in bytes."""
+
+    seconds: float
+    memory: int
+
+
+class Usage(Struct, frozen=True):
+    """By the name of the environment; those of which nothing is known at present are left out."""
+
+    environments: dict[str, Used]
+
+
+class MeasureUsage(Call[Usage], frozen=True):
+    """What the environments of this task set, or those on the node of this agent, use."""
 
 
 # --- between a task set and its agents, one on each node of a swarm ---------------------------------------------------

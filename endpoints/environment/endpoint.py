@@ -73,6 +73,7 @@ class Environment:
         handlers.on(c.ReadLog, self._read_log)
         handlers.on(c.Describe, self._describe)
         handlers.on(c.ReadGraph, self._read_graph)
+        handlers.on(c.CountTraffic, board.traffic)
         return handlers
 
     async def run(self) -> None:

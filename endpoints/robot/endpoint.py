@@ -61,6 +61,7 @@ class RobotEndpoint:
         handlers.on(c.RemoveRoute, self._remove_route)
         handlers.on(c.Tell, self._tell)
         handlers.on(c.DropRobot, self._drop_robot)
+        handlers.on(c.CountTraffic, self.switchboard.traffic)
         return handlers
 
     # --- robots -------------------------------------------------------------------------------------------------------

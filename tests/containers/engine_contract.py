@@ -102,6 +102,16 @@ class EngineContract:
         assert world.there() == set()
         assert endings.none()
 
+    async def test_measures_what_runs(self, world: World, engine: Engine) -> None:
+        assert await engine.usage() == {}
+        await engine.start(spec())
+        used = await engine.usage()
+        assert list(used) == ["ann/map"]
+        assert used["ann/map"].seconds >= 0
+        assert used["ann/map"].memory > 0
+        await engine.stop("ann/map")
+        assert await engine.usage() == {}
+
     async def test_a_second_start_changes_nothing(self, world: World, engine: Engine, endings: Endings) -> None:
         await engine.start(spec())
         await engine.start(spec())

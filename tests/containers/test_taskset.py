@@ -19,11 +19,14 @@ from rce.calls import (
     Hello,
     KeepEnvironments,
     LimitReached,
+    MeasureUsage,
     Nothing,
     Ping,
     StartEnvironment,
     StopEnvironment,
     StopNode,
+    Usage,
+    Used,
     Welcome,
 )
 from rce.control import Control, Handlers, listen
@@ -130,6 +133,14 @@ async def test_joins_and_serves(master: FakeMaster, tmp_path: Path) -> None:
         assert set(running.machine.running) == {"ann/b", "ann/c"}
         await control.call(KeepEnvironments([spec(run=3).run]))
         assert running.machine.running == {"ann/c": Life(spec(run=3).run)}
+
+
+async def test_tells_what_its_environments_use(master: FakeMaster, tmp_path: Path) -> None:
+    async with Running(master, tmp_path) as running:
+        control = await joined(master)
+        await control.call(StartEnvironment(spec("ann/a", 1)))
+        running.machine.used["ann/a"] = Used(1.5, 2000)
+        assert await control.call(MeasureUsage()) == Usage({"ann/a": Used(1.5, 2000)})
 
 
 async def test_a_failed_start_comes_with_its_reason(master: FakeMaster, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from endpoints.data_port import DataPort
 from endpoints.frames import Message
 from endpoints.link import Link
 from endpoints.switchboard import Interface, Switchboard, error_of
-from rce.calls import InterfaceSpec, LinkSpec, Route, Sync
+from rce.calls import Counts, CountTraffic, InterfaceSpec, InterfaceTraffic, LinkSpec, Route, Sync
 from rce.errors import NotConnected, NotFound, TimedOut, Unavailable
 from rce.messages import Qos
 
@@ -29,6 +29,7 @@ class Recorder(Interface):
     def receive(self, message: Message, link: Link) -> None:
         if self.broken:
             raise ZeroDivisionError
+        self.dropped += message.msg_id == "too much"
         self.got.append(message)
 
     def joined(self, peer: bytes) -> None:
@@ -196,3 +197,36 @@ async def test_a_failure_is_carried_to_who_asked(board: Board) -> None:
     assert error_of(Message(a.id, "", b"\xff\x00", error=True)).info.code == "error"
     board.remove_route(spec(1).id, spec(0).id)
     b.fail(b.got[0], TimedOut("nobody to tell"))
+
+
+async def test_what_passes_is_counted_of_each_peer(board: Board) -> None:
+    a, b, c = await board.ready(3)
+    await board.join(0, 1)
+    await board.join(0, 2)
+    a.send(Message(a.id, "to all", b"12345"))
+    a.send(Message(a.id, "too much", b"1", destination=b.id))
+    b.send(Message(b.id, "answer", b"123"))
+    seen = (await board.traffic(CountTraffic())).interfaces
+    assert seen[a.spec.id] == InterfaceTraffic(
+        Counts(2, 6), Counts(1, 3), {b.spec.id: Counts(1, 3), c.spec.id: Counts()}
+    )
+    assert seen[b.spec.id] == InterfaceTraffic(Counts(1, 3, 1), Counts(2, 6), {a.spec.id: Counts(2, 6, 1)})
+    board.remove_route(a.spec.id, b.spec.id)
+    gone = (await board.traffic(CountTraffic())).interfaces[a.spec.id]
+    assert (gone.received, list(gone.peers)) == (Counts(1, 3), [c.spec.id]), "what came stays counted"
+
+
+async def test_drops_on_a_link_count_for_the_peers_behind_it(board: Board) -> None:
+    a, b, c = await board.ready(3)
+    await board.join(0, 1)
+    board.open_link(LinkSpec("other", ""))
+    await board.join(0, 2, "other")
+    until: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+    board.links["l"].pause(until)
+    for _ in range(15):  # of which 10 may wait
+        a.send(Message(a.id, "", b""))
+    seen = (await board.traffic(CountTraffic())).interfaces
+    assert seen[a.spec.id].sent == Counts(15, 0, 5)
+    assert {peer: counts.drops for peer, counts in seen[a.spec.id].peers.items()} == {b.spec.id: 5, c.spec.id: 0}
+    assert (seen[b.spec.id].received.messages, seen[c.spec.id].received.messages) == (0, 15)
+    until.set_result(None)
