@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from pathlib import Path
 
+from chromium import chromium, opened
 from node import node_command
 from real_platform import RealPlatform
 
@@ -22,3 +23,17 @@ async def test_the_client_in_node(platform: RealPlatform) -> None:
             process.kill()
     assert process.returncode == 0, err.decode()
     assert "an environment is created, used and destroyed" in out.decode()
+
+
+async def test_the_client_in_a_page(platform: RealPlatform) -> None:
+    trial = TRIAL.with_name("trial.js").read_text()
+    options = {"url": platform.url, "user": "testUser", "password": "testUser", "tag": "page"}
+    async with chromium() as browser, opened(browser) as (page, _):
+        await page.route("**/ui/trial.js", lambda route: route.fulfill(content_type="text/javascript", body=trial))
+        await page.goto(f"{platform.url}ui/rce/rce.d.ts")  # any page of the origin
+        run = """async (options) => {
+            const rce = await import(`${options.url}ui/rce/rce.js`);
+            return (await import(`${options.url}ui/trial.js`)).run(rce, options);
+        }"""
+        async with asyncio.timeout(120):
+            assert "an environment is created, used and destroyed" in await page.evaluate(run, options)

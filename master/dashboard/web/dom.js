@@ -44,8 +44,9 @@ export function show(element, ...children) {
   if (key) element.querySelector(`[data-key="${CSS.escape(key)}"]`)?.focus();
 }
 
-export function notice(text, bad = false) {
-  const box = h(bad ? "div.bad" : "div", String(text), h("button.small", { onclick: () => box.remove() }, "Close"));
+/** Something to be seen for a while; `more` is an element beside the words. */
+export function notice(text, bad = false, more = null) {
+  const box = h(bad ? "div.bad" : "div", h("span", String(text)), more, h("button.small", { onclick: () => box.remove() }, "Close"));
   document.getElementById("notices").append(box);
   setTimeout(() => box.remove(), bad ? 20_000 : 5_000);
 }

@@ -49,7 +49,7 @@ class Graph {
     this.filter = h("input", { type: "search", placeholder: "Filter by name or type", "aria-label": "Filter" });
     this.filter.addEventListener("input", () => this.draw());
     this.svg = svg("svg", { "aria-label": "Connections" }, svg("defs", svg("marker", {
-      id: "arrow", viewBox: "0 0 8 8", refX: 7, refY: 4, markerWidth: 7, markerHeight: 7, markerUnits: "userSpaceOnUse", orient: "auto",
+      id: "arrow", viewBox: "0 0 8 8", refX: 7, refY: 4, markerWidth: 7, markerHeight: 7, markerUnits: "userSpaceOnUse", orient: "auto-start-reverse",
     }, svg("path", { d: "M0 0L8 4L0 8z" }))), svg("g"));
     this.element = h("div.graph", this.svg, this.#none);
     this.head = h("div.head", h("h1", "Robots and environments"), this.#summary, h("span.grow"), this.filter,
@@ -194,7 +194,7 @@ class Graph {
     const { path, x, y } = line(wire);
     const words = rate(wire.links.some((each) => each.rate) ? wire : null);
     const many = wire.links.length > 1 ? `${wire.links.length}× ` : "";
-    const shown = JSON.stringify([path, words, many, wire.drops, wire.down]);
+    const shown = JSON.stringify([path, words, many, wire.drops, wire.down, wire.both]);
     let drawn = this.#drawn.get(key);
     if (!drawn) {
       const parts = { touch: svg("path.touch"), line: svg("path.line", { "marker-end": "url(#arrow)" }), text: svg("text") };
@@ -212,6 +212,8 @@ class Graph {
       element.setAttribute("aria-label", `connection ${wire.links.map((each) => `${each.tagA} to ${each.tagB}`).join(", ")} ${words}`);
       parts.touch.setAttribute("d", path);
       parts.line.setAttribute("d", path);
+      parts.line.toggleAttribute("marker-start", false);
+      if (wire.both) parts.line.setAttribute("marker-start", "url(#arrow)");
       parts.text.setAttribute("x", x);
       parts.text.setAttribute("y", y - 6);
       parts.text.replaceChildren(many + words, wire.drops ? svg("tspan.lost", `  ${wire.drops} dropped`) : "");

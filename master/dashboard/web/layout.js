@@ -40,15 +40,17 @@ export function place(cards, width) {
   return Math.max(ends.robot, ends.environment);
 }
 
-/** The wires between placed cards: connections that have the same ends on the page are one. */
+/** The wires between placed cards: connections that have the same ends on the page are one, which may go both ways. */
 export function wires(cards, links) {
   const found = new Map();
   for (const link of links) {
     const [from, to] = [link.tagA, link.tagB].map((tag) => end(cards, link.user, tag));
     if (!from || !to) continue;
+    const back = found.get(`${to.key} ${from.key}`);
     const key = `${from.key} ${to.key}`;
-    const wire = found.get(key) ?? { key, from, to, links: [], messages: 0, bytes: 0, drops: 0, down: false };
-    found.set(key, wire);
+    const wire = back ?? found.get(key) ?? { key, from, to, links: [], messages: 0, bytes: 0, drops: 0, down: false, both: false };
+    found.set(wire.key, wire);
+    wire.both ||= back !== undefined;
     wire.links.push(link);
     wire.down ||= link.state === "down";
     wire.messages += link.rate?.messages ?? 0;
@@ -59,12 +61,12 @@ export function wires(cards, links) {
 }
 
 /** The line of a wire, and the middle of it. Both ends of one column: it makes an arc into the gutter. */
-export function line({ from, to }) {
+export function line({ from, to, both }) {
   const reach = from.side === to.side ? 90 + Math.min(60, Math.abs(to.y - from.y) / 6) : Math.max(40, Math.abs(to.x - from.x) / 2);
   const [a, b] = [from.x + from.side * reach, to.x + to.side * reach];
-  const tip = to.x + to.side * 7;
+  const [tip, tail] = [to.x + to.side * 7, from.x + (both ? from.side * 7 : 0)];
   return {
-    path: `M${from.x} ${from.y}C${a} ${from.y} ${b} ${to.y} ${tip} ${to.y}`,
+    path: `M${tail} ${from.y}C${a} ${from.y} ${b} ${to.y} ${tip} ${to.y}`,
     x: (from.x + 3 * a + 3 * b + to.x) / 8,
     y: (from.y + to.y) / 2,
   };

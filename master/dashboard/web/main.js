@@ -3,6 +3,7 @@
 import { Api, signIn } from "./api.js";
 import { attempt, h, show } from "./dom.js";
 import { environmentPage } from "./environment.js";
+import { followEvents } from "./events.js";
 import { graphPage } from "./graph.js";
 import { imagePage } from "./image.js";
 import { keysPage } from "./keys.js";
@@ -36,9 +37,11 @@ async function start() {
   try {
     const me = new Person(await api.get("/whoami"));
     const live = new Live(stored, me.user, () => forget("Your key is not good any more: sign in again."));
-    app = { api, me, live, key: stored, go: (path) => { location.hash = path; } };
+    const ended = new AbortController();
+    app = { api, me, live, ended, key: stored, go: (path) => { location.hash = path; } };
     app.acting = (user = live.user === "*" ? me.user : live.user) => (user === me.user ? {} : { user });
     live.on(drawBar);
+    followEvents(app, ended.signal);
     window.addEventListener("hashchange", route);
     route();
   } catch (error) {
@@ -67,7 +70,7 @@ function drawBar() {
   const links = PAGES.filter(([, , title, operation]) => title && (!operation || app.me.may(operation)));
   const everybody = app.me.may("environment.read", "*");
   show(bar,
-    h("a.brand", { href: "#/" }, h("img", { src: "icon.svg", alt: "" }), "RCE"),
+    h("a.brand", { href: "#/" }, h("img", { src: "icon.svg", alt: "" }), h("span", "RCE")),
     h("nav", { "aria-label": "Pages" }, links.map(([pattern, , title]) => {
       const path = pattern.source.replace(/^\^|\(.*|\\|\$$/g, "") || "/";
       return h("a", { href: `#${path}`, "aria-current": pattern.test(here) && "page", "data-key": path }, title);
@@ -86,7 +89,7 @@ function signInPage(message = "") {
   const error = h("p.error", { role: "alert" }, message);
   const button = h("button.main", { type: "submit" }, "Sign in");
   const form = h("form.panel.signin", h("img", { src: "icon.svg", alt: "" }), h("h1", "Sign in to RCE"),
-    h("label", "User", h("input", { name: "user", required: true, autocomplete: "username", autofocus: true })),
+    h("label", "User", h("input", { name: "user", required: true, autocomplete: "username" })),
     h("label", "Password", h("input", { name: "password", type: "password", required: true, autocomplete: "current-password" })),
     error, button);
   form.onsubmit = async (event) => {
@@ -120,6 +123,7 @@ function forget(message = "") {
   leave?.();
   leave = null;
   app?.live.close();
+  app?.ended.abort();
   app?.robot?.then((robot) => robot.close(), () => {});
   app = null;
   delete bar.dataset.shown;

@@ -1,0 +1,34 @@
+// What happens that a person should hear of, as notices: nodes that die, environments that are lost, limits, machines.
+
+import { h, notice } from "./dom.js";
+import { tell } from "./forms.js";
+
+const AGAIN = 5000; // milliseconds
+const WORDS = {
+  "node.died": (event, what) => `Node ${what} ended${event.status === null ? "" : ` with status ${event.status}`}.`,
+  "environment.failed": (event, what) => `Environment ${what} did not start: ${event.text}`,
+  "environment.lost": (event, what) => `Environment ${what} is lost: ${event.text}`,
+  "limit.reached": (event) => event.text,
+  "machine.left": (event, what) => `Machine ${what} is away. ${event.text}`,
+};
+
+/** Follow the events of whom the feed shows, until `signal`. */
+export async function followEvents(app, signal) {
+  while (!signal.aborted) {
+    try {
+      for await (const event of app.api.follow("/events", {}, signal)) tellOf(app, event);
+    } catch (error) {
+      if (signal.aborted || (error.status >= 400 && error.status < 500)) return; // not theirs to hear
+    }
+    await new Promise((resolve) => { setTimeout(resolve, AGAIN); });
+  }
+}
+
+function tellOf(app, event) {
+  const words = WORDS[event.type];
+  if (!words) return;
+  const what = event.user === app.me.user ? event.object.replace(/^[^/]*\//, "") : event.object;
+  const lines = event.lines ?? [];
+  const more = lines.length > 0 && h("button.small", { onclick: () => tell(what, h("pre.log", lines.join("\n"))) }, "Output");
+  notice(words({ status: null, text: "", ...event }, what), true, more);
+}

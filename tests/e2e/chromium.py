@@ -1,0 +1,62 @@
+"""The system's Chromium by Playwright, and pages whose errors fail the test."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
+SCREENSHOTS = Path(__file__).parents[2] / "docs" / "screenshots"
+WIDE, NARROW = {"width": 1280, "height": 800}, {"width": 768, "height": 900}
+
+
+@asynccontextmanager
+async def chromium() -> AsyncIterator[Any]:
+    """A headless browser; skips with the reason where there is none."""
+    playwright = pytest.importorskip("playwright.async_api", reason="needs Playwright: pip install 'rce[dev]'")
+    program = next(filter(None, map(shutil.which, PROGRAMS)), None)
+    if program is None:
+        pytest.skip("no Chromium: install chromium to run this")
+    async with playwright.async_playwright() as started:
+        options = ["--no-sandbox"] if os.geteuid() == 0 else []
+        browser = await started.chromium.launch(executable_path=program, args=options)
+        yield browser
+        await browser.close()
+
+
+@asynccontextmanager
+async def opened(browser: Any, **options: Any) -> AsyncIterator[tuple[Any, list[str]]]:
+    """A page of its own context, and the errors that it logs: a test takes out those that it provokes."""
+    context = await browser.new_context(**{"viewport": WIDE, **options})
+    page = await context.new_page()
+    page.set_default_timeout(20_000)
+    errors: list[str] = []
+    page.on("console", lambda message: errors.append(message.text) if message.type in ("error", "warning") else None)
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    try:
+        yield page, errors
+        assert errors == []
+    finally:
+        await context.close()
+
+
+async def sign_in(page: Any, url: str, user: str, password: str) -> None:
+    """To the graph."""
+    await page.goto(f"{url}ui/")
+    await page.get_by_label("User").fill(user)
+    await page.get_by_label("Password").fill(password)
+    await page.get_by_role("button", name="Sign in").click()
+    await page.get_by_role("heading", name="Robots and environments").wait_for()
+
+
+async def screenshot(page: Any, name: str) -> None:
+    """For the documentation, when it is asked for by RCE_SCREENSHOTS=1."""
+    if os.environ.get("RCE_SCREENSHOTS"):
+        SCREENSHOTS.mkdir(exist_ok=True)
+        await page.screenshot(path=SCREENSHOTS / f"{name}.png")
