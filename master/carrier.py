@@ -26,6 +26,7 @@ class Carrier:
     def __init__(self, prepare: Prepare, answered: Callable[[Send, object], None]) -> None:
         """`prepare` completes a call before it leaves; `answered` hears its result or the RceError that it raised."""
         self.controls: dict[str, Control] = {}
+        self.watchers: list[Callable[[str], None]] = []  # called with what became real, or is not any more
         self._prepare = prepare
         self._answered = answered
         self._tails: dict[tuple[str, str], asyncio.Future[None]] = {}
@@ -37,10 +38,7 @@ class Carrier:
 
     def settle(self, key: str, error: RceError | None = None) -> bool:
         """What `key` names is real, or will not be. Returns whether anybody was waiting to hear it."""
-        if error is None:
-            self._real.add(key)
-        else:
-            self._real.discard(key)
+        self._note(key, error is None)
         waiting = [future for future in self._waiting.pop(key, ()) if not future.done()]
         for future in waiting:
             if error is None:
@@ -51,7 +49,13 @@ class Carrier:
 
     def forget(self, key: str) -> None:
         """What `key` names is not there any more, for now or for good; those who wait for it go on waiting."""
-        self._real.discard(key)
+        self._note(key, False)
+
+    def _note(self, key: str, real: bool) -> None:
+        if real != (key in self._real):
+            (self._real.add if real else self._real.discard)(key)
+            for watcher in self.watchers:
+                watcher(key)
 
     def is_real(self, key: str) -> bool:
         return key in self._real

@@ -184,11 +184,15 @@ T = TypeVar("T", bound=Record)
 
 
 class Table(Generic[T]):
-    """Records of one kind by key, and by the terms that `terms` gives; notes what changed for the store."""
+    """Records of one kind by key, and by the terms that `terms` gives; notes what changed for the store.
+
+    Each of `watchers` is called with what was there before a change and what is there after it.
+    """
 
     def __init__(self, kind: type[T], terms: Callable[[T], Iterable[str]]) -> None:
         self.kind = kind
         self.changed: set[str] = set()
+        self.watchers: list[Callable[[T | None, T | None], None]] = []
         self._records: dict[str, T] = {}
         self._terms = terms
         self._index: dict[str, dict[str, None]] = {}  # a dict as an ordered set: effects come out in a fixed order
@@ -213,8 +217,10 @@ class Table(Generic[T]):
         return [self._records[key] for key in self._index.get(term, ())]
 
     def put(self, record: T) -> None:
+        before = self._records.get(record.key)
         self.load(record)
         self.changed.add(record.key)
+        self._tell(before, record)
 
     def load(self, record: T) -> None:
         """Put without noting a change: it comes from the store."""
@@ -227,7 +233,12 @@ class Table(Generic[T]):
         record = self._forget(key)
         if record is not None:
             self.changed.add(key)
+            self._tell(record, None)
         return record
+
+    def _tell(self, before: T | None, after: T | None) -> None:
+        for watcher in self.watchers:
+            watcher(before, after)
 
     def _forget(self, key: str) -> T | None:
         record = self._records.pop(key, None)

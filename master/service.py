@@ -15,6 +15,7 @@ from master import graph, packages, presence, wiring
 from master.carrier import Carrier
 from master.depot import FETCH_PATH, Depot
 from master.effects import Plan, Send
+from master.feed import Feed
 from master.gauges import Gauges
 from master.grants import digest
 from master.guard import Guard
@@ -29,6 +30,7 @@ from master.records import Environment, Process, Robot, State, at, user_of, what
 from master.rights import check_command
 from master.rim import Rim
 from master.shown import Shown
+from master.sight import Sight
 from master.store import Store
 from master.users import Users, must_drive
 from rce import calls as c
@@ -87,6 +89,7 @@ class Master:
         self.shown = Shown(self.state, self._carrier.is_real)
         self.guard = Guard(self.users, self.state, self._rim.apply)
         self.gauges = Gauges(self.state, self._carrier, self.shown)
+        self.feed = Feed(Sight(self.shown, self._carrier), self.gauges.watch)
         self._breaks = Pauses(LINK_RETRY_FIRST, LINK_RETRY_MOST, STEADY)
         self._away: dict[str, asyncio.Task[None]] = {}  # processes whose time to come back runs
         self._reopening: set[str] = set()  # links that broke before, until they are opened again
@@ -140,6 +143,7 @@ class Master:
         if process.name in self._away:
             self._away.pop(process.name).cancel()
         self._rim.apply(presence.joined(self.state, process, hello, ids))
+        self.feed.sight.process_moved(process.name)
         self._drop_later(self.grace)
         if process.role == "container":
             self._refuse_waiting()
@@ -150,6 +154,7 @@ class Master:
         del self._carrier.controls[process.name]
         log.info("{role} {name} is away", role=process.role, name=process.name)
         presence.left(self.state, process.name)
+        self.feed.sight.process_moved(process.name)
         if process.name in self.state.processes:
             self._expect(process)
 
@@ -166,6 +171,7 @@ class Master:
         """A task set or an environment's endpoint does not come back."""
         self._away.pop(name, None)
         self.state.expected.discard(name)
+        self.feed.sight.process_moved(name)
         for environment in presence.lost_with(self.state, name):
             away = f"its machine {environment.machine} has been away for {self.machine_grace:g} s"
             self._lives.down(environment, away)
@@ -187,6 +193,7 @@ class Master:
     async def _endpoint_away(self, name: str) -> None:
         self._away.pop(name, None)
         self.state.expected.discard(name)
+        self.feed.sight.process_moved(name)
         plan, robots = presence.endpoint_gone(self.state, name)
         for robot in robots:
             plan += presence.robot_left(self.state, robot)

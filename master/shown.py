@@ -109,7 +109,7 @@ class Shown:
             self.rates.get(record.key),
         )
 
-    def machine(self, record: Process) -> MachineView:
+    def process(self, record: Process) -> MachineView:
         name = record.name
         environments = self.state.environments.by(at(name)) if record.role == "container" else []
         measured = [self.usage[each.name] for each in environments if each.name in self.usage]

@@ -52,7 +52,7 @@ class MachinesApi:
         asked = call.asked(Machines)
         rights.check(principal(call), "machine.read", rights.NOBODY)
         machines = [process for role in ROLES for process in self._state.processes.by(role)]
-        views = ((each.name, self._master.shown.machine(each)) for each in machines)
+        views = ((each.name, self._master.shown.process(each)) for each in machines)
         return cut(views, asked, lambda each: asked.role in (None, each.role) and asked.state in (None, each.state))
 
     async def show(self, call: Call) -> Answer:
@@ -60,7 +60,7 @@ class MachinesApi:
         machine = self._state.processes.get(call.path["name"])
         if machine is None or machine.role not in ROLES:
             raise NotFound(f"there is no machine {call.path['name'][:80]!r}", field="name")
-        return Answer(self._master.shown.machine(machine))
+        return Answer(self._master.shown.process(machine))
 
     async def invite(self, call: Call) -> Answer:
         rights.check(principal(call), "machine.invite", rights.NOBODY)

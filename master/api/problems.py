@@ -20,6 +20,7 @@ STATUS = {
     "limit_exceeded": 413,
     "unsupported_media_type": 415,
     "key_reused": 422,
+    "upgrade_required": 426,
     "no_capacity": 503,
     "unavailable": 503,
     "lost": 503,

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from master.api.environments import EnvironmentsApi
 from master.api.interfaces import InterfacesApi
+from master.api.live import Live
 from master.api.machines import MachinesApi
 from master.api.packages import PackagesApi
 from master.api.robots import RobotsApi
 from master.api.ros import RosApi
 from master.api.router import Api
+from master.api.sockets import SocketResource
 from master.depot import Depot
 from master.machines import Inviter
 from master.service import Master
@@ -21,4 +23,5 @@ def make_api(master: Master, depot: Depot, inviter: Inviter | None = None) -> Ap
         family(master).add_to(api)
     MachinesApi(master, inviter).add_to(api)
     PackagesApi(master, depot).add_to(api)
+    api.mount("/live", SocketResource(Live(master).listener))
     return api

@@ -64,6 +64,7 @@ class Api(Resource):
         self._repeats = Repeats()
         self.routes: list[Route] = []
         self._patterns: list[tuple[re.Pattern[str], Route]] = []
+        self._mounted: dict[bytes, Resource] = {}
         self._tasks: set[asyncio.Task[None]] = set()
 
     def add(self, *routes: Route) -> None:
@@ -71,7 +72,13 @@ class Api(Resource):
         self.routes += routes
         self._patterns += [(route.pattern, route) for route in routes]
 
-    def render(self, request: Request) -> int:
+    def mount(self, path: str, resource: Resource) -> None:
+        """Let a resource answer at this path by itself."""
+        self._mounted[(PREFIX + path).encode()] = resource
+
+    def render(self, request: Request) -> Any:
+        if request.path in self._mounted:
+            return self._mounted[request.path].render(request)
         task = asyncio.ensure_future(self._serve(request))
         self._tasks.add(task)
         task.add_done_callback(self._ended)
