@@ -1,193 +1,172 @@
-"""A recording of several GB through the map service: its memory, the speed of the upload, and another user's job."""
+"""Recordings and what becomes of them: how long it takes to send them and to have them mapped by the map service
+(RoboWS, Table 2 and Figure 3b), and what each mapper needs by itself and how good its map is.
+
+The mapper by itself runs in a process of its own, so that its memory is its own; compiling is not counted.
+"""
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import os
-import shutil
-import subprocess
+import math
 import time
-from collections.abc import AsyncIterator
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from msgspec import Struct
 
-from rce import programs
 from rce.client.map_service import MapService
-from rce.commands.platform import DEV_USER, own_platform
-from rce.errors import InternalError, NotFound
-from rce.map_jobs import OVER, Job
-from rce.mapping.simulation import simulate
+from rce.errors import InvalidRequest, RceError
+from rce.map_jobs import MapOptions
+from rce.map_jobs import Mapper as MapperName
+from rce.mapping.mappers import MAPPERS
+from rce.mapping.outputs import write_outputs
+from rce.mapping.recordings import open_recording
+from rce.mapping.trials import Endless, Odometry, Relations, read_relations, run
+from rce.mapping.trials import endless as run_endless
+from rce.mapping.trials.endless import resident
 
-MEGABYTE = 1_000_000
-OTHER = "benchUser"
-SMALL_SCANS = 60
-LOOK_EVERY = 0.05  # seconds between looks at the memory
-PROGRAM = b"rce.mapservice\0"
+OdometryName = Literal["recorded", "noisy", "worse", "none"]
+ODOMETRY: dict[OdometryName, Odometry] = {
+    "recorded": Odometry(),
+    "noisy": Odometry(scale=1.03, noise=0.1),
+    "worse": Odometry(scale=1.1, noise=0.1, slip=1.0),
+    "none": Odometry(none=True),
+}
+ODOMETRIES: tuple[OdometryName, ...] = get_args(OdometryName)
+RELATIONS = ".relations"
+KILOBYTE = 1024
+RESET_PEAK = Path("/proc/self/clear_refs")
 
 
-class Result(Struct, frozen=True):
-    """Sizes in bytes, times in seconds. `meanwhile`: the large job was still being mapped when the small one ended."""
+class Recorded(Struct, frozen=True):
+    """A recording; `messages` are its scans and poses of the odometry, `size` bytes, `way` metres by the odometry."""
 
+    name: str
+    path: Path
     size: int
-    copy: float
-    upload: float
-    check: float
-    idle: int
-    peak: int
-    small: float
-    small_scans: int
-    meanwhile: bool
-    large_scans: int
+    scans: int
+    messages: int
+    way: float
+    relations: Path | None  # the file of true relations that lies beside it
 
 
-def line(number: int, scan: Any) -> str:
-    """A scan as CARMEN's ROBOTLASER1, which knows every field of view."""
-    ranges = np.where(np.isfinite(scan.ranges), scan.ranges, scan.range_max)
-    x, y, theta = scan.odometry
-    view = scan.angle_increment * (len(ranges) - 1)
-    head = f"0 {scan.angle_min:.9f} {view:.9f} {scan.angle_increment:.9f} {scan.range_max:.2f} 0.01 0 {len(ranges)}"
-    pose = f"{x:.6f} {y:.6f} {theta:.6f}"
-    text = " ".join(f"{value:.3f}" for value in ranges)
-    return f"ROBOTLASER1 {head} {text} 0 {pose} {pose} 0 0 0.3 0.3 1000 {scan.stamp:.6f} robot {number}\n"
+class Served(Struct, frozen=True):
+    """By the map service: seconds from the first byte to the last, and from there until the map was mapped."""
+
+    recording: str
+    mapper: MapperName
+    transmission: float
+    mapping: float
 
 
-def write(directory: Path, size: int) -> tuple[Path, Path]:
-    """A small recording, and one of `size` bytes by repetition of a simulated one."""
-    lines = [line(number, scan).encode() for number, scan in enumerate(simulate())]
-    small, large = directory / "small.log", directory / "large.log"
-    small.write_bytes(b"".join(lines[:SMALL_SCANS]))
-    block = b"".join(lines)
-    with large.open("wb") as file:
-        for _ in range(max(1, round(size / len(block)))):
-            file.write(block)
-    return small, large
+class Mapped(Struct, frozen=True):
+    """By the mapper itself: CPU seconds of all its threads, elapsed seconds, and bytes that it took beyond what its
+    process had before. `errors` by kind of relation: metres, degrees (`rce.mapping.trials.relations`); `benchmark`
+    are those of the file beside the recording.
+    """
+
+    recording: str
+    mapper: MapperName
+    odometry: OdometryName
+    cpu: float
+    elapsed: float
+    memory: int
+    errors: dict[str, tuple[float, float]]
+    closed: bool | None
 
 
-async def measure(directory: Path, size: int, engine: str) -> Result:
-    """`directory` is on the disk in question; what is written there is removed again."""
-    with contextlib.ExitStack() as stack:
-        place = directory / f"rce-bench-{os.getpid()}"
-        place.mkdir(parents=True)
-        stack.callback(shutil.rmtree, place, True)
-        small, large = await asyncio.to_thread(write, place, size)
-        async with own_platform(place / "platform", engine) as entry:
-            password = await asyncio.to_thread(add_user, place / "platform" / "master")
-            ours = MapService(entry.url, user=DEV_USER, password=DEV_USER)
-            other = MapService(entry.url, user=OTHER, password=password)
-            return await _measure(large, small, ours, other, service_process())
+class Results(Struct, frozen=True):
+    recordings: list[Recorded]
+    served: list[Served]
+    mapped: list[Mapped]
 
 
-async def _measure(large: Path, small: Path, ours: MapService, other: MapService, process: int) -> Result:
-    for service in (ours, other):
-        await asyncio.to_thread(service.jobs)  # what the first request loads is not the recording's
-    idle = resident(process)
-    await asyncio.to_thread(os.sync)  # neither pays for what was written before
-    copy = await _timed(_copy, large, large.with_suffix(".copy"))
-    large.with_suffix(".copy").unlink()
-    await asyncio.to_thread(os.sync)
-    async with watched(process) as peak:
-        began = time.perf_counter()
-        upload = await asyncio.to_thread(ours.upload, large)
-        sent = time.perf_counter() - began
-        began = time.perf_counter()
-        job = await asyncio.to_thread(ours.submit, [upload.id])
-        checked = time.perf_counter() - began
-        began = time.perf_counter()
-        done = await asyncio.to_thread(_whole_job, other, small)
-        needed = time.perf_counter() - began
-        seen = await asyncio.to_thread(_when_mapping, ours, job.id)
-        await asyncio.to_thread(ours.cancel, job.id)
-        last = await asyncio.to_thread(_until_over, ours, job.id)
-    if done.state != "done" or last.state != "cancelled":
-        raise InternalError(f"the small job is {done.state}, and the large one, which was cancelled, {last.state}")
-    await asyncio.to_thread(ours.remove, job.id)
-    meanwhile = seen.state == "running" and seen.stage == "mapping"
-    return Result(upload.length, copy, sent, checked, idle, peak[0], needed, done.scans, meanwhile, seen.scans)
+def look(path: Path) -> Recorded:
+    """Read a recording once. InvalidRequest, NotFound."""
+    scans, messages, way, last = 0, 0, 0.0, None
+    for scan in open_recording(path):
+        scans += 1
+        messages += 1 + (scan.odometry is not None)
+        if last is not None and scan.odometry is not None:
+            way += math.hypot(scan.odometry[0] - last[0], scan.odometry[1] - last[1])
+        last = scan.odometry
+    files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
+    beside = path.with_name(path.name.partition(".")[0] + RELATIONS)
+    size = sum(file.stat().st_size for file in files)
+    return Recorded(path.name, path, size, scans, messages, way, beside if beside.exists() else None)
 
 
-def _copy(source: Path, target: Path) -> None:
-    subprocess.run(["cp", str(source), str(target)], check=True)
+def odometries(recording: Recorded, wanted: Sequence[OdometryName]) -> Sequence[OdometryName]:
+    """Those that are wanted; else the recorded one, or a noisy one where the recorded one has to be the truth."""
+    return wanted or (["recorded"] if recording.relations else ["noisy"])
 
 
-async def _timed(work: Any, *arguments: Any) -> float:
+async def serve(service: MapService, recording: Recorded, mapper: MapperName) -> Served:
+    """Have it mapped by the map service. RceError if the job fails."""
+    files = sorted(recording.path.iterdir()) if recording.path.is_dir() else [recording.path]
     began = time.perf_counter()
-    await asyncio.to_thread(work, *arguments)
-    return time.perf_counter() - began
+    uploads = [(await asyncio.to_thread(service.upload, file)).id for file in files]
+    sent = time.perf_counter() - began
+    job = await asyncio.to_thread(service.submit, uploads, MapOptions(mapper=mapper), recording.name)
+    *_, last = await asyncio.to_thread(lambda: list(service.watch(job.id)))
+    if last.state != "done":
+        raise RceError.from_info(last.error) if last.error else InvalidRequest(f"{recording.name}: {last.state}")
+    await asyncio.to_thread(service.remove, job.id)
+    return Served(recording.name, mapper, sent, last.times["mapping"])
 
 
-def _when_mapping(service: MapService, job: str) -> Job:
-    """The job as soon as scans of it are mapped, or when it is over."""
-    return next(seen for seen in service.watch(job) if seen.scans > 0 or seen.state in OVER)
+def trials(
+    recordings: Sequence[Recorded], mappers: Sequence[MapperName], wanted: Sequence[OdometryName], out: Path | None
+) -> Iterator[Mapped]:
+    """Each mapper on each recording with each odometry, one after the other, each in a process of its own."""
+    for recording in recordings:
+        for mapper in mappers:
+            for odometry in odometries(recording, wanted):
+                place = out / recording.name.partition(".")[0] / f"{mapper}-{odometry}" if out else None
+                with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
+                    yield process.submit(trial, recording, mapper, odometry, place).result()
 
 
-def _until_over(service: MapService, job: str) -> Job:
-    *_, last = service.watch(job)
-    return last
+def trial(recording: Recorded, mapper: MapperName, odometry: OdometryName, out: Path | None) -> Mapped:
+    """One mapper on one recording; its map is written to `out`."""
+    scans = list(open_recording(recording.path))
+    before = resident()
+    RESET_PEAK.write_text("5")
+    began = time.perf_counter()
+    done = run(MAPPERS[mapper], scans, ODOMETRY[odometry], _relations(recording, scans))
+    elapsed = time.perf_counter() - began
+    memory = most_resident() - before
+    if out is not None:
+        write_outputs(out, done.grid, done.trajectory)
+    errors = {
+        kind: (error.translation, math.degrees(error.rotation))
+        for kind, error in done.errors.items()
+        if error.relations
+    }
+    return Mapped(recording.name, mapper, odometry, done.cpu, elapsed, memory, errors, done.closed)
 
 
-def _whole_job(service: MapService, recording: Path) -> Job:
-    return _until_over(service, service.submit([service.upload(recording).id]).id)
+def most_resident() -> int:
+    """The most bytes of memory that this process had since the last reset. Linux."""
+    status = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in status if line.startswith("VmHWM:")) * KILOBYTE
 
 
-def add_user(directory: Path) -> str:
-    """Make another user in the Master's database; the password."""
-    words = [*programs.command("user"), "--data-dir", str(directory), "add", OTHER]
-    subprocess.run(words, input=OTHER.encode(), check=True, capture_output=True)
-    return OTHER
+def endless(path: Path, mapper: MapperName, scans: int) -> Endless:
+    """So many scans of a recording, forward, back, forward…, in a process of its own."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
+        return process.submit(_endless, path, mapper, scans).result()
 
 
-def service_process() -> int:
-    """The map service that this process has started. NotFound."""
-    for place in Path("/proc").iterdir():
-        with contextlib.suppress(OSError):
-            if place.name.isdigit() and PROGRAM in (place / "cmdline").read_bytes():
-                parent = (place / "stat").read_text().rpartition(")")[2].split()[1]
-                if int(parent) == os.getpid():
-                    return int(place.name)
-    raise NotFound("the platform runs without its map service: pip install 'rce[server]'")
+def _endless(path: Path, mapper: MapperName, scans: int) -> Endless:
+    return run_endless(MAPPERS[mapper], list(open_recording(path)), scans)
 
 
-def resident(process: int) -> int:
-    """Bytes of memory that a process holds."""
-    pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE")
-
-
-@contextlib.asynccontextmanager
-async def watched(process: int) -> AsyncIterator[list[int]]:
-    """The most memory that the process held meanwhile, as the only item of a list."""
-    peak = [resident(process)]
-
-    async def look() -> None:
-        while True:
-            peak[0] = max(peak[0], resident(process))
-            await asyncio.sleep(LOOK_EVERY)
-
-    watcher = asyncio.create_task(look())
-    try:
-        yield peak
-    finally:
-        watcher.cancel()
-
-
-def as_data(result: Result) -> dict[str, Any]:
-    return {field: getattr(result, field) for field in result.__struct_fields__}
-
-
-def as_text(result: Result) -> str:
-    size, grown = result.size / MEGABYTE, (result.peak - result.idle) / MEGABYTE
-    copy, upload = size / result.copy, size / result.upload
-    still = "was still being mapped" if result.meanwhile else "was over by then"
-    return "\n".join(
-        [
-            f"recording         {size:.0f} MB",
-            f"memory            {result.idle / MEGABYTE:.0f} MB idle, {grown:.0f} MB more at most",
-            f"upload            {upload:.0f} MB/s, {upload / copy:.2f} of a copy on the same disk ({copy:.0f} MB/s)",
-            f"check             {result.check:.1f} s until the job was accepted",
-            f"another's job     {result.small_scans} scans in {result.small:.1f} s; the large one {still}",
-        ]
-    )
+def _relations(recording: Recorded, scans: Sequence[Any]) -> dict[str, Relations] | None:
+    if recording.relations is None:
+        return None
+    return {"benchmark": read_relations(recording.relations, np.array([scan.stamp for scan in scans]))}

@@ -8,9 +8,10 @@ import json
 import secrets
 import sys
 import tempfile
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
+from typing import TypeVar
 
 from rce import __version__
 from rce.bench import overtake, payloads, report, start
@@ -18,8 +19,10 @@ from rce.bench.nodes import Place
 from rce.bench.routes import ROUTES, USUAL
 from rce.bench.run import take
 from rce.client import Robot
-from rce.commands.platform import ENGINES, add_arguments, platform
+from rce.client.map_service import MapService
+from rce.commands.platform import DEV_USER, ENGINES, add_arguments, own_platform, platform
 from rce.errors import InvalidRequest
+from rce.map_jobs import MAPPERS
 
 QUICK_SIZES, QUICK_SAMPLES = 4, 3
 
@@ -55,7 +58,25 @@ def parser() -> argparse.ArgumentParser:
     maps.add_argument("--json", action="store_true", help="print the figures as JSON")
     for each in (rtt, over):
         add_arguments(each)
+    _add_maps(kinds)
     return whole
+
+
+def _add_maps(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    recordings = kinds.add_parser(
+        "map", help="recordings by the map service, what each mapper needs, and how good its maps are"
+    )
+    recordings.add_argument("--odometry", default="", help="comma list of recorded, noisy, worse, none")
+    recordings.add_argument("--no-service", action="store_true", help="the mappers alone, without a platform")
+    recordings.add_argument("--out", type=Path, metavar="DIR", help="for the maps")
+    recordings.add_argument("--engine", choices=ENGINES, default="process", help="(default: %(default)s)")
+    endless = kinds.add_parser("endless", help="a recording forward, back, forward, …: memory, and time a scan")
+    endless.add_argument("--scans", type=int, default=36_000, help="(default: %(default)s, an hour at 10 Hz)")
+    for each in (recordings, endless):
+        each.add_argument("recordings", nargs="+", type=Path, metavar="FILE", help="CARMEN log, ROS 1 or ROS 2 bag")
+        each.add_argument("--mappers", default=",".join(MAPPERS), help="comma list (default: %(default)s)")
+        each.add_argument("--json", action="store_true", help="print the figures as JSON")
+        each.add_argument("--plot", type=Path, metavar="FILE", help="draw them, as .svg or .png")
 
 
 def main(arguments: list[str]) -> int:
@@ -101,13 +122,69 @@ async def starting(words: argparse.Namespace) -> None:
 
 
 async def large_recording(words: argparse.Namespace) -> None:
-    from rce.bench import maps  # compiles kernels
+    from rce.bench import large_recording as large  # compiles kernels
 
-    result = await maps.measure(words.dir, words.size * maps.MEGABYTE, words.engine)
-    print(json.dumps(maps.as_data(result)) if words.json else maps.as_text(result))
+    result = await large.measure(words.dir, words.size * large.MEGABYTE, words.engine)
+    print(json.dumps(large.as_data(result)) if words.json else large.as_text(result))
 
 
-KINDS = {"map-service": large_recording, "rtt": round_trips, "overtake": overtaking, "start": starting}
+async def mapping(words: argparse.Namespace) -> None:
+    mappers = chosen("mapper", words.mappers, MAPPERS)
+    from rce.bench import maps, maps_report  # compile kernels
+
+    odometry = chosen("odometry", words.odometry, maps.ODOMETRIES)
+    recordings = [maps.look(path) for path in words.recordings]
+    served = []
+    if not words.no_service:
+        with tempfile.TemporaryDirectory(prefix="rce-") as directory:
+            async with own_platform(Path(directory), words.engine) as entry:
+                service = MapService(entry.url, user=DEV_USER, password=DEV_USER)
+                for each in recordings:
+                    served += [await maps.serve(service, each, mapper) for mapper in mappers]
+    results = maps.Results(recordings, served, list(maps.trials(recordings, mappers, odometry, words.out)))
+    print(json.dumps(maps_report.as_data(results)) if words.json else maps_report.as_text(results))
+    if words.plot is not None:
+        from rce.bench.maps_plot import plot  # needs the extra `bench`
+
+        plot(results, words.plot)
+
+
+async def endless(words: argparse.Namespace) -> None:
+    mappers = chosen("mapper", words.mappers, MAPPERS)
+    from rce.bench import maps, maps_report  # compile kernels
+
+    runs = {
+        f"{path.name.partition('.')[0]}, {mapper}": maps.endless(path, mapper, words.scans)
+        for path in words.recordings
+        for mapper in mappers
+    }
+    print(json.dumps(maps_report.endless_data(runs)) if words.json else maps_report.endless_text(runs))
+    if words.plot is not None:
+        from rce.bench.maps_plot import plot_endless  # needs the extra `bench`
+
+        plot_endless(runs, words.plot)
+
+
+N = TypeVar("N", bound=str)
+
+
+def chosen(what: str, words: str, known: Sequence[N]) -> list[N]:
+    """A comma list of names that are known. InvalidRequest."""
+    names = [name for name in known if name in words.split(",")]
+    unknown = set(words.split(",")) - {"", *names}
+    if unknown:
+        raise InvalidRequest(f"rce bench: there is no {what} {', '.join(unknown)}: it is one of {', '.join(known)}")
+    return names
+
+
+KINDS = {
+    "map-service": large_recording,
+    "map": mapping,
+    "endless": endless,
+    "rtt": round_trips,
+    "overtake": overtaking,
+    "start": starting,
+}
 
 
 @asynccontextmanager
