@@ -26,6 +26,7 @@ class Rim:
     def __init__(self, state: State, store: Store, carrier: Carrier, sweep: Callable[[], None]) -> None:
         self.state = state
         self.carrier = carrier
+        self.listeners: list[Callable[[str, StatusData], None]] = []  # called with a user and what is told to them
         self._store = store
         self._sweep = sweep
         self._tasks: set[asyncio.Task[Any]] = set()
@@ -54,6 +55,9 @@ class Rim:
 
     def tell(self, user: str, status: StatusData | None = None, error: ErrorInfo | None = None) -> None:
         """A status or an error to all robots of a user; those without the feature `events` are spared."""
+        if status is not None:
+            for listener in self.listeners:
+                listener(user, status)
         for robot in self.state.robots.by(user):
             if robot.endpoint in self.state.joined:
                 self.carrier.carry([[Send(robot.endpoint, c.Tell(robot.name, status, error), robot.name)]])

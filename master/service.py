@@ -15,6 +15,7 @@ from master import graph, packages, presence, wiring
 from master.carrier import Carrier
 from master.depot import FETCH_PATH, Depot
 from master.effects import Plan, Send
+from master.events import Events
 from master.feed import Feed
 from master.gauges import Gauges
 from master.grants import digest
@@ -90,6 +91,8 @@ class Master:
         self.guard = Guard(self.users, self.state, self._rim.apply)
         self.gauges = Gauges(self.state, self._carrier, self.shown)
         self.feed = Feed(Sight(self.shown, self._carrier), self.gauges.watch)
+        self.events = Events(self.state)
+        self._rim.listeners.append(self.events.told)
         self._breaks = Pauses(LINK_RETRY_FIRST, LINK_RETRY_MOST, STEADY)
         self._away: dict[str, asyncio.Task[None]] = {}  # processes whose time to come back runs
         self._reopening: set[str] = set()  # links that broke before, until they are opened again
@@ -142,6 +145,7 @@ class Master:
         control.lost.add_done_callback(lambda _: self._lost(process, control))
         if process.name in self._away:
             self._away.pop(process.name).cancel()
+        self.events.process_moved(process, True)
         self._rim.apply(presence.joined(self.state, process, hello, ids))
         self.feed.sight.process_moved(process.name)
         self._drop_later(self.grace)
@@ -153,6 +157,7 @@ class Master:
             return  # it is back already
         del self._carrier.controls[process.name]
         log.info("{role} {name} is away", role=process.role, name=process.name)
+        self.events.process_moved(process, False)
         presence.left(self.state, process.name)
         self.feed.sight.process_moved(process.name)
         if process.name in self.state.processes:

@@ -9,6 +9,7 @@ import msgspec
 from msgspec import Meta, Struct
 from twisted.web.server import Request
 
+from master.api.streams import Stream
 from master.rights import Principal
 from rce.errors import InvalidRequest
 from rce.messages import decode_as
@@ -65,8 +66,8 @@ class Call(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """`body` goes out as JSON, a path as the file there, None not at all."""
+    """`body` goes out as JSON, a path as the file there, a stream as long as it goes on, None not at all."""
 
-    body: Struct | list[Any] | Path | None = None
+    body: Struct | list[Any] | Path | Stream | None = None
     status: int = 200
     headers: dict[str, str] = {}  # noqa: RUF012  # never changed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from master.api.environments import EnvironmentsApi
+from master.api.events import EventsApi
 from master.api.interfaces import InterfacesApi
 from master.api.live import Live
 from master.api.machines import MachinesApi
@@ -11,6 +12,7 @@ from master.api.robots import RobotsApi
 from master.api.ros import RosApi
 from master.api.router import Api
 from master.api.sockets import SocketResource
+from master.api.streams import Streams
 from master.depot import Depot
 from master.machines import Inviter
 from master.service import Master
@@ -23,5 +25,7 @@ def make_api(master: Master, depot: Depot, inviter: Inviter | None = None) -> Ap
         family(master).add_to(api)
     MachinesApi(master, inviter).add_to(api)
     PackagesApi(master, depot).add_to(api)
+    streams = Streams(master.guard)
+    EventsApi(master, streams).add_to(api)
     api.mount("/live", SocketResource(Live(master).listener))
     return api

@@ -21,6 +21,7 @@ from twisted.web.server import NOT_DONE_YET, Request
 from master.api.calls import Answer, Call
 from master.api.problems import MethodNotAllowed, UnsupportedMediaType, refuse, write
 from master.api.repeats import Handler, Repeats
+from master.api.streams import Stream
 from master.grants import KEY_PREFIX, digest
 from master.rights import Principal
 from master.users import Users
@@ -104,6 +105,8 @@ class Api(Resource):
         match answer.body:
             case Path() as path:
                 await _send(request, path)
+            case Stream() as stream:
+                await stream.run(request)
             case None:
                 request.finish()
             case body:

@@ -37,6 +37,25 @@ class Deltas(Struct, frozen=True, omit_defaults=True):
     drop: dict[Kind, list[str]] = {}
 
 
+EventType = Literal[
+    "missed",
+    "robot.came",
+    "robot.left",
+    "environment.ready",
+    "environment.failed",
+    "environment.lost",
+    "environment.gone",
+    "node.died",
+    "connection.made",
+    "connection.gone",
+    "limit.reached",
+    "machine.joined",
+    "machine.left",
+]
+"""`missed`: events before this one are not kept any more. An environment that did not start has `failed`, one that
+ended by itself is `lost`, and it is `gone` when nobody wants it any more."""
+
+
 class Event(Struct, frozen=True, omit_defaults=True):
     """Something that happened, as `/events` tells it: the `type` is the event's name, `id` its id.
 
@@ -45,20 +64,7 @@ class Event(Struct, frozen=True, omit_defaults=True):
 
     id: str
     time: float
-    type: Literal[
-        "robot.came",
-        "robot.left",
-        "environment.ready",
-        "environment.failed",
-        "environment.lost",
-        "environment.gone",
-        "node.died",
-        "connection.made",
-        "connection.gone",
-        "limit.reached",
-        "machine.joined",
-        "machine.left",
-    ]
+    type: EventType
     user: str  # whose it is; empty for a machine
     object: str
     text: str = ""  # for people: the reason

@@ -47,7 +47,12 @@ class Peer:
         self.lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.told: list[c.Call[Any]] = []
         self.refuse: dict[type[c.Call[Any]], RceError] = {}
-        self.answers: dict[type[c.Call[Any]], Any] = {c.Sync: c.Settled(), c.Describe: c.Definitions({})}
+        self.answers: dict[type[c.Call[Any]], Any] = {
+            c.Sync: c.Settled(),
+            c.Describe: c.Definitions({}),
+            c.CountTraffic: c.Traffic({}),
+            c.MeasureUsage: c.Usage({}),
+        }
         self._served = served
         self._hello = hello
 

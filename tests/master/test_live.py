@@ -118,11 +118,16 @@ async def test_each_sees_their_own(served: Served) -> None:
         await watcher.socket.close()
 
 
-async def test_what_is_measured_is_shown(served: Served) -> None:
+async def test_what_is_measured_is_shown(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     """The gauges measure while somebody watches, and say of what they have new figures."""
+
+    async def measure() -> dict[str, set[str]]:
+        return {}
+
     await served.master.execute("ann", m.CreateContainer("brain"))
     await served.master.execute("ann", m.AddInterface("r1", "in", "PublisherConverter", "std_msgs/String"))
     gauges = served.master.gauges
+    monkeypatch.setattr(gauges, "measure", measure)
     watcher = await watch(served, "ann")
     (changed,) = gauges._watchers
     served.master.shown.rates = {"ann/r1/in": Rate(2.5, 100.0, 3)}

@@ -1,0 +1,142 @@
+"""Events over HTTP: what happens is told with ids, and who was away goes on where it ended."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from served import Served, serve
+from twisted.internet.base import ReactorBase
+
+from master import events
+from rce import calls as c
+from rce import messages as m
+from rce.roles import Scopes
+
+
+@pytest.fixture
+async def served(reactor: ReactorBase, tmp_path: Path) -> AsyncIterator[Served]:
+    async with serve(reactor, tmp_path) as served:
+        await served.robot("ann", "r1")
+        yield served
+
+
+class Follower:
+    """A client of server-sent events."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._reader = reader
+        self._writer = writer
+
+    async def next(self) -> Any:
+        """The next event's data, with its id and name checked; None at the end."""
+        fields: dict[str, str] = {}
+        while (line := await asyncio.wait_for(self._reader.readline(), 20)) != b"0\r\n":  # the last chunk
+            name, colon, value = line.decode().strip().partition(": ")
+            if colon:
+                fields[name] = value
+            if "data" in fields:
+                data = json.loads(fields["data"])
+                assert fields.get("event", "") in ("error", data.get("type"))
+                assert fields.get("id", "") == data.get("id", "")
+                return data
+        return None
+
+    async def types(self, count: int) -> list[str]:
+        return [(await self.next())["type"] for _ in range(count)]
+
+    async def close(self) -> None:
+        self._writer.close()
+        await self._writer.wait_closed()
+
+
+async def follow(served: Served, path: str, user: str, scopes: Scopes | None = None, **headers: str) -> Follower:
+    role: Any = "robot" if scopes else {"olga": "operator", "ann": "user", "bob": "user"}[user]
+    secret, _ = await served.master.users.add_key(user, role, scopes=scopes or Scopes())
+    reader, writer = await asyncio.open_connection("127.0.0.1", served.port)
+    lines = [f"GET /api/v1{path} HTTP/1.1", "Host: x", f"Authorization: Bearer {secret}"]
+    lines += [f"{name.replace('_', '-')}: {value}" for name, value in headers.items()]
+    writer.write(("\r\n".join(lines) + "\r\n\r\n").encode())
+    assert b"200" in await asyncio.wait_for(reader.readline(), 20)
+    while await asyncio.wait_for(reader.readline(), 20) != b"\r\n":
+        pass
+    return Follower(reader, writer)
+
+
+async def test_what_happens_is_told(served: Served) -> None:
+    follower = await follow(served, "/events", "ann")
+    run = served.master.execute
+    await run("bob", m.CreateContainer("other"))
+    await run("ann", m.CreateContainer("brain", m.ContainerData(restart="no")))
+    ready = await follower.next()
+    assert (ready["type"], ready["user"], ready["object"]) == ("environment.ready", "ann", "ann/brain")
+    await run("ann", m.AddNode("brain", "n", "demo", "talker"))
+    await served.said("ann/brain", c.NodeDied("n", -11, ["Segmentation fault"]))
+    died = await follower.next()
+    assert (died["type"], died["object"], died["status"]) == ("node.died", "ann/brain/n", -11)
+    assert died["lines"] == ["Segmentation fault"]
+    await run("ann", m.AddInterface("brain", "out", "SubscriberInterface", "std_msgs/String"))
+    await run("ann", m.AddInterface("r1", "in", "PublisherConverter", "std_msgs/String"))
+    await run("ann", m.Connect("brain/out", "r1/in"))
+    life = served.master.state.environments["ann/brain"].run
+    await served.said("m1", c.LimitReached("ann/brain", life, "out of memory"))
+    await served.master.disconnect("ann/r1", "")
+    assert await follower.types(4) == ["connection.made", "limit.reached", "connection.gone", "robot.left"]
+    await served.said("m1", c.EnvironmentDied("ann/brain", life, "ended with status 1"))
+    assert await follower.types(2) == ["environment.gone", "environment.lost"]
+    await follower.close()
+
+
+async def test_who_was_away_goes_on_where_it_ended(served: Served) -> None:
+    first = await follow(served, "/events?type=environment", "ann")
+    for tag in ("a", "b", "c"):
+        await served.master.execute("ann", m.CreateContainer(tag))
+    last = (await first.next())["id"]
+    await first.close()
+    second = await follow(served, "/events?type=environment.ready", "ann", Last_Event_ID=last)
+    assert [(await second.next())["object"] for _ in range(2)] == ["ann/b", "ann/c"]
+    await second.close()
+    third = await follow(served, "/events", "ann", Last_Event_ID="0badcafe-7")  # of another life of the Master
+    assert await third.types(3) == ["missed", "robot.came", "environment.ready"]
+    await third.close()
+
+
+async def test_events_that_are_not_kept_any_more(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(events, "KEPT", 3)
+    follower = await follow(served, "/events", "ann")
+    log = served.master.events
+    reading = log.follow(log.position(""))
+    for tag in ("a", "b", "c", "d", "e"):
+        log.told("ann", m.EnvironmentEvent(tag, "ready"))
+    seen = [await anext(reading) for _ in range(4)]
+    assert [each.object for each in seen] == ["", "ann/c", "ann/d", "ann/e"]
+    assert seen[0].type == "missed"
+    log.told("ann", m.EnvironmentEvent("f", "ready"))
+    assert (await anext(reading)).object == "ann/f"
+    await reading.aclose()  # type: ignore[attr-defined]
+    await follower.close()
+
+
+async def test_each_hears_of_their_own(served: Served) -> None:
+    bob, tied = await follow(served, "/events?user=*", "bob"), Scopes(robot="r9", environments=["b"])
+    olga, key = await follow(served, "/events?user=*", "olga"), await follow(served, "/events", "ann", tied)
+    for user, tag in (("ann", "a"), ("ann", "b"), ("bob", "c")):
+        await served.master.execute(user, m.CreateContainer(tag))
+    await served.process("container", "m2", capacity=1)
+    assert (await bob.next())["object"] == "bob/c"
+    assert (await key.next())["object"] == "ann/b"
+    assert [(await olga.next())["object"] for _ in range(4)] == ["ann/a", "ann/b", "bob/c", "m2"]
+    for follower in (bob, olga, key):
+        await follower.close()
+
+
+async def test_void_credentials_end_it(served: Served) -> None:
+    follower = await follow(served, "/events", "ann")
+    (key,) = await served.master.users.keys.of("ann")
+    await served.master.guard.revoke_key("ann", key.id)
+    assert await follower.next() is None
+    await follower.close()
