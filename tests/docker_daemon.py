@@ -40,8 +40,11 @@ def docker_daemon() -> Iterator[str]:
 
 
 @contextmanager
-def private_daemon(directory: Path, namespace: str = "") -> Iterator[str]:
-    """A daemon that ends with the block. In a network namespace it uses the packet filter, which is of that alone."""
+def private_daemon(directory: Path, namespace: str = "", beside: int = 0) -> Iterator[str]:
+    """A daemon that ends with the block. In a network namespace it uses the packet filter, which is of that alone.
+
+    After one that was killed it takes the mounts of that from a process which lives on, `beside`.
+    """
     host = f"unix://{directory}/docker.sock"
     words = [
         "dockerd",
@@ -51,7 +54,7 @@ def private_daemon(directory: Path, namespace: str = "") -> Iterator[str]:
         f"--pidfile={directory}/pid",
     ]
     if namespace:  # with a /run of its own, else Docker takes the containerd and the locks of another daemon
-        words = [*_in(namespace), *words, "--bridge=none"]
+        words = [*_in(namespace, beside), *words, "--bridge=none"]
     else:  # where a containerd runs already, this daemon shares it
         words += [f"--containerd{part}-namespace=rce-test-{os.getpid()}{part}" for part in ("", "-plugins")]
         words += NOTHING_OF_THE_HOSTS
@@ -74,7 +77,7 @@ def private_daemon(directory: Path, namespace: str = "") -> Iterator[str]:
         daemon.terminate()
         daemon.wait(60)
         for mount in (directory / "exec" / "netns").glob("*"):  # it leaves them, and they cannot be removed
-            subprocess.run(["umount", str(mount)], check=False)
+            subprocess.run(["umount", str(mount)], check=False, stderr=subprocess.DEVNULL)
 
 
 def linked_images(api: docker.APIClient, data: Path) -> bool:
@@ -96,9 +99,12 @@ def copy_image(source: docker.APIClient, target: docker.APIClient, tag: str) -> 
         pass  # it is loaded when all has been said
 
 
-def _in(namespace: str) -> list[str]:
+def _in(namespace: str, beside: int) -> list[str]:
+    enter = ["nsenter", f"--net=/run/netns/{namespace}"]
+    if beside:
+        return [*enter, f"--mount=/proc/{beside}/ns/mnt"]
     script = 'mount -t tmpfs none /run && mkdir -p /run/docker && exec "$@"'
-    return ["nsenter", f"--net=/run/netns/{namespace}", "unshare", "--mount", "sh", "-c", script, "sh"]
+    return [*enter, "unshare", "--mount", "sh", "-c", script, "sh"]
 
 
 def _answers(host: str) -> bool:

@@ -26,12 +26,13 @@ STOP_TIMEOUT = 60.0
 
 @dataclass(frozen=True)
 class Host:
-    """A machine: where it is reached, and how a command is run there."""
+    """A machine: where it is reached, how a command is run there, and its Docker's address."""
 
     name: str
     address: str = "127.0.0.1"
     entered_by: tuple[str, ...] = ()
     tls: Path | None = None
+    docker: str = ""
 
     def tls_words(self) -> list[str]:
         return [f"--tls={self.tls}"] if self.tls else []
@@ -53,6 +54,8 @@ class Program:
         """Started again without words, it gets those of before."""
         self._words = words or self._words
         environment = {**os.environ, ("RCE_TOKENS" if self.kind == "master" else "RCE_TOKEN"): self._token}
+        if self.host.docker:
+            environment["DOCKER_HOST"] = self.host.docker
         command = [*self.host.entered_by, sys.executable, "-P", "-m", MODULES[self.kind], *self._words]
         with self.log.open("a") as log:
             self.process = await asyncio.create_subprocess_exec(

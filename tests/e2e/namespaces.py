@@ -33,7 +33,7 @@ class Network:
         _ip("addr", "add", f"{self.host}/24", "dev", self._bridge)
         _ip("link", "set", self._bridge, "up")
         for name in self._names:
-            space, port = self._space(name), self._port(name)
+            space, port = self.space(name), self._port(name)
             _ip("netns", "add", space)
             _ip("link", "add", port, "type", "veth", "peer", "name", "eth0", "netns", space)
             _ip("link", "set", port, "master", self._bridge, "up")
@@ -47,13 +47,13 @@ class Network:
         self._let_through("-D")
         for name in self._names:
             self.kill(name)
-            _ip("netns", "del", self._space(name), check=False)
+            _ip("netns", "del", self.space(name), check=False)
             _ip("link", "del", self._port(name), check=False)
         _ip("link", "del", self._bridge, check=False)
 
     def entered_by(self, name: str) -> tuple[str, ...]:
         """What to put before a command that shall run on this machine."""
-        return (TOOL, "netns", "exec", self._space(name))
+        return (TOOL, "netns", "exec", self.space(name))
 
     def cut(self, name: str) -> None:
         """Pull the machine's plug to the network."""
@@ -64,7 +64,7 @@ class Network:
 
     def pids(self, name: str) -> list[int]:
         """The processes on this machine."""
-        return [int(pid) for pid in _ip("netns", "pids", self._space(name), check=False).split()]
+        return [int(pid) for pid in _ip("netns", "pids", self.space(name), check=False).split()]
 
     def kill(self, name: str) -> None:
         """SIGKILL all that runs on this machine."""
@@ -72,7 +72,8 @@ class Network:
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
 
-    def _space(self, name: str) -> str:
+    def space(self, name: str) -> str:
+        """The name of its network namespace."""
         return f"{self._bridge}-{name}"
 
     def _port(self, name: str) -> str:

@@ -30,7 +30,9 @@ E = TypeVar("E")
 class Traffic:
     """A robot that sends numbers to a node in its environment and gets them back, 50 a second."""
 
-    def __init__(self, robot: Robot, environment: Environment) -> None:
+    def __init__(self, robot: Robot, environment: Environment, own_types: bool = True) -> None:
+        """Without types of its own there are no parameters to ask for."""
+        self._own_types = own_types
         self.robot = robot
         self.environment = environment
         self.sent: dict[int, float] = {}
@@ -40,11 +42,10 @@ class Traffic:
     async def start(self) -> None:
         environment = self.environment
         await environment.set_parameter("str", environment.tag)
-        await asyncio.gather(
-            environment.add_node("relay", "Relay", "relay.py", args=STRING),
-            environment.add_node("parameters", "Test", "paramTest.py"),
-        )
-        self.parameters = await environment.service_client("/parameterTest", "Test/ParameterTest")
+        await environment.add_node("relay", "Relay", "relay.py", args=STRING)
+        if self._own_types:
+            await environment.add_node("parameters", "Test", "paramTest.py")
+            self.parameters = await environment.service_client("/parameterTest", "Test/ParameterTest")
         self._heard = await environment.subscriber("/out_String", STRING, callback=self._hear, depth=1000, qos=DEEP)
         self._said = await environment.publisher("/in_String", STRING, qos=DEEP)
         self._task = asyncio.create_task(self._send())
