@@ -21,7 +21,10 @@ from twisted.logger import Logger
 from containers.data_relay import GATE, DataRelay
 from containers.docker_daemon import RUN, describe
 from containers.docker_events import Event
+from containers.docker_networks import Networks
 from containers.engine import LAST_LINES
+from containers.fetching import Fetcher
+from containers.furnishing import Furnisher
 from containers.logfile import LONGEST_LINE
 from containers.relay import Relay
 from containers.swarm_agents import ROLE
@@ -34,15 +37,17 @@ from rce.calls import (
     ClearRun,
     ContainerEnded,
     Hello,
+    KnowGroup,
     KnowRelays,
     MeasureUsage,
     NodeReport,
     Nothing,
+    Unfit,
     Usage,
     Welcome,
 )
 from rce.control import Handlers, MasterLink
-from rce.errors import RceError, Unavailable
+from rce.errors import RceError, StartFailed, Unavailable
 from rce.settings import load_or_exit
 from rce.tls import load
 
@@ -62,6 +67,11 @@ class Settings(Struct, frozen=True):
     directory: Annotated[str, Meta(description="directory of the task set")]
     tls: Annotated[Path | None, Meta(description="directory with ca.pem, cert.pem and key.pem of this node")] = None
     data_port: Annotated[int, Meta(description="port for data links; 0 takes a free one")] = 0
+    entry: Annotated[str, Meta(description="URL of the Master's HTTP entry; empty: on the host of `master`")] = ""
+    egress_pool: Annotated[str, Meta(description="network of which environments that reach out get a /30")] = (
+        "10.127.0.0/16"
+    )
+    nameservers: Annotated[list[str], Meta(description="whom such environments ask for names")] = []
 
 
 @dataclass
@@ -80,29 +90,38 @@ class Agent:
         self._docker = NodeDaemon(self._labels)
         self._tls = load(settings.tls)
         self._data_relay = DataRelay(self._tls)
+        self._networks = Networks(self._docker.ask, self._labels, settings.egress_pool, settings.nameservers)
         self._served: dict[str, _Served] = {}  # by run
+        self._furnishing: dict[str, asyncio.Task[None]] = {}  # by run
         self._dead: set[str] = set()  # runs that Docker says are dead: its list says so a moment later
         self._told: set[str] = set()  # runs whose end the task set knows of
         self._report: NodeReport | None = None
+        self._present: set[str] = set()  # names of which a container was here at the last look
+        self._guard = False
         self._happening = asyncio.Event()
         handlers = Handlers()
         handlers.on(ClearRun, self._clear)
         handlers.on(KnowRelays, self._know)
         handlers.on(MeasureUsage, self._measure)
+        handlers.on(KnowGroup, self._know_group)
         self._link = MasterLink(reactor, settings.task_set, self._hello, handlers, self._welcomed, self._tls)
+        fetcher = Fetcher(self._link, settings.master, settings.entry, self._tls)
+        self._furnisher = Furnisher(self._docker, self._labels, self._networks, fetcher)
 
     async def run(self) -> None:
         """Until it is cancelled, or the task set refuses it."""
-        address = await self._docker.follow(self._happened, self._happening.set)
+        address = await self._docker.follow(self._happened, self._taken_up)
+        await self._networks.recover()
         await self._data_relay.listen(address, self._settings.data_port)
         watching = asyncio.create_task(self._watch())
         joined = asyncio.create_task(self._link.run())
         try:
             await asyncio.wait({watching, joined}, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            for task in (watching, joined):
+            under_way = {watching, joined, *self._furnishing.values()}
+            for task in under_way:
                 task.cancel()
-            await asyncio.wait({watching, joined})
+            await asyncio.wait(under_way)
             self._docker.close()
             await self._data_relay.close()
         for task in (watching, joined):
@@ -123,6 +142,11 @@ class Agent:
             self._dead.add(event["Actor"]["Attributes"][RUN])
         self._happening.set()
 
+    def _taken_up(self) -> None:
+        """Docker was away, or is there for the first time."""
+        self._guard = True
+        self._happening.set()
+
     # --- what is here -------------------------------------------------------------------------------------------------
 
     async def _watch(self) -> None:
@@ -137,12 +161,19 @@ class Agent:
                 self._happening.set()
 
     async def _look(self) -> None:
+        if self._guard:
+            await self._networks.guard()
+            self._guard = False
         tasks = await self._docker.tasks()
         self._dead &= {task.run for task in tasks}
+        self._told &= {task.run for task in tasks}
+        for name in self._present - {task.name for task in tasks}:
+            await self._networks.leave(name)
+        self._present = {task.name for task in tasks}
         running = {task.run: task for task in tasks if task.running and task.run not in self._dead}
         for task in running.values():
-            if task.run not in self._served:
-                await self._serve(task)
+            if task.run not in self._served and task.run not in self._furnishing and task.run not in self._told:
+                self._furnishing[task.run] = asyncio.create_task(self._furnish(task))
         for run in [run for run in self._served if run not in running]:
             self._serve_no_more(run)
         for task in tasks:
@@ -150,23 +181,38 @@ class Agent:
                 await self._tell_end(task)
         await self._docker.sweep({task.run for task in tasks})
         report = NodeReport(
-            sorted(running), await self._docker.images(), _protected(), self._data_relay.address.removeprefix("relay:")
+            sorted(self._served),
+            await self._docker.images(),
+            _protected(),
+            self._data_relay.address.removeprefix("relay:"),
         )
         if report != self._report and self._link.connected:
             await self._tell(report)
             self._report = report
 
+    async def _furnish(self, task: Task) -> None:
+        """Give an environment what it needs, and open its way to the Master."""
+        try:
+            await self._furnisher.furnish(task)
+            await self._serve(task)
+        except (RceError, OSError) as error:
+            if task.run not in self._dead:
+                self._told.add(task.run)
+                reason = error if isinstance(error, RceError) else StartFailed(str(error))
+                log.warn("{name} cannot be served: {error}", name=task.name, error=str(error))
+                await self._tell(Unfit(task.run, reason.info))
+        finally:
+            del self._furnishing[task.run]
+            self._happening.set()
+
     async def _serve(self, task: Task) -> None:
         names = Names.of(self._labels, task.name, task.run)
-        served = self._served[task.run] = _Served(task.name, Relay(self._reactor, self._settings.master, self._tls))
         control, sockets = await self._docker.volume(names.control), await self._docker.volume(names.sockets)
-        try:
-            await self._data_relay.admit(task.name, sockets / names.places.socket.name, control)
-            (control / GATE).with_suffix(".address").write_text(self._data_relay.address)
-            await served.relay.open(control)  # last: who has reached the Master says where it is reached itself
-        except OSError as error:
-            log.warn("{name} is not served: {error}", name=task.name, error=str(error))  # it has just ended
-            self._serve_no_more(task.run)
+        relay = Relay(self._reactor, self._settings.master, self._tls)
+        await self._data_relay.admit(task.name, sockets / names.places.socket.name, control)
+        self._served[task.run] = _Served(task.name, relay)
+        (control / GATE).with_suffix(".address").write_text(self._data_relay.address)
+        await relay.open(control)  # last: who has reached the Master says where it is reached itself
 
     def _serve_no_more(self, run: str) -> None:
         served = self._served.pop(run, None)
@@ -187,11 +233,16 @@ class Agent:
 
     async def _clear(self, call: ClearRun) -> Cleared:
         self._told.add(call.run)
-        found = call.run in {task.run for task in await self._docker.tasks()}
+        names = [task.name for task in await self._docker.tasks() if task.run == call.run]
+        if call.run in self._furnishing:
+            self._furnishing[call.run].cancel()
+            await asyncio.wait({self._furnishing[call.run]})
         await self._docker.remove_all(f"{RUN}={call.run}")
         self._serve_no_more(call.run)
+        for name in names:
+            await self._networks.leave(name)
         await self._docker.sweep({task.run for task in await self._docker.tasks()})
-        return Cleared(found)
+        return Cleared(bool(names))
 
     async def _know(self, call: KnowRelays) -> Nothing:
         self._data_relay.know(call.relays)
@@ -199,6 +250,10 @@ class Agent:
 
     async def _measure(self, _: MeasureUsage) -> Usage:
         return Usage(await self._docker.usage())
+
+    async def _know_group(self, call: KnowGroup) -> Nothing:
+        await self._furnisher.know(call.name, call.members, await self._docker.tasks())
+        return Nothing()
 
     async def _tell(self, call: Call[Any]) -> None:
         try:

@@ -147,7 +147,8 @@ class DockerEngine(Engine):
         """What goes over data links is held to the bandwidth by those who take it."""
         if spec.options.bandwidth and networks:
             process = await self._daemon.process(spec.run)
-            await asyncio.to_thread(shaping.shape, process, networks, spec.options.bandwidth)
+            devices = [f"eth{number}" for number in range(networks)]
+            await asyncio.to_thread(shaping.shape, process, devices, spec.options.bandwidth)
 
     async def _disk(self, spec: EnvironmentSpec) -> docker_disks.Disk | None:
         if not spec.options.disk:

@@ -41,6 +41,11 @@ def check(size: int) -> None:
             f"this machine has no {', '.join(lacking)} to make a disk with: apt-get install e2fsprogs mount",
             field="containerData.disk",
         )
+    check_size(size)
+
+
+def check_size(size: int) -> None:
+    """InvalidRequest for less than a file system needs."""
     if size < SMALLEST:
         raise InvalidRequest(f"disk {size} is less than the smallest, {SMALLEST}", field="containerData.disk")
 

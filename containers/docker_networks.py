@@ -186,7 +186,7 @@ class Networks:
     # --- in threads ---------------------------------------------------------------------------------------------------
 
     def _present(self, api: docker.APIClient) -> list[Network]:
-        return [_read(each) for each in api.networks(filters=self._filters)]
+        return [_read(each) for each in api.networks(filters={**self._filters, "driver": "bridge"})]
 
     def _memberships(self, api: docker.APIClient) -> list[tuple[str, str]]:
         labels = [each["Labels"] for each in api.containers(all=True, filters=self._filters)]

@@ -143,7 +143,7 @@ def walls(
         "ulimits": [Ulimit(name="nofile", soft=OPEN_FILES, hard=OPEN_FILES), Ulimit(name="core", soft=0, hard=0)],
         "log_config": LogConfig(type=LogConfig.types.JSON, config={"max-size": LOG_SIZE, "max-file": "2"}),
         "restart_policy": {"Name": "no"},
-        **_rates(granted.io, disk, machine),
+        **rates(granted.io, disk, machine),
     }
     if granted.gpus:
         config["device_requests"] = [DeviceRequest(device_ids=granted.gpus, capabilities=[["gpu"]])]
@@ -157,7 +157,7 @@ def _mounted(disk: Disk, synchronous: bool) -> Mount:
     return Mount(HOME, None, type="volume", no_copy=True, driver_config=driver)
 
 
-def _rates(io: Rates, disk: Disk | None, machine: Machine) -> dict[str, list[dict[str, Any]]]:
+def rates(io: Rates, disk: Disk | None, machine: Machine) -> dict[str, list[dict[str, Any]]]:
     """Reads from the image count as well as those from the disk; it is read-only."""
     own = [disk.device] if disk else []
     read = [{"Path": device, "Rate": io.read} for device in (*own, machine.ground) if device and io.read]

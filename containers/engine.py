@@ -9,15 +9,15 @@ from __future__ import annotations
 import asyncio
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Coroutine, Iterable
+from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterable
 from typing import NamedTuple
 from weakref import WeakValueDictionary
 
 from msgspec import Struct
 from twisted.logger import Logger
 
-from rce.calls import EnvironmentSpec, Used
-from rce.errors import InvalidRequest, NoCapacity, RceError, StartFailed, Unavailable
+from rce.calls import EnvironmentSpec, Ticket, Used
+from rce.errors import InvalidRequest, NoCapacity, NotFound, RceError, StartFailed, Unavailable
 from rce.names import check_tag
 
 log = Logger()
@@ -55,8 +55,12 @@ class Engine(ABC):
     A caller may not assume that an environment still runs when `start` returns (it may have ended since: `ended` is
     told), nor that its endpoint has joined the Master.
 
+    `on_limit` is the task set's to set, and `ticket`, by which an engine with `fetches` gets the package of a digest.
+
     A subclass implements `launch`, `remove`, `recover`, `last_lines`, `usage` and `release`, and calls `died`.
     """
+
+    fetches = False  # whether it brings users' packages to environments itself
 
     def __init__(self, capacity: int, features: Collection[str], ended: Callable[[Ended], None]) -> None:
         """`ended` is called after all that the environment left is removed; never for one that was told to stop."""
@@ -64,6 +68,7 @@ class Engine(ABC):
         self.gpus = 0
         self.features = frozenset(features)
         self.on_limit: Callable[[str, str, str], None] = lambda name, run, reason: None
+        self.ticket: Callable[[str], Awaitable[Ticket]] = _no_ticket
         self._ended = ended
         self._lives: dict[str, Life] = {}
         self._starts: list[_Start] = []
@@ -274,6 +279,10 @@ class Engine(ABC):
         self._tasks.discard(task)
         if not task.cancelled() and (error := task.exception()) and not isinstance(error, RceError):
             log.error("defect in an engine: {error!r}", error=error)
+
+
+async def _no_ticket(digest: str) -> Ticket:
+    raise NotFound(f"there is no Master to ask for package {digest}")
 
 
 def _check_name(name: str) -> None:

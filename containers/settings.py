@@ -41,11 +41,11 @@ class Settings(Struct, frozen=True):
         str, Meta(description="swarm engine: where the agents reach this task set; empty: the manager's address")
     ] = ""
     egress_pool: Annotated[
-        str, Meta(description="docker engine: network of which each environment that may reach out gets a /30")
+        str, Meta(description="docker and swarm: network of which each environment that may reach out gets a /30")
     ] = "10.127.0.0/16"
     nameservers: Annotated[
         list[str],
-        Meta(description="docker engine: whom such environments ask for names; empty: 1.1.1.1 and 9.9.9.9"),
+        Meta(description="docker and swarm: whom such environments ask for names; empty: 1.1.1.1 and 9.9.9.9"),
     ] = []
     mounts: Annotated[
         list[str], Meta(description="docker and swarm: directories that every environment sees, and none writes to")

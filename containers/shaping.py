@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 
 from rce.errors import InvalidRequest, StartFailed
@@ -33,11 +34,17 @@ def check() -> None:
         )
 
 
-def shape(process: int, devices: int, rate: int) -> None:
-    """Hold each of the first `devices` networks of a container to `rate` bytes a second. Blocks. StartFailed."""
+def devices(process: int) -> list[str]:
+    """The networks of a container, by its first process."""
+    lines = Path(f"/proc/{process}/net/dev").read_text().splitlines()[2:]
+    return [name for line in lines if (name := line.partition(":")[0].strip()) != "lo"]
+
+
+def shape(process: int, devices: Sequence[str], rate: int) -> None:
+    """Hold each of these networks of a container to `rate` bytes a second. Blocks. StartFailed."""
     burst = max(LEAST_BURST, rate // 50)
-    for number in range(devices):
-        words = ["qdisc", "replace", "dev", f"eth{number}", "root", "tbf"]
+    for device in devices:
+        words = ["qdisc", "replace", "dev", device, "root", "tbf"]
         words += ["rate", f"{min(rate, MOST)}bps", "burst", str(burst), "latency", f"{LATENCY}ms"]
         inside = ["nsenter", f"--net=/proc/{process}/ns/net", shutil.which("tc", path=PATH) or "tc"]
         done = subprocess.run([*inside, *words], capture_output=True, text=True)

@@ -19,7 +19,19 @@ from twisted.internet.interfaces import IListeningPort
 from twisted.logger import Logger
 
 from rce import control
-from rce.calls import ClearRun, ContainerEnded, Hello, KnowRelays, MeasureUsage, NodeReport, Nothing, Used, Welcome
+from rce.calls import (
+    Call,
+    ClearRun,
+    Group,
+    Hello,
+    KnowGroup,
+    KnowRelays,
+    MeasureUsage,
+    NodeReport,
+    Nothing,
+    Used,
+    Welcome,
+)
 from rce.control import Control, Handlers
 from rce.errors import Lost, RceError, Unauthorized
 from rce.tls import Tls
@@ -64,13 +76,13 @@ class _Agent:
 class Agents:
     """Takes agents that know `secret`, one for each node.
 
-    `reported` is called with the node whenever an agent says what is there, `ended` with what an agent says of an end.
+    `reported` is called with the node whenever an agent says what is there; `handlers` answer all else that agents say.
     """
 
-    def __init__(self, secret: str, reported: Callable[[str], None], ended: Callable[[ContainerEnded], None]) -> None:
+    def __init__(self, secret: str, reported: Callable[[str], None], handlers: Callable[[Handlers], None]) -> None:
         self._secret = secret
         self._reported = reported
-        self._ended = ended
+        self._handlers = handlers
         self._agents: dict[str, _Agent] = {}
         self._changed = asyncio.Event()
         self._port: IListeningPort | None = None
@@ -159,6 +171,12 @@ class Agents:
         self._others = list(relays)
         self._introduce()
 
+    async def introduce(self, group: Group) -> None:
+        """Tell all agents who is in a group."""
+        call = KnowGroup(group.name, group.members)
+        joined = [agent.control for agent in self._agents.values() if agent.control is not None]
+        await asyncio.gather(*(_tell(each, call) for each in joined))
+
     # --- for rce.control ----------------------------------------------------------------------------------------------
 
     async def join(self, hello: Hello, address: str) -> tuple[Welcome, Handlers, Callable[[Control], None]]:
@@ -172,12 +190,8 @@ class Agents:
             self._told(agent)
             return Nothing()
 
-        async def ended(call: ContainerEnded) -> Nothing:
-            self._ended(call)
-            return Nothing()
-
         handlers.on(NodeReport, report)
-        handlers.on(ContainerEnded, ended)
+        self._handlers(handlers)
         return Welcome(""), handlers, lambda joined: self._joined(agent, joined)
 
     def _joined(self, agent: _Agent, joined: Control) -> None:
@@ -211,8 +225,8 @@ class Agents:
                 task.add_done_callback(self._telling.discard)
 
 
-async def _tell(agent: Control, call: KnowRelays) -> None:
+async def _tell(agent: Control, call: Call[Nothing]) -> None:
     try:
         await agent.call(call)
-    except RceError as error:
-        log.info("an agent was not told of the relays: {error}", error=str(error))  # it is when it joins again
+    except RceError as error:  # what it must know it is told when it joins again
+        log.info("an agent did not hear {call}: {error}", call=type(call).__name__, error=str(error))

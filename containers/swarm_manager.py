@@ -17,10 +17,9 @@ from containers.docker_daemon import RUN, SIZE
 from containers.docker_events import Event, Events
 from containers.docker_networks import ENVIRONMENT, GROUP
 from containers.docker_options import Size
-from containers.swarm_spec import GPU
+from containers.swarm_spec import AGENT, GPU, swarms_half
 from rce.errors import InvalidRequest, NoCapacity, StartFailed, TimedOut, Unavailable
 
-AGENT = "rce.agent"  # label of the agents' service
 API = "1.41"  # of Docker 20.10: services without capabilities, with limits of processes and open files
 OUTSIDE = "host"
 LOOK_EVERY = 0.05  # seconds between looks at a task that starts or ends: Swarm has no events of tasks
@@ -67,7 +66,7 @@ class Manager(Asked):
         self._filter = [f"{key}={value}" for key, value in labels.items()]
         self._events: Events | None = None
         self.address = ""
-        self.volumes = ""
+        self.root = ""
 
     async def connect(self, happened: Callable[[Event], None], taken_up: Callable[[], None]) -> None:
         """Find the daemon and follow what happens to nodes; see `Events`. Unavailable if it is no manager."""
@@ -78,7 +77,7 @@ class Manager(Asked):
         if not version_gte(self._api.api_version, API):
             raise Unavailable(f"the swarm engine needs Docker 20.10 or later, here is {info['ServerVersion']}")
         self.address = info["Swarm"]["NodeAddr"]
-        self.volumes = f"{info['DockerRootDir']}/volumes"
+        self.root = str(info["DockerRootDir"])
         self._events = Events(self._api, {"type": "node", "event": ["update", "create", "remove"]}, happened, taken_up)
         self._events.start()
 
@@ -178,7 +177,10 @@ class Manager(Asked):
             raise StartFailed(f"environment {labels[ENVIRONMENT]} did not start: {said(error)}") from None
 
     def _make_network(self, network: Network) -> None:
-        ipam = IPAMConfig(pool_configs=[IPAMPool(subnet=network.subnet)]) if network.subnet else None
+        ipam = None
+        if network.subnet:
+            pool = IPAMPool(subnet=network.subnet, iprange=str(swarms_half(network.subnet)))
+            ipam = IPAMConfig(pool_configs=[pool])
         if not network.subnet or not self._api.networks(names=[network.name]):
             self._api.create_network(
                 network.name, driver="overlay", internal=True, labels=self._labels, scope="swarm", ipam=ipam

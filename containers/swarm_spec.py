@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from ipaddress import IPv4Address, IPv4Network
 from pathlib import Path
 from typing import Any
 
+import msgspec
 from msgspec import Struct
+from msgspec.structs import replace
 
-from containers.docker_networks import NO_NAMESERVER
+from containers import docker_disks
+from containers.docker_networks import EGRESS, NO_NAMESERVER
 from containers.docker_options import (
     CONTROL,
     HOME,
@@ -23,12 +27,16 @@ from containers.docker_options import (
     Places,
     variables,
 )
+from containers.packages import package_path, places
 from rce.calls import EnvironmentSpec
 from rce.errors import InvalidRequest
-from rce.messages import Rates
+from rce.messages import ContainerData
 from rce.tls import Tls
 
 Spec = dict[str, Any]
+AGENT, SPEC = "rce.agent", "rce.spec"  # labels: of the agents' service and tasks; what an environment's agent must know
+PACKAGES = "/run/rce-packages"  # where a container sees its users' packages
+LONGEST_HOSTNAME = 63
 SOCKETS = "/run/rce-user"  # where a container sees the sockets of its user's environments on its node
 STOP_TIMEOUT = 12  # seconds; the endpoint stops its nodes in less
 SOCKETS_SIZE, SOCKETS_INODES = 64 * 1024, 1000
@@ -41,11 +49,15 @@ NANO = 1_000_000_000
 
 class AgentService(Struct, frozen=True):
     """How the agents are made. `address` is where they reach this task set; empty: that of the manager's node.
-    `data_port` is where they take data links from other machines; 0: any that is free."""
+    `data_port` is where they take data links from other machines; 0: any that is free. `entry` is as `Fetcher` has it;
+    networks that lead out are of `egress_pool` on each node, and ask `nameservers`."""
 
     image: str
     address: str = ""
     data_port: int = 0
+    entry: str = ""
+    egress_pool: str = "10.127.0.0/16"
+    nameservers: Sequence[str] = ("1.1.1.1", "9.9.9.9")
     mounts: Sequence[str] = ()
     command: Sequence[str] = ("python3", "-P", "-m", "containers.agent")
 
@@ -73,6 +85,16 @@ class Names(Struct, frozen=True):
         return f"rce-{self.run}-home"
 
     @property
+    def packages(self) -> str:
+        """The volume with the users' packages that its agent has fetched."""
+        return f"rce-{self.run}-packages"
+
+    @property
+    def disk(self) -> str:
+        """The volume with the file behind its disk, which it does not see itself."""
+        return f"rce-{self.run}-disk"
+
+    @property
     def sockets(self) -> str:
         """The volume, in memory, that the user's environments on one node share."""
         return f"rce-{self.owner}-sockets"
@@ -84,28 +106,34 @@ class Names(Struct, frozen=True):
 
 
 def check(spec: EnvironmentSpec) -> None:
-    """InvalidRequest for what services of a swarm do not have."""
-    asked = {name: getattr(spec.options, name) for name in ("disk", "bandwidth", "packages", "groupIP", "groupIp")}
-    asked["egress"] = spec.egress if spec.egress != "none" else ""
-    asked["io"] = spec.options.io if spec.options.io != Rates() else None
-    for field in [field for field, value in asked.items() if value]:
+    """InvalidRequest for what cannot be had on any node."""
+    if spec.options.disk:
+        docker_disks.check_size(spec.options.disk)
+    if spec.group is not None and IPv4Address(spec.group.address) in swarms_half(spec.group.subnet):
         raise InvalidRequest(
-            f"environment {spec.name}: the swarm engine has no {field}; use docker", field=f"containerData.{field}"
+            f"environment {spec.name}: in a swarm {spec.group.address} is not free: Docker takes the upper half of a "
+            "group's network for itself; give an address of the lower",
+            field="containerData.groupIP",
         )
+
+
+def swarms_half(subnet: str) -> IPv4Network:
+    """The part of a group's network in which Swarm gives each task an address, that its agent then replaces."""
+    return list(IPv4Network(subnet).subnets(prefixlen_diff=1))[1]
+
+
+def needs(spec: EnvironmentSpec) -> str:
+    """What an environment's agent has to know of it, for a label; nothing in it is a secret or a user's free text."""
+    asked = spec.options
+    options = ContainerData(disk=asked.disk, bandwidth=asked.bandwidth, io=asked.io)
+    return msgspec.json.encode(replace(spec, token="", options=options)).decode()
 
 
 def surroundings(spec: EnvironmentSpec, names: Names, settings: Mapping[str, str]) -> dict[str, str]:
     """What the Environment endpoint finds in its environment."""
-    values = variables(spec, names.places, "", settings) | _in_group(spec)
+    packages = package_path(places(Path(PACKAGES), spec.packages), settings)
+    values = variables(spec, names.places, "", {**settings, **packages})
     return {key: _literal(value) for key, value in values.items()} | {"RCE_HOST": NODE}
-
-
-def _in_group(spec: EnvironmentSpec) -> dict[str, str]:
-    """Swarm chooses the address of a task, which finds it out itself; others are known by their containerTags."""
-    if spec.group is None:
-        return {}
-    own = spec.name.partition("/")[2]
-    return {"RCE_ADDRESS": spec.group.subnet, "RCE_PEERS": ",".join(tag for tag in spec.group.members if tag != own)}
 
 
 def _literal(value: str) -> str:
@@ -124,6 +152,7 @@ def environment_task(
     constraints: Sequence[str],
     read_only: Sequence[str],
     network: str,
+    nameservers: Sequence[str],
 ) -> Spec:
     """One life of an environment. Swarm places it; it starts it never again, as a new life has a new token."""
     owner = f"uid={USER},gid={USER},mode=0700,nosuid,nodev"
@@ -135,12 +164,13 @@ def environment_task(
             "Image": image,
             "Args": list(command),
             "Env": [f"{key}={value}" for key, value in variables.items()],
-            "Labels": dict(labels),
+            "Labels": {**labels, SPEC: needs(spec), **({EGRESS: spec.egress} if spec.egress != "none" else {})},
+            "Hostname": spec.name.partition("/")[2][:LONGEST_HOSTNAME] if spec.group is not None else "",
             "User": f"{USER}:{USER}",
             "ReadOnly": True,
             "CapabilityDrop": ["ALL"],
             "Privileges": {"NoNewPrivileges": True},  # an older Docker does not know it; see `protected` of NodeReport
-            "DNSConfig": {"Nameservers": [NO_NAMESERVER]},
+            "DNSConfig": {"Nameservers": [NO_NAMESERVER] if spec.egress == "none" else list(nameservers)},
             "Init": False,  # the image has its own
             "StopGracePeriod": STOP_TIMEOUT * NANO,
             "Ulimits": [
@@ -151,6 +181,7 @@ def environment_task(
                 _volume(names.control, CONTROL, labels, read_only=True),
                 _volume(names.sockets, SOCKETS, _platform(labels), sockets),
                 _volume(names.home, HOME, labels, home),
+                *([_volume(names.packages, PACKAGES, labels, read_only=True)] if spec.packages else []),
                 _memory("/tmp", TEMPORARY_SIZE),
                 _memory("/dev/shm", granted.memory),
                 *(_bind(path, read_only=True) for path in read_only),
@@ -167,19 +198,26 @@ def environment_task(
         },
         "RestartPolicy": {"Condition": "none"},
         "Placement": {"Constraints": list(constraints)},
-        "Networks": [{"Target": network, "Aliases": [spec.name.partition("/")[2]]}],
+        "Networks": [{"Target": network}],
         "LogDriver": {"Name": "json-file", "Options": {"max-size": LOG_SIZE, "max-file": "2"}},
     }
 
 
 def agent_task(
-    agent: AgentService, image: str, known: Mapping[str, str], labels: Mapping[str, str], volumes: str, tls: Tls | None
+    agent: AgentService, image: str, known: Mapping[str, str], labels: Mapping[str, str], root: str, tls: Tls | None
 ) -> Spec:
     """One agent on each node, in its network; `known` is what it is told of the task set and the Master.
 
-    `volumes` is where Docker keeps volumes, and `tls` where each node has its own certificate, on all nodes alike.
+    `root` is Docker's directory, and `tls` where each node has its own certificate, on all nodes alike.
     """
-    variables = {**known, "RCE_NODE": NODE, "RCE_DATA_PORT": str(agent.data_port)}
+    variables = {
+        **known,
+        "RCE_NODE": NODE,
+        "RCE_DATA_PORT": str(agent.data_port),
+        "RCE_ENTRY": agent.entry,
+        "RCE_EGRESS_POOL": agent.egress_pool,
+        "RCE_NAMESERVERS": ",".join(agent.nameservers),
+    }
     mounts = list(agent.mounts)
     if tls is not None:
         variables["RCE_TLS"] = str(tls.directory)
@@ -192,12 +230,14 @@ def agent_task(
             "Labels": dict(labels),
             "User": "0:0",
             "ReadOnly": True,
+            "CapabilityAdd": ["CAP_NET_ADMIN", "CAP_NET_RAW"],  # for its node's packet filter
             "Init": True,
             "StopGracePeriod": NANO,
             "Mounts": [
                 _bind(DOCKER_SOCKET),
                 # The sockets of environments are in memory, on mounts that Docker makes after the agent's own.
-                {**_bind(volumes), "BindOptions": {"Propagation": "rslave"}},
+                {**_bind(f"{root}/volumes"), "BindOptions": {"Propagation": "rslave"}},
+                _bind(f"{root}/containers"),  # with their files of names
                 _memory("/tmp", TEMPORARY_SIZE),
                 *(_bind(path, read_only=True) for path in mounts),
             ],

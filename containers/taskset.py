@@ -17,6 +17,7 @@ from containers.fetching import Fetcher
 from containers.packages import PackageCache
 from rce.calls import (
     EnvironmentDied,
+    FetchPackage,
     Hello,
     KeepEnvironments,
     KnowRelays,
@@ -70,6 +71,7 @@ class TaskSet:
         handlers.on(KnowRelays, self._know)
         handlers.on(MeasureUsage, self._measure)
         self._link = MasterLink(reactor, master, self._hello, handlers, self._welcomed, tls)
+        self._engine.ticket = lambda digest: self._link.call(FetchPackage(digest))
         self._packages = PackageCache(packages, Fetcher(self._link, master, entry, tls).fetch)
         self._starting: set[str] = set()
 
@@ -114,7 +116,7 @@ class TaskSet:
         spec = call.environment
         self._starting.add(spec.run)
         try:
-            await self._packages.provide(spec.run, spec.packages)
+            await self._packages.provide(spec.run, [] if self._engine.fetches else spec.packages)
             await self._engine.start(spec)
         except RceError as error:
             log.warn("{name} was not started: {error}", name=spec.name, run=spec.run, error=str(error))

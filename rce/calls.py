@@ -330,7 +330,7 @@ class MeasureUsage(Call[Usage], frozen=True):
 class NodeReport(Call[Nothing], frozen=True):
     """What is on an agent's node: said after each join and when it changes."""
 
-    runs: list[str]  # of the environments that really run there
+    runs: list[str]  # of the environments that run there with all that they need
     images: dict[str, str]  # id by tag, of those for this version
     protected: bool  # whether its Docker gives containers no new privileges
     relay: str  # where data links to environments there are taken, HOST:PORT
@@ -343,6 +343,20 @@ class ContainerEnded(Call[Nothing], frozen=True):
     reason: str
     status: int
     lines: list[str]
+
+
+class Unfit(Call[Nothing], frozen=True):
+    """An environment lacks what it asked for on the node where it was placed, and so does nothing there."""
+
+    run: str
+    error: ErrorInfo
+
+
+class KnowGroup(Call[Nothing], frozen=True):
+    """The members of a network group, `userID/group`: addresses by containerTag."""
+
+    name: str
+    members: dict[str, str]
 
 
 class Cleared(Struct, frozen=True):
@@ -549,7 +563,7 @@ class Ticket(Struct, frozen=True):
 
 
 class FetchPackage(Call[Ticket], frozen=True):
-    """A task set lacks an archive that an environment of its own needs. NotFound."""
+    """A task set, or its agent, lacks an archive that an environment of its own needs. NotFound."""
 
     digest: str
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import os
 import shutil
 import signal
@@ -24,6 +25,7 @@ from rce import __version__
 
 ROOT = Path(__file__).parents[1]
 
+_numbers = itertools.count()
 START_TIMEOUT = 40.0
 STOP_TIMEOUT = 40.0
 HOST_IMAGE = "rce-test/host:1"  # nothing of its own: what runs in it sees this machine's Python
@@ -76,7 +78,7 @@ class Swarm:
     def __init__(self, directory: Path) -> None:
         self.nodes: list[Node] = []
         self._directory = directory
-        number = os.getpid() % 250
+        number = (os.getpid() + next(_numbers)) % 250
         self._bridge = f"rce{number}"
         self._net = f"10.{number}.87"
         self.address = f"{self._net}.1"
@@ -152,7 +154,7 @@ def inhabitants(namespace: str) -> list[int]:
 def host_mounts() -> list[str]:
     """What this Python and this checkout need of this machine."""
     base = Path(sys.executable).resolve().parents[1]
-    places = {*("/usr", "/lib", "/lib64"), str(base), str(ROOT), str(Path(sys.prefix).resolve())}
+    places = {*("/usr", "/lib", "/lib64", "/etc/alternatives"), str(base), str(ROOT), str(Path(sys.prefix).resolve())}
     return sorted(path for path in places if Path(path).exists())
 
 

@@ -5,25 +5,27 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
+import time
 from collections.abc import Coroutine
+from pathlib import Path
 
 from twisted.internet.base import ReactorBase
 from twisted.logger import Logger
 
 from endpoints.data_port import DataPort
 from endpoints.environment import surroundings
-from endpoints.environment.group import settled
 from endpoints.environment.settings import Settings
 from endpoints.host import listen
 from rce import __version__, loop
 from rce.calls import Call, Hello, Nothing, Welcome
 from rce.control import MasterLink
-from rce.errors import RceError, StartFailed
+from rce.errors import RceError
 from rce.host import host_identity
 from rce.settings import load_or_exit
 from rce.tls import load
 
 SWITCH_INTERVAL = 0.0005  # seconds after which the loop lets the ROS thread in, and the other way round
+PAUSE = 0.02  # seconds between looks for a file, for which there is no event
 
 log = Logger()
 
@@ -98,14 +100,16 @@ class Endpoint:
         self._token = welcome.credential
 
 
+def _wait_for_way(master: str) -> None:
+    """In a swarm the agent of a node opens the way to the Master when all that this environment needs is there."""
+    while master.startswith("unix:") and not Path(master.removeprefix("unix:")).exists():
+        time.sleep(PAUSE)
+
+
 def main() -> int:
     settings = load_or_exit(Settings, "rce environment")
     os.environ.pop("RCE_TOKEN", None)  # nodes shall not inherit it
-    try:
-        settings = settled(settings)
-    except StartFailed as error:
-        print(f"rce environment: {error}", file=sys.stderr)
-        return 1
+    _wait_for_way(settings.master)
     surroundings.prepare(settings)
     sys.setswitchinterval(SWITCH_INTERVAL)
 

@@ -29,9 +29,9 @@ class Settings(Struct, frozen=True):
     ] = None
     address: Annotated[
         str,
-        Meta(description="of this environment in its network group, if it is in one; a subnet where it finds it out"),
+        Meta(description="of this environment in its network group, if it is in one"),
     ] = ""
-    peers: Annotated[list[str], Meta(description="addresses or names of the group's members, comma-separated")] = []
+    peers: Annotated[list[str], Meta(description="addresses of the group's members, comma-separated")] = []
     tls: Annotated[
         Path | None, Meta(description="directory with ca.pem, cert.pem and key.pem, for TLS between machines")
     ] = None

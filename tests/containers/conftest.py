@@ -1,4 +1,4 @@
-"""An image that is one small program, for the tests of the engine `docker`."""
+"""An image that is one small program, and a swarm of one machine, for the tests of engines with Docker."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import io
 import shutil
 import subprocess
 import tarfile
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from engine_contract import Endings
+from twisted.internet.base import ReactorBase
 
 from rce import __version__
 
@@ -47,5 +50,40 @@ def stand_in_image(docker_host: str, stand_in: bytes) -> str:
 
 
 @pytest.fixture(scope="session")
-def load_stand_in(stand_in: bytes) -> Callable[[str], None]:
-    return lambda host: load(host, stand_in)
+def one_machine(stand_in: bytes) -> Iterator[Any]:
+    """A swarm of one, with the images; its agent stays from one test to the next, as it does for a task set."""
+    pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+    from swarm_nodes import load_host_image, swarm_of
+
+    with swarm_of(1) as made:
+        load(made.nodes[0].host, stand_in)
+        load_host_image(made.nodes[0])
+        yield made
+
+
+@pytest.fixture(scope="session")
+def task_sets_directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("swarm")
+
+
+@pytest.fixture
+def swarm_world(
+    one_machine: Any, task_sets_directory: Path, reactor: ReactorBase, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Any]:
+    from swarm_world import SwarmWorld
+
+    monkeypatch.setenv("DOCKER_HOST", one_machine.nodes[0].host)
+    world = SwarmWorld(one_machine, task_sets_directory, reactor)
+    yield world
+    world.api.close()
+
+
+@pytest.fixture
+async def swarm_engine(swarm_world: Any, endings: Endings) -> AsyncIterator[Any]:
+    engine = swarm_world.engine(endings)
+    await engine.open()
+    yield engine
+    await engine.keep([])
+    await engine.close()
+    assert swarm_world.there() == set()
+    assert swarm_world.networks() == []

@@ -4,114 +4,28 @@
 from __future__ import annotations
 
 import asyncio
-import os
-from collections.abc import AsyncIterator, Callable, Iterator
-from pathlib import Path
-from typing import Any
 
 import pytest
-from engine_contract import CAPACITY, FEATURES, Endings, EngineContract, World, spec
-from twisted.internet.base import ReactorBase
 
 docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
 
-from swarm_nodes import HOST_IMAGE, Node, Swarm, host_mounts, load_host_image, swarm_of
+from engine_contract import Endings, EngineContract, spec
+from swarm_world import COMMAND, IMAGE, SwarmWorld, with_options
 
-from containers.engine import Ended, Engine
 from containers.swarm import SwarmEngine
-from containers.swarm_spec import AgentService
-from rce.calls import EnvironmentSpec
-from rce.errors import InvalidRequest, LimitExceeded, NoCapacity, StartFailed
-from rce.messages import ContainerData, Rates
+from rce.errors import LimitExceeded, NoCapacity, StartFailed
 from rce.slots import MB, PIDS
 
-COMMAND = ["/stand-in"]
-IMAGE = "rce-test/stand-in:latest"
 
-
-class SwarmWorld(World):
-    def __init__(self, swarm: Swarm, directory: Path, reactor: ReactorBase) -> None:
-        self.directory = directory
-        self.node: Node = swarm.nodes[0]
-        self.api = self.node.api()
-        self._address = swarm.address
-        self._reactor = reactor
-
-    def engine(self, ended: Callable[[Ended], None], *behaviour: str, image: str = IMAGE) -> SwarmEngine:
-        return SwarmEngine(
-            CAPACITY,
-            FEATURES,
-            ended,
-            reactor=self._reactor,
-            platform="machine",
-            directory=self.directory,
-            master=f"tcp:{self._address}:1",
-            image=image,
-            settings={"typesupport": "/types"},
-            agent=AgentService(HOST_IMAGE, self._address, 0, host_mounts()),
-            command=[*COMMAND, *behaviour],
-        )
-
-    def break_start(self, engine: Engine) -> None:
-        assert isinstance(engine, SwarmEngine)
-        engine._command = ["/nonexistent/program"]
-
-    async def end(self, name: str) -> None:
-        (container,) = [each["Id"] for each in self.containers() if each["Labels"]["rce.environment"] == name]
-        await asyncio.to_thread(self.api.kill, container, "SIGUSR1")
-        await asyncio.to_thread(self.api.wait, container)
-
-    def containers(self) -> list[dict[str, Any]]:
-        found: list[dict[str, Any]] = self.api.containers(all=True, filters=self.ours)
-        return [each for each in found if "rce.run" in each["Labels"]]
-
-    @property
-    def ours(self) -> dict[str, list[str]]:
-        return {"label": [f"rce.directory={self.directory}", "rce.run"]}
-
-    def there(self) -> set[str]:
-        services = [each["Spec"]["Labels"] for each in self.api.services(filters=self.ours)]
-        labels = [each["Labels"] for each in self.containers() + (self.api.volumes(filters=self.ours)["Volumes"] or [])]
-        return {each["rce.environment"] for each in services + labels}
-
-    def networks(self) -> list[str]:
-        """They go a little later, as Swarm itself lets go of them."""
-        return [each["Name"] for each in self.api.networks(filters=self.ours)]
-
-    def alive(self) -> dict[str, str]:
-        labels = [each["Labels"] for each in self.containers() if each["State"] == "running"]
-        return {each["rce.environment"]: each["rce.run"] for each in labels}
-
-    def inspect(self, name: str) -> dict[str, Any]:
-        (container,) = [each["Id"] for each in self.containers() if each["Labels"]["rce.environment"] == name]
-        seen: dict[str, Any] = self.api.inspect_container(container)
-        return seen
-
-
-@pytest.fixture(scope="module")
-def swarm(load_stand_in: Callable[[str], None]) -> Iterator[Swarm]:
-    with swarm_of(1) as made:
-        before = os.environ.get("DOCKER_HOST")
-        os.environ["DOCKER_HOST"] = made.nodes[0].host
-        load_stand_in(made.nodes[0].host)
-        load_host_image(made.nodes[0])
-        yield made
-        os.environ.pop("DOCKER_HOST")
-        if before is not None:
-            os.environ["DOCKER_HOST"] = before
-
-
-@pytest.fixture(scope="module")
-def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One for all tests, so that the agent stays from one to the next, as it does for a task set."""
-    return tmp_path_factory.mktemp("swarm")
+class TestSwarmEngine(EngineContract):
+    @pytest.fixture
+    def world(self, swarm_world: SwarmWorld) -> SwarmWorld:
+        return swarm_world
 
 
 @pytest.fixture
-def world(swarm: Swarm, directory: Path, reactor: ReactorBase) -> Iterator[SwarmWorld]:
-    world = SwarmWorld(swarm, directory, reactor)
-    yield world
-    world.api.close()
+def world(swarm_world: SwarmWorld) -> SwarmWorld:
+    return swarm_world
 
 
 @pytest.fixture
@@ -119,27 +33,9 @@ def endings() -> Endings:
     return Endings()
 
 
-class TestSwarmEngine(EngineContract):
-    @pytest.fixture
-    def world(self, swarm: Swarm, directory: Path, reactor: ReactorBase) -> Iterator[SwarmWorld]:
-        world = SwarmWorld(swarm, directory, reactor)
-        yield world
-        world.api.close()
-
-
 @pytest.fixture
-async def engine(world: SwarmWorld, endings: Endings) -> AsyncIterator[SwarmEngine]:
-    engine = world.engine(endings)
-    await engine.open()
-    yield engine
-    await engine.keep([])
-    await engine.close()
-    assert world.there() == set()
-    assert world.networks() == []
-
-
-def with_options(**options: Any) -> EnvironmentSpec:
-    return EnvironmentSpec("ann/map", spec().run, "token", ContainerData(**options))
+async def engine(swarm_engine: SwarmEngine) -> SwarmEngine:
+    return swarm_engine
 
 
 async def test_the_walls_of_a_task(world: SwarmWorld, engine: SwarmEngine) -> None:
@@ -166,13 +62,6 @@ async def test_the_walls_of_a_task(world: SwarmWorld, engine: SwarmEngine) -> No
     assert inside["Internal"]
     assert inside["Driver"] == "overlay"
     assert len(inside["Containers"]) <= 2  # itself, and Docker's own end
-
-
-@pytest.mark.parametrize("options", [{"disk": MB}, {"bandwidth": MB}, {"io": Rates(read=MB)}, {"groupIP": "10.1.1.9"}])
-async def test_what_services_do_not_have_is_refused(engine: SwarmEngine, options: dict[str, Any]) -> None:
-    with pytest.raises(InvalidRequest, match="use docker") as raised:
-        await engine.start(with_options(**options))
-    assert raised.value.field == f"containerData.{next(iter(options))}"
 
 
 async def test_what_no_node_has(world: SwarmWorld, engine: SwarmEngine) -> None:

@@ -59,8 +59,8 @@ def sent(process: int) -> int:
 
 
 def test_what_is_sent_is_held_to_the_rate(process: int) -> None:
-    shaping.shape(process, 1, RATE)
-    shaping.shape(process, 1, RATE)  # after a restart of the task set
+    shaping.shape(process, ["eth0"], RATE)
+    shaping.shape(process, ["eth0"], RATE)  # after a restart of the task set
     began, before = time.monotonic(), sent(process)
     inside(process, "python3", "-c", SEND)
     took = time.monotonic() - began
@@ -70,7 +70,7 @@ def test_what_is_sent_is_held_to_the_rate(process: int) -> None:
 def test_the_large_packets_of_a_group_get_through(process: int) -> None:
     for device in ("eth0", "other"):
         inside(process, "ip", "link", "set", device, "mtu", "65000")
-    shaping.shape(process, 1, 100_000)
+    shaping.shape(process, ["eth0"], 100_000)
     before = sent(process)
     large = SEND.replace("20_000", "200_000").replace("1000", "64_000")
     inside(process, "python3", "-c", large)
@@ -79,11 +79,11 @@ def test_the_large_packets_of_a_group_get_through(process: int) -> None:
 
 def test_a_network_that_is_not_there(process: int) -> None:
     with pytest.raises(StartFailed, match="eth1"):
-        shaping.shape(process, 2, RATE)
+        shaping.shape(process, ["eth0", "eth1"], RATE)
 
 
 def test_a_process_that_has_ended_is_somebody_elses_matter() -> None:
-    shaping.shape(2**22 + 1, 1, RATE)
+    shaping.shape(2**22 + 1, ["eth0"], RATE)
 
 
 def test_without_root_it_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

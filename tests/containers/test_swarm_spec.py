@@ -4,25 +4,26 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
 import pytest
+from msgspec.structs import replace
 
 pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
 
+from containers.furnishing import hosts
 from containers.swarm_manager import Node, _judge, _node
-from containers.swarm_spec import Names, surroundings
+from containers.swarm_spec import Names, check, needs, surroundings
 from rce.calls import EnvironmentSpec, Group
-from rce.errors import NoCapacity, StartFailed
+from rce.errors import InvalidRequest, NoCapacity, StartFailed
 from rce.messages import ContainerData
 
 LABELS = {"rce.platform": "machine", "rce.directory": "/var/lib/rce"}
 RUN = "1" * 32
+NET = "10.128.0.0/24"
 
 
 def values(**options: Any) -> dict[str, str]:
-    group = Group("ann/g", "10.128.0.0/24", "10.128.0.2", {"map": "10.128.0.2", "plan": "10.128.0.3"})
-    spec = EnvironmentSpec(
-        "ann/map", RUN, "token", ContainerData(**options), group=group if "group" in options else None
-    )
+    spec = EnvironmentSpec("ann/map", RUN, "token", ContainerData(**options))
     return surroundings(spec, Names.of(LABELS, spec.name, spec.run), {"relay": "/run/rce/relay.sock"})
 
 
@@ -32,12 +33,32 @@ def test_what_a_user_sets_is_no_template_of_swarms() -> None:
     assert values()["RCE_HOST"] == "{{.Node.ID}}"
 
 
-def test_members_of_a_group_are_known_by_name() -> None:
-    assert {key: values(group="g")[key] for key in ("RCE_ADDRESS", "RCE_PEERS")} == {
-        "RCE_ADDRESS": "10.128.0.0/24",
-        "RCE_PEERS": "plan",
-    }
-    assert "RCE_ADDRESS" not in values()
+def grouped(address: str) -> EnvironmentSpec:
+    members = {"map": address, "plan": "10.128.0.3"}
+    return EnvironmentSpec("ann/map", RUN, "token", ContainerData(group="g"), Group("ann/g", NET, address, members))
+
+
+def test_addresses_that_swarm_takes_itself_are_refused() -> None:
+    check(grouped("10.128.0.127"))
+    with pytest.raises(InvalidRequest, match="upper half") as raised:
+        check(grouped("10.128.0.128"))
+    assert raised.value.field == "containerData.groupIP"
+
+
+def test_what_an_agent_must_know_has_no_secret() -> None:
+    spec = replace(
+        grouped("10.128.0.2"), options=ContainerData(disk=5, env={"X": "{{secret}}"}), packages=["0" * 64], egress="all"
+    )
+    known = msgspec.json.decode(needs(spec), type=EnvironmentSpec)
+    assert known == replace(spec, token="", options=ContainerData(disk=5))
+    assert "{{" not in needs(spec)
+
+
+def test_names_of_members_come_before_those_of_docker() -> None:
+    text = "127.0.0.1\tlocalhost\n::1\tip6-localhost\n10.128.0.200\tabc\n10.127.0.2\tabc\n"
+    assert hosts(text, NET, {"plan": "10.128.0.3", "map": "10.128.0.2"}) == (
+        "10.128.0.2\tmap\n10.128.0.3\tplan\n127.0.0.1\tlocalhost\n::1\tip6-localhost\n10.127.0.2\tabc\n"
+    )
 
 
 def test_users_and_platforms_have_sockets_of_their_own() -> None:

@@ -137,14 +137,18 @@ async def test_a_group_is_one_graph_over_two_machines(platform: Machines, swarm:
     """Said in one environment, answered by a node in the other, heard in the first; and each has the other's name."""
     async with (
         platform.robot("r2") as robot,
-        robot.environment("left", special_features=["cloud"], group="pair") as left,
+        robot.environment("left", special_features=["cloud"], group="pair", group_ip="192.168.1.9") as left,
         robot.environment("right", special_features=["cloud"], group="pair") as right,
     ):
         there = containers(swarm)
         assert there["left"] is not there["right"], "Swarm spreads them"
         await right.add_node("echo", "rce_demo", "echo.py")
         await Echo(await left.publisher("/say", STRING), await left.subscriber("/heard", STRING)).answers(30)
-        assert run_in(there["left"], "left", "import socket; print(socket.gethostbyname('right'))").startswith("10.")
+        name = "import socket; print(socket.gethostbyname('{}'))"
+        address = run_in(there["right"], "right", name.format("left")).strip()
+        assert address.endswith(".9"), address
+        assert run_in(there["left"], "left", name.format("left")).strip() == address
+        assert run_in(there["left"], "left", name.format("right")).startswith(address[:-1])
         for address in (swarm.address, there["left"].address, "169.254.169.254"):
             assert "unreachable" in run_in(there["left"], "left", REACH.format(address=address))
     manager = swarm.nodes[0].api()
