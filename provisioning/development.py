@@ -40,6 +40,7 @@ DOCKER_PROGRAMS = {  # a private daemon, what makes images without a registry, a
     "iproute2": "ip",
 }
 BROWSER_PROGRAMS = {"nodejs": "node", "chromium": "chromium"}  # not every distribution has both as packages
+IN_TWO_PROCESSES = ("-n", "2", "--dist", "loadgroup", "--no-loadscope-reorder")  # grouped in tests/conftest.py
 IS_ROOT = os.geteuid() == 0
 
 
@@ -196,7 +197,7 @@ def demo(options: argparse.Namespace, rest: list[str]) -> int:
 
 def test(options: argparse.Namespace, rest: list[str]) -> int:
     """Install all that the tests need, then check and test; further arguments go to pytest."""
-    command = [str(PYTHON), "-m", "pytest", *rest]
+    command = [str(PYTHON), "-m", "pytest", *IN_TWO_PROCESSES, *rest]
     tool = VENV / "bin"
     steps = [
         *setup_steps(TEST_EXTRAS, [TEST_PACKAGE], tests=True),

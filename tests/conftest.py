@@ -24,6 +24,24 @@ if TYPE_CHECKING:
 
 asyncio.set_event_loop_policy(uvloop.EventLoopPolicy())
 
+OF_DOCKER = {"docker_host", "images", "island", "swarm", "stand_in_image"}
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """For runs in several processes (`-n 2 --dist loadgroup`): whatever needs Docker is one group and comes first, since
+    daemons and images are made once in a process; else a file is one.
+    """
+    items.sort(key=lambda item: not _needs_docker(item))
+    for item in items:
+        group = "docker" if _needs_docker(item) else str(item.path)
+        item.add_marker(pytest.mark.xdist_group(group))
+
+
+def _needs_docker(item: pytest.Item) -> bool:
+    fixtures = getattr(item, "fixturenames", ())
+    return not OF_DOCKER.isdisjoint(fixtures) or "[docker" in item.name
+
 
 @pytest.fixture(scope="session", autouse=True)
 async def running_reactor() -> AsyncIterator[ReactorBase]:
