@@ -29,7 +29,7 @@ OF_DOCKER = {"docker_host", "images", "island", "swarm", "stand_in_image"}
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """For runs in several processes (`-n 2 --dist loadgroup`): whatever needs Docker is one group and comes first, since
+    """For runs in several processes (`-n 2 --dist loadgroup`): what needs Docker is one group and comes first, since
     daemons and images are made once in a process; else a file is one.
     """
     items.sort(key=lambda item: not _needs_docker(item))
