@@ -14,11 +14,11 @@ from twisted.logger import Logger
 
 from master import presence
 from master.effects import Plan, Send
-from master.keys import ApiKey
 from master.records import State
 from master.users import Users
 from rce.calls import ForgetProofs
 from rce.roles import WITHIN, Principal, UserRole
+from rce.views import KeyView
 
 REFRESH = 3.0  # seconds from one look round to the next
 log = Logger()
@@ -92,7 +92,7 @@ class Guard:
         self.cut(lambda principal: principal.key == key, "the API key was revoked")
         self._ask_anew(user)
 
-    async def rotate_key(self, user: str, key: str) -> tuple[str, ApiKey]:
+    async def rotate_key(self, user: str, key: str) -> tuple[str, KeyView]:
         """What services do for the user by this key goes on. NotFound."""
         fresh = await self._users.keys.rotate(user, key)
         self.cut(lambda principal: principal.key == key and not principal.lent, "the API key has a new secret")

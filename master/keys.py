@@ -8,28 +8,15 @@ from typing import Any
 
 import msgspec
 import sqlalchemy as sa
-from msgspec import Struct
 
 from master import store as db
 from master.grants import KEY_PREFIX, digest
 from rce.errors import Forbidden, InvalidRequest, LimitExceeded, NotFound, Unauthorized
 from rce.names import check_tag
 from rce.roles import FREE, WITHIN, Principal, Scopes, UserRole
+from rce.views import KeyView
 
 MOST = 1000  # keys of one user
-
-
-class ApiKey(Struct, frozen=True):
-    """An API key as it may be shown: without the key itself. Times are seconds since 1970."""
-
-    id: str
-    user: str
-    role: UserRole
-    label: str
-    created: float
-    expires: float | None = None
-    used: float | None = None  # when it last let somebody in, to some seconds
-    scopes: Scopes = FREE
 
 
 class Keys:
@@ -41,11 +28,11 @@ class Keys:
 
     async def add(
         self, user: str, role: UserRole, label: str = "", expires: float | None = None, scopes: Scopes = FREE
-    ) -> tuple[str, ApiKey]:
+    ) -> tuple[str, KeyView]:
         """A new key: the secret, shown this once, and what is kept. NotFound, Forbidden, InvalidRequest."""
         _check_scopes(role, scopes)
         secret = _fresh()
-        key = ApiKey(secrets.token_hex(8), user, role, label, time.time(), expires, None, scopes)
+        key = KeyView(secrets.token_hex(8), user, role, label, time.time(), expires, None, scopes)
         row = msgspec.structs.asdict(key) | {"digest": digest(secret), "scopes": _text(scopes)}
 
         def put(connection: sa.Connection) -> None:
@@ -61,17 +48,17 @@ class Keys:
         await self._store.run(put)
         return secret, key
 
-    async def of(self, user: str) -> list[ApiKey]:
+    async def of(self, user: str) -> list[KeyView]:
         """The oldest first."""
         rows = await self._store.run(lambda connection: list(connection.execute(_of(user))))
         return [self._shown(row) for row in rows]
 
-    async def all(self) -> list[ApiKey]:
+    async def all(self) -> list[KeyView]:
         query = sa.select(db.api_keys).order_by(db.api_keys.c.user, db.api_keys.c.created)
         rows = await self._store.run(lambda connection: list(connection.execute(query)))
         return [self._shown(row) for row in rows]
 
-    async def get(self, user: str, key_id: str) -> ApiKey:
+    async def get(self, user: str, key_id: str) -> KeyView:
         """NotFound."""
         query = sa.select(db.api_keys).where(_is(user, key_id))
         row = await self._store.run(lambda connection: connection.execute(query).first())
@@ -79,7 +66,7 @@ class Keys:
             raise NotFound(f"there is no API key {key_id[:80]!r}", field="key")
         return self._shown(row)
 
-    async def rotate(self, user: str, key_id: str) -> tuple[str, ApiKey]:
+    async def rotate(self, user: str, key_id: str) -> tuple[str, KeyView]:
         """A new secret for the same key; the old one is void at once. NotFound."""
         secret = _fresh()
         statement = db.api_keys.update().where(_is(user, key_id)).values(digest=digest(secret))
@@ -122,9 +109,9 @@ class Keys:
                 lambda connection: connection.execute(statement.values(used=sa.bindparam("at")), rows)
             )
 
-    def _shown(self, row: Any) -> ApiKey:
+    def _shown(self, row: Any) -> KeyView:
         used = self._used.get(row.id, row.used)
-        return ApiKey(row.id, row.user, row.role, row.label, row.created, row.expires, used, _scopes(row))
+        return KeyView(row.id, row.user, row.role, row.label, row.created, row.expires, used, _scopes(row))
 
 
 def _fresh() -> str:

@@ -14,11 +14,13 @@ import msgspec
 from msgspec import Meta, Struct
 from msgspec.structs import replace
 
+from master import packages
 from master.records import State
 from rce import quantities, slots
 from rce.calls import Egress
 from rce.errors import InvalidRequest, LimitExceeded
 from rce.messages import ContainerData, Rates
+from rce.views import UsageView
 
 Number = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Cores = Annotated[float, Meta(ge=0)]
@@ -26,7 +28,7 @@ IMAGES = ("rce/base", "rce/mapping")  # what `provisioning/provision image` buil
 _AMOUNTS = ("cpu", "memory", "pids", "disk", "bandwidth")  # of containerData, with a default and a ceiling each
 
 
-class Policy(Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True):
+class Policy(Struct, frozen=True, forbid_unknown_fields=True):
     """Limits of one user; 0 is none. Sizes are in bytes, rates in bytes a second."""
 
     # the most that one environment may ask for; what has no default gets it unless it asks for less
@@ -57,12 +59,14 @@ class Policy(Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True
     environments: Number = 0
     cores: Cores = 0
     total_memory: Number = 0
+    total_bandwidth: Number = 0
     robots: Number = 0
     connections: Number = 0
     package_bytes: Number = 0
 
 
 UNLIMITED = Policy()
+NAMES = {field.name: field.type for field in msgspec.structs.fields(Policy)}
 
 
 def granted(policy: Policy, options: ContainerData) -> ContainerData:
@@ -70,6 +74,7 @@ def granted(policy: Policy, options: ContainerData) -> ContainerData:
     _check_image(policy, options.image)
     _check("size", options.size, policy.size)
     _check("gpus", options.gpus, policy.gpus)
+    policy = replace(policy, bandwidth=_least(policy.bandwidth, policy.total_bandwidth))  # else none could be counted
     got = {
         name: _grant(name, getattr(options, name), getattr(policy, name), getattr(policy, f"default_{name}"))
         for name in _AMOUNTS
@@ -86,9 +91,36 @@ def check_totals(state: State, user: str, policy: Policy, options: ContainerData
     wanted = [*(other.options for other in state.environments.by(user)), options]
     yours = "all of your environments together"
     _check_total("environments", len(wanted), policy.environments, "you")
-    _check_total("cores", sum(each.cpu or each.size * slots.CORES for each in wanted), policy.cores, yours)
-    memory = sum(each.memory or each.size * slots.MEMORY for each in wanted)
-    _check_total("total_memory", memory, policy.total_memory, yours)
+    _check_total("cores", _cores(wanted), policy.cores, yours)
+    _check_total("total_memory", _memory(wanted), policy.total_memory, yours)
+    _check_total("total_bandwidth", sum(each.bandwidth for each in wanted), policy.total_bandwidth, yours)
+
+
+def usage(state: State, user: str) -> UsageView:
+    """What a user has of that which limits count."""
+    options = [environment.options for environment in state.environments.by(user)]
+    return UsageView(
+        environments=len(options),
+        cores=_cores(options),
+        total_memory=_memory(options),
+        total_bandwidth=sum(each.bandwidth for each in options),
+        robots=len(state.robots.by(user)),
+        connections=state.connections_of_user(user),
+        package_bytes=packages.usage(state, user),
+    )
+
+
+def _cores(wanted: Iterable[ContainerData]) -> float:
+    return sum(each.cpu or each.size * slots.CORES for each in wanted)
+
+
+def _memory(wanted: Iterable[ContainerData]) -> int:
+    return sum(each.memory or each.size * slots.MEMORY for each in wanted)
+
+
+def _least(one: int, other: int) -> int:
+    """The smaller of two limits, of which 0 is none."""
+    return min(one or other, other or one)
 
 
 def check_robots(state: State, user: str, policy: Policy) -> None:
@@ -109,16 +141,26 @@ def is_allowed(image: str, patterns: Iterable[str]) -> bool:
 
 def parse(assignments: Iterable[str]) -> dict[str, Any]:
     """`["memory=2Gi", "images=rce/base,mine/*", "cpu="]` as fields of a Policy, None if empty. InvalidRequest."""
-    known = {field.name: field.type for field in msgspec.structs.fields(Policy)}
     found: dict[str, Any] = {}
     for assignment in assignments:
         name, equals, text = assignment.partition("=")
-        if not equals or name not in known:
-            raise InvalidRequest(f"{assignment!r}: write key=value; keys are {', '.join(known)}", field=name)
+        if not equals:
+            raise InvalidRequest(f"{assignment!r}: write key=value; keys are {', '.join(NAMES)}", field=name)
+        found[name] = text
+    return changes(found)
+
+
+def changes(wanted: dict[str, Any]) -> dict[str, Any]:
+    """Fields of a Policy, of values or of what people write for them; None or nothing undoes. InvalidRequest."""
+    found: dict[str, Any] = {}
+    for name, value in wanted.items():
+        if name not in NAMES:
+            raise InvalidRequest(f"there is no limit {name[:80]!r}; there are {', '.join(NAMES)}", field=name[:80])
         try:
-            found[name] = msgspec.convert(_value(name, text), known[name], strict=False) if text else None
+            meant = _value(name, value) if isinstance(value, str) else value
+            found[name] = None if value in (None, "") else msgspec.convert(meant, NAMES[name], strict=False)
         except (msgspec.ValidationError, ValueError) as error:
-            raise InvalidRequest(f"{assignment!r}: {error}", field=name) from None
+            raise InvalidRequest(f"{name}={str(value)[:80]}: {error}", field=name) from None
     return found
 
 

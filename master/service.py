@@ -12,6 +12,7 @@ from twisted.logger import Logger
 
 import rce
 from master import graph, packages, presence, wiring
+from master.audit import Audit, Origin, object_of
 from master.carrier import Carrier
 from master.depot import FETCH_PATH, Depot
 from master.effects import Plan, Send
@@ -28,7 +29,7 @@ from master.placement import place
 from master.policies import UNLIMITED, Policy
 from master.processes import Processes
 from master.records import Environment, Process, Robot, State, at, user_of, what
-from master.rights import check_command
+from master.rights import COMMANDS, check_command
 from master.rim import Rim
 from master.shown import Shown
 from master.sight import Sight
@@ -48,6 +49,7 @@ from rce.errors import (
 )
 from rce.messages import Command, DestroyContainer, EnvironmentEvent
 from rce.names import check_tag
+from rce.roles import Principal
 
 START_TIMEOUT = 60.0
 LINK_RETRY_FIRST, LINK_RETRY_MOST = 0.1, 5.0
@@ -77,6 +79,7 @@ class Master:
     ) -> None:
         self.state = State()
         self.users = Users(store)
+        self.audit = Audit(store)
         self.limits = Limits(store, policy)
         self.processes = Processes(store)
         self.grace = grace
@@ -225,7 +228,7 @@ class Master:
             handlers.on(c.Execute, lambda call: self._execute(process, call))
             handlers.on(c.Describe, self._describe)
         elif process.role == "service":
-            Lending(self.users).add_to(handlers, process)
+            Lending(self.users, self.audit).add_to(handlers, process)
         elif process.role == "environment":
             self._lives.of_environment(handlers, process)
             handlers.on(c.Report, lambda call: self._report(process, call))
@@ -238,9 +241,14 @@ class Master:
     # --- robots -------------------------------------------------------------------------------------------------------
 
     async def _login(self, process: Process, call: c.Login) -> c.LoggedIn:
-        address = _host(call.address)
-        check_tag(call.user, "userID")
-        principal = await self.users.check(call.user, call.secret, address)
+        origin, robot = Origin("websocket", _host(call.address)), f"{call.user}/{call.robot}"
+        with self.audit.noting("robot.connect", call.user, robot, origin) as noted:
+            check_tag(call.user, "userID")
+            noted.who = await self.users.check(call.user, call.secret, origin.address)
+            return await self._begin(process, call, noted.who, origin.address)
+
+    async def _begin(self, process: Process, call: c.Login, principal: Principal, address: str) -> c.LoggedIn:
+        """A session, or an earlier one again."""
         must_drive(principal, call.robot)
         token = secrets.token_hex(32)
         resume = digest(call.resume) if call.resume else ""
@@ -275,8 +283,11 @@ class Master:
         if robot is None or robot.endpoint != process.name:
             raise NotFound(f"robot {call.robot} has no session at {process.name}")
         user, command = user_of(call.robot), call.command
-        check_command(robot.by, self.state, user, command)
-        return await self.execute(user, command, call.again)
+        origin = Origin("websocket", robot.address)
+        with self.audit.noting(COMMANDS[type(command)], user, object_of(user, command), origin) as noted:
+            noted.who = robot.by
+            check_command(robot.by, self.state, user, command)
+            return await self.execute(user, command, call.again)
 
     async def execute(self, user: str, command: Command, again: bool = False) -> c.Nothing:
         """Carry a user's command out to its completion; what did not become real is taken back."""

@@ -84,6 +84,20 @@ tokens = sa.Table(  # one-time join tokens; a used one stays, so that it is not 
     sa.Column("role", sa.String(16), nullable=False),
     sa.Column("used", sa.Boolean, nullable=False),
 )
+audit = sa.Table(  # rows are added, and those that are too old removed; nothing changes them
+    "audit",
+    tables,
+    sa.Column("id", sa.Integer, primary_key=True, autoincrement=True),
+    sa.Column("time", sa.Float, index=True, nullable=False),
+    sa.Column("user", sa.String(255), index=True, nullable=False),
+    sa.Column("key", sa.String(32), nullable=False),
+    sa.Column("owner", sa.String(255), index=True, nullable=False),
+    sa.Column("action", sa.String(64), nullable=False),
+    sa.Column("object", sa.Text, nullable=False),
+    sa.Column("result", sa.String(64), nullable=False),
+    sa.Column("door", sa.String(16), nullable=False),
+    sa.Column("address", sa.String(64), nullable=False),
+)
 
 
 class Store:

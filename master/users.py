@@ -11,21 +11,14 @@ from msgspec import Struct
 from master import store as db
 from master.grants import KEY_PREFIX, LENT_PREFIX, Grants
 from master.grants import digest as digest
-from master.keys import ApiKey, Keys
+from master.keys import Keys
 from master.passwords import Passwords
 from master.rights import check
 from master.throttle import Throttle
 from rce.errors import AlreadyExists, InvalidRequest, NotFound, Unauthorized
 from rce.names import check_tag
 from rce.roles import FREE, WITHIN, Principal, Scopes, UserRole
-
-
-class User(Struct, frozen=True):
-    """A user as they may be shown. `created` is in seconds since 1970."""
-
-    name: str
-    role: UserRole
-    created: float
+from rce.views import KeyView, UserView
 
 
 class Standing(Struct, frozen=True):
@@ -55,10 +48,10 @@ class Users:
 
     # --- who there is -------------------------------------------------------------------------------------------------
 
-    async def add(self, name: str, password: str, role: UserRole = "user") -> User:
+    async def add(self, name: str, password: str, role: UserRole = "user") -> UserView:
         """Whether the password is good enough is for who asks; see `master.passwords.check_password`."""
         check_tag(name, "userID")
-        user = User(name, role, time.time())
+        user = UserView(name, role, time.time())
         row = {"name": name, "password": await self.passwords.hash(password), "role": role, "created": user.created}
         try:
             await self._store.run(lambda connection: connection.execute(db.users.insert(), row))
@@ -66,22 +59,22 @@ class Users:
             raise AlreadyExists(f"user {name} exists already", field="userID") from None
         return user
 
-    async def all(self) -> list[User]:
+    async def all(self) -> list[UserView]:
         """By their names."""
         query = sa.select(db.users.c.name, db.users.c.role, db.users.c.created)
         rows = await self._store.run(lambda connection: list(connection.execute(query)))
-        return sorted((User(row.name, row.role, row.created) for row in rows), key=lambda user: user.name)
+        return sorted((UserView(row.name, row.role, row.created) for row in rows), key=lambda user: user.name)
 
     async def names(self) -> list[str]:
         return [user.name for user in await self.all()]
 
-    async def get(self, name: str) -> User:
+    async def get(self, name: str) -> UserView:
         """NotFound."""
         query = sa.select(db.users.c.name, db.users.c.role, db.users.c.created).where(db.users.c.name == name)
         row = await self._store.run(lambda connection: connection.execute(query).first())
         if row is None:
             raise _unknown(name)
-        return User(row.name, row.role, row.created)
+        return UserView(row.name, row.role, row.created)
 
     async def remove(self, name: str) -> None:
         """With limits, keys and grants. NotFound; InvalidRequest if it is the last administrator."""
@@ -140,9 +133,10 @@ class Users:
             return await self.grants.check(name, secret)
         if secret.startswith(KEY_PREFIX):
             return await self.keys.check(name, secret)
-        return await self._check_password(name, secret, address)
+        return await self.check_password(name, secret, address)
 
-    async def _check_password(self, name: str, secret: str, address: str) -> Principal:
+    async def check_password(self, name: str, secret: str, address: str) -> Principal:
+        """As `check`, when it must be the password."""
         self.throttle.check(name, address)
         async with self.passwords.turn():
             self.throttle.check(name, address)  # others may have guessed meanwhile
@@ -176,7 +170,7 @@ class Users:
         label: str = "",
         expires: float | None = None,
         scopes: Scopes = FREE,
-    ) -> tuple[str, ApiKey]:
+    ) -> tuple[str, KeyView]:
         """See `Keys.add`."""
         return await self.keys.add(user, role, label, expires, scopes)
 

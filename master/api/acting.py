@@ -27,8 +27,18 @@ def principal(call: Call) -> Principal:
 def acting(call: Call, operation: str, user: str, *, robot: str = "", environment: str = "") -> str:
     """The user whose things this is about: `user` if it is given. Forbidden, NotFound."""
     owner = user or call.user
-    rights.check(principal(call), operation, owner, robot=robot, environment=environment)
+    _check(call, operation, owner, robot, environment)
     return owner
+
+
+def platform(call: Call, operation: str) -> None:
+    """As `acting`, on what is the platform's own."""
+    _check(call, operation, rights.NOBODY)
+
+
+def _check(call: Call, operation: str, owner: str, robot: str = "", environment: str = "") -> None:
+    call.trail.operation, call.trail.owner = operation, owner
+    rights.check(principal(call), operation, owner, robot=robot, environment=environment)
 
 
 def listing(call: Call, operation: str, user: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar
 
@@ -10,6 +11,7 @@ from msgspec import Meta, Struct
 from twisted.web.server import Request
 
 from master.api.streams import Stream
+from master.audit import names_of
 from master.rights import Principal
 from rce.errors import InvalidRequest
 from rce.messages import decode_as
@@ -40,6 +42,14 @@ class Listing(Paging, frozen=True, forbid_unknown_fields=True):
     user: Everybodys = ""
 
 
+class Trail(Struct):
+    """What the audit log is to say of a request: the operation, whose thing it is about, and what the body names."""
+
+    operation: str = ""
+    owner: str = ""
+    names: list[str] = []
+
+
 class Call(NamedTuple):
     """`path` and `query` are decoded; without `principal` a token says it all. `content` is the file-like body."""
 
@@ -50,10 +60,13 @@ class Call(NamedTuple):
     content: Any
     query: dict[str, str]
     request: Request
+    trail: Trail
 
     def body(self, kind: type[T]) -> T:
         """The JSON body. InvalidRequest with the path of the field."""
-        return decode_as(kind, self.content.read(), "body")
+        found = decode_as(kind, self.content.read(), "body")
+        self.trail.names = names_of(found)
+        return found
 
     def asked(self, kind: type[T]) -> T:
         """The query. InvalidRequest with the parameter's name."""
@@ -71,3 +84,6 @@ class Answer(NamedTuple):
     body: Struct | list[Any] | Path | Stream | None = None
     status: int = 200
     headers: dict[str, str] = {}  # noqa: RUF012  # never changed
+
+
+Handler = Callable[[Call], Awaitable[Answer]]

@@ -25,6 +25,7 @@ class Commands:
     async def execute(self, call: Call, user: str, command: Command) -> str:
         """For `user`, or for who asks if that is empty; returns once it is carried out. Whose it is."""
         owner = user or call.user
+        call.trail.operation, call.trail.owner = rights.COMMANDS[type(command)], owner
         rights.check_command(principal(call), self._master.state, owner, command)
         if owner != call.user and owner not in await self._master.users.names():
             raise NotFound(f"there is no user {owner[:80]}", field="user")

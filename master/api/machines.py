@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from master import rights
-from master.api.acting import acting, cut, listing, principal
+from master.api.acting import acting, cut, listing, platform
 from master.api.calls import Answer, Call, Listing, One, Paging
 from master.api.router import Api, Route
 from master.machines import Inviter
@@ -50,20 +50,20 @@ class MachinesApi:
 
     async def list(self, call: Call) -> Answer:
         asked = call.asked(Machines)
-        rights.check(principal(call), "machine.read", rights.NOBODY)
+        platform(call, "machine.read")
         machines = [process for role in ROLES for process in self._state.processes.by(role)]
         views = ((each.name, self._master.shown.process(each)) for each in machines)
         return cut(views, asked, lambda each: asked.role in (None, each.role) and asked.state in (None, each.state))
 
     async def show(self, call: Call) -> Answer:
-        rights.check(principal(call), "machine.read", rights.NOBODY)
+        platform(call, "machine.read")
         machine = self._state.processes.get(call.path["name"])
         if machine is None or machine.role not in ROLES:
             raise NotFound(f"there is no machine {call.path['name'][:80]!r}", field="name")
         return Answer(self._master.shown.process(machine))
 
     async def invite(self, call: Call) -> Answer:
-        rights.check(principal(call), "machine.invite", rights.NOBODY)
+        platform(call, "machine.invite")
         wanted = call.body(NewInvitation)
         if self._inviter is None:
             raise NotFound("this Master takes no machines in: it lacks the settings machines and tls")

@@ -8,16 +8,15 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from master import packages
+from master.api.acting import acting
 from master.api.calls import Answer, Call
 from master.api.router import Api, Route
 from master.depot import UPLOAD_PATH, Announced, Depot, Upload
 from master.records import Package, Version
 from master.service import Master
-from rce.errors import Forbidden, InvalidRequest, NotFound, Unauthorized
+from rce.errors import InvalidRequest, NotFound, Unauthorized
 from rce.names import check_tag
-from rce.roles import UserRole
 
-MAY_CHANGE: frozenset[UserRole] = frozenset({"admin", "operator", "user"})
 MOST_SHARES = 1000
 
 
@@ -83,10 +82,11 @@ class PackagesApi:
         )
 
     async def list(self, call: Call) -> Answer:
+        acting(call, "package.read", "")
         return Answer([_shown(each, call.user) for each in packages.visible(self._master.state, call.user)])
 
     async def announce(self, call: Call) -> Answer:
-        _must_change(call)
+        acting(call, "package.push", "")
         wanted = call.body(Announcement)
         check_tag(wanted.name, "name")
         state = self._master.state
@@ -104,8 +104,9 @@ class PackagesApi:
         upload = call.content
         if not isinstance(upload, Upload):
             raise Unauthorized("this upload was not announced, or too long ago: POST it to /api/v1/packages first")
-        contents = await upload.check()
         announced = upload.announced
+        call.trail.operation, call.trail.owner, call.trail.names = "package.push", announced.user, [announced.name]
+        contents = await upload.check()
         self._check_quota(announced, 0)
         version = Version(contents.digest, contents.size, contents.packages, 0)
         self._depot.keep(upload)
@@ -115,13 +116,13 @@ class PackagesApi:
 
     async def remove(self, call: Call) -> Answer:
         """The archive goes with the last that names it: another package, or an environment that has it still."""
-        _must_change(call)
+        acting(call, "package.remove", "")
         packages.remove(self._master.state, call.user, call.path["name"], call.path.get("version", ""))
         await self._master.save()
         return Answer(status=204)
 
     async def share(self, call: Call) -> Answer:
-        _must_change(call)
+        acting(call, "package.share", "")
         others = call.body(Shares).users
         if not others:
             raise InvalidRequest("users: name at least one, or * for everybody", field="users")
@@ -133,7 +134,7 @@ class PackagesApi:
         return await self._changed(packages.share(self._master.state, call.user, call.path["name"], others), call)
 
     async def unshare(self, call: Call) -> Answer:
-        _must_change(call)
+        acting(call, "package.share", "")
         others = [call.path["other"]] if "other" in call.path else []
         return await self._changed(packages.unshare(self._master.state, call.user, call.path["name"], others), call)
 
@@ -152,15 +153,6 @@ class PackagesApi:
         user = announced.user
         quota = self._master.limits.of(user).package_bytes
         packages.check_quota(self._master.state, user, announced.digest, announced.size, quota, reserved)
-
-
-def _must_change(call: Call) -> None:
-    if call.principal is None or call.principal.role not in MAY_CHANGE:
-        role = call.principal.role if call.principal else "nobody"
-        raise Forbidden(
-            f"the role {role} may not change packages: use the password, or a key of role user "
-            "(`rce user key-add NAME --role user`)"
-        )
 
 
 def _shown(package: Package, user: str) -> Shown:

@@ -8,10 +8,9 @@ from __future__ import annotations
 import asyncio
 import hashlib
 from collections import OrderedDict
-from collections.abc import Awaitable, Callable
 from typing import NamedTuple
 
-from master.api.calls import Answer, Call
+from master.api.calls import Answer, Call, Handler
 from master.api.problems import KeyReused, status_of
 from rce.errors import InvalidRequest, RceError
 
@@ -19,7 +18,6 @@ HEADER = "Idempotency-Key"
 LONGEST = 255  # characters of a key
 KEPT = 6 * 3600.0  # seconds
 MOST = 500  # of one credential; the oldest goes first
-Handler = Callable[[Call], Awaitable[Answer]]
 
 
 class _Request(NamedTuple):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from master.api.audit import AuditApi
 from master.api.environments import EnvironmentsApi
 from master.api.events import EventsApi
 from master.api.interfaces import InterfacesApi
+from master.api.keys import KeysApi
 from master.api.live import Live
 from master.api.machines import MachinesApi
 from master.api.packages import PackagesApi
@@ -13,6 +15,7 @@ from master.api.ros import RosApi
 from master.api.router import Api
 from master.api.sockets import SocketResource
 from master.api.streams import Streams
+from master.api.users import UsersApi
 from master.depot import Depot
 from master.machines import Inviter
 from master.service import Master
@@ -20,8 +23,8 @@ from master.service import Master
 
 def make_api(master: Master, depot: Depot, inviter: Inviter | None = None) -> Api:
     """The API of this Master; without an inviter no machines are invited."""
-    api = Api(master.users)
-    for family in (RobotsApi, EnvironmentsApi, InterfacesApi, RosApi):
+    api = Api(master.users, master.audit)
+    for family in (UsersApi, KeysApi, AuditApi, RobotsApi, EnvironmentsApi, InterfacesApi, RosApi):
         family(master).add_to(api)
     MachinesApi(master, inviter).add_to(api)
     PackagesApi(master, depot).add_to(api)

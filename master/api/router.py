@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import base64
-import binascii
 import os
 import re
 from pathlib import Path
@@ -18,18 +16,17 @@ from twisted.protocols.basic import FileSender
 from twisted.web.resource import Resource
 from twisted.web.server import NOT_DONE_YET, Request
 
-from master.api.calls import Answer, Call
+from master.api.calls import Answer, Call, Handler, Trail
+from master.api.door import Door, authorization
 from master.api.problems import MethodNotAllowed, UnsupportedMediaType, refuse, write
-from master.api.repeats import Handler, Repeats
+from master.api.repeats import Repeats
 from master.api.streams import Stream
-from master.grants import KEY_PREFIX, digest
-from master.rights import Principal
+from master.audit import Audit
 from master.users import Users
-from rce.errors import InternalError, InvalidRequest, NotFound, RceError, Unauthorized
+from rce.errors import InternalError, InvalidRequest, NotFound, RceError
 
 PREFIX = "/api/v1"
 JSON = "application/json"
-HASH = re.compile(r"[0-9a-f]{64}", re.ASCII)
 log = Logger()
 
 
@@ -59,9 +56,9 @@ class Api(Resource):
 
     isLeaf = True
 
-    def __init__(self, users: Users) -> None:
+    def __init__(self, users: Users, audit: Audit) -> None:
         super().__init__()  # type: ignore[no-untyped-call]  # Twisted's
-        self._users = users
+        self._door = Door(users, audit)
         self._repeats = Repeats()
         self.routes: list[Route] = []
         self._patterns: list[tuple[re.Pattern[str], Route]] = []
@@ -126,41 +123,18 @@ class Api(Resource):
             request.setHeader("allow", allowed)
             raise MethodNotAllowed(f"{path[:200]} takes {allowed}, not {method[:20]}")
         route, match = found
-        kind, credentials = authorization(request)
-        principal = None if route.for_all else await self._authenticate(kind, credentials, host_of(request))
+        principal = None if route.for_all else await self._door.enter(request)
         if route.body is not None:
             _check_kind(request)
         parts = {name: _unquoted(part, path) for name, part in match.groupdict().items()}
         user = principal.user if principal else ""
-        made = Call(user, principal, parts, credentials, request.content, _query(request), request)
-        return await (self._repeats.answer(made, route.handler) if method == "POST" else route.handler(made))
+        _, token = authorization(request)
+        made = Call(user, principal, parts, token, request.content, _query(request), request, Trail())
 
-    async def _authenticate(self, kind: str, credentials: str, address: str) -> Principal:
-        """An API key as bearer, or `user:secret` as basic. The secret is a key, a password, or its SHA-256 in hex, as
-        robots send it: a password that looks like one must be hashed by who sends it.
-        """
-        if kind == "bearer" and credentials.startswith(KEY_PREFIX):
-            return await self._users.check("", credentials)
-        if kind == "basic":
-            try:
-                user, colon, secret = base64.b64decode(credentials, validate=True).decode().partition(":")
-            except (binascii.Error, UnicodeDecodeError):
-                colon = ""
-            if colon:
-                plain = not (secret.startswith(KEY_PREFIX) or HASH.fullmatch(secret))
-                return await self._users.check(user, digest(secret) if plain else secret, address)
-        raise Unauthorized("say who you are: Authorization: Bearer API-KEY, or Basic with user and password or key")
+        async def handler(call: Call) -> Answer:
+            return await self._door.audited(call, route.handler)
 
-
-def authorization(request: Request) -> tuple[str, str]:
-    """The kind of the credentials, in lower case, and the credentials."""
-    kind, _, credentials = (request.getHeader("authorization") or "").partition(" ")
-    return kind.lower(), credentials.strip()
-
-
-def host_of(request: Request) -> str:
-    """The address that a request came from."""
-    return str(getattr(request.getClientAddress(), "host", ""))
+        return await (self._repeats.answer(made, handler) if method == "POST" else handler(made))
 
 
 def _unquoted(part: str, path: str) -> str:

@@ -9,7 +9,8 @@ from twisted.web.server import Request
 from twisted.web.util import Redirect
 
 from master import dashboard
-from master.api.router import PREFIX, authorization
+from master.api.door import authorization
+from master.api.router import PREFIX
 from master.depot import Depot
 from master.entry import Entry
 from master.redirect import EntryRequest, EntrySite

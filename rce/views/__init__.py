@@ -5,6 +5,16 @@ are single words. Every view of what belongs to a user begins with `user`. Times
 """
 
 from rce.calls import RosName as RosName
+from rce.views.accounts import AuditView as AuditView
+from rce.views.accounts import KeyView as KeyView
+from rce.views.accounts import MadeKey as MadeKey
+from rce.views.accounts import NewKey as NewKey
+from rce.views.accounts import NewPassword as NewPassword
+from rce.views.accounts import NewUser as NewUser
+from rce.views.accounts import UsageView as UsageView
+from rce.views.accounts import UserChanges as UserChanges
+from rce.views.accounts import UserView as UserView
+from rce.views.accounts import Whoami as Whoami
 from rce.views.live import Deltas as Deltas
 from rce.views.live import Event as Event
 from rce.views.live import Greeting as Greeting

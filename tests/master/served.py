@@ -10,6 +10,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
+import argon2
 import msgspec
 from twisted.internet import endpoints
 from twisted.internet.base import ReactorBase
@@ -108,6 +109,12 @@ class Served:
         assert good, pages
         return pages
 
+    async def until_told(self, process: str, call: c.Call[Any]) -> None:
+        """Returns once a process was called so."""
+        async with asyncio.timeout(20):
+            while call not in self.peers[process].told:  # noqa: ASYNC110  # it has no event of its own
+                await asyncio.sleep(0.001)
+
     async def ask(
         self, method: str, path: str, user: str = "ann", body: Any = None, secret: str = PASSWORD, **headers: str
     ) -> Answer:
@@ -135,6 +142,7 @@ async def serve(reactor: ReactorBase, files: Path, policy: Policy | None = None)
     await store.open()
     depot = Depot(files / "depot")
     master = Master(store, 1000, policy or Policy(), depot=depot)
+    master.users.passwords.hasher = argon2.PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)  # many sign in
     for user, role in (("ann", "user"), ("bob", "user"), ("olga", "operator"), ("vera", "viewer"), ("root", "admin")):
         await master.users.add(user, PASSWORD, role)  # type: ignore[arg-type]
     await master.start()

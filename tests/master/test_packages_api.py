@@ -81,7 +81,7 @@ async def platform(reactor: ReactorBase, tmp_path: Path) -> AsyncIterator[Platfo
     for user in ("ann", "bob", "eve"):
         await master.users.add(user, PASSWORD)
     await master.start()
-    api = Api(master.users)
+    api = Api(master.users, master.audit)
     PackagesApi(master, depot).add_to(api)
     endpoint = endpoints.serverFromString(reactor, "tcp:0:interface=127.0.0.1")
     port = await endpoint.listen(ApiSite(Entry(master.state), api, depot)).asFuture(asyncio.get_running_loop())
