@@ -46,6 +46,19 @@ def load(directory: Path | None) -> Tls | None:
     return Tls(directory) if directory else None
 
 
+def public(certificate: str, private_key: str = "") -> ssl.SSLContext | None:
+    """What robots and browsers are served with: PEM files, the key in the first if not given; None without a
+    certificate. InvalidRequest."""
+    if not certificate:
+        return None
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    try:
+        context.load_cert_chain(certificate, private_key or None)
+    except (OSError, ssl.SSLError) as error:
+        raise InvalidRequest(f"certificate {certificate}: {error}", field="certificate") from None
+    return context
+
+
 def exposed(host: str, tls: Tls | None) -> bool:
     """Whether others in the network could read and change what is taken at `host`; then PLAIN is to be logged."""
     return tls is None and not _is_loopback(host)

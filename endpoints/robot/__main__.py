@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import secrets
-import ssl
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -23,10 +22,9 @@ from rce import loop, settings
 from rce.calls import Hello, Welcome
 from rce.control import MasterLink
 from rce.credential import Credential, stay_joined
-from rce.errors import InvalidRequest
 from rce.host import host_identity
 from rce.ready import Ready, announce
-from rce.tls import load
+from rce.tls import load, public
 
 MEGABYTE = 1024 * 1024
 
@@ -77,7 +75,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
         options.unfinished_size * MEGABYTE,
     )
     endpoint = RobotEndpoint(port, Options(limits, options.grace, options.service_timeout))
-    server = await listen(endpoint, options.ws_host, options.ws_port, _tls(options))
+    server = await listen(endpoint, options.ws_host, options.ws_port, public(options.certificate, options.private_key))
     url = options.public_url or f"{'wss' if options.certificate else 'ws'}://:{server.sockets[0].getsockname()[1]}/"
     incarnation = secrets.token_hex(16)
 
@@ -105,17 +103,6 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     finally:
         server.close()
         await port.close()
-
-
-def _tls(options: Settings) -> ssl.SSLContext | None:
-    if not options.certificate:
-        return None
-    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-    try:
-        context.load_cert_chain(options.certificate, options.private_key or None)
-    except (OSError, ssl.SSLError) as error:
-        raise InvalidRequest(f"certificate {options.certificate}: {error}", field="certificate") from None
-    return context
 
 
 def main() -> int:

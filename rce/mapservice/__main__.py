@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import secrets
-import ssl
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -18,12 +17,12 @@ from rce import loop, settings
 from rce.calls import Hello, Welcome
 from rce.control import MasterLink
 from rce.credential import Credential, stay_joined
-from rce.errors import InvalidRequest
 from rce.host import host_identity
 from rce.mapservice import jobs, uploads
 from rce.mapservice.server import Limits, MapService
 from rce.mapservice.worker import Worker
 from rce.ready import Ready, announce
+from rce.tls import public
 
 GIGABYTE = 1024**3
 HOUR, DAY = 3600.0, 86_400.0
@@ -77,7 +76,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     )
     service = MapService(directory, lambda: link, Worker(longest), limits, options.entry, options.trust)
     scheme = "https" if options.certificate else "http"
-    port = await service.start(options.host, options.port, _tls(options))
+    port = await service.start(options.host, options.port, public(options.certificate, options.private_key))
     url = options.public_url or f"{scheme}://:{port}/"
     incarnation = secrets.token_hex(16)
 
@@ -94,17 +93,6 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
         await stay_joined(link, credential)
     finally:
         await service.stop()
-
-
-def _tls(options: Settings) -> ssl.SSLContext | None:
-    if not options.certificate:
-        return None
-    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-    try:
-        context.load_cert_chain(options.certificate, options.private_key or None)
-    except (OSError, ssl.SSLError) as error:
-        raise InvalidRequest(f"certificate {options.certificate}: {error}", field="certificate") from None
-    return context
 
 
 def main() -> int:

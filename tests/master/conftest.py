@@ -1,13 +1,17 @@
-"""Time turned by hand, for what waits without sockets."""
+"""Time turned by hand, for what waits without sockets; a database with the user ann."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from hand_turned import HandTurnedLoop
+
+from master.store import Store
+from master.users import Users
 
 
 @pytest.fixture
@@ -22,3 +26,18 @@ def hand() -> Iterator[HandTurnedLoop]:
     loop.settle()
     loop.close()
     assert not unhandled
+
+
+@pytest.fixture
+async def store(tmp_path: Path) -> AsyncIterator[Store]:
+    store = Store(f"sqlite:///{tmp_path / 'master.db'}")
+    await store.open()
+    yield store
+    await store.close()
+
+
+@pytest.fixture
+async def users(store: Store) -> Users:
+    users = Users(store)
+    await users.add("ann", "secret")
+    return users

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import AsyncIterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,21 +14,6 @@ from master.rights import Principal
 from master.store import Store
 from master.users import Users, digest
 from rce.errors import Unauthorized
-
-
-@pytest.fixture
-async def store(tmp_path: Path) -> AsyncIterator[Store]:
-    store = Store(f"sqlite:///{tmp_path / 'master.db'}")
-    await store.open()
-    yield store
-    await store.close()
-
-
-@pytest.fixture
-async def users(store: Store) -> Users:
-    users = Users(store)
-    await users.add("ann", "secret")
-    return users
 
 
 async def test_a_lent_key_is_a_robots(users: Users, store: Store) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,21 +16,6 @@ from master.store import Store
 from master.users import Users, digest, must_drive
 from rce.errors import AlreadyExists, Forbidden, InvalidName, InvalidRequest, NotFound, RceError, Unauthorized
 from rce.roles import UserRole
-
-
-@pytest.fixture
-async def store(tmp_path: Path) -> AsyncIterator[Store]:
-    store = Store(f"sqlite:///{tmp_path / 'master.db'}")
-    await store.open()
-    yield store
-    await store.close()
-
-
-@pytest.fixture
-async def users(store: Store) -> Users:
-    users = Users(store)
-    await users.add("ann", "secret")
-    return users
 
 
 @pytest.fixture
