@@ -52,6 +52,8 @@ class Peer:
             c.Sync: c.Settled(),
             c.Describe: c.Definitions({}),
             c.CountTraffic: c.Traffic({}),
+            c.ReadGraph: c.RosGraph([], []),
+            c.ReadLog: c.Log([]),
             c.MeasureUsage: c.Usage({}),
         }
         self._served = served

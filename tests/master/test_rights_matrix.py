@@ -1,0 +1,185 @@
+"""Everybody tries everything: all routes and all commands of robots, on their own, hidden and others' things.
+
+What may be done is done; what is another's answers in the same words as what does not exist.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from everything import (
+    ACTORS,
+    CASES,
+    ENDS_ITSELF,
+    HIDDEN,
+    MISSING,
+    STRING,
+    THERE,
+    USERS,
+    Actor,
+    Case,
+    World,
+    without_names,
+)
+from served import serve
+from twisted.internet.base import ReactorBase
+
+from master.api.resources import make_api
+from master.depot import Depot
+from master.rights import COMMANDS, RIGHTS
+from rce import calls as c
+from rce import messages as m
+
+
+@pytest.fixture
+async def world(reactor: ReactorBase, tmp_path: Path) -> AsyncIterator[World]:
+    async with serve(reactor, tmp_path) as served:
+        yield World(served)
+
+
+async def test_every_route_is_in_the_table(world: World, tmp_path: Path) -> None:
+    api = make_api(world.served.master, Depot(tmp_path / "d"))
+    assert {f"{route.method} {route.path}" for route in api.routes} <= set(CASES)
+    assert {case.operation for case in CASES.values() if case} <= set(RIGHTS)
+
+
+@pytest.mark.parametrize("name", ACTORS)
+async def test_everything_over_http(world: World, name: str) -> None:
+    actor = ACTORS[name]
+    await world.begin(actor)
+    for route, case in CASES.items():
+        if case is None:
+            continue
+        if actor.column in ("expired", "metrics"):
+            reach = "own" if case.operation == "whoami" and actor.column == "metrics" else "-"
+        else:
+            reach = RIGHTS[case.operation][actor.column]
+        if reach == "all" and route in ENDS_ITSELF:
+            await _on_anothers(world, actor, route, case, reach)
+            continue
+        status, answer = await world.ask(route, case, actor.user, THERE, actor.user)
+        what = f"{name}: {route} on their own: {status} {answer}"
+        if actor.column == "expired":
+            assert status == 401, what
+        elif reach == "-" or (case.whose == "platform" and reach != "all"):
+            assert status == 403, what
+        else:
+            assert status < 400 or status in case.otherwise, what
+        await world.furnish(actor.user)
+        if case.whose in ("query", "path"):
+            await _on_anothers(world, actor, route, case, reach)
+        if actor.column == "tied" and reach == "own" and "{" in route + json.dumps(case.body):
+            await _on_hidden(world, actor, route, case)
+
+
+async def _on_anothers(world: World, actor: Actor, route: str, case: Case, reach: str) -> None:
+    without = (("bob", MISSING), ("nobody", THERE), ("nobody", MISSING)) if reach != "all" else ()
+    tried = (*without, ("bob", THERE))
+    answers = [await world.ask(route, case, user, tags, actor.user) for user, tags in tried]
+    expected = {"expired": (401,)}.get(actor.column, {"-": (403,), "own": (404,), "all": (200, 201, 204)}[reach])
+    what = f"{actor.column}: {route} on another's: {answers}"
+    assert answers[-1][0] in (*expected, *case.otherwise), what
+    if reach != "all":
+        said = {
+            without_names(answer, "bob", "nobody", *THERE.values(), *MISSING.values(), *world.keys.values())
+            for answer in answers
+        }
+        assert len(said) == 1, what
+    await world.furnish("bob")
+
+
+async def _on_hidden(world: World, actor: Actor, route: str, case: Case) -> None:
+    """The user's other things, to which the key is not tied."""
+    if not any(f"{{{tag}}}" in route for tag in ("environment", "owner", "ownerA", "robot")):
+        return
+    hidden = await world.ask(route, case, actor.user, HIDDEN, actor.user)
+    missing = await world.ask(route, case, actor.user, MISSING, actor.user)
+    assert hidden[0] == 404, f"{route} on what is hidden: {hidden}"
+    names = (*HIDDEN.values(), *MISSING.values(), "norate", "rate")
+    assert without_names(hidden, *names) == without_names(missing, *names), f"{route}: {hidden} {missing}"
+
+
+async def test_lists_have_what_one_may_see(world: World) -> None:
+    lists = [route for route in CASES if route.startswith("GET ") and "{" not in route]
+    for name in ("tied", "viewer", "operator"):
+        actor = ACTORS[name]
+        await world.begin(actor)
+        seen: dict[str, set[tuple[str, str]]] = {}
+        for route in lists:
+            case = CASES[route]
+            if case is None or case.whose != "query" or route in ("GET /keys", "GET /events"):
+                continue
+            status, answer = await world.ask(route, case, "*", THERE, actor.user)
+            if status == 200:
+                for each in answer["items"]:
+                    tags = [each.get(tag, "") for tag in ("robotID", "containerTag", "endpointTag", "tagA", "tagB")]
+                    seen.setdefault(route, set()).update((each["user"], tag.partition("/")[0]) for tag in tags if tag)
+        users = USERS if name == "operator" else ("ann",)
+        tags = {"r1", "brain"} if name == "tied" else {"r1", "r2", "brain", "attic"}
+        for route in ("GET /robots", "GET /environments", "GET /interfaces", "GET /connections"):
+            assert {user for user, _ in seen[route]} == set(users), (name, route)
+            assert {tag for _, tag in seen[route]} <= tags, (name, route)
+        assert {tag for _, tag in seen["GET /connections"]} == tags
+
+
+# --- robots -----------------------------------------------------------------------------------------------------------
+
+
+def commands(robot: str, environment: str, node: str = "talker") -> list[m.Command]:
+    """One of each."""
+    return [
+        m.AddNode(environment, "fresh", "p", "x"),
+        m.RemoveNode(environment, node),
+        m.SetParameter(environment, "rate", 2),
+        m.DeleteParameter(environment, "rate"),
+        m.AddInterface(robot, "fresh", "SubscriberConverter", STRING),
+        m.AddInterface(environment, "fresh", "PublisherInterface", STRING),
+        m.Connect(f"{robot}/spare", f"{environment}/spare"),
+        m.Disconnect(f"{robot}/in", f"{environment}/out"),
+        m.RemoveInterface(robot, "in"),
+        m.RemoveInterface(environment, "out"),
+        m.DestroyContainer(environment),
+        m.CreateContainer(environment),
+    ]
+
+
+async def outcome(world: World, call: c.Call[Any]) -> str:
+    """`ok`, or what is said."""
+    try:
+        await world.served.said("west", call)
+    except AssertionError as error:
+        return str(error)
+    return "ok"
+
+
+@pytest.mark.parametrize("name", ACTORS)
+async def test_everything_as_a_robot(world: World, name: str) -> None:
+    actor = ACTORS[name]
+    assert {type(command) for command in commands("r1", "brain")} == set(COMMANDS)
+    await world.begin(actor)
+    await world.served.master.disconnect(f"{actor.user}/r1", "the test takes its place")
+    came = await outcome(world, c.Login(actor.user, "r1", world.secret))
+    column = actor.column
+    if column in ("expired", "metrics") or RIGHTS["robot.connect"][column] == "-":
+        codes = {"expired": "unauthorized", "viewer": "forbidden", "admin": "invalid_request"}
+        assert codes.get(column, "invalid_request") in came
+        for command in commands("r1", "brain"):
+            assert "has no session" in await outcome(world, c.Execute.of(f"{actor.user}/r1", command))
+        return
+    assert came == "ok"
+    assert "unauthorized" in await outcome(world, c.Login("bob", "r1", world.secret))
+    await world.furnish(actor.user)
+    for command in commands("r1", "brain"):
+        assert await outcome(world, c.Execute.of(f"{actor.user}/r1", command)) == "ok", (name, command)
+    await world.furnish(actor.user)
+    if column == "tied":
+        assert "forbidden" in await outcome(world, c.Login("ann", "r2", world.secret))
+        for hidden, missing in zip(commands("r2", "attic"), commands("r9", "annex"), strict=True):
+            said, of_missing = [await outcome(world, c.Execute.of("ann/r1", each)) for each in (hidden, missing)]
+            assert "not_found" in said or "forbidden" in said
+            same = of_missing.replace("r9", "r2").replace("annex", "attic")
+            assert said == same
