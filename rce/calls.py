@@ -178,16 +178,23 @@ class DropParameter(Call[Nothing], frozen=True):
 
 
 class Log(Struct, frozen=True):
-    """Lines of a node's or an environment's output."""
+    """Lines of a node's or an environment's output. What comes later is asked for with `after=next`."""
 
     lines: list[str]
+    next: str = ""
 
 
 class ReadLog(Call[Log], frozen=True):
-    """The last lines of a node's output."""
+    """A node's output, or that of the environment itself if `node` is empty: the last lines, at most so many.
+
+    With `after`, the `next` of an earlier answer: what has come since, in part if it is much; with `wait` answered only
+    once there is something, or after so many seconds. A node that was started anew begins anew. NotFound.
+    """
 
     node: str
     lines: int = 100
+    after: str = ""
+    wait: float = 0
 
 
 class RosName(Struct, frozen=True):

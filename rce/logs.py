@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import logging
 import sys
+from collections.abc import Callable
 from datetime import datetime
-from typing import IO
+from typing import IO, Any
 
 import msgspec
 from twisted.logger import (
@@ -21,6 +22,7 @@ from twisted.logger import (
     LogLevelFilterPredicate,
     formatEvent,
     globalLogBeginner,
+    globalLogPublisher,
 )
 
 _OWN = frozenset({"format", "time", "isError", "message"})  # keys that Twisted adds beside those that begin with log_
@@ -29,14 +31,25 @@ _OWN = frozenset({"format", "time", "isError", "message"})  # keys that Twisted 
 def begin(stream: IO[str] = sys.stderr) -> None:
     """Log to `stream` from now on; once a process."""
     lines = FileLogObserver(stream, _for_people if stream.isatty() else _for_programs)
+    globalLogBeginner.beginLoggingTo([_from_info(lines)], redirectStandardIO=False)
+    logging.basicConfig(level=logging.INFO, handlers=[_FromLogging()], force=True)
+
+
+def also(write: Callable[[str], None]) -> None:
+    """Let each line, as for people, go there too."""
+
+    def observe(event: LogEvent) -> None:
+        write(_for_people(event))
+
+    globalLogPublisher.addObserver(_from_info(observe))
+
+
+def _from_info(observer: Any) -> Any:  # mypy does not see that classes provide zope interfaces
     level = LogLevelFilterPredicate(LogLevel.info)
     # Ports that open and close, a line for each HTTP request; Autobahn would log bad requests with their credentials.
     for chatty in ("log_legacy", "twisted.python.log", "autobahn"):
         level.setLogLevelForNamespace(chatty, LogLevel.warn)
-    # mypy does not see that classes provide zope interfaces
-    from_info = FilteringLogObserver(lines, [level])  # type: ignore[arg-type,list-item]
-    globalLogBeginner.beginLoggingTo([from_info], redirectStandardIO=False)  # type: ignore[list-item]
-    logging.basicConfig(level=logging.INFO, handlers=[_FromLogging()], force=True)
+    return FilteringLogObserver(observer, [level])  # type: ignore[list-item]
 
 
 class _FromLogging(logging.Handler):

@@ -14,9 +14,10 @@ from twisted.logger import Logger
 
 from endpoints.data_port import DataPort
 from endpoints.environment import surroundings
+from endpoints.environment.nodelog import NodeLog
 from endpoints.environment.settings import Settings
 from endpoints.host import listen
-from rce import __version__, loop
+from rce import __version__, logs, loop
 from rce.calls import Call, Hello, Nothing, Welcome
 from rce.control import MasterLink
 from rce.errors import RceError
@@ -52,7 +53,9 @@ class Endpoint:
         self._addresses = await listen(port, socket, self._settings.listen)
         ros = RosThread(asyncio.get_running_loop())
         await ros.start()
-        environment = Environment(self._settings, ros, port, self.tell)
+        output = NodeLog(self._settings.data_dir / "environment.log")
+        logs.also(lambda line: output.write(line.encode()))
+        environment = Environment(self._settings, ros, port, self.tell, output)
         self._master = MasterLink(
             reactor, self._settings.master, self._hello, environment.handlers(), self._welcomed, tls
         )

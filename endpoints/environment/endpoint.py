@@ -14,6 +14,7 @@ from endpoints.environment.definitions import Definitions
 from endpoints.environment.graph import read
 from endpoints.environment.interfaces import RosInterface, Surroundings
 from endpoints.environment.live import LiveParameters
+from endpoints.environment.nodelog import NodeLog
 from endpoints.environment.nodes import Nodes
 from endpoints.environment.packages import Packages
 from endpoints.environment.parameters import Parameters, checked
@@ -41,12 +42,15 @@ C = TypeVar("C")
 
 
 class Environment:
-    """What one environment has. `tell` sends a call to the Master, whenever that is there."""
+    """What one environment has. `tell` sends a call to the Master, whenever that is there; what this process itself has
+    to say is in `log`.
+    """
 
-    def __init__(self, settings: Settings, ros: RosThread, port: DataPort, tell: Tell) -> None:
+    def __init__(self, settings: Settings, ros: RosThread, port: DataPort, tell: Tell, log: NodeLog) -> None:
         installed = prefixes(settings)
         packages = Packages(installed, settings.package_path)
         self._tell = tell
+        self._log = log
         self._ros = ros
         self._definitions = Definitions(installed + packages.prefixes, packages.sources)
         self._parameters = Parameters()
@@ -143,7 +147,10 @@ class Environment:
             raise
 
     async def _read_log(self, call: c.ReadLog) -> c.Log:
-        return c.Log(self._nodes.last_lines(call.node, call.lines))
+        log = self._nodes.log(call.node) if call.node else self._log
+        if call.after:
+            return c.Log(*await log.more(call.after, call.wait))
+        return c.Log(log.last_lines(call.lines), log.end)
 
     async def _describe(self, call: c.Describe) -> c.Definitions:
         return c.Definitions(self._definitions.describe(call.type, call.service))

@@ -83,12 +83,12 @@ class Nodes:
     async def stop_all(self) -> None:
         await asyncio.gather(*(self.stop(tag) for tag in list(self._running)))
 
-    def last_lines(self, tag: str, count: int) -> list[str]:
+    def log(self, tag: str) -> NodeLog:
         """Also of a node that has ended. NotFound."""
         output = self._logs.get(tag)
         if output is None:
             raise NotFound(f"no node {tag} was started in this environment", field="nodeTag")
-        return output.last_lines(count)
+        return output
 
     def resolved(self, parameter: ParameterSpec) -> ParameterSpec:
         """A parameter that is a string gets the substitutions of `args`. InvalidRequest, NotFound."""

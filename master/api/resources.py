@@ -8,6 +8,7 @@ from master.api.events import EventsApi
 from master.api.interfaces import InterfacesApi
 from master.api.keys import KeysApi
 from master.api.live import Live
+from master.api.logs import LogsApi
 from master.api.machines import MachinesApi
 from master.api.packages import PackagesApi
 from master.api.robots import RobotsApi
@@ -30,5 +31,6 @@ def make_api(master: Master, depot: Depot, inviter: Inviter | None = None) -> Ap
     PackagesApi(master, depot).add_to(api)
     streams = Streams(master.guard)
     EventsApi(master, streams).add_to(api)
+    LogsApi(master, streams).add_to(api)
     api.mount("/live", SocketResource(Live(master).listener))
     return api

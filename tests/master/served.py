@@ -69,7 +69,8 @@ class Peer:
                 await self._served.join(c.Hello("environment", spec.name, spec.token, rce.__version__, spec.run))
             case c.StopEnvironment(name) if name in self._served.peers:
                 self._served.peers.pop(name).close()
-        return self.answers.get(type(call), c.Nothing())
+        answer = self.answers.get(type(call), c.Nothing())
+        return await answer(call) if callable(answer) else answer
 
     def close(self) -> None:
         if not self.lost.done():

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
-import json
 from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from served import Served, serve
+from sse import follow
 from twisted.internet.base import ReactorBase
 
 from master import events
@@ -23,48 +21,6 @@ async def served(reactor: ReactorBase, tmp_path: Path) -> AsyncIterator[Served]:
     async with serve(reactor, tmp_path) as served:
         await served.robot("ann", "r1")
         yield served
-
-
-class Follower:
-    """A client of server-sent events."""
-
-    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self._reader = reader
-        self._writer = writer
-
-    async def next(self) -> Any:
-        """The next event's data, with its id and name checked; None at the end."""
-        fields: dict[str, str] = {}
-        while (line := await asyncio.wait_for(self._reader.readline(), 20)) != b"0\r\n":  # the last chunk
-            name, colon, value = line.decode().strip().partition(": ")
-            if colon:
-                fields[name] = value
-            if "data" in fields:
-                data = json.loads(fields["data"])
-                assert fields.get("event", "") in ("error", data.get("type"))
-                assert fields.get("id", "") == data.get("id", "")
-                return data
-        return None
-
-    async def types(self, count: int) -> list[str]:
-        return [(await self.next())["type"] for _ in range(count)]
-
-    async def close(self) -> None:
-        self._writer.close()
-        await self._writer.wait_closed()
-
-
-async def follow(served: Served, path: str, user: str, scopes: Scopes | None = None, **headers: str) -> Follower:
-    role: Any = "robot" if scopes else {"olga": "operator", "ann": "user", "bob": "user"}[user]
-    secret, _ = await served.master.users.add_key(user, role, scopes=scopes or Scopes())
-    reader, writer = await asyncio.open_connection("127.0.0.1", served.port)
-    lines = [f"GET /api/v1{path} HTTP/1.1", "Host: x", f"Authorization: Bearer {secret}"]
-    lines += [f"{name.replace('_', '-')}: {value}" for name, value in headers.items()]
-    writer.write(("\r\n".join(lines) + "\r\n\r\n").encode())
-    assert b"200" in await asyncio.wait_for(reader.readline(), 20)
-    while await asyncio.wait_for(reader.readline(), 20) != b"\r\n":
-        pass
-    return Follower(reader, writer)
 
 
 async def test_what_happens_is_told(served: Served) -> None:

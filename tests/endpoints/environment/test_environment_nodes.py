@@ -26,6 +26,17 @@ async def line(master: FakeMaster, tag: str, words: str) -> str:
             await asyncio.sleep(0.01)
 
 
+async def test_a_log_is_followed(master: FakeMaster) -> None:
+    await master.call(c.StartNode(c.NodeSpec("followed", "probe", "say", "live")))
+    await line(master, "followed", "pids")
+    log = await master.call(c.ReadLog("followed"))
+    assert log.lines
+    assert (await master.call(c.ReadLog("followed", after=log.next, wait=0.01))).lines == []
+    own = await master.call(c.ReadLog(""))
+    assert own.next
+    await master.call(c.StopNode("followed"))
+
+
 def alive(pid: int) -> bool:
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
