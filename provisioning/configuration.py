@@ -15,21 +15,21 @@ from typing import Any
 from provisioning.joincode import Code
 from provisioning.release import TYPESUPPORT
 from provisioning.steps import Failed
-from provisioning.system import AUTHORITY_KEY, CURRENT, DOCKER, ETC, TLS, VAR, System
+from provisioning.system import AUTHORITY_KEY, CURRENT, DOCKER, ETC, MAPS, TLS, VAR, System
 
 Value = str | int | float | bool | list[str]
 Settings = dict[str, Value]
 MEMBERSHIP = f"{ETC}/membership.json"  # what the Master gave when this machine joined
-CONTROL_PORT, MACHINES_PORT, HTTP_PORT, WS_PORT = 8080, 8081, 9000, 9010
+CONTROL_PORT, MACHINES_PORT, HTTP_PORT, WS_PORT, MAPS_PORT = 8080, 8081, 9000, 9010, 9040
 DATA_PORTS = {"robot": 9020, "container": 9030}
 CHANGES = {  # option: the settings that it decides, also where a file says otherwise
     "address": {"address", "public_url", "data_address", "master"},
-    "http_port": {"http"},
+    "http_port": {"http", "entry"},
     "ws_port": {"ws_port", "public_url"},
     "engine": {"engine"},
     "allow_unisolated": {"allow_unisolated"},
     "size": {"size"},
-    "certificate": {"http", "certificate", "private_key"},
+    "certificate": {"http", "certificate", "private_key", "trust"},
 }
 FROM_THE_MASTER = {"master", "token", "name", "data_address"}
 
@@ -62,7 +62,7 @@ def settings(wanted: Wanted, system: System) -> dict[str, Settings]:
     found = {role: read(system, role) for role in wanted.roles}
     given = {name for option, names in CHANGES.items() if wanted.options.get(option) is not None for name in names}
     membership = read_membership(system)
-    make = {"master": _master, "robot": _robot, "container": _container}
+    make = {"master": _master, "robot": _robot, "container": _container, MAPS: _maps}
     result = {}
     for role in wanted.roles:
         defaults = make[role](wanted) | _membership(membership, role)
@@ -157,6 +157,24 @@ def _container(wanted: Wanted) -> Settings:
     return values
 
 
+def _maps(wanted: Wanted) -> Settings:
+    """Its jobs come back as robots, to every machine's Robot endpoint."""
+    certificate, key = _certificate(wanted)
+    return {
+        "data_dir": f"{VAR}/{MAPS}",
+        "master": f"tcp:127.0.0.1:{CONTROL_PORT}",
+        "token": "",
+        "tls": TLS,
+        "entry": f"https://127.0.0.1:{wanted.option('http_port', str(HTTP_PORT))}/",
+        "trust": wanted.option("certificate", f"{TLS}/ca.pem"),
+        "host": "0.0.0.0",
+        "port": MAPS_PORT,
+        "public_url": f"https://{wanted.address}:{MAPS_PORT}/",
+        "certificate": certificate,
+        "private_key": key,
+    }
+
+
 def _common(wanted: Wanted, role: str) -> Settings:
     return {
         "master": f"tcp:127.0.0.1:{CONTROL_PORT}",
@@ -182,9 +200,10 @@ def _membership(membership: Mapping[str, Any], role: str) -> Settings:
 def _invite(result: dict[str, Settings], found: Mapping[str, Settings]) -> None:
     """On the Master's machine the others have tokens that stand on both sides."""
     tokens = list(result["master"]["tokens"])  # type: ignore[arg-type]  # it is the list of strings
-    for role in result.keys() & {"robot", "container"}:
+    for role in result.keys() - {"master"}:
         values = result[role]
         if not values["token"]:
             values["token"] = secrets.token_hex(32)
-            tokens.append(f"{role}:{values['name']}:{values['token']}")
+            whose = f"service:{MAPS}" if role == MAPS else f"{role}:{values['name']}"
+            tokens.append(f"{whose}:{values['token']}")
     result["master"]["tokens"] = tokens

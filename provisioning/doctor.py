@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from provisioning import configuration, findings, release, units
 from provisioning.findings import Finding, judge
+from provisioning.services import receive_buffer
 from provisioning.steps import Failed, add_command
 from provisioning.system import CURRENT, ETC, KNOWN, TLS, UNITS, USER, VAR, System, unit
 
@@ -27,7 +28,12 @@ if TYPE_CHECKING:
 AGAIN = "provisioning/provision install"
 TIMEOUT = 5.0  # seconds for an answer over the network
 SHARED_MEMORY = 256e6
-IMPORTS = {"master": "master.service", "robot": "endpoints.robot.server", "container": "containers.taskset"}
+IMPORTS = {
+    "master": "master.service",
+    "robot": "endpoints.robot.server",
+    "container": "containers.taskset",
+    "map-service": "rce.mapservice.server",
+}
 
 
 def doctor(options: argparse.Namespace, rest: list[str]) -> int:
@@ -119,6 +125,7 @@ def _listening(settings: dict[str, configuration.Settings]) -> Iterator[tuple[in
         ("robot", "ws_port", "robots' WebSockets"),
         ("robot", "data_port", "data"),
         ("container", "data_port", "data"),
+        ("map-service", "port", "maps"),
     ):
         if port := settings.get(role, {}).get(key):
             yield int(str(port)), f"{what} ({role})"
@@ -208,6 +215,7 @@ def _process_engine(system: System) -> Iterator[Finding]:
 
 
 def _docker(image: str) -> Iterator[Finding]:
+    yield findings.receive_buffer(receive_buffer())
     text = _output("docker", "info", "--format", "{{json .}}")
     info: dict[str, Any] = json.loads(text) if text.startswith("{") else {}
     if not info.get("ServerVersion"):

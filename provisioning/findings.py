@@ -56,6 +56,13 @@ def clock(seconds: float) -> Finding:
     return judge(abs(seconds) < 5, "clock", found, remedy, "warn" if abs(seconds) < 300 else "bad")
 
 
+def receive_buffer(most: int) -> Finding:
+    """Of a socket, in bytes."""
+    found = f"sockets may have {most / 1024:.0f} KiB to receive in"
+    remedy = "large messages between members of network groups get slow: sysctl net.core.rmem_max=4194304"
+    return judge(most >= 4 * 1024 * 1024, "network groups", found, remedy, "warn")
+
+
 def docker(info: dict[str, object]) -> Iterator[Finding]:
     """What `docker info` says."""
     version = str(info.get("ServerVersion", "0"))

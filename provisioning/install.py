@@ -13,7 +13,7 @@ from provisioning.configuration import Wanted
 from provisioning.installing import account_steps, certificate_step, package_step
 from provisioning.services import docker_steps, file_steps, image_step, start_step
 from provisioning.steps import Failed, Step, add_command, begin_log, need_root, perform, show
-from provisioning.system import KNOWN, ROLES, System, own_address
+from provisioning.system import KNOWN, MAPS, ROLES, SERVICES, System, own_address
 
 if TYPE_CHECKING:
     from provisioning.steps import Commands
@@ -71,6 +71,7 @@ def wanted_from(options: argparse.Namespace, system: System) -> Wanted:
     code = joincode.parse(options.join) if options.join else None
     installed = system.roles()
     roles = _roles(options.role) or (code.roles if code else installed or ROLES)
+    with_maps = {*roles, *installed, *([MAPS] if "master" in roles else [])}
     if code is not None and not set(roles) <= set(code.roles):
         raise Failed(f"this join code is for {', '.join(code.roles)}: make one for {', '.join(roles)}, or leave --role")
     if code is not None and "master" in installed:
@@ -86,7 +87,7 @@ def wanted_from(options: argparse.Namespace, system: System) -> Wanted:
     name = code.name if code else options.name or found.get("container", {}).get("name") or socket.gethostname()
     address = options.address or found.get("master", {}).get("address") or own_address()
     # What is here stays: another role is added to it.
-    merged = tuple(role for role in ROLES if role in {*roles, *installed})
+    merged = tuple(role for role in SERVICES if role in with_maps)
     wanted = Wanted(merged, str(name), str(address), {**given, "engine": engine}, code)
     notes.check(wanted)
     return wanted

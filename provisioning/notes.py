@@ -21,6 +21,7 @@ def ports(wanted: Wanted) -> list[Port]:
             (http, "robots", "their entry (https)"),
             (configuration.CONTROL_PORT, "machines", "control connections (TLS)"),
             (configuration.MACHINES_PORT, "machines", "where new machines join (https)"),
+            (configuration.MAPS_PORT, "clients", "map service (https)"),
         ]
     if "robot" in wanted.roles:
         found += [

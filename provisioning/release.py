@@ -21,7 +21,7 @@ from provisioning.system import CURRENT, DOCKER, OPT, System, public_python
 PACKAGES = ("rce", "master", "endpoints", "containers", "converters", "provisioning")
 FILES = ("pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md")
 KEPT = 2  # releases: the running one and the one before, whose files environments may still use
-EXTRAS = {"master": ("server",), "robot": ("server",), "container": ("server",)}
+EXTRAS = {"master": ("server",), "robot": ("server",), "container": ("server",), "map-service": ("server", "mapping")}
 TYPESUPPORT = f"{OPT}/typesupport"
 SOURCE = "source.tar.gz"  # of a release, which machines to come may fetch from the Master
 

@@ -10,6 +10,7 @@ import secrets
 import sqlite3
 from collections.abc import Collection, Sequence
 from contextlib import closing
+from pathlib import Path
 
 from provisioning import configuration, units
 from provisioning.configuration import Wanted
@@ -17,7 +18,9 @@ from provisioning.steps import ROOT, Step, run
 from provisioning.system import CURRENT, ETC, UNITS, USER, VAR, System, docker_answers, unit
 
 PASSWORD = f"{ETC}/admin-password"
-STOP_ORDER = ("container", "robot", "master")
+SYSCTL, RMEM_MAX = "/etc/sysctl.d/60-rce.conf", "/proc/sys/net/core/rmem_max"
+RECEIVE_BUFFER = 4 * 1024 * 1024  # as the endpoint asks for
+STOP_ORDER = ("map-service", "container", "robot", "master")
 START_ORDER = tuple(reversed(STOP_ORDER))  # each finds the Master there; none needs it
 
 
@@ -102,6 +105,32 @@ def has_users(database: str) -> bool:
 # --- Docker -----------------------------------------------------------------------------------------------------------
 
 
+def kernel_step(system: System) -> Step:
+    """What nodes of network groups may take for the bursts of large messages."""
+
+    def write() -> str:
+        system.path(SYSCTL).parent.mkdir(exist_ok=True)
+        system.write(SYSCTL, f"# Large messages in network groups.\nnet.core.rmem_max = {RECEIVE_BUFFER}\n", 0o644)
+        if receive_buffer() >= RECEIVE_BUFFER:
+            return SYSCTL
+        try:
+            Path(RMEM_MAX).write_text(str(RECEIVE_BUFFER))
+        except OSError:
+            return f"{SYSCTL}, from the next start of this machine on"
+        return SYSCTL
+
+    todo = "" if system.path(SYSCTL).exists() else f"{SYSCTL}: net.core.rmem_max = {RECEIVE_BUFFER}"
+    return Step("kernel", lambda: todo, write)
+
+
+def receive_buffer() -> int:
+    """The most bytes that a socket may have for what it receives; 0 where it is not known."""
+    try:
+        return int(Path(RMEM_MAX).read_text())
+    except OSError:
+        return 0
+
+
 def docker_steps(system: System) -> list[Step]:
     """Docker starts with the system."""
 
@@ -111,7 +140,10 @@ def docker_steps(system: System) -> list[Step]:
         run("systemctl", "enable", "--now", "docker.service")
         return "docker.service"
 
-    return [Step("docker", lambda: "" if docker_answers() else "start it, now and with the system", start)]
+    return [
+        kernel_step(system),
+        Step("docker", lambda: "" if docker_answers() else "start it, now and with the system", start),
+    ]
 
 
 def image_step() -> Step:

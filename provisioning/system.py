@@ -21,7 +21,9 @@ UNITS = "/etc/systemd/system"
 CURRENT = f"{OPT}/current"  # the release that runs
 TLS, AUTHORITY_KEY = f"{ETC}/tls", f"{ETC}/authority/ca.key"
 DOCKER = ("docker", "swarm")  # the engines that need it
-ROLES = ("master", "robot", "container")
+MAPS = "map-service"  # which is where the Master is
+ROLES = ("master", "robot", "container")  # that can be asked for
+SERVICES = (*ROLES, MAPS)
 KNOWN = {("debian", "12"), ("debian", "13"), ("ubuntu", "24.04")}
 
 
@@ -69,8 +71,8 @@ class System:
             return ""
 
     def roles(self) -> tuple[str, ...]:
-        """What is installed here."""
-        return tuple(role for role in ROLES if self.path(f"{ETC}/{role}.toml").exists())
+        """The services that are installed here."""
+        return tuple(role for role in SERVICES if self.path(f"{ETC}/{role}.toml").exists())
 
     def file_is(self, name: str, text: str) -> bool:
         return self.path(name).is_file() and self.text(name) == text

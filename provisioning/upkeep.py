@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from provisioning import install as installation
 from provisioning import release
-from provisioning.services import START_ORDER, stop
+from provisioning.services import START_ORDER, SYSCTL, stop
 from provisioning.steps import Failed, Step, add_command, begin_log, need_root, perform, run, show
 from provisioning.system import ETC, OPT, UNITS, USER, VAR, System, docker_answers, program, unit
 
@@ -119,6 +119,7 @@ def uninstall_steps(system: System, purge: bool) -> list[Step]:
         Step("containers", lambda: "remove environments" if docker_answers() else "", _remove_containers),
         Step("processes", lambda: f"end those of {USER}" if system.has_user() else "", _end_processes),
         _remove_step(system, "units", names),
+        _remove_step(system, "kernel", [SYSCTL]),
         _remove_step(system, "code", [OPT]),
     ]
     if not purge:

@@ -22,7 +22,7 @@ from rce.mapservice import jobs, uploads
 from rce.mapservice.server import Limits, MapService
 from rce.mapservice.worker import Worker
 from rce.ready import Ready, announce
-from rce.tls import public
+from rce.tls import load, public
 
 GIGABYTE = 1024**3
 HOUR, DAY = 3600.0, 86_400.0
@@ -43,6 +43,7 @@ class Settings(Struct):
     )
     trust: Annotated[str, Meta(description="PEM file with the platform's own certificate, if it has one")] = ""
     token: Annotated[str, Meta(description="one-time join token; better given as RCE_TOKEN")] = ""
+    tls: Annotated[Path | None, Meta(description="directory with ca.pem, cert.pem and key.pem, for the Master")] = None
     host: Annotated[str, Meta(description="address on which clients are served")] = "127.0.0.1"
     port: Annotated[int, Meta(ge=0, le=65535, description="port for clients; 0 takes a free one")] = 9020
     public_url: Annotated[str, Meta(description="where the Master sends clients; else the host of their request")] = ""
@@ -87,7 +88,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
         credential.keep(welcome)
         announce(Ready(NAME, url))
 
-    link = MasterLink(reactor, options.master, hello, service.handlers(), welcomed)
+    link = MasterLink(reactor, options.master, hello, service.handlers(), welcomed, load(options.tls))
     service.jobs.start()
     try:
         await stay_joined(link, credential)

@@ -137,6 +137,11 @@ def test_amounts(size: float, level: str) -> None:
     assert findings.amount("disk", "free", size * GB, 10 * GB, 1 * GB, "make room").level == level
 
 
+@pytest.mark.parametrize(("most", "level"), [(4_194_304, "ok"), (212_992, "warn")])
+def test_receive_buffers(most: int, level: str) -> None:
+    assert findings.receive_buffer(most).level == level
+
+
 def test_docker() -> None:
     assert worst(findings.docker(INFO)) == "ok"
 

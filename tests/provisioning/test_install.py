@@ -25,9 +25,15 @@ from provisioning.steps import Failed, Step
 from provisioning.system import System
 from rce import settings
 from rce.joining import Invitation, JoinCode
+from rce.mapservice.__main__ import Settings as MapSettings
 
 SYSTEMS = [("debian", "12", "3.11"), ("debian", "13", "3.13"), ("ubuntu", "24.04", "3.12")]
-KINDS: dict[str, Any] = {"master": MasterSettings, "robot": RobotSettings, "container": ContainerSettings}
+KINDS: dict[str, Any] = {
+    "master": MasterSettings,
+    "robot": RobotSettings,
+    "container": ContainerSettings,
+    "map-service": MapSettings,
+}
 
 
 def make_system(root: Path, name: str, version: str, python: str) -> System:
@@ -87,11 +93,11 @@ def test_the_plan_on_a_fresh_system(fresh: System) -> None:
     plan = planned(fresh, "--address", "10.0.0.1")
     assert list(plan) == [
         *("system packages", "user", "directories", "release", "current release", "certificates"),
-        *("settings", "units", "administrator", "docker", "images", "services"),
+        *("settings", "units", "administrator", "kernel", "docker", "images", "services"),
     ]
     minor = {"12": "3.11", "13": "3.13", "24.04": "3.12"}[fresh.release()[1]]
     assert plan["system packages"] == f"python{minor}-venv docker.io iptables debootstrap"
-    assert "rce[docker,server]" in plan["release"]
+    assert "rce[docker,mapping,server]" in plan["release"]
     assert "10.0.0.1" in plan["certificates"]
     assert all(plan.values())
 
@@ -154,7 +160,9 @@ def test_the_programs_understand_their_settings(debian: System, engine: str) -> 
 def test_the_master_knows_the_tokens_of_its_machine(debian: System) -> None:
     values = write_settings(debian, "--name", "alpha")
     robot, container = values["robot"], values["container"]
+    maps = values["map-service"]
     expected = [f"robot:alpha-robot:{robot['token']}", f"container:alpha:{container['token']}"]
+    expected.append(f"service:map-service:{maps['token']}")
     assert sorted(values["master"]["tokens"]) == sorted(expected)  # type: ignore[arg-type]
     assert len(str(robot["token"])) == 64
 
@@ -184,8 +192,8 @@ def test_an_option_changes_what_it_says_and_no_more(debian: System) -> None:
 def test_a_role_is_added_to_what_is_there(debian: System) -> None:
     write_settings(debian, "--role", "master", "--name", "alpha")
     values = write_settings(debian, "--role", "container", "--engine", "process")
-    assert debian.roles() == ("master", "container")
-    assert len(values["master"]["tokens"]) == 1  # type: ignore[arg-type]
+    assert debian.roles() == ("master", "container", "map-service")
+    assert len(values["master"]["tokens"]) == 2  # type: ignore[arg-type]
 
 
 def test_what_the_master_gave_is_used(debian: System) -> None:
@@ -215,7 +223,7 @@ def test_a_settings_file_that_is_none(debian: System) -> None:
 
 ANALYZE = shutil.which("systemd-analyze")
 needs_analyze = pytest.mark.skipif(ANALYZE is None, reason="needs systemd-analyze: apt-get install systemd")
-CASES = [("master", ""), ("robot", ""), ("container", "process"), ("container", "docker")]
+CASES = [("master", ""), ("robot", ""), ("map-service", ""), ("container", "process"), ("container", "docker")]
 
 
 @pytest.fixture
@@ -251,12 +259,18 @@ def test_the_units_have_few_rights(unit_file: Callable[[str, str], Path], role: 
 
 def test_only_the_task_set_may_speak_to_docker() -> None:
     assert "SupplementaryGroups=docker" in units.text("container", "docker")
-    for role, engine in CASES[:3]:
+    for role, engine in CASES[:-1]:
         assert "docker" not in units.text(role, engine)
 
 
+def test_only_a_task_set_with_docker_may_use_the_packet_filter() -> None:
+    assert "AmbientCapabilities=CAP_NET_ADMIN\n" in units.text("container", "docker")
+    for role, engine in [*CASES[:-1], ("container", "swarm")]:
+        assert "CAP_" not in units.text(role, engine)
+
+
 def test_the_others_do_not_see_the_masters_secrets() -> None:
-    for role in ("robot", "container"):
+    for role in ("robot", "container", "map-service"):
         for path in ("/etc/rce/authority", "/etc/rce/master.toml", "/var/lib/rce/master"):
             assert f"InaccessiblePaths=-{path}\n" in units.text(role, "docker")
 
@@ -268,14 +282,28 @@ def test_every_port_is_told(debian: System) -> None:
     values = write_settings(debian, "--ws-port", "9999", "--http-port", "443")
     wanted = install.wanted_from(options("--ws-port", "9999", "--http-port", "443"), debian)
     told = {port for port, _, _ in notes.ports(wanted)}
-    assert told == {443, 9999, 8080, 8081, values["robot"]["data_port"], values["container"]["data_port"]}
+    maps = values["map-service"]
+    assert (maps["entry"], maps["public_url"]) == (
+        "https://127.0.0.1:443/",
+        f"https://{wanted.address}:{maps['port']}/",
+    )
+    ports = {values["robot"]["data_port"], values["container"]["data_port"], maps["port"]}
+    assert told == {443, 9999, 8080, 8081, *ports}
     assert "9999   from robots" in notes.firewall(wanted)
 
 
 def test_without_systemd_it_says_how_to_start(debian: System) -> None:
     text = notes.after(debian, Wanted(("master", "container"), "alpha", "10.0.0.1", {"engine": "docker"}))
     assert "runuser -u rce -g rce -- /opt/rce/current/bin/rce master --config /etc/rce/master.toml" in text
-    assert "runuser -u rce -g rce -G docker -- /opt/rce/current/bin/rce container" in text
+    words = "setpriv --reuid rce --regid rce --groups docker --inh-caps -all,+net_admin --ambient-caps -all,+net_admin"
+    assert f"{words} --no-new-privs /opt/rce/current/bin/rce container" in text
+
+
+def test_the_kernel_is_told_once(debian: System) -> None:
+    assert planned(debian)["kernel"] == "/etc/sysctl.d/60-rce.conf: net.core.rmem_max = 4194304"
+    debian.path("/etc/sysctl.d").mkdir()
+    debian.path(services.SYSCTL).touch()
+    assert planned(debian)["kernel"] == ""
 
 
 # --- releases ---------------------------------------------------------------------------------------------------------

@@ -32,9 +32,10 @@ def parsed(module: Any, *words: str) -> argparse.Namespace:
 @pytest.fixture
 def system(tmp_path: Path) -> System:
     """Where all roles are installed."""
-    for place in ("etc/rce", "var/lib/rce/master", "opt/rce", "etc/systemd/system"):
+    for place in ("etc/rce", "var/lib/rce/master", "opt/rce", "etc/systemd/system", "etc/sysctl.d"):
         (tmp_path / place).mkdir(parents=True)
-    for role in ("master", "robot", "container"):
+    (tmp_path / "etc/sysctl.d/60-rce.conf").touch()
+    for role in ("master", "robot", "container", "map-service"):
         (tmp_path / f"etc/rce/{role}.toml").touch()
         (tmp_path / f"etc/systemd/system/rce-{role}.service").touch()
     (tmp_path / "etc/passwd").write_text("rce:x:999:999::/:/bin/false\n")
@@ -169,14 +170,14 @@ def uninstalled(system: System, purge: bool, monkeypatch: pytest.MonkeyPatch) ->
     steps = upkeep.uninstall_steps(system, purge)
     plan = {step.name: step.todo() for step in steps}
     for step in steps:
-        if step.name in ("units", "code", "settings and data"):
+        if step.name in ("units", "kernel", "code", "settings and data"):
             step.action()
     return plan
 
 
 def test_uninstall_keeps_settings_and_data(system: System, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = uninstalled(system, False, monkeypatch)
-    assert plan["services"] == "stop rce-master.service rce-robot.service rce-container.service"
+    assert plan["services"] == "stop rce-master.service rce-robot.service rce-container.service rce-map-service.service"
     assert system.path("/etc/rce/master.toml").exists()
     assert system.path("/var/lib/rce/master").exists()
     assert not system.path("/opt/rce").exists()
