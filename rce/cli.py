@@ -1,13 +1,16 @@
-"""The command `rce`."""
+"""The command `rce`: programs of the platform, work on this machine, and the console's commands one at a time.
+
+One word may be of two of these. `robot` and `container` are programs, which take options only, unless another word
+follows. `user` and `machine` go to the platform (by a context or --url, as all of the console's); with an option that
+names a Master's files they work on those, whether that Master runs or not.
+"""
 
 from __future__ import annotations
 
-import asyncio
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import rce
-from rce import programs, settings
 from rce.errors import RceError
 
 PROGRAMS = {
@@ -18,12 +21,18 @@ PROGRAMS = {
     "bridge": "carry topics of a robot that runs ROS 2 to an environment and back",
     "map-service": "run the map service: recordings in, maps out",
     "image": "images with your own ROS packages, on this machine's Docker",
-    "user": "users and API keys of a Master on this machine",
-    "machine": "machines that may join a Master on this machine",
 }
+ON_FILES = {
+    "user": (("--data-dir", "--database"), "users and API keys in the database of a Master on this machine"),
+    "machine": (("--config",), "machines that may join a Master on this machine"),
+}
+"""Programs that work on a Master's files, by the options that say so."""
 
 
 def up(arguments: list[str]) -> int:
+    import asyncio
+
+    from rce import settings
     from rce import up as platform
 
     asyncio.run(platform.serve(settings.load_or_exit(platform.Settings, "rce up", arguments)))
@@ -68,16 +77,20 @@ COMMANDS: dict[str, tuple[str, Callable[[list[str]], int]]] = {
 
 
 def usage() -> str:
+    from rce.console import table
+
     lines = ["usage: rce COMMAND …; rce COMMAND --help tells more", ""]
-    for name, text in {**{name: text for name, (text, _) in COMMANDS.items()}, **PROGRAMS}.items():
-        lines.append(f"  {name:12} {text}")
-    return "\n".join(lines)
+    lines += [f"  {name:12} {text}" for name, (text, _) in COMMANDS.items()]
+    lines += [f"  {name:12} {text}" for name, text in PROGRAMS.items()]
+    for name, (options, text) in ON_FILES.items():
+        lines.append(f"  {name:12} with {' or '.join(options)}: {text}")
+    return "\n".join([*lines, "", "at a platform, also in `rce console`:", table.overview()])
 
 
 def main() -> int:
     """Status 0: done; 1: it failed, and the reason is on standard error; 2: the command line is wrong."""
     match sys.argv[1:]:
-        case [] | ["-h" | "--help" | "help"]:
+        case [] | ["-h" | "--help"] | ["help"]:
             print(usage())
             return 0
         case ["--version"]:
@@ -85,12 +98,38 @@ def main() -> int:
             return 0
         case [name, *arguments] if name in COMMANDS:
             return _run(COMMANDS[name][1], arguments)
-        case [name, *arguments] if name in PROGRAMS:
-            return _run(lambda words: programs.become(name, words), arguments)
-        case [name, *_]:
-            print(f"rce: there is no command {name!r}\n\n{usage()}", file=sys.stderr)
-            return 2
-    raise AssertionError("every list of words is one of these")
+        case [name, *arguments] if is_program(name, arguments):
+            return _run(lambda words: _become(name, words), arguments)
+        case words:
+            return _run(_console, words)
+
+
+def is_program(name: str, arguments: Sequence[str]) -> bool:
+    """Whether these words start a program of the platform."""
+    if name in ON_FILES:
+        return any(word.partition("=")[0] in ON_FILES[name][0] for word in arguments)
+    if name in ("robot", "container"):
+        return not arguments or arguments[0].startswith("-")
+    return name in PROGRAMS
+
+
+def _become(name: str, arguments: list[str]) -> int:
+    from rce import programs
+
+    programs.become(name, arguments)
+
+
+def _console(words: list[str]) -> int:
+    from rce.console import run, table
+    from rce.console.completing import complete
+    from rce.console.original import modern
+
+    if words[0] == "complete":
+        return complete(words[1:])
+    if words[0] not in table.WORDS and modern(words) == words:
+        print(f"rce: there is no command {words[0]!r}\n\n{usage()}", file=sys.stderr)
+        return run.WRONG
+    return run.run(words)
 
 
 def _run(command: Callable[[list[str]], int], arguments: list[str]) -> int:
@@ -102,7 +141,8 @@ def _run(command: Callable[[list[str]], int], arguments: list[str]) -> int:
     except ModuleNotFoundError as error:  # a light installation; a module of ours that is missing is a defect
         if error.name is None or error.name.partition(".")[0] == "rce":
             raise
-        print(f"rce: this needs {error.name}: pip install 'rce[server,mapping,ros,bench]'", file=sys.stderr)
+        extras = "console" if error.name.partition(".")[0] in ("rich", "prompt_toolkit") else "server,mapping,ros,bench"
+        print(f"rce: this needs {error.name}: pip install 'rce[{extras}]'", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130

@@ -36,6 +36,7 @@ WITH_EXTRA: dict[str, set[str]] = {
     "rce/mapservice/": {"aiohttp", "lxml", "twisted"},
     "rce/control_tls.py": {"twisted"},
     "rce/mapping/": {"numpy", "numba", "scipy", "cv2", "rosbags"},
+    "rce/console/interactive.py": {"prompt_toolkit"},
     "rce/bench": {"numpy", "matplotlib", "twisted", "autobahn", "rosbags", "uvloop", "txaio"},
     "rce/commands/bench.py": {"numpy"},
     "rce/commands/map.py": {"numpy"},

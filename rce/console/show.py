@@ -1,0 +1,100 @@
+"""How what was found is printed: tables for people, JSON for programs."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping
+from importlib.util import find_spec
+from typing import Any, TypeVar
+
+import msgspec
+
+T = TypeVar("T")
+Columns = Mapping[str, Callable[[T], object]]
+"""What stands in each column, by its title."""
+
+
+def rows(items: Iterable[T], columns: Columns[T], as_json: bool = False) -> None:
+    """A list. On a terminal with rich's tables; elsewhere as columns of text, which scripts can cut."""
+    if as_json:
+        print(text(list(items)))
+        return
+    table = [[said(cell(item)) for cell in columns.values()] for item in items]
+    if not table:
+        print("none", file=sys.stderr)
+    elif sys.stdout.isatty() and find_spec("rich"):
+        _rich(list(columns), table)
+    else:
+        _plain([[title.upper() for title in columns], *table])
+
+
+def text(item: Any) -> str:
+    """Its JSON."""
+    return msgspec.json.encode(item).decode()
+
+
+def one(item: Any, as_json: bool = False) -> None:
+    """One thing with all of its fields, those without a value left out."""
+    if as_json:
+        print(text(item))
+        return
+    whole = msgspec.to_builtins(item)
+    given = {name: value for name, value in whole.items() if value not in (None, "", [], {})}
+    width = max(map(len, given), default=0)
+    for name, value in given.items():
+        print(f"{name:{width}}  {said(value)}")
+
+
+def said(value: object) -> str:
+    """A value in a cell."""
+    match value:
+        case None | "":
+            return "-"
+        case bool():
+            return "yes" if value else "no"
+        case float():
+            return f"{value:g}"
+        case str() | int():
+            return str(value)
+        case list() | tuple():
+            return ", ".join(map(said, value)) or "-"
+        case dict():
+            return ", ".join(f"{name}={said(each)}" for name, each in value.items()) or "-"
+    return said(msgspec.to_builtins(value))
+
+
+def amount(value: float | None, unit: str = "B") -> str:
+    """Bytes and the like with a prefix of 1024; nothing for 0, which stands for no limit."""
+    if not value:
+        return "-"
+    for prefix in ("", "Ki", "Mi", "Gi"):
+        if value < 1024:
+            return f"{value:.4g} {prefix}{unit}"
+        value /= 1024
+    return f"{value:.4g} Ti{unit}"
+
+
+def when(seconds: float | None, never: str = "-") -> str:
+    """A time, seconds since 1970, by this machine's clock."""
+    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(seconds)) if seconds else never
+
+
+def _plain(table: list[list[str]]) -> None:
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    for row in table:
+        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        print("  ".join(cells).rstrip())
+
+
+def _rich(titles: list[str], table: list[list[str]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    shown = Table(box=None, pad_edge=False, header_style="bold")
+    for title in titles:
+        shown.add_column(title, overflow="fold")
+    for row in table:
+        shown.add_row(*map(Text, row))  # a cell is text, never rich's markup
+    Console().print(shown)
