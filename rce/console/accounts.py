@@ -74,14 +74,26 @@ def user_passwd(session: Session, words: argparse.Namespace) -> None:
 
 
 def user_limits(session: Session, words: argparse.Namespace) -> None:
-    name = words.name or session.user
+    path = ("users", words.name or session.user, "limits")
     if words.changes:
-        session.api.patch(Any, "users", name, "limits", body=dict(each.partition("=")[::2] for each in words.changes))
-    show.one(session.api.get(Any, "users", name, "limits"), words.json)
+        present = session.api.get(dict[str, Any], *path)
+        session.api.patch(Any, *path, body=dict(_change(each, present) for each in words.changes))
+    show.one(session.api.get(Any, *path), words.json)
+
+
+def _change(text: str, present: dict[str, Any]) -> tuple[str, Any]:
+    """`key=value`, `key=` to undo, `key+=value` for one more in a list. InvalidRequest."""
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise InvalidRequest(f"{text!r}: write key=value", field=name)
+    if name.endswith("+"):
+        name = name.removesuffix("+")
+        return name, [*dict.fromkeys([*present.get(name, []), value])]
+    return name, value or None
 
 
 def user_usage(session: Session, words: argparse.Namespace) -> None:
-    show.one(session.api.get(Any, "users", words.name or session.user, "usage"), words.json)
+    show.one(session.api.get(views.UsageView, "users", words.name or session.user, "usage"), words.json)
 
 
 def key_list(session: Session, words: argparse.Namespace) -> None:
@@ -158,7 +170,7 @@ COMMANDS = (
         user_limits,
         (
             MAYBE,
-            argument("changes", nargs="*", metavar="KEY=VALUE", help="as memory=2GiB; `memory=` as for all users"),
+            argument("changes", nargs="*", metavar="KEY=VALUE", help="as memory=2GiB; `memory=` as for all users; images+=NAME"),
             JSON,
         ),
         ("user limits ada", "user limits ada environments=4 total_memory=8GiB images=rce/base,mine/*"),
