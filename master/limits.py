@@ -48,7 +48,7 @@ class Limits:
         if own is None:
             return self._platform
         policy = with_changes(self._platform, own)
-        return replace(policy, images=[*self._platform.images, *own.get("images", ())])
+        return replace(policy, images=list(dict.fromkeys([*self._platform.images, *own.get("images", ())])))
 
     def own(self, user: str) -> dict[str, Any]:
         """What was changed for a user alone."""

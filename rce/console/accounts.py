@@ -170,7 +170,7 @@ COMMANDS = (
         user_limits,
         (
             MAYBE,
-            argument("changes", nargs="*", metavar="KEY=VALUE", help="as memory=2GiB; `memory=` as for all users; images+=NAME"),
+            argument("changes", nargs="*", metavar="KEY=VALUE", help="as memory=2GiB; `memory=` undoes; images+=NAME"),
             JSON,
         ),
         ("user limits ada", "user limits ada environments=4 total_memory=8GiB images=rce/base,mine/*"),
