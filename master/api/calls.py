@@ -81,7 +81,7 @@ class Call(NamedTuple):
 class Answer(NamedTuple):
     """`body` goes out as JSON, a path as the file there, a stream as long as it goes on, None not at all."""
 
-    body: Struct | list[Any] | Path | Stream | None = None
+    body: Struct | msgspec.Raw | list[Any] | Path | Stream | None = None
     status: int = 200
     headers: dict[str, str] = {}  # noqa: RUF012  # never changed
 

@@ -37,10 +37,11 @@ class LogsApi:
         self._streams = streams
 
     def add_to(self, api: Api) -> None:
+        read = (LogLines, AsyncIterator[LogLines])
         of_node = "What a node has printed, also one that has ended"
         api.add(
-            Route("GET", AT + "/log", self.environment, "What the environment itself logs", Lines, answer=LogLines),
-            Route("GET", AT + "/nodes/{node}/log", self.node, of_node, Lines, answer=LogLines),
+            Route("GET", AT + "/log", self.environment, "What the environment itself logs", Lines, answer=read),
+            Route("GET", AT + "/nodes/{node}/log", self.node, of_node, Lines, answer=read),
         )
 
     async def environment(self, call: Call) -> Answer:

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Awaitable, Callable
-from typing import Any, NamedTuple, get_args, get_origin
+from typing import Any, NamedTuple
 
 import msgspec
 from aiohttp import web
 from aiohttp.typedefs import Handler
-from msgspec import Struct
 
-import rce
+from rce import openapi
 from rce.errors import RceError
-from rce.map_jobs import PREFIX, Job, JobRequest, Problem, Upload
+from rce.map_jobs import PREFIX, Job, JobRequest, Upload
 from rce.mapservice.problems import answer
 from rce.mapservice.rest import PIECE_TYPE, Rest
 
-REF = "#/components/schemas/{name}"
-BYTES: dict[str, Any] = {}
-TEXT: dict[str, Any] = {"type": "string"}
-EVENTS = "text/event-stream"
 OFFSET, LENGTH, METADATA = "Upload-Offset", "Upload-Length", "Upload-Metadata"
 HEADERS = {
     OFFSET: ("integer", "bytes that are there"),
@@ -66,82 +60,43 @@ def routes(rest: Rest) -> list[Route]:
         Route("GET", "/jobs/{job}", rest.show_job, "A job", answer=Job),
         Route("POST", "/jobs/{job}/cancel", rest.cancel, "End a job that is not over", answer=Job),
         Route("DELETE", "/jobs/{job}", rest.remove_job, "Remove a job that is over, with its files", 204),
-        Route("GET", "/jobs/{job}/events", rest.events, "The job after each change, as events `job`", answer=EVENTS),
-        Route("GET", "/jobs/{job}/files/{file}", rest.file, "A result", answer="application/octet-stream"),
+        Route(
+            "GET",
+            "/jobs/{job}/events",
+            rest.events,
+            "The job after each change, as events `job`",
+            answer=openapi.EVENTS,
+        ),
+        Route("GET", "/jobs/{job}/files/{file}", rest.file, "A result", answer=openapi.BYTES),
     ]
 
 
 def document(table: list[Route]) -> dict[str, Any]:
     """The OpenAPI 3.1 document."""
-    kinds = {kind for route in table for each in (route.body, route.answer) for kind in _structs(each)} | {Problem}
-    _, schemas = msgspec.json.schema_components(sorted(kinds, key=lambda kind: kind.__name__), ref_template=REF)
-    paths: dict[str, Any] = {}
-    for route in table:
-        paths.setdefault(PREFIX + route.path, {})[route.method.lower()] = _operation(route)
-    return {
-        "openapi": "3.1.0",
-        "info": {
-            "title": "RCE map service",
-            "version": rce.__version__,
-            "description": "Recordings in, maps out. Files are uploaded with tus 1.0 (https://tus.io); a job makes a "
-            "map of them in an environment of its user. The same operations are offered in SOAP 1.1.",
-        },
-        "paths": paths,
-        "components": {
-            "schemas": schemas,
-            "securitySchemes": {
-                "key": {"type": "http", "scheme": "bearer", "description": "an API key"},
-                "password": {"type": "http", "scheme": "basic", "description": "user and password, or API key"},
-                "query": {"type": "apiKey", "in": "query", "name": "key", "description": "an API key"},
-            },
-        },
-        "security": [{"key": []}, {"password": []}, {"query": []}],
-    }
+    query = {"type": "apiKey", "in": "query", "name": "key", "description": "an API key"}
+    schemes = {"key": openapi.KEY, "password": openapi.PASSWORD, "query": query}
+    description = (
+        "Recordings in, maps out. Files are uploaded with tus 1.0 (https://tus.io); a job makes a "
+        "map of them in an environment of its user. The same operations are offered in SOAP 1.1."
+    )
+    return openapi.document("RCE map service", description, map(_operation, table), schemes, schemes)
 
 
-def _structs(kind: Any) -> list[type[Struct]]:
-    if get_origin(kind) is list:
-        return _structs(get_args(kind)[0])
-    return [kind] if isinstance(kind, type) and issubclass(kind, Struct) else []
-
-
-def _content(kind: Any) -> dict[str, Any]:
-    if isinstance(kind, str):
-        return {kind: {"schema": TEXT if kind == EVENTS else BYTES}}
-    (schema,), _ = msgspec.json.schema_components([kind], ref_template=REF)
-    return {"application/json": {"schema": schema}}
-
-
-def _operation(route: Route) -> dict[str, Any]:
-    good: dict[str, Any] = {"description": "done" if route.answer is None else "as the schema says"}
-    if route.answer is not None:
-        good["content"] = _content(route.answer)
-    if route.told:
-        good["headers"] = {name: {"schema": {"type": HEADERS[name][0]}} for name in route.told}
-    bad = {
-        "description": "refused",
-        "content": {"application/problem+json": {"schema": {"$ref": REF.format(name="Problem")}}},
-    }
-    operation: dict[str, Any] = {
-        "operationId": f"{route.method.lower()}{re.sub('[^a-z]+', '_', route.path)}".rstrip("_"),
-        "summary": route.summary,
-        "responses": {str(route.status): good, "default": bad},
-    }
-    named = [("path", name, "string", PARAMETERS[name]) for name in re.findall(r"{(\w+)}", route.path)]
-    given = [("header", name, *HEADERS[name]) for name in route.headers]
-    if named or given:
-        operation["parameters"] = [
-            {"in": where, "name": name, "required": True, "description": text, "schema": {"type": kind}}
-            for where, name, kind, text in (*named, *given)
-        ]
-    if route.body is not None:
-        operation["requestBody"] = {
-            "required": route.method != "POST" or route.headers == (),
-            "content": _content(route.body),
-        }
-    if route.open:
-        operation["security"] = []
-    return operation
+def _operation(route: Route) -> openapi.Operation:
+    path = PREFIX + route.path
+    given = (openapi.Parameter("header", name, HEADERS[name][1], {"type": HEADERS[name][0]}) for name in route.headers)
+    return openapi.Operation(
+        route.method,
+        path,
+        route.summary,
+        route.status,
+        route.body,
+        route.method != "POST" or route.headers == (),
+        () if route.answer is None else (route.answer,),
+        (*openapi.path_parameters(path, PARAMETERS), *given),
+        {name: HEADERS[name][0] for name in route.told},
+        () if route.open else None,
+    )
 
 
 def add(application: web.Application, table: list[Route], asked: Callable[[web.Request], Awaitable[None]]) -> None:
