@@ -57,6 +57,9 @@ class Settings(Struct):
     machine_grace: Annotated[
         float, Meta(gt=0, description="seconds for which a machine may be away until its environments move to others")
     ] = 30
+    audit_days: Annotated[
+        float, Meta(ge=0, description="days for which the audit log is kept; 0: for as long as there is room")
+    ] = 400
     dev: Annotated[bool, Meta(description="create the users admin/admin and testUser/testUser")] = False
     limits: Annotated[
         list[str], Meta(description="limits of users who have none of their own, key=value as in `rce user limits`")
@@ -86,6 +89,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
         role, process, token = _token(entry)
         await master.processes.allow(process, role, token)
     await master.start()
+    tidying = asyncio.create_task(master.audit.tidy(options.audit_days))
     ports = [await control.listen(reactor, options.control, master, tls)]
     try:
         endpoint = endpoints.serverFromString(reactor, http)
@@ -104,6 +108,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     finally:
         for port in ports:
             port.stopListening()  # type: ignore[misc]  # zope declares its methods without self
+        tidying.cancel()
         await master.stop()
         await store.close()
 

@@ -12,12 +12,14 @@ from typing import get_args
 
 import msgspec
 
+from master.audit import Audit, Origin
 from master.limits import Limits
+from master.passwords import check_password
 from master.policies import parse
 from master.store import Store
 from master.users import Users
 from rce.errors import NotFound, RceError
-from rce.roles import UserRole
+from rce.roles import Principal, Scopes, UserRole
 
 DAY = 86_400.0
 ADD_IMAGE = "images+="
@@ -33,6 +35,8 @@ def parser() -> argparse.ArgumentParser:
     add = commands.add_parser("add", help="add a user; the password is asked for, or read from standard input")
     add.add_argument("user")
     add.add_argument("--role", choices=get_args(UserRole), default="user")
+    passwd = commands.add_parser("passwd", help="give a user another password, asked for as for `add`")
+    passwd.add_argument("user")
     remove = commands.add_parser("remove", help="remove a user with all API keys")
     remove.add_argument("user")
     listing = commands.add_parser("list", help="list the users")
@@ -48,6 +52,8 @@ def parser() -> argparse.ArgumentParser:
     key_add.add_argument("--role", choices=get_args(UserRole), default="robot")
     key_add.add_argument("--label", default="")
     key_add.add_argument("--days", type=float, help="days until it expires")
+    key_add.add_argument("--robot", default="", help="the only robotID that it is for")
+    key_add.add_argument("--environment", action="append", default=[], help="one that it is for; may be given again")
     key_list = commands.add_parser("key-list", help="list a user's API keys")
     key_list.add_argument("user")
     key_list.add_argument("--json", action="store_true")
@@ -66,6 +72,17 @@ def _password() -> str:
     return first
 
 
+ACTIONS = {
+    "add": "user.create",
+    "passwd": "password.change",
+    "remove": "user.remove",
+    "limits": "limits.change",
+    "key-add": "key.create",
+    "key-revoke": "key.revoke",
+}
+"""What the audit log calls that which changes something."""
+
+
 async def run(words: argparse.Namespace) -> None:
     directory = words.data_dir.expanduser()
     if not words.database and not directory.is_dir():
@@ -73,12 +90,24 @@ async def run(words: argparse.Namespace) -> None:
     store = Store(words.database or f"sqlite:///{directory / 'master.db'}")
     await store.open()
     try:
-        if words.command == "limits":
-            await _limits(store, words)
-        else:
-            await _act(Users(store), words)
+        await _noted(store, words)
     finally:
         await store.close()
+
+
+async def _noted(store: Store, words: argparse.Namespace) -> None:
+    work = _limits(store, words) if words.command == "limits" else _act(Users(store), words)
+    action = ACTIONS.get(words.command)
+    if action is None or (words.command == "limits" and not words.changes):
+        return await work
+    audit = Audit(store)
+    thing = "/".join([words.user, *filter(None, [getattr(words, "key", ""), getattr(words, "label", "")])])
+    try:
+        with audit.noting(action, words.user, thing, Origin("offline")) as noted:
+            noted.who = Principal(f"@{getpass.getuser()}", "admin")  # of this machine, not of the platform
+            await work
+    finally:
+        await audit.flush()
 
 
 async def _limits(store: Store, words: argparse.Namespace) -> None:
@@ -105,7 +134,14 @@ async def _limits(store: Store, words: argparse.Namespace) -> None:
 async def _act(users: Users, words: argparse.Namespace) -> None:
     match words.command:
         case "add":
-            await users.add(words.user, _password(), words.role)
+            password = _password()
+            check_password(password, words.user)
+            await users.add(words.user, password, words.role)
+        case "passwd":
+            await users.get(words.user)
+            password = _password()
+            check_password(password, words.user)
+            await users.change_password(words.user, password)
         case "remove":
             await users.remove(words.user)
         case "list":
@@ -113,7 +149,9 @@ async def _act(users: Users, words: argparse.Namespace) -> None:
             print(msgspec.json.encode(names).decode() if words.json else "\n".join(names))
         case "key-add":
             expires = time.time() + words.days * DAY if words.days else None
-            secret, _ = await users.add_key(words.user, words.role, words.label, expires)
+            secret, _ = await users.keys.add(
+                words.user, words.role, words.label, expires, Scopes(words.robot, words.environment)
+            )
             print(secret)
         case "key-list":
             keys = await users.keys.of(words.user)

@@ -166,6 +166,15 @@ class Audit:
             old = db.audit.delete().where(db.audit.c.time < time.time() - days * DAY)
             await self._store.run(lambda connection: connection.execute(old))
 
+    async def tidy(self, days: float) -> None:
+        """Forget what is older, now and each day, until cancelled."""
+        while True:
+            try:
+                await self.forget(days)
+            except sa.exc.SQLAlchemyError as error:
+                log.warn("old entries of the audit log stay: {error}", error=str(error))
+            await asyncio.sleep(DAY)
+
 
 def _insert(entries: list[dict[str, Any]], connection: sa.Connection) -> None:
     connection.execute(db.audit.insert(), entries)

@@ -49,12 +49,12 @@ for turn in $(seq 100); do
     grep -q '"program":"robot"' /tmp/robot.log && break
     sleep 0.2
 done
-echo secret | $as $rce/rce user --data-dir=/var/lib/rce/master add ada
+echo 'met by chance' | $as $rce/rce user --data-dir=/var/lib/rce/master add ada
 SSL_CERT_FILE=/etc/rce/tls/ca.pem $rce/python -P -c '
 import asyncio
 from rce.client import Robot
 async def main():
-    async with Robot("https://127.0.0.1:9000/", user="ada", robot="r2d2", password="secret"):
+    async with Robot("https://127.0.0.1:9000/", user="ada", robot="r2d2", password="met by chance"):
         print("robot: met")
 asyncio.run(main())'
 code=$($1 machine add beta --role container | grep -o 'rce1-.*')

@@ -39,7 +39,9 @@ export function userPage(main, app, name) {
   const change = {
     role: () => ask(`Role of ${name}`, [{ name: "role", label: "Role", options: ROLES }],
       async (wanted) => { await api.patch(path, wanted); load(); }, { button: "Change" }),
-    password: () => ask(`Password of ${name}`, [{ name: "password", label: "New password", ...PASSWORD }],
+    password: () => ask(`Password of ${name}`, [
+      ...(name === me.user ? [{ name: "old", label: "Present password", ...PASSWORD, autocomplete: "current-password" }] : []),
+      { name: "new", label: "New password", ...PASSWORD }],
       (wanted) => api.put(`${path}/password`, wanted), { button: "Change" }),
     limits: () => ask(`Quotas of ${name}`, QUOTAS.map(([key, label, , , factor]) => ({
       name: key, label, help: `${factor ? "MB; " : ""}0: no limit, empty: as it is`, type: "number", min: 0, step: "any" })),
@@ -67,6 +69,7 @@ const QUOTAS = [ // of the limits: key, label, key of what is used, words, facto
   ["environments", "Environments", "environments"],
   ["cores", "Cores", "cores"],
   ["total_memory", "Memory", "total_memory", bytes, 1_000_000],
+  ["total_bandwidth", "Bandwidth", "total_bandwidth", (value) => `${bytes(value)}/s`, 1_000_000],
   ["robots", "Robots", "robots"],
   ["connections", "Connections", "connections"],
   ["package_bytes", "Stored packages", "package_bytes", bytes, 1_000_000],
