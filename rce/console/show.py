@@ -21,12 +21,13 @@ def rows(items: Iterable[T], columns: Columns[T], as_json: bool = False) -> None
         print(text(list(items)))
         return
     table = [[said(cell(item)) for cell in columns.values()] for item in items]
+    titles = [title.upper() for title in columns]
     if not table:
         print("none", file=sys.stderr)
     elif sys.stdout.isatty() and find_spec("rich"):
-        _rich(list(columns), table)
+        _rich(titles, table)
     else:
-        _plain([[title.upper() for title in columns], *table])
+        _plain([titles, *table])
 
 
 def text(item: Any) -> str:

@@ -51,11 +51,19 @@ async def rce(*words: str, env: Mapping[str, str], given: str = "", status: int 
 class OnTerminal:
     """A command on a pseudo-terminal; blocking, for a thread."""
 
-    def __init__(self, words: list[str], env: Mapping[str, str], rows: int = 24, columns: int = 80) -> None:
+    def __init__(
+        self, words: list[str], env: Mapping[str, str], rows: int = 24, columns: int = 80, program: bool = False
+    ) -> None:
+        """Of `rce`, or a `program` of its own, to whom the terminal is the controlling one."""
         self.master, slave = pty.openpty()
         self.resize(rows, columns, tell=False)
         self.process = subprocess.Popen(
-            [RCE, *words], env=dict(env), stdin=slave, stdout=slave, stderr=slave, start_new_session=True
+            ["setsid", "--ctty", *words] if program else [RCE, *words],
+            env=dict(env),
+            stdin=slave,
+            stdout=slave,
+            stderr=slave,
+            start_new_session=not program,
         )
         os.close(slave)
         self.seen = b""

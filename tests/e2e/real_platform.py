@@ -38,6 +38,7 @@ class RealPlatform:
         self._mode = ["--dev"] if dev else []
         self.directory = directory
         self.url = ""
+        self.said = ""  # on standard output
         self.segments: set[Path] = set()
         self._arguments = arguments
         self._process: asyncio.subprocess.Process
@@ -60,9 +61,12 @@ class RealPlatform:
         with (self.directory / "log").open("w") as log:
             self._process = await asyncio.create_subprocess_exec(*words, stdout=asyncio.subprocess.PIPE, stderr=log)
         assert self._process.stdout is not None
-        line = await asyncio.wait_for(self._process.stdout.readline(), START_TIMEOUT)
-        assert line.startswith(b"ready http://"), f"{line!r}\n{self.log}"
-        self.url = line.split()[1].decode()
+        line = ""
+        while not line.startswith("ready http://"):
+            line = (await asyncio.wait_for(self._process.stdout.readline(), START_TIMEOUT)).decode()
+            assert line, f"{self.said}\n{self.log}"
+            self.said += line
+        self.url = line.split()[1]
 
     async def stop(self) -> None:
         """SIGINT unless it was killed, and then nothing may be left."""
