@@ -1,4 +1,4 @@
-"""Documents with transcripts of a terminal: what they show being typed is typed, and what they show coming must come."""
+"""Documents with transcripts of a terminal: what they show being typed is typed, and what they show must come."""
 
 from __future__ import annotations
 
