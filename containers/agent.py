@@ -36,6 +36,7 @@ from rce.calls import (
     Cleared,
     ClearRun,
     ContainerEnded,
+    HaveImage,
     Hello,
     KnowGroup,
     KnowRelays,
@@ -104,6 +105,7 @@ class Agent:
         handlers.on(KnowRelays, self._know)
         handlers.on(MeasureUsage, self._measure)
         handlers.on(KnowGroup, self._know_group)
+        handlers.on(HaveImage, self._have_image)
         self._link = MasterLink(reactor, settings.task_set, self._hello, handlers, self._welcomed, self._tls)
         fetcher = Fetcher(self._link, settings.master, settings.entry, self._tls)
         self._furnisher = Furnisher(self._docker, self._labels, self._networks, fetcher)
@@ -250,6 +252,11 @@ class Agent:
 
     async def _measure(self, _: MeasureUsage) -> Usage:
         return Usage(await self._docker.usage())
+
+    async def _have_image(self, call: HaveImage) -> Nothing:
+        await self._docker.pull(call)
+        self._happening.set()
+        return Nothing()
 
     async def _know_group(self, call: KnowGroup) -> Nothing:
         await self._furnisher.know(call.name, call.members, await self._docker.tasks())

@@ -24,7 +24,7 @@ from containers.data_relay import GATE
 from containers.docker_daemon import RUN, SIZE
 from containers.docker_events import Event
 from containers.docker_networks import ENVIRONMENT, GROUP, group_network
-from containers.docker_options import CONTROL, limits
+from containers.docker_options import CONTROL, limits, reference
 from containers.engine import Ended, Engine, Life
 from containers.swarm_fleet import Fleet
 from containers.swarm_manager import Found, Manager, Network
@@ -116,7 +116,7 @@ class SwarmEngine(Engine):
     async def launch(self, spec: EnvironmentSpec) -> None:
         check(spec)
         granted = limits(spec, [], self._fleet.largest)
-        image, constraints = self._fleet.fit(spec, self._image)
+        image, constraints = await self._fleet.fit(spec, self._image)
         names = Names.of(self._labels, spec.name, spec.run)
         service = f"rce-{spec.run}-{secrets.token_hex(4)}"  # what is left of a service keeps its name for some seconds
         identity = {ENVIRONMENT: spec.name, RUN: spec.run, SIZE: str(spec.options.size)}
@@ -269,11 +269,16 @@ class SwarmEngine(Engine):
                 "/etc/docker/daemon.json",
                 node=self._fleet.nodes[node].name if node in self._fleet.nodes else node,
             )
+        self._look(self._spread())
         for name, place in self._places.items():
             if place.run in report.runs:
                 place.settle()
             elif place.node == node and place.settled.done():
                 self._look(self._check(name, place.run))
+
+    async def _spread(self) -> None:
+        """Most environments are of this image, and need not wait for it."""
+        await self._fleet.spread(reference(self._image))
 
     async def _check(self, name: str, run: str) -> None:
         """An agent does not see an environment: it had ended while no agent was there, or it has only just begun."""

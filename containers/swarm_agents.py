@@ -23,6 +23,7 @@ from rce.calls import (
     Call,
     ClearRun,
     Group,
+    HaveImage,
     Hello,
     KnowGroup,
     KnowRelays,
@@ -41,10 +42,11 @@ ROLE = "agent"
 
 
 class Kept(Struct, frozen=True):
-    """What agents know of their task set, the same for the next one; `port` is 0 before the first."""
+    """What agents know of their task set, the same for the next one; ports are 0 before the first."""
 
     secret: str
     port: int
+    images: int = 0  # the port of the registry
 
     @staticmethod
     def load(file: Path) -> Kept:
@@ -106,12 +108,16 @@ class Agents:
 
     async def wait_for(self, nodes: Collection[str], seconds: float) -> set[str]:
         """Until the agents of these nodes have reported, or it takes too long; returns the nodes without."""
+        await self.until(lambda: not self._without_report(nodes), seconds)
+        return self._without_report(nodes)
+
+    async def until(self, condition: Callable[[], bool], seconds: float) -> None:
+        """Wait for agents to report what makes a condition true, or for so long."""
         with suppress(TimeoutError):
             async with asyncio.timeout(seconds):
-                while self._without_report(nodes):
+                while not condition():
                     self._changed.clear()
                     await self._changed.wait()
-        return self._without_report(nodes)
 
     def _without_report(self, nodes: Collection[str]) -> set[str]:
         return {node for node in nodes if self.report(node) is None}
@@ -170,6 +176,13 @@ class Agents:
         """Tell the agents of the data relays of other machines; those of each other they learn here too."""
         self._others = list(relays)
         self._introduce()
+
+    async def have_image(self, node: str, call: HaveImage) -> None:
+        """Returns when a node has an image. StartFailed, Lost."""
+        agent = self._agents.get(node)
+        if agent is None or agent.control is None:
+            raise Lost(f"node {node} has no agent")
+        await agent.control.call(call)
 
     async def introduce(self, group: Group) -> None:
         """Tell all agents who is in a group."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from docker.errors import APIError, NotFound
@@ -12,12 +13,14 @@ from docker.types import IPAMConfig, IPAMPool
 from docker.utils import version_gte
 from msgspec import Struct
 
+from containers import swarm_images
 from containers.docker_api import Asked, said
-from containers.docker_daemon import RUN, SIZE
+from containers.docker_daemon import RUN, SIZE, VERSION
 from containers.docker_events import Event, Events
 from containers.docker_networks import ENVIRONMENT, GROUP
 from containers.docker_options import Size
 from containers.swarm_spec import AGENT, GPU, swarms_half
+from rce import __version__
 from rce.errors import InvalidRequest, NoCapacity, StartFailed, TimedOut, Unavailable
 
 API = "1.41"  # of Docker 20.10: services without capabilities, with limits of processes and open files
@@ -142,8 +145,23 @@ class Manager(Asked):
         return [each["Name"] for each in found]
 
     async def image(self, tag: str) -> str | None:
-        """The id of an image of the manager's node."""
+        """The id of an image for this version on the manager's node."""
         return await self._call(lambda: self._image(tag))
+
+    async def export(self, image: str, directory: Path) -> str:
+        """See `swarm_images.export`. Unavailable if there is no room for it."""
+        try:
+            return await self._call(lambda: swarm_images.export(self._api, image, directory))
+        except OSError as error:
+            raise Unavailable(f"an image cannot be taken out of Docker for other nodes: {error}") from None
+
+    async def forget(self, directory: Path) -> None:
+        """Remove from `directory` what was exported of images that are no more."""
+        await self._call(lambda: swarm_images.sweep(directory, self._api.images(quiet=True)))
+
+    async def sign_in(self, registry: str, user: str, secret: str) -> None:
+        """Have the nodes known at a registry from which they take images of services. Unavailable."""
+        await self._call(lambda: self._api.login(user, secret, registry=f"http://{registry}", reauth=True))
 
     async def keep_agents(self, name: str, task: Mapping[str, Any]) -> None:
         """Have one agent on each node, made or updated. StartFailed."""
@@ -200,10 +218,11 @@ class Manager(Asked):
 
     def _image(self, tag: str) -> str | None:
         try:
-            found: str = self._api.inspect_image(tag)["Id"]
+            found = self._api.inspect_image(tag)
         except NotFound:
             return None
-        return found
+        made_for = (found["Config"]["Labels"] or {}).get(VERSION)
+        return str(found["Id"]) if made_for == __version__ else None
 
     def _keep_agents(self, name: str, task: dict[str, Any]) -> None:
         labels = {**self._labels, AGENT: "yes"}

@@ -11,13 +11,14 @@ from docker.errors import APIError, NotFound
 from docker.types import Mount
 from msgspec import Struct
 
+from containers.docker_api import said as said_by
 from containers.docker_daemon import CONFLICT, RUN, VERSION, Daemon
 from containers.docker_events import Event, Events
 from containers.docker_networks import ENVIRONMENT
 from containers.hands import Work
 from containers.swarm_spec import AGENT, DOCKER_SOCKET, SPEC
 from rce import __version__
-from rce.calls import EnvironmentSpec
+from rce.calls import EnvironmentSpec, HaveImage
 from rce.errors import ErrorInfo, RceError, StartFailed
 
 RIGHTS = ["SYS_ADMIN", "SYS_PTRACE", "NET_ADMIN"]  # to mount, to enter another container, to shape its networks
@@ -93,6 +94,10 @@ class NodeDaemon(Daemon):
             except msgspec.DecodeError:
                 raise StartFailed(f"its limits cannot be set: {lines[-1]}") from None
 
+    async def pull(self, call: HaveImage) -> None:
+        """Take an image from a registry. StartFailed with what Docker says."""
+        await self._call(lambda: self._pull(call))
+
     async def sweep(self, runs: set[str]) -> None:
         """Remove the volumes of all environments but these; of users without an environment too."""
         await self._call(lambda: self._sweep(runs))
@@ -124,6 +129,18 @@ class NodeDaemon(Daemon):
         found = self._api.inspect_container(self._id(run))
         if network not in found["NetworkSettings"]["Networks"]:
             self._api.connect_container_to_network(found["Id"], network, ipv4_address=address)
+
+    def _pull(self, call: HaveImage) -> None:
+        repository, _, digest = call.source.partition("@")
+        identity = {"username": call.user, "password": call.secret}
+        try:
+            for said in self._api.pull(repository, digest, stream=True, decode=True, auth_config=identity):
+                if "error" in said:
+                    raise StartFailed(f"image {call.tag} does not come: {said['error']}")
+            name, _, tag = call.tag.rpartition(":")
+            self._api.tag(call.source, name, tag)
+        except APIError as error:
+            raise StartFailed(f"image {call.tag} does not come: {said_by(error)}") from None
 
     def _lend_hands(self, work: Work) -> tuple[int, str]:
         (own,) = self._api.containers(filters={"label": [*self._filter, AGENT]})

@@ -28,6 +28,7 @@ PORTS = """\
 Ports to open in a firewall between the machines of the swarm, and to nobody else:
   2377 TCP       to the manager
   7946 TCP, UDP  between all
+  30000-65535 TCP to the manager: agents and images (the two ports are in swarm.json of the task set's directory)
   4789 UDP       between all (networks of environments; not encrypted, so use a network of your own for it)"""
 
 
@@ -96,21 +97,26 @@ def swarm_steps(system: System, options: argparse.Namespace) -> list[Step]:
     active = docker_answers() and swarm_state()[0] == "active"
     return [
         Step("system packages", lambda: " ".join(missing), lambda: install_packages(missing)),
-        _settings_step(system),
+        _settings_step(system, options.place.rpartition(":")[0] if options.place else address),
         *docker_steps(system),
         Step("swarm", lambda: "" if active else shown, enter),
     ]
 
 
-def _settings_step(system: System) -> Step:
-    """What is there already stays, except where it says otherwise."""
+def _settings_step(system: System, manager: str) -> Step:
+    """What is there already stays, except where it says otherwise. Images come from the manager; what is taken there is
+    named by its digest, so that a certificate is not needed to trust it."""
     try:
         present: dict[str, object] = json.loads(system.text(SETTINGS) or "{}")
     except json.JSONDecodeError as error:
         raise Failed(f"{SETTINGS}: {error}; mend it first") from None
     if present.get("live-restore"):
         raise Failed(f"{SETTINGS} has live-restore, with which Docker refuses a swarm: take it out first")
-    changed = present | WANTED
+    registries = present.get("insecure-registries", [])
+    if not isinstance(registries, list):
+        raise Failed(f"{SETTINGS}: insecure-registries is not a list; mend it first")
+    registry = f"{socket.gethostbyname(manager)}/32"
+    changed = present | WANTED | {"insecure-registries": sorted({*registries, registry})}
 
     def write() -> str:
         system.path(SETTINGS).parent.mkdir(parents=True, exist_ok=True)
@@ -119,7 +125,7 @@ def _settings_step(system: System) -> Step:
             run("systemctl", "restart", "docker.service")
         return SETTINGS
 
-    todo = "" if changed == present else f"{SETTINGS}: {', '.join(WANTED)}"
+    todo = "" if changed == present else f"{SETTINGS}: {', '.join([*WANTED, 'insecure-registries'])}"
     return Step("docker settings", lambda: todo, write)
 
 

@@ -359,6 +359,15 @@ class Unfit(Call[Nothing], frozen=True):
     error: ErrorInfo
 
 
+class HaveImage(Call[Nothing], frozen=True):
+    """Have the node's Docker take an image from the task set, and call it so; answered when it has. StartFailed."""
+
+    tag: str
+    source: str  # REPOSITORY@DIGEST
+    user: str
+    secret: str
+
+
 class KnowGroup(Call[Nothing], frozen=True):
     """The members of a network group, `userID/group`: addresses by containerTag."""
 

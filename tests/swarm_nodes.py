@@ -34,7 +34,8 @@ NEEDED = ("dockerd", "containerd", "runc", "iptables", "ip", "nsenter", "unshare
 SCRIPT = """
 mount -t tmpfs none /run && mkdir -p /run/docker && mount --bind {own} {common} && mount --make-rshared / || exit 1
 exec dockerd --data-root={common}/data --exec-root={common}/exec -H unix:///run/docker.sock \
-    -H unix://{common}/docker.sock --pidfile={common}/pid --bridge=none --no-new-privileges
+    -H unix://{common}/docker.sock --pidfile={common}/pid --bridge=none --no-new-privileges \
+    --insecure-registry={registry}
 """
 
 
@@ -99,7 +100,7 @@ class Swarm:
         run("ip", "link", "set", name, "master", self._bridge, "up")
         for words in (f"address add {address}/24 dev eth0", "link set eth0 up", "link set lo up"):
             run("ip", "-n", name, *words.split())
-        script = SCRIPT.format(own=own, common=self._directory / "docker")
+        script = SCRIPT.format(own=own, common=self._directory / "docker", registry=f"{self.address}/32")
         with (own / "log").open("w") as log:
             process = subprocess.Popen(
                 ["nsenter", f"--net=/run/netns/{name}", "unshare", "-m", "sh", "-c", script],
@@ -158,17 +159,13 @@ def host_mounts() -> list[str]:
     return sorted(path for path in places if Path(path).exists())
 
 
-def load_host_image(*nodes: Node) -> None:
-    """The same on all: an image that is made anew has another id."""
+def load_host_image(node: Node) -> None:
     empty = io.BytesIO()
     tarfile.open(fileobj=empty, mode="w").close()
     path = f"ENV PATH={Path(sys.executable).parent}:/usr/bin:/bin PYTHONDONTWRITEBYTECODE=1"
     name, _, tag = HOST_IMAGE.partition(":")
     changes = [path, f"LABEL rce.version={__version__}"]
-    nodes[0].api().import_image_from_data(empty.getvalue(), repository=name, tag=tag, changes=changes)
-    saved = b"".join(nodes[0].api().get_image(HOST_IMAGE))
-    for node in nodes[1:]:
-        list(node.api().load_image(saved))
+    node.api().import_image_from_data(empty.getvalue(), repository=name, tag=tag, changes=changes)
 
 
 @contextmanager

@@ -35,7 +35,7 @@ except OSError as error:
 @pytest.fixture(scope="module")
 def swarm() -> Iterator[Swarm]:
     with swarm_of(3) as made:
-        load_host_image(*made.nodes)
+        load_host_image(made.nodes[0])  # the others take it from there
         for node in made.nodes[1:]:
             label(made, node, {"rce.feature.cloud": "true"}, "active")
         before = os.environ.get("DOCKER_HOST")

@@ -124,12 +124,12 @@ def test_dockers_settings_keep_what_is_there(system: System) -> None:
     file = system.path(swarm.SETTINGS)
     file.parent.mkdir()
     file.write_text('{"bip": "172.20.0.1/16", "log-driver": "journald"}')
-    step = swarm._settings_step(system)
+    step = swarm._settings_step(system, "10.0.0.1")
     assert step.todo()
     step.action()
     written = json.loads(file.read_text())
-    assert written == {"bip": "172.20.0.1/16", **swarm.WANTED}
-    assert swarm._settings_step(system).todo() == ""
+    assert written == {"bip": "172.20.0.1/16", **swarm.WANTED, "insecure-registries": ["10.0.0.1/32"]}
+    assert swarm._settings_step(system, "10.0.0.1").todo() == ""
 
 
 @pytest.mark.parametrize(
@@ -139,7 +139,7 @@ def test_dockers_settings_that_do_not_fit(system: System, text: str, message: st
     system.path(swarm.SETTINGS).parent.mkdir()
     system.path(swarm.SETTINGS).write_text(text)
     with pytest.raises(Failed, match=message):
-        swarm._settings_step(system)
+        swarm._settings_step(system, "10.0.0.1")
 
 
 def test_features_are_labels(capsys: pytest.CaptureFixture[str]) -> None:
