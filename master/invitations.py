@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import getpass
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,12 +13,14 @@ from typing import get_args
 import msgspec
 
 from master.__main__ import Settings
+from master.audit import Audit, Origin
 from master.machines import HOURS, Inviter
 from master.processes import Processes
 from master.store import Store
 from rce import settings
 from rce.errors import InvalidRequest, RceError
 from rce.joining import Role, process_name
+from rce.roles import Principal
 
 ROLES: tuple[Role, ...] = get_args(Role)
 CONFIG = Path("/etc/rce/master.toml")
@@ -43,9 +46,16 @@ async def run(words: argparse.Namespace) -> None:
     options = settings.load(Settings, "rce machine", ["--config", str(words.config)], {})
     store = Store(options.database or f"sqlite:///{options.data_dir / 'master.db'}")
     await store.open()
+    audit = Audit(store)
     try:
-        await _act(Processes(store), options, words)
+        if words.command == "list":
+            await _act(Processes(store), options, words)
+        else:
+            with audit.noting(f"machine.{words.command}", "", words.name, Origin("offline")) as noted:
+                noted.who = Principal(f"@{getpass.getuser()}", "admin")  # of this machine, not of the platform
+                await _act(Processes(store), options, words)
     finally:
+        await audit.flush()
         await store.close()
 
 

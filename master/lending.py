@@ -8,7 +8,7 @@ from master.rights import check
 from master.users import Users
 from rce import calls as c
 from rce.control import Handlers
-from rce.errors import Forbidden, InvalidRequest, RceError
+from rce.errors import ErrorInfo, Forbidden, InvalidRequest, RceError
 from rce.roles import Principal
 
 
@@ -21,24 +21,31 @@ class Lending:
 
     def add_to(self, handlers: Handlers, process: Process) -> None:
         handlers.on(c.Vouch, self._vouch)
+        handlers.on(c.NoteDone, self._note)
         handlers.on(c.Delegate, lambda call: self._delegate(process, call))
         handlers.on(c.Borrow, lambda call: self._users.grants.borrow(process.name, call.grant, call.seconds))
         handlers.on(c.EndGrant, lambda call: self._end_grant(process, call))
 
+    async def _note(self, call: c.NoteDone) -> c.Nothing:
+        who = Principal(call.person.user, "robot", call.person.key)
+        error = None if call.result == "ok" else RceError.from_info(ErrorInfo(call.result, ""))
+        self._audit.note(who, call.action, who.user, call.object, Origin("map-service", call.address), error)
+        return c.Nothing()
+
     async def _vouch(self, call: c.Vouch) -> c.Person:
         principal = await self._client(call.user, call.secret, call.address, call.operation)
-        return c.Person(principal.user, principal.role)
+        return c.Person(principal.user, principal.role, principal.key)
 
     async def _delegate(self, process: Process, call: c.Delegate) -> c.Grant:
-        principal = await self._client(call.user, call.secret, call.address, "job.submit", gives=True)
+        principal = await self._client(call.user, call.secret, call.address, "job.submit")
         return c.Grant(await self._users.grants.give(process.name, principal.user, principal.key))
 
     async def _end_grant(self, process: Process, call: c.EndGrant) -> c.Nothing:
         await self._users.grants.end(process.name, call.grant)
         return c.Nothing()
 
-    async def _client(self, user: str, secret: str, address: str, operation: str, gives: bool = False) -> Principal:
-        """Who may do this; noted when they give a service the right to act for them, and when they are refused."""
+    async def _client(self, user: str, secret: str, address: str, operation: str) -> Principal:
+        """Who may do this; noted when they are refused."""
         origin, principal = Origin("map-service", address), None
         try:
             principal = await self._users.check(user, secret, address)
@@ -47,8 +54,6 @@ class Lending:
             owner = principal.user if principal else user
             self._audit.note(principal, operation if principal else "login", owner, owner, origin, error)
             raise
-        if gives:
-            self._audit.note(principal, operation, principal.user, principal.user, origin)
         return principal
 
     def _check(self, principal: Principal, operation: str) -> None:

@@ -442,10 +442,11 @@ class Login(Call[LoggedIn], frozen=True):
 
 
 class Person(Struct, frozen=True):
-    """Who has proved to be a user that may use robots."""
+    """Who has proved to be a user, by an API key with this id or by a password."""
 
     user: str
     role: str
+    key: str = ""
 
 
 class Vouch(Call[Person], frozen=True):
@@ -457,6 +458,16 @@ class Vouch(Call[Person], frozen=True):
     user: str
     secret: str  # API key, or SHA-256 hex of the password
     operation: str = "job.submit"  # or job.read
+    address: str = ""  # of the client
+
+
+class NoteDone(Call[Nothing], frozen=True):
+    """A service tells what a client did with what it keeps for them, or could not do: for the audit log."""
+
+    person: Person
+    action: str  # as job.cancel
+    object: str  # as user/ID
+    result: str  # ok, or the code of the error
     address: str = ""  # of the client
 
 

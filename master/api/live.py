@@ -10,6 +10,7 @@ from collections.abc import Callable
 from master import rights
 from master.api.problems import status_of
 from master.api.sockets import POLICY, Listener, Socket
+from master.audit import Origin
 from master.records import user_of
 from master.rights import EVERYBODY, NOBODY, Principal
 from master.service import Master
@@ -93,6 +94,7 @@ class _Watcher:
             principal = await self._live.master.users.check("", greeting.key)
             self._begin(principal, greeting)
         except RceError as error:
+            self._live.master.audit.note(None, "login", "", "", Origin("live", self._socket.address), error)
             self._socket.close(REFUSED + status_of(error), str(error))
 
     def _begin(self, principal: Principal, greeting: Greeting) -> None:

@@ -56,6 +56,11 @@ class Socket(TwistedProtocol):
         self._answered = True
         self._ping: asyncio.TimerHandle | None = None
 
+    @property
+    def address(self) -> str:
+        """Who is at the other end."""
+        return str(getattr(self._transport.getPeer(), "host", ""))
+
     def send(self, text: bytes) -> None:
         if self._protocol.state is OPEN:
             self._protocol.send_text(text)

@@ -10,13 +10,16 @@ from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from msgspec import Struct
+from twisted.logger import Logger
 
-from rce.calls import Borrow, Call, Delegate, EndGrant, LentKey, Vouch
-from rce.errors import Unauthorized
+from rce.calls import Borrow, Call, Delegate, EndGrant, LentKey, NoteDone, Person, Vouch
+from rce.errors import RceError, Unauthorized
 
 REMEMBER = 30.0  # seconds for which a proof is good, so that a stream of requests is not a stream of argon2 checks
 MOST = 10_000  # proofs that are remembered
 KEY_PREFIX = "rce_"
+
+log = Logger()
 
 
 class Master(Protocol):
@@ -30,6 +33,7 @@ class Client(Struct, frozen=True):
 
     user: str
     secret: str
+    person: Person
 
 
 class Access:
@@ -38,8 +42,9 @@ class Access:
     def __init__(self, master: Callable[[], Master], now: Callable[[], float] = time.monotonic) -> None:
         self._master = master
         self._now = now
-        self._known: dict[bytes, tuple[str, float]] = {}
-        self._asked: dict[bytes, asyncio.Task[str]] = {}
+        self._known: dict[bytes, tuple[Person, float]] = {}
+        self._asked: dict[bytes, asyncio.Task[Person]] = {}
+        self._notes: set[asyncio.Task[None]] = set()
         self._doubts: dict[str, asyncio.Future[None]] = {}
 
     async def client(
@@ -50,24 +55,25 @@ class Access:
         mark = hashlib.sha256(f"{operation}\n{user}\n{secret}".encode()).digest()
         known = self._known.get(mark)
         if known is not None and known[1] > self._now():
-            return Client(known[0], secret)
+            return Client(known[0].user, secret, known[0])
         if mark not in self._asked:  # many requests at once are one question
             self._asked[mark] = asyncio.create_task(self._ask(mark, Vouch(user, secret, operation, address)))
-        return Client(await asyncio.shield(self._asked[mark]), secret)
+        person = await asyncio.shield(self._asked[mark])
+        return Client(person.user, secret, person)
 
-    async def _ask(self, mark: bytes, question: Vouch) -> str:
+    async def _ask(self, mark: bytes, question: Vouch) -> Person:
         try:
-            person = await self._master().call(question)
+            person: Person = await self._master().call(question)
         finally:
             self._asked.pop(mark, None)
         if len(self._known) >= MOST:
             self._known.clear()
-        self._known[mark] = (person.user, self._now() + REMEMBER)
-        return str(person.user)
+        self._known[mark] = (person, self._now() + REMEMBER)
+        return person
 
     def forget(self, user: str) -> None:
         """What this user proved is to be proved again."""
-        self._known = {mark: known for mark, known in self._known.items() if known[0] != user}
+        self._known = {mark: known for mark, known in self._known.items() if known[0].user != user}
         doubt = self._doubts.pop(user, None)
         if doubt is not None:
             doubt.set_result(None)
@@ -77,6 +83,18 @@ class Access:
         if user not in self._doubts:
             self._doubts[user] = asyncio.get_running_loop().create_future()
         return self._doubts[user]
+
+    def note(self, client: Client, action: str, thing: str, result: str, address: str) -> None:
+        """Tell the Master what a client did; nobody waits for that."""
+        task = asyncio.create_task(self._note(NoteDone(client.person, action, thing, result, address)))
+        self._notes.add(task)
+        task.add_done_callback(self._notes.discard)
+
+    async def _note(self, note: NoteDone) -> None:
+        try:
+            await self._master().call(note)
+        except RceError as error:
+            log.warn("not in the audit log: {note}: {error}", note=note, error=str(error))
 
     async def delegate(self, user: str, secret: str) -> str:
         return str((await self._master().call(Delegate(user, secret))).grant)

@@ -17,6 +17,7 @@ from rce.errors import Forbidden, InvalidRequest, TimedOut, Unauthorized
 from rce.map_jobs import PREFIX, JobRequest, Upload
 from rce.mapservice.access import Access, Client
 from rce.mapservice.jobs import Jobs
+from rce.mapservice.noting import CLIENT
 from rce.mapservice.problems import TOO_LARGE, WRONG_TYPE, WRONG_VERSION, Refused, decode
 from rce.mapservice.uploads import Uploads
 
@@ -43,7 +44,9 @@ class Rest:
 
     async def _client(self, request: web.Request) -> Client:
         operation = "job.read" if request.method in ("GET", "HEAD") else "job.submit"
-        return await self._access.client(request.headers, request.query, operation, request.remote or "")
+        client = await self._access.client(request.headers, request.query, operation, request.remote or "")
+        request[CLIENT] = client
+        return client
 
     async def asked(self, request: web.Request) -> None:
         """Raises what is wrong with a request whose body has not been sent yet."""

@@ -20,6 +20,7 @@ from rce.mapservice import openapi
 from rce.mapservice import uploads as uploads_module
 from rce.mapservice.access import Access, Master
 from rce.mapservice.jobs import Jobs, Workers
+from rce.mapservice.noting import noting
 from rce.mapservice.problems import problems
 from rce.mapservice.rest import Rest
 from rce.mapservice.soap import Soap
@@ -55,7 +56,7 @@ class MapService:
         access = self.access = Access(master)
         self.jobs = Jobs(directory / "jobs", lambda: self.uploads, workers, access, limits.jobs, entry, trust)
         self.uploads = Uploads(directory / "uploads", limits.uploads, self.jobs.size)
-        application = web.Application(middlewares=[problems], client_max_size=BODY_MOST)
+        application = web.Application(middlewares=[problems, noting(access)], client_max_size=BODY_MOST)
         rest = Rest(access, self.uploads, self.jobs)
         openapi.add(application, openapi.routes(rest), rest.asked)
         Soap(access, self.uploads, self.jobs).add(application)

@@ -17,6 +17,7 @@ from rce.map_jobs import PREFIX, Job, JobRequest
 from rce.mapservice.access import Access, Client
 from rce.mapservice.envelope import Envelopes, Request, answer, fault, own, texts
 from rce.mapservice.jobs import Jobs
+from rce.mapservice.noting import ACTION, CLIENT, FAILED
 from rce.mapservice.problems import convert
 from rce.mapservice.uploads import Uploads
 
@@ -25,6 +26,7 @@ RESULTS_MOST = 64 * 1024 * 1024  # bytes of the results that come along
 XML = "text/xml"
 PATH = PREFIX + "/soap"
 
+NOTED = {"SubmitMap": "job.submit", "CancelMap": "job.cancel"}
 Operation = Callable[[Client, etree._Element, str], Awaitable[etree._Element]]
 log = Logger()
 
@@ -63,6 +65,7 @@ class Soap:
                 log.failure("defect in SOAP")
                 raise InternalError("a defect of the map service; its log has the traceback") from None
         except RceError as error:  # SOAP 1.1 wants 500 for every fault
+            request[FAILED] = error.info.code
             return web.Response(status=500, body=fault(error), content_type=XML, charset="utf-8")
         return web.Response(body=body, content_type=XML, charset="utf-8")
 
@@ -80,7 +83,10 @@ class Soap:
     async def _client(self, request: web.Request, asked: Request, operation: str) -> Client:
         query = {"userID": asked.user, _kind(asked.secret): asked.secret} if asked.secret else request.query
         headers = {} if asked.secret else request.headers
-        return await self._access.client(headers, query, operation, request.remote or "")
+        client = await self._access.client(headers, query, operation, request.remote or "")
+        request[CLIENT] = client
+        request[ACTION] = NOTED.get(etree.QName(asked.body).localname, "")
+        return client
 
     async def _submit(self, client: Client, body: etree._Element, origin: str) -> etree._Element:
         given = body.find(own("options"))

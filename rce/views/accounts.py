@@ -110,7 +110,7 @@ class AuditView(Struct, frozen=True):
     action: str
     object: str
     result: str
-    door: str  # rest, websocket, map-service, offline
+    door: str  # rest, websocket, live, map-service, offline
     address: str
 
     @property

@@ -57,3 +57,7 @@ async def test_a_tied_key_is_one_robot_and_sees_no_other(platform: Platform) -> 
     assert "there is no robot 'theirs'" in (await mine.take())["data"]
     await mine.add("out", "SubscriberConverter")
     await mine.silent()
+    await mine.data("out2", {"data": "x"})  # of nobody
+    await mine.data("theirs/out", {"data": "x"})  # of another robot
+    for answer in await mine.take_all(2):
+        assert answer["error"]["code"] == "not_found"

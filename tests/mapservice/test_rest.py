@@ -11,6 +11,7 @@ import pytest
 from maps_in_memory import LOG, Service
 from openapi_spec_validator import OpenAPIV31SpecValidator
 
+from rce import calls as c
 from rce.errors import InvalidRequest, Unauthorized, Unavailable
 from rce.mapservice.work import Report
 
@@ -287,3 +288,20 @@ async def test_a_service_that_starts_again_has_its_jobs(service: Service) -> Non
     found = await (await service.ask("GET", f"/jobs/{job}")).json()
     assert found["state"] == "running"
     assert service.workers.task(job).former == [f"map_{job}_1"]
+
+
+async def test_what_is_changed_is_told_for_the_audit_log(service: Service) -> None:
+    job = await service.submit()
+    upload = (await (await service.ask("GET", f"/jobs/{job}")).json())["uploads"][0]
+    assert (await service.ask("DELETE", f"/jobs/{job}")).status == 400
+    assert (await service.ask("POST", f"/jobs/{job}/cancel")).status == 200
+    assert (await service.ask("POST", f"/jobs/{job}/cancel", "bob")).status == 404
+    noted = [call for call in service.master.calls if isinstance(call, c.NoteDone)]
+    assert [(call.person.user, call.action, call.object, call.result) for call in noted] == [
+        ("ann", "upload.create", f"ann/{upload}", "ok"),
+        ("ann", "job.submit", f"ann/{job}", "ok"),
+        ("ann", "job.remove", f"ann/{job}", "invalid_request"),
+        ("ann", "job.cancel", f"ann/{job}", "ok"),
+        ("bob", "job.cancel", f"bob/{job}", "not_found"),
+    ]
+    assert {call.address for call in noted} == {"127.0.0.1"}

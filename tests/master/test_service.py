@@ -12,6 +12,7 @@ from twisted.internet.base import ReactorBase
 
 import rce
 from master import service
+from master.audit import Wanted
 from master.service import Master
 from master.store import Store
 from master.users import digest
@@ -608,6 +609,31 @@ async def test_a_service_acts_for_those_only_who_prove_themselves_and_may_use_ro
     ):
         with pytest.raises(error):
             await maps.call(call)
+
+
+async def test_what_a_service_tells_and_whom_it_is_refused_is_in_the_audit_log(platform: Platform) -> None:
+    maps = await platform.process("service", "map-service")
+    person = await maps.call(c.Vouch("ann", digest("secret"), "job.read", "10.0.0.1"))
+    await maps.call(c.NoteDone(person, "job.cancel", "ann/0", "not_found", "10.0.0.1"))
+    with pytest.raises(Unauthorized):
+        await maps.call(c.Vouch("ann", digest("wrong"), "job.read", "10.0.0.1"))
+    found = await platform.master.audit.find(Wanted(), None, 10)
+    assert [(each.user, each.action, each.object, each.result, each.origin) for each in found] == [
+        ("", "login", "ann", "unauthorized", "map-service 10.0.0.1"),
+        ("ann", "job.cancel", "ann/0", "not_found", "map-service 10.0.0.1"),
+    ]
+
+
+async def test_a_key_that_is_revoked_while_the_master_is_away_closes_its_sockets(platform: Platform) -> None:
+    west = await platform.endpoint()
+    secret, key = await platform.master.users.add_key("ann")
+    await west.call(c.Login("ann", "by_key", secret))
+    await login(west, "ann/by_password")
+    await platform.stop()
+    await platform.start()
+    await platform.master.users.keys.revoke("ann", key.id)
+    await platform.master.guard.look_round()
+    assert [robot.name for robot in platform.master.state.robots] == ["ann/by_password"]
 
 
 async def test_only_services_act_for_users(platform: Platform) -> None:
