@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rce.mapping import kernels, ndt
-from rce.mapping.geometry import Points, Pose
+from rce.mapping.geometry import Points, Pose, picked
 
 SIGMA = 0.1  # metres; reach of the likelihood around walls, see matching.STRIDE
 NORMAL_WIDTH = 0.2  # metres; of the cells that hold normal distributions
@@ -54,6 +54,10 @@ class Field:
         hits = np.ascontiguousarray(self.to_cells(points))
         kernels.stamp_hits(self.likelihood, hits, SIGMA / self.resolution)
         ndt.learn(self.tiles, self.table, hits, self.ratio)
+
+    def at(self, points: Points) -> NDArray[np.uint8]:
+        """The likelihood (n,) at points (n, 2), metres, map frame; 0 outside."""
+        return picked(self.likelihood, self.to_cells(points) + 0.5, 0)
 
     def pyramid(self, levels: int) -> NDArray[np.uint8]:
         """(levels, height, width): at level h the largest likelihood in the 2^h by 2^h cells from each cell on (Hess

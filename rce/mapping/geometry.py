@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Points = NDArray[np.float64]  # (n, 2), metres
+Cell = TypeVar("Cell", bound=np.generic)
 
 
 def wrap_angle(angle: float) -> float:
@@ -68,3 +69,12 @@ def moved(trajectory: NDArray[np.float64], offset: Pose) -> NDArray[np.float64]:
     c, s = np.cos(theta), np.sin(theta)
     turned = (theta + offset.theta + math.pi) % (2 * math.pi) - math.pi
     return np.stack([stamps, x + c * offset.x - s * offset.y, y + s * offset.x + c * offset.y, turned], axis=1)
+
+
+def picked(cells: NDArray[Cell], places: Points, outside: int) -> NDArray[Cell]:
+    """The cells (n,) of an array at `places` (n, 2: column, row, rounded down)."""
+    column, row = np.floor(places).astype(np.int64).T
+    height, width = cells.shape
+    inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
+    found = cells[row.clip(0, height - 1), column.clip(0, width - 1)]
+    return np.where(inside, found, np.asarray(outside, cells.dtype))

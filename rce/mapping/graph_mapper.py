@@ -58,7 +58,7 @@ class GraphMapper:
         points = scan.points(self.settings.max_range)
         predictions = self._motion.predict(scan)
         usable = len(points) >= FEWEST_POINTS
-        found = self._local.match(points, predictions, self._motion.blind(scan)) if usable else None
+        found = self._local.match(points, predictions, self._motion.spread(scan)) if usable else None
         pose = found.pose if found else predictions[0]
         covariance = found.covariance if found else UNCERTAIN
         self._motion.follow(scan, pose)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rce.mapping import kernels
-from rce.mapping.geometry import Points
+from rce.mapping.geometry import Points, picked
 from rce.mapping.state import Reader, State
 
 HIT, MISS = 120, -49  # log-odds in hundredths: p = 0.77 where a beam ended, 0.38 where it passed
@@ -29,6 +29,10 @@ class OccupancyGrid:
     resolution: float
     x: float
     y: float
+
+    def at(self, points: Points) -> NDArray[np.int8]:
+        """The cells (n,) at points (n, 2), metres, map frame; unknown outside."""
+        return picked(self.cells, (points - (self.x, self.y)) / self.resolution, UNKNOWN)
 
 
 def _percent_of_log_odds() -> NDArray[np.int8]:

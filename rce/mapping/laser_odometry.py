@@ -49,7 +49,7 @@ class LaserOdometry:
         """Take the next scan and its points (n, 2), metres, frame of the robot; None if they are too few to be matched.
         None too if the pose is that of the wheels or the last motion alone."""
         predictions = self._motion.predict(scan)
-        found = self._local.match(points, predictions, self._motion.blind(scan)) if points is not None else None
+        found = self._local.match(points, predictions, self._motion.spread(scan)) if points is not None else None
         self._motion.follow(scan, found.pose if found else predictions[0])
         if points is not None:
             self._keep(points)

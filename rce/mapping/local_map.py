@@ -78,9 +78,9 @@ class LocalMap:
         if self._field is not None:
             self._field.add(points)
 
-    def match(self, points: Points, predictions: list[Pose], blind: bool = False) -> Match | None:
-        """Where the robot is that sees the points (n, 2), metres, its frame. `blind`: nothing is known about how it
-        moved.
+    def match(self, points: Points, predictions: list[Pose], spread: float) -> Match | None:
+        """Where the robot is that sees the points (n, 2), metres, its frame. `spread`: metres by which the
+        first prediction is off, if things are as usual; infinite where nothing is known about how it moved.
 
         None while the map is empty, or has no prediction in it.
         """
@@ -90,7 +90,8 @@ class LocalMap:
         inside = [p for p in predictions if (np.array(p[:2]) > low).all() and (np.array(p[:2]) < high).all()]
         if not inside:
             return None
-        found = match(self._field, points, inside, BLIND if blind else NEAR)
+        blind = math.isinf(spread)
+        found = match(self._field, points, inside, BLIND if blind else NEAR, spread)
         if blind or found.score >= DOUBT:
             return found
         far = match(self._field, points, inside, FAR)

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rce.mapping import branching
-from rce.mapping.fields import Field, square_around, thin
+from rce.mapping.agreement import Surroundings, agreement
+from rce.mapping.fields import square_around, thin
 from rce.mapping.geometry import ORIGIN, Points, Pose
-from rce.mapping.graph import Edge, Matrix, PoseGraph, around, edges_of, edges_state, information_of
-from rce.mapping.matching import fit
+from rce.mapping.graph import Edge, Matrix, PoseGraph, around, edges_of, edges_state
+from rce.mapping.overlaps import Match, refined
 from rce.mapping.state import Reader, State
 
 KNOWN = 12.0  # metres along edges; nearer nodes cannot have drifted enough to matter
@@ -29,10 +30,10 @@ BUDGET = 40_000  # poses looked at in a search
 NOTHING = np.zeros(5)  # is excluded
 APART, APART_TURN, RIVAL = 0.8, math.radians(10), 0.92  # another pose as good as this makes a place ambiguous
 SEPARATE, TOGETHER = 1.0, 25.0  # metres, and metres along edges, between nodes whose closures confirm each other
-AGREE, AGREE_TURN = 0.25, math.radians(3)
+SAME, SAME_TURN = 0.25, math.radians(3)
+AGREE = 0.85  # of walls and free space, see agreement
 PENDING = 12  # candidates that wait for confirmation
 CONFIRMED = 3  # closures that have to agree
-FLOOR, SCALE = (0.03, math.radians(0.5)), 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,29 +106,18 @@ class LoopFinder:
         points = np.concatenate(list(around(self._graph, new, RECENT)))
         return thin(points[np.hypot(points[:, 0], points[:, 1]) < VIEW], WIDTH, MOST)
 
-    def _field(self, old: int) -> Field:
-        """The walls around an old node, its frame."""
-        field = square_around(ORIGIN, VIEW + PLACE, RESOLUTION)
-        for points in around(self._graph, old, PLACE):
-            field.add(points)
-        return field
-
     def _compare(self, new: int, old: int, query: Points, way: float) -> Candidate | None:
         """Where the new node is, seen from an old one; None if it does not fit there, or fits at several places."""
         if len(query) < FEWEST:
             return None
-        field, nodes = self._field(old), self._graph.nodes
-        pyramid, cells = field.pyramid(LEVELS), query / RESOLUTION
-        guess = field.pose_to_cells(nodes[old].pose.to(nodes[new].pose))
-        x, y, theta, score = _search(pyramid, cells, guess, way, LEAST, NOTHING)
-        if score <= LEAST:
+        nodes = self._graph.nodes
+        found = find_near(self._graph, old, query, nodes[old].pose.to(nodes[new].pose), way)
+        if found is None:
             return None
-        excluded, rival = np.array([x, y, theta, APART / RESOLUTION, APART_TURN]), RIVAL * score
-        if _search(pyramid, cells, guess, way, rival, excluded)[3] != rival:
-            return None  # there is one, or it takes too long to know
-        start = Pose(x, y, theta)
-        fitted = fit(field, cells, cells, start, start)
-        return Candidate(new, old, fitted.pose, information_of(fitted.covariance, 0.0, FLOOR, SCALE))
+        there, here = Surroundings(self._graph, old, PLACE), Surroundings(self._graph, new, RECENT)
+        if agreement(there, here, found.motion) < AGREE:
+            return None
+        return Candidate(new, old, found.motion, found.information)
 
     def _confirm(self, found: Candidate, distances: dict[int, float]) -> list[Edge]:
         """The closures that agree with the new one, with it, if they are enough."""
@@ -147,7 +137,24 @@ class LoopFinder:
             return False
         there = nodes[first.old].pose @ first.motion @ way
         off = there.to(nodes[second.old].pose @ second.motion)
-        return math.hypot(off.x, off.y) < AGREE + 0.02 * length and abs(off.theta) < AGREE_TURN
+        return math.hypot(off.x, off.y) < SAME + 0.02 * length and abs(off.theta) < SAME_TURN
+
+
+def find_near(graph: PoseGraph, number: int, query: Points, guess: Pose, way: float) -> Match | None:
+    """Where a place, at which the points (n, 2) are seen, is in the frame of a node, as far around a guess as one may
+    drift on `way` metres; None if it does not fit there, or fits at several places, as in a corridor that looks the
+    same all along."""
+    field = square_around(ORIGIN, VIEW + PLACE, RESOLUTION)
+    for points in around(graph, number, PLACE):
+        field.add(points)
+    pyramid, cells, start = field.pyramid(LEVELS), query / RESOLUTION, field.pose_to_cells(guess)
+    x, y, theta, score = _search(pyramid, cells, start, way, LEAST, NOTHING)
+    if score <= LEAST:
+        return None
+    excluded, rival = np.array([x, y, theta, APART / RESOLUTION, APART_TURN]), RIVAL * score
+    if _search(pyramid, cells, start, way, rival, excluded)[3] != rival:
+        return None  # there is one, or it takes too long to know
+    return refined(field, cells, Pose(x, y, theta))
 
 
 def _search(

@@ -21,6 +21,7 @@ PREFERENCE = 0.02  # by how much a pose that was searched for must be likelier t
 WORSE = 0.02  # by how much fitting may lower the score; more means that there was too little to fit to
 NOISE = 0.04  # metres; of a single measured point, with what the motion during the sweep adds
 ITERATIONS = 20
+TRUST = 0.004  # metres of spread with which one point says as much about a direction as the prediction
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,16 +45,19 @@ class Match:
     covariance: NDArray[np.float64]
 
 
-def match(field: Field, points: Points, predictions: list[Pose], window: Window) -> Match:
+def match(field: Field, points: Points, predictions: list[Pose], window: Window, spread: float = math.inf) -> Match:
     """The pose around one of the predictions at which the points (n, 2), metres, frame of the robot, fit best.
 
     The predictions come with the most trusted first. Where many points show what is not in the field yet, a wrong pose
     may seem as likely as the right one: what fits next to the first prediction is taken unless there is much better.
+    `spread`: metres by which the first prediction is off, if things are as usual; in a corridor, where a few points
+    that belong to no wall would lead along it, this is what holds the pose.
     """
     cells = points / field.resolution
     thinned = np.ascontiguousarray(cells[:: max(1, len(cells) // SEARCH_POINTS)])
     centres = [field.pose_to_cells(prediction) for prediction in predictions]
-    expected = fit(field, cells, thinned, centres[0], centres[0])
+    pull = max(ndt.PULL, (TRUST / spread) ** 2)
+    expected = fit(field, cells, thinned, centres[0], centres[0], pull)
     if expected.score >= SURE:
         return expected
     start, centre = _search(field, thinned, centres, window)
@@ -61,11 +65,12 @@ def match(field: Field, points: Points, predictions: list[Pose], window: Window)
     return found if found.score > expected.score + PREFERENCE else expected
 
 
-def fit(field: Field, cells: Points, thinned: Points, start: Pose, expected: Pose) -> Match:
-    """Fit points to the normal distributions, and score some of them; everything but the answer is in cells."""
+def fit(field: Field, cells: Points, thinned: Points, start: Pose, expected: Pose, pull: float = ndt.PULL) -> Match:
+    """Fit points to the normal distributions, and score some of them; everything but the answer is in cells. `pull`:
+    of the expected pose, see `ndt.align`."""
     variance = (NOISE / field.resolution) ** 2
-    fitted = ndt.align(field.tiles, field.table, cells, *start, *expected, field.ratio, variance, ITERATIONS).tolist()
-    x, y, theta, *information = fitted
+    fitted = ndt.align(field.tiles, field.table, cells, *start, *expected, field.ratio, variance, ITERATIONS, pull)
+    x, y, theta, *information = fitted.tolist()
     score, before = _score(field, thinned, Pose(x, y, theta)), _score(field, thinned, start)
     if score < before - WORSE:
         (x, y, theta), score = start, before

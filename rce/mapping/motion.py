@@ -12,6 +12,8 @@ from rce.mapping.state import Reader, State, optional
 
 RESET = 10.0  # metres; if odometry moves this far between two scans, it was set anew
 SHORTEST = 1e-3  # seconds; no laser is faster
+WHEELS, SLIP = 0.03, 0.1  # metres, and metres a metre, by which wheels are off as a rule
+STEADINESS = 0.1  # metres by which a robot that goes on as it did is off after a scan
 STEADY = 0.5  # seconds for which a robot may be supposed to go on as it did
 
 
@@ -31,7 +33,7 @@ class Motion:
             return [self.pose]
         repeated = self.pose @ self._last
         if scan.odometry is None or self._wheels is None:
-            return [repeated, self.pose] if self.blind(scan) else [repeated]
+            return [repeated, self.pose] if self._blind(scan) else [repeated]
         odometry, pose = self._wheels
         motion = odometry.to(scan.odometry)
         plausible = math.hypot(motion.x, motion.y) < RESET  # False for NaN
@@ -39,7 +41,15 @@ class Motion:
             return [repeated]
         return [pose @ motion, repeated] if scan.stamp - self._stamp < STEADY else [pose @ motion]
 
-    def blind(self, scan: Scan) -> bool:
+    def spread(self, scan: Scan) -> float:
+        """Metres by which the first prediction is off, if things are as usual; infinite if nothing is known."""
+        if self._blind(scan):
+            return math.inf
+        if scan.odometry is None or self._wheels is None:
+            return STEADINESS
+        return math.hypot(WHEELS, SLIP * math.dist(self._wheels[0][:2], scan.odometry[:2]))
+
+    def _blind(self, scan: Scan) -> bool:
         """Whether nothing tells how far the robot went: it has no wheels, and scans are too rare, or their stamps
         (which logs may have lost) too close, to suppose that it goes on as it did."""
         steady = self._stamp is not None and SHORTEST < scan.stamp - self._stamp < STEADY

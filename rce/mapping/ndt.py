@@ -22,10 +22,8 @@ SHIFT = 4
 TILE = 1 << SHIFT  # cells along each side of a tile
 FEWEST_HITS = 3.0  # a cell with fewer says nothing
 MOST_HITS = 100.0  # that a cell remembers, so that it can follow changes
-PULL, TURN_PULL = (
-    1e-3,
-    1e-2,
-)  # of the expected pose, per point on known walls: decides where the walls leave a direction open
+# Of the expected pose, per point on known walls: decides where the walls leave a direction open.
+PULL, TURN_PULL = 1e-3, 1e-2
 
 
 @compiled("void(float32[:,:,:,::1], int32[:,::1], float64[:,::1], int64)")
@@ -54,7 +52,7 @@ def learn(tiles: NDArray[np.float32], table: NDArray[np.int32], hits: NDArray[np
 
 @compiled(
     "float64[::1](float32[:,:,:,::1], int32[:,::1], float64[:,::1], float64, float64, float64, float64, float64, "
-    "float64, int64, float64, int64)"
+    "float64, int64, float64, int64, float64)"
 )
 def align(
     tiles: NDArray[np.float32],
@@ -69,10 +67,12 @@ def align(
     ratio: int,
     variance: float,
     iterations: int,
+    pull: float,
 ) -> NDArray[np.float64]:
     """Move from (x, y, theta) to where the points (n, 2), frame of the robot, are likeliest, by Gauss-Newton.
 
-    Where the walls leave a direction open, as those of a corridor do, the expected pose decides.
+    Where the walls leave a direction open, as those of a corridor do, the expected pose decides: it counts as much as
+    `pull` (information per square fine cell) for each point on known walls.
     A point counts for the four cells around it by its distance to their centres (the four overlapping grids of the
     paper, blended). With V the covariance of a cell, its weight is adj V / (det V + `variance` tr V): for a wall that
     is 1 / (`variance` + its thickness squared) across and nothing along it, where the inverse of V, which the paper
@@ -120,9 +120,9 @@ def align(
                 gx += weight * px
                 gy += weight * py
                 gt += weight * (rx * py - ry * px)
-        pull, turn_pull = PULL * known + 1e-9, TURN_PULL * known + 1e-9
-        xx, yy, tt = xx + pull, yy + pull, tt + turn_pull
-        gx, gy = gx + pull * (expected_x - x), gy + pull * (expected_y - y)
+        whole, turn_pull = pull * known + 1e-9, TURN_PULL * known + 1e-9
+        xx, yy, tt = xx + whole, yy + whole, tt + turn_pull
+        gx, gy = gx + whole * (expected_x - x), gy + whole * (expected_y - y)
         gt += turn_pull * (expected_theta - theta)
         a, b, d = yy * tt - yt * yt, xt * yt - xy * tt, xy * yt - xt * yy
         e, f, g = xx * tt - xt * xt, xy * xt - xx * yt, xx * yy - xy * xy

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rce.mapping import branching
-from rce.mapping.fields import Field, square_around, thin
-from rce.mapping.geometry import ORIGIN, Points, Pose
+from rce.mapping.fields import Field, thin
+from rce.mapping.geometry import Points, Pose
 from rce.mapping.graph import Matrix, PoseGraph, around, information_of
 from rce.mapping.matching import fit
 
@@ -21,9 +21,6 @@ LEAST = 0.62  # score
 BUDGET = 150_000  # poses looked at in a search of a whole map
 APART, APART_TURN, RIVAL = 1.0, math.radians(10), 0.9  # another pose as good as this makes a place ambiguous
 NOTHING = np.zeros(5)  # is excluded
-PLACE = 10.0  # metres along edges around a known place that are compared
-NEAR, NEAR_TURN, NEAR_BUDGET = 2.5, math.radians(8), 40_000  # window around a pose that is known already
-NEAR_APART = 0.6  # metres, as APART
 FLOOR, SCALE = (0.03, math.radians(0.5)), 4.0
 GROWN, MOVED = 8, 0.05  # nodes, and metres or radians by which one has moved, after which a map is looked at anew
 
@@ -66,7 +63,7 @@ class WholeMap:
         excluded, rival = np.array([x, y, theta, APART / RESOLUTION, APART_TURN]), RIVAL * score
         if self._search(cells, rival, excluded)[3] != rival:
             return None
-        return _refined(self._field, cells, Pose(x, y, theta))
+        return refined(self._field, cells, Pose(x, y, theta))
 
     def _renew(self) -> None:
         poses = self._graph.poses()
@@ -91,25 +88,7 @@ class WholeMap:
         return x, y, theta, score
 
 
-def find_near(graph: PoseGraph, number: int, query: Points, guess: Pose) -> Match | None:
-    """Where a place (n, 2) is, seen from a node, near a guess that is good to a metre or so; None if nowhere, or in
-    doubt, as in a corridor that looks the same all along."""
-    field = square_around(ORIGIN, VIEW + PLACE, RESOLUTION)
-    for points in around(graph, number, PLACE):
-        field.add(points)
-    cells = query / RESOLUTION
-    start = field.pose_to_cells(guess)
-    steps, turns = round(NEAR / RESOLUTION), math.ceil(NEAR_TURN / TURN)
-    window = field.pyramid(5), cells, *start, steps, turns, TURN
-    x, y, theta, score = branching.branch_and_bound(*window, LEAST, NOTHING, NEAR_BUDGET).tolist()
-    if score <= LEAST:
-        return None
-    excluded, rival = np.array([x, y, theta, NEAR_APART / RESOLUTION, APART_TURN]), RIVAL * score
-    if branching.branch_and_bound(*window, rival, excluded, NEAR_BUDGET)[3] != rival:
-        return None
-    return _refined(field, cells, Pose(x, y, theta))
-
-
-def _refined(field: Field, cells: Points, start: Pose) -> Match:
+def refined(field: Field, cells: Points, start: Pose) -> Match:
+    """Where points (n, 2) fit best near a pose; both in cells."""
     fitted = fit(field, cells, cells, start, start)
     return Match(fitted.pose, information_of(fitted.covariance, 0.0, FLOOR, SCALE))

@@ -185,6 +185,7 @@ def match(
             ratio,
             variance,
             iterations,
+            ndt.PULL,
         )
         x, y, theta = found[k, 0], found[k, 1], found[k, 2]
         found[k, 9] = log_likelihood(tiles, table, points, x, y, theta, ratio, variance)
@@ -193,7 +194,7 @@ def match(
         x, y, theta, there = look_around(tiles, table, few, e, ratio, variance)
         if share * (there - here) <= 0.5 * jump:
             continue
-        other = ndt.align(tiles, table, points, x, y, theta, x, y, theta, ratio, variance, iterations)
+        other = ndt.align(tiles, table, points, x, y, theta, x, y, theta, ratio, variance, iterations, ndt.PULL)
         likelihood = log_likelihood(tiles, table, points, other[0], other[1], other[2], ratio, variance)
         if likelihood > found[k, 9] + jump:
             found[k, :9] = other
