@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from time import perf_counter
 
 from rce.errors import LimitExceeded
 
@@ -32,7 +33,8 @@ class Message:
     """What one interface sends to its peers, or, with `destination`, to one of them.
 
     `payload` is a serialized ROS message (CDR with its encapsulation header); with `error` it is an ErrorInfo as
-    msgpack, the answer to a service request that failed.
+    msgpack, the answer to a service request that failed. `since` is when it came into this process, by
+    `time.perf_counter`; it does not travel.
     """
 
     source: bytes
@@ -40,6 +42,7 @@ class Message:
     payload: Buffer
     destination: bytes | None = None
     error: bool = False
+    since: float = field(default_factory=perf_counter, compare=False, repr=False)
 
 
 def pieces(message: Message, stream: int) -> Iterator[list[Buffer]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Protocol
 
 from twisted.logger import Logger
@@ -48,8 +48,9 @@ class Link(Protocol):
 class LoopLink:
     """A link between interfaces of one process: it queues only while its receiver asks it to pause."""
 
-    def __init__(self, name: str, deliver: Callable[[Message, Link], None]) -> None:
+    def __init__(self, name: str, deliver: Callable[[Message, Link], None], left: Callable[[Message], None]) -> None:
         self.name = name
+        self._left = left
         self.opened: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.opened.set_result(None)
         self._deliver = deliver
@@ -82,6 +83,7 @@ class LoopLink:
         self._outbox.resume()
 
     def _write(self, message: Message) -> bool:
+        self._left(message)
         self._deliver(message, self)
         return self._until is None
 
@@ -94,9 +96,11 @@ class StreamLink(asyncio.BufferedProtocol):
         name: str,
         deliver: Callable[[Message, Link], None],
         lost: Callable[[StreamLink, str], None],
+        left: Callable[[Message], None],
         throttle: Throttle | None = None,
     ) -> None:
-        """`lost` is called once, if the link breaks or does not open; not when it is closed on purpose.
+        """`lost` is called once, if the link breaks or does not open; not when it is closed on purpose. `left` is
+        called with each message that has gone out.
 
         `throttle` is for what comes in, perhaps together with other links.
         """
@@ -106,6 +110,7 @@ class StreamLink(asyncio.BufferedProtocol):
         self.broken = ""  # why, once it is
         self._deliver = deliver
         self._lost = lost
+        self._left = left
         self._reader = FrameReader()
         self._outbox: Outbox[list[Buffer]] = Outbox(self._write)
         self._outbox.pause()  # until the greeting is over
@@ -146,7 +151,11 @@ class StreamLink(asyncio.BufferedProtocol):
     # Link
 
     def send(self, message: Message, keep: int | None) -> int:
-        return self._outbox.put(message.source, pieces(message, next(self._streams)), keep)
+        return self._outbox.put(message.source, self._pieces(message), keep)
+
+    def _pieces(self, message: Message) -> Iterator[list[Buffer]]:
+        yield from pieces(message, next(self._streams))
+        self._left(message)
 
     def room(self, source: bytes) -> asyncio.Future[None] | None:
         return self._outbox.room(source)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Awaitable, Callable
 from weakref import WeakValueDictionary
 
@@ -12,11 +13,13 @@ from twisted.logger import Logger
 
 from endpoints.data_port import DataPort
 from endpoints.frames import Message
+from endpoints.hops import Watch
 from endpoints.link import Link, LoopLink, StreamLink
 from endpoints.throttle import Throttle
-from endpoints.traffic import InterfaceCounts
+from endpoints.traffic import InterfaceCounts, Totals
 from rce.calls import CountTraffic, InterfaceSpec, LinkSpec, Route, Sync, Traffic
 from rce.errors import ErrorInfo, LimitExceeded, NotConnected, NotFound, RceError, Unavailable
+from rce.metrics import Family, gauge
 
 MAX_REQUESTS = 1000  # service messages of one interface that may wait for a link
 
@@ -83,7 +86,7 @@ class Interface(ABC):
             self.dropped += dropped
             for peer, towards in self.peers.items():
                 if towards is link:
-                    self.traffic.peers[peer].drops += dropped
+                    self.traffic.of(peer).drops += dropped
 
     def room(self) -> asyncio.Future[None] | None:
         """With keep_all: None while more may be sent, else what is done when it may."""
@@ -123,6 +126,8 @@ class Switchboard:
     def __init__(self, port: DataPort, link_lost: Callable[[str, str], None]) -> None:
         self.interfaces: dict[bytes, Interface] = {}
         self.links: dict[str, Link] = {}
+        self.watch = Watch()
+        self._totals = Totals()
         self._listeners: dict[bytes, dict[Interface, str]] = {}  # remote source -> who here listens, over which link
         self._port = port
         self._link_lost = link_lost
@@ -148,6 +153,7 @@ class Switchboard:
         for peer in list(interface.peers):
             self._part(interface, peer)
         del self.interfaces[interface.id]
+        self._totals.gone(interface.traffic.traffic(interface.dropped))
         interface.close()
 
     # routes
@@ -169,7 +175,7 @@ class Switchboard:
             return
         first = not interface.peers
         interface.peers[peer] = link
-        interface.traffic.join(peer)
+        interface.traffic.of(peer)
         self._listeners.setdefault(peer, {})[interface] = route.link
         if first:
             interface.started()
@@ -206,10 +212,10 @@ class Switchboard:
                 except Exception:  # noqa: BLE001  # a defect in one interface must not cost others the link
                     log.failure("defect while delivering to {interface}", interface=interface.spec.tag)
 
-    @staticmethod
-    def _hand_over(message: Message, link: Link, interface: Interface) -> None:
-        count = interface.traffic.peers[message.source]
+    def _hand_over(self, message: Message, link: Link, interface: Interface) -> None:
+        count = interface.traffic.of(message.source)
         count.passed(len(message.payload))
+        self.watch.came(interface.id, message)
         before = interface.dropped
         interface.receive(message, link)
         if interface.dropped != before:
@@ -219,6 +225,18 @@ class Switchboard:
         """What has passed each interface."""
         counted = {each.spec.id: each.traffic.traffic(each.dropped) for each in self.interfaces.values()}
         return Traffic(counted)
+
+    def families(self) -> list[Family]:
+        """What is here, for Prometheus."""
+        present = [each.traffic.traffic(each.dropped) for each in self.interfaces.values()]
+        queued = sum(link.backlog(each.id) for each in self.interfaces.values() for link in set(each.peers.values()))
+        links = Counter("up" if link.opened.done() else "opening" for link in self.links.values())
+        return [
+            *self._totals.families(present),
+            gauge("rce_interfaces", "Interfaces", [], {(): len(present)}),
+            gauge("rce_links", "Data links", ["state"], {(state,): links[state] for state in ("up", "opening")}),
+            gauge("rce_queued_messages", "Messages that wait for a data link", [], {(): queued}),
+        ]
 
     async def sync(self, call: Sync, make: Callable[[InterfaceSpec], Awaitable[Interface]]) -> dict[str, ErrorInfo]:
         """Have the interfaces, links and routes of this call and no others; returns what failed, by its name."""
@@ -257,9 +275,9 @@ class Switchboard:
         if present is not None:
             return
         if not spec.key:
-            self.links[spec.name] = LoopLink(spec.name, self.deliver)
+            self.links[spec.name] = LoopLink(spec.name, self.deliver, self.watch.left)
             return
-        link = StreamLink(spec.name, self.deliver, self._lost, self._throttle(spec))
+        link = StreamLink(spec.name, self.deliver, self._lost, self.watch.left, self._throttle(spec))
         self.links[spec.name] = link
         key = bytes.fromhex(spec.key)
         if spec.dial:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable
+
 from rce.calls import Counts, InterfaceTraffic
+from rce.metrics import Family, counted
 
 
 class Count:
@@ -37,11 +41,15 @@ class InterfaceCounts:
         self.peers: dict[bytes, Count] = {}
         self._gone = Count()
 
-    def join(self, peer: bytes) -> None:
-        self.peers.setdefault(peer, Count())
+    def of(self, peer: bytes) -> Count:
+        count = self.peers.get(peer)
+        if count is None:
+            count = self.peers[peer] = Count()
+        return count
 
     def part(self, peer: bytes) -> None:
-        self._gone.add(self.peers.pop(peer))
+        self._gone.add(self.of(peer))
+        del self.peers[peer]
 
     def traffic(self, dropped: int) -> InterfaceTraffic:
         """`dropped` are all drops of the interface, whosever they were."""
@@ -54,3 +62,38 @@ class InterfaceCounts:
             Counts(received.messages, received.bytes),
             {peer.hex(): count.counts for peer, count in self.peers.items()},
         )
+
+
+class Totals:
+    """Of all interfaces of an endpoint, with those that are gone."""
+
+    def __init__(self) -> None:
+        self._gone: Counter[tuple[str, str]] = Counter()
+
+    def gone(self, interface: InterfaceTraffic) -> None:
+        self._gone += _amounts(interface)
+
+    def families(self, present: Iterable[InterfaceTraffic]) -> list[Family]:
+        total = sum(map(_amounts, present), self._gone)
+
+        def of(what: str) -> dict[tuple[str, ...], float]:
+            return {(way,): total[what, way] for way in ("sent", "received")}
+
+        return [
+            counted("rce_messages", "Messages that interfaces sent and received", ["direction"], of("messages")),
+            counted("rce_bytes", "Bytes of payload of these messages", ["direction"], of("bytes")),
+            counted("rce_drops", "Messages that were dropped", [], {(): total["drops", ""]}),
+        ]
+
+
+def _amounts(interface: InterfaceTraffic) -> Counter[tuple[str, str]]:
+    sent, received = interface.sent, interface.received
+    return Counter(
+        {
+            ("messages", "sent"): sent.messages,
+            ("messages", "received"): received.messages,
+            ("bytes", "sent"): sent.bytes,
+            ("bytes", "received"): received.bytes,
+            ("drops", ""): sent.drops,
+        }
+    )

@@ -14,6 +14,7 @@ from msgspec import Raw, Struct
 
 from rce.errors import ErrorInfo, InvalidRequest
 from rce.messages import Command, ContainerData, ParameterValue, Qos, StatusData
+from rce.metrics import Family
 
 R = TypeVar("R")
 _commands: dict[str, type[Command]] = {kind.__name__: kind for kind in get_args(Command)}
@@ -244,6 +245,50 @@ class Traffic(Struct, frozen=True):
 
 class CountTraffic(Call[Traffic], frozen=True):
     """What has passed the interfaces of this endpoint."""
+
+
+Hop = Literal["entered", "sent", "received", "delivered"]
+"""Of a message at an endpoint: it came from the robot or ROS; went out over a link; came in; went to robot or ROS."""
+
+
+class Passage(Struct, frozen=True):
+    """A message at a hop, seconds since 1970 by the clock of the machine. Its id is unique for `source` only.
+
+    `source` is the interface that it comes from; of an answer, the one that asked, so that both are joined.
+    """
+
+    source: str
+    message: str
+    interface: str
+    hop: Hop
+    time: float
+
+
+class Passages(Struct, frozen=True):
+    """In the order in which they were noted."""
+
+    passages: list[Passage]
+
+
+class FollowMessages(Call[Passages], frozen=True):
+    """Note the hops of all messages of these interfaces, for so many seconds from now; answers what was noted before.
+
+    Whoever follows makes up a name for it, and asks again and again.
+    """
+
+    trace: str
+    interfaces: list[str]
+    seconds: float = 5.0
+
+
+class Metrics(Struct, frozen=True):
+    """What a process counts of itself."""
+
+    families: list[Family]
+
+
+class ReadMetrics(Call[Metrics], frozen=True):
+    """The metrics of this process."""
 
 
 class Tell(Call[Nothing], frozen=True):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import re
+import time
 from collections.abc import Awaitable, Callable
 from typing import Any, Protocol, TypeVar, cast
 
@@ -23,7 +24,7 @@ from twisted.logger import Logger
 from twisted.python.failure import Failure
 from twisted.spread import pb
 
-from rce import calls
+from rce import calls, metrics
 from rce.calls import Call, Hello, Nothing, Ping, Welcome
 from rce.errors import ErrorInfo, InternalError, InvalidRequest, Lost, RceError, Unavailable
 from rce.tls import Tls
@@ -37,6 +38,7 @@ BACKOFF_MOST = 1.0  # a Master that is back is found again within this time
 
 log = Logger()
 _TCP = re.compile(r"tcp:(?:host=)?((?:[^:\\]|\\.)*)")
+_answering = metrics.Timing("rce_control_call_seconds", "Time to answer a call of another process", "call")
 R = TypeVar("R")
 C = TypeVar("C", bound=Call[Any])
 Pages = list[bytes]
@@ -65,6 +67,7 @@ class Handlers:
 
     async def answer(self, name: str, pages: Pages) -> tuple[bool, Pages]:
         """Whether it went well, and the result or the ErrorInfo."""
+        began = time.perf_counter()
         try:
             handler = self._handlers.get(name)
             if handler is None:
@@ -75,10 +78,23 @@ class Handlers:
                 raise InvalidRequest(f"{name}: {error}") from None
             return True, _pages(await handler(call))
         except RceError as error:
+            metrics.errors.add("process", error.info.code)
             return False, _pages(error.info)
         except Exception:  # noqa: BLE001  # the caller must hear of a defect here; the traceback stays in this process's log
             log.failure("defect while answering {name}", name=name)
+            metrics.errors.add("process", InternalError.code)
             return False, _pages(InternalError(f"a defect while answering {name}; see the server's log").info)
+        finally:
+            if name in self._handlers:  # any other name may be anything
+                _answering.of(name).since(began)
+
+    def tell_metrics(self, role: str, *sources: metrics.Source) -> None:
+        """Answer for the metrics of this process, and for these of its parts."""
+
+        async def read(_: calls.ReadMetrics) -> calls.Metrics:
+            return calls.Metrics(metrics.families(role, *sources))
+
+        self.on(calls.ReadMetrics, read)
 
 
 async def _pong(_: Ping) -> Nothing:

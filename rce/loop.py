@@ -16,7 +16,7 @@ from twisted.internet.main import installReactor
 from twisted.internet.protocol import Factory
 from twisted.logger import Logger
 
-from rce import logs
+from rce import logs, metrics
 from rce.errors import RceError
 from rce.reactor import UvloopReactor
 
@@ -52,9 +52,9 @@ def run(main: Main) -> int:
         outcome.append(await _status(task))
         reactor.stop()
 
-    whole_task = loop.create_task(whole())
+    tasks = [loop.create_task(whole()), loop.create_task(metrics.watch_loop())]
     reactor.run(installSignalHandlers=False)
-    loop.run_until_complete(whole_task)
+    loop.run_until_complete(tasks[0])
     loop.run_until_complete(_end_tasks())
     loop.run_until_complete(loop.shutdown_asyncgens())
     loop.close()

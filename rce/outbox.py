@@ -61,6 +61,11 @@ class Outbox(Generic[P]):
         queue = self._queues.get(source)
         return len(queue.waiting) if queue else 0
 
+    @property
+    def waiting(self) -> int:
+        """How many messages of all sources have not begun to leave."""
+        return sum(len(queue.waiting) for queue in self._queues.values())
+
     def room(self, source: bytes) -> asyncio.Future[None] | None:
         """None while the source may go on; else what is done once its queue has emptied."""
         queue = self._queues.get(source)

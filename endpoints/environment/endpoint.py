@@ -27,6 +27,7 @@ from endpoints.switchboard import Interface, Switchboard
 from rce import calls as c
 from rce.control import Handlers
 from rce.errors import ErrorInfo, InvalidRequest, RceError
+from rce.metrics import Family, gauge
 
 KINDS: dict[str, type[RosInterface]] = {
     "PublisherInterface": PublisherInterface,
@@ -78,6 +79,8 @@ class Environment:
         handlers.on(c.Describe, self._describe)
         handlers.on(c.ReadGraph, self._read_graph)
         handlers.on(c.CountTraffic, board.traffic)
+        handlers.on(c.FollowMessages, board.watch.follow)
+        handlers.tell_metrics("environment", board.families, self._families)
         return handlers
 
     async def run(self) -> None:
@@ -157,6 +160,9 @@ class Environment:
 
     async def _read_graph(self, call: c.ReadGraph) -> c.RosGraph:
         return await self._ros.run(lambda: read(self._ros.node))
+
+    def _families(self) -> list[Family]:
+        return [gauge("rce_nodes", "Nodes that run", [], {(): len(self._nodes.specs)})]
 
     # reports
 

@@ -83,6 +83,7 @@ class ServiceClientInterface(RosInterface):
             request = self._waiting.popleft()
             try:
                 self._asked[self._client.ask(raw(request.message.payload))] = request
+                self.switchboard.watch.ended(self.id, request.message)
             except ConversionError as error:
                 self._fail(request, error)
 
@@ -104,7 +105,8 @@ class ServiceClientInterface(RosInterface):
     def _answered(self, number: int, payload: bytes) -> None:
         request = self._asked.pop(number, None)
         if request is not None:  # else it came too late
-            self._ros.deliver(lambda: self._respond(request.message, payload))
+            since = time.perf_counter()
+            self._ros.deliver(lambda: self._respond(request.message, payload, since))
             self._send()
 
     def _expire(self, now: float) -> None:
@@ -125,11 +127,12 @@ class ServiceClientInterface(RosInterface):
 
     # in the loop
 
-    def _respond(self, request: Message, payload: bytes) -> None:
+    def _respond(self, request: Message, payload: bytes, since: float) -> None:
         self._unanswered -= 1
         if request.source in self.peers:
             try:
-                self.request(Message(self.id, request.msg_id, payload, destination=request.source))
+                answer = Message(self.id, request.msg_id, payload, destination=request.source, since=since)
+                self.request(answer)
             except LimitExceeded as error:
                 self._complain(error)
 
@@ -180,12 +183,13 @@ class ServiceProviderInterface(RosInterface):
         elif message.error:
             self._failed(error_of(message))
         else:
-            self._ros.post(lambda: self._answer(header, raw(message.payload)))
+            self._ros.post(lambda: self._answer(header, message))
 
-    def _answer(self, header: Header, payload: bytes) -> None:
+    def _answer(self, header: Header, message: Message) -> None:
         """In the ROS thread."""
         try:
-            self._service.answer(header, payload)
+            self._service.answer(header, raw(message.payload))
+            self.switchboard.watch.ended(self.id, message)
         except ConversionError as error:
             self._complain_from_ros(ConversionError, str(error))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
+from time import perf_counter
 from uuid import uuid4
 
 from endpoints.environment.interfaces import RosInterface, Surroundings
@@ -56,7 +57,13 @@ class PublisherInterface(RosInterface):
             if self._room is None:
                 self._room = asyncio.get_running_loop().create_future()
             link.pause(self._room)
-        self._ros.post(self._publisher.flush)
+        self._ros.post(lambda: self._flush(message))
+
+    def _flush(self, message: Message) -> None:
+        """In the ROS thread."""
+        self._publisher.flush()
+        if not self._publisher.waiting:
+            self.switchboard.watch.ended(self.id, message)
 
     def _forget_oldest(self, waiting: deque[Buffer], keep: int) -> None:
         while len(waiting) > keep:
@@ -132,16 +139,17 @@ class SubscriberInterface(RosInterface):
     def _take(self, payload: bytes, publisher: bytes) -> bool:
         """In the ROS thread: take a message, and say whether to go on; if not, the loop does once it has caught up."""
         self._taken += 1
+        since = perf_counter()
         more = self._taken - self._handled < IN_HAND
-        self._ros.deliver(lambda: self._handle(payload, publisher, more))
+        self._ros.deliver(lambda: self._handle(payload, publisher, more, since))
         return more
 
-    def _handle(self, payload: bytes, publisher: bytes, more: bool) -> None:
+    def _handle(self, payload: bytes, publisher: bytes, more: bool, since: float) -> None:
         self._handled += 1
         if self._subscription.latched:
             self._keep_latched(payload, publisher)
         if self.peers:
-            self.send(Message(self.id, uuid4().hex, payload))
+            self.send(Message(self.id, uuid4().hex, payload, since=since))
         if not more:
             self._go_on()
 

@@ -19,6 +19,7 @@ from rce.blobs import Buffer
 from rce.control import Handlers, MasterLink
 from rce.errors import NotFound, RceError, Unavailable
 from rce.messages import DataMessage
+from rce.metrics import Family, gauge
 
 LEAVE_RETRY = 1.0
 LOGIN_WAIT = 5.0  # for a Master that is away: less than robots wait, so that they hear the reason
@@ -62,7 +63,19 @@ class RobotEndpoint:
         handlers.on(c.Tell, self._tell)
         handlers.on(c.DropRobot, self._drop_robot)
         handlers.on(c.CountTraffic, self.switchboard.traffic)
+        handlers.on(c.FollowMessages, self.switchboard.watch.follow)
+        handlers.tell_metrics("robot", self.switchboard.families, self._families)
         return handlers
+
+    def _families(self) -> list[Family]:
+        sessions = list(self.sessions.values())
+        connected = sum(each.socket is not None for each in sessions)
+        states: dict[tuple[str, ...], float] = {("connected",): connected, ("away",): len(sessions) - connected}
+        queued = sum(each.outbox.waiting for each in sessions)
+        return [
+            gauge("rce_sessions", "Robots with a session here, by whether their socket is open", ["state"], states),
+            gauge("rce_queued_frames", "Messages, statuses and errors that wait for robots", [], {(): queued}),
+        ]
 
     # --- robots -------------------------------------------------------------------------------------------------------
 

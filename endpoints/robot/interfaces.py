@@ -10,6 +10,7 @@ import asyncio
 import itertools
 import uuid
 from collections.abc import Iterator
+from time import perf_counter
 from typing import Literal, Protocol, cast
 
 import msgspec
@@ -91,16 +92,16 @@ class RobotInterface(Interface):
             raise InvalidRequest("a data message needs msg or msg*", field="msg")
         return Wire(False, message.msg, blobs)
 
-    def to_robot(self, codec: Codec, msg_id: str, cdr: Buffer, keep: int | None) -> None:
+    def to_robot(self, codec: Codec, msg_id: str, message: Message, keep: int | None) -> None:
         """Queue a data message for the robot; it is converted when it leaves, so what is dropped costs nothing."""
-        dropped = self.session.outbox.put(self.id, self._pieces(codec, msg_id, cdr), keep)
+        dropped = self.session.outbox.put(self.id, self._pieces(codec, msg_id, message), keep)
         if dropped:
             self.dropped += dropped
             self.session.dropped(self.spec.tag, self.dropped, "on the way to the robot")
 
-    def _pieces(self, codec: Codec, msg_id: str, cdr: Buffer) -> Iterator[Piece]:
+    def _pieces(self, codec: Codec, msg_id: str, message: Message) -> Iterator[Piece]:
         try:
-            wire = codec.decode(cdr)
+            wire = codec.decode(message.payload)
         except RceError as error:
             yield self.session.error_piece(error.at(self.spec.tag))
             return
@@ -113,6 +114,7 @@ class RobotInterface(Interface):
             yield from ([frame] for frame in frames)
         else:  # one after the other, as old clients expect
             yield [text, *frames]
+        self.switchboard.watch.ended(self.id, message)
 
     def count_drops(self) -> None:
         """Tell the robot if the link dropped messages of this interface since last time."""
@@ -128,7 +130,7 @@ class Publisher(RobotInterface):
         self._codec = codec
 
     def receive(self, message: Message, link: Link) -> None:
-        self.to_robot(self._codec, message.msg_id, message.payload, self.keep)
+        self.to_robot(self._codec, message.msg_id, message, self.keep)
         if self.keep is None and (room := self.session.outbox.room(self.id)) is not None:
             link.pause(room)
 
@@ -149,10 +151,11 @@ class Subscriber(RobotInterface):
         """Nothing comes this way."""
 
     def from_robot(self, message: DataMessage, blobs: dict[str, Buffer]) -> None:
+        since = perf_counter()
         payload = self._codec.encode(self.wire(message, blobs))
         before = self.dropped
         try:
-            self.send(Message(self.id, message.msgID, payload))
+            self.send(Message(self.id, message.msgID, payload, since=since))
         except NotConnected:
             if self.session.features:
                 raise
@@ -226,9 +229,10 @@ class ServiceClient(ServiceInterface):
         except LimitExceeded as error:
             self.fail(message, error)
             return
-        self.to_robot(self._request, name, message.payload, None)
+        self.to_robot(self._request, name, message, None)
 
     def from_robot(self, message: DataMessage, blobs: dict[str, Buffer]) -> None:
+        since = perf_counter()
         request = self._take(message.msgID)
         if request is None:
             raise NotConnected(
@@ -242,7 +246,7 @@ class ServiceClient(ServiceInterface):
         except RceError as error:
             self.fail(request, error)
             raise
-        self.request(Message(self.id, request.msg_id, payload, destination=request.source))
+        self.request(Message(self.id, request.msg_id, payload, destination=request.source, since=since))
 
     def late(self, call: Message) -> None:
         self.fail(call, TimedOut(f"robot {self.spec.owner} did not answer within {self._timeout:g} s"))
@@ -257,11 +261,12 @@ class ServiceProvider(ServiceInterface):
     def from_robot(self, message: DataMessage, blobs: dict[str, Buffer]) -> None:
         if message.msgID in self._waiting:
             raise InvalidRequest(f"{self.spec.tag}: a call with this msgID waits already", field="msgID")
+        since = perf_counter()
         payload = self._request.encode(self.wire(message, blobs))
         # Before the request leaves: within this process it may fail at once.
         self._await(message.msgID, Message(self.id, message.msgID, b""))
         try:
-            self.request(Message(self.id, message.msgID, payload))
+            self.request(Message(self.id, message.msgID, payload, since=since))
         except RceError:
             self._take(message.msgID)
             raise
@@ -272,7 +277,7 @@ class ServiceProvider(ServiceInterface):
         if message.error:
             self._fail(message, error_of(message))
         else:
-            self.to_robot(self._response, message.msg_id, message.payload, None)
+            self.to_robot(self._response, message.msg_id, message, None)
 
     def late(self, call: Message) -> None:
         self._fail(call, TimedOut(f"no answer from the service within {self._timeout:g} s"))

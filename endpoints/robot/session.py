@@ -143,6 +143,7 @@ class Session:
         return self._failure(text, error, id)
 
     def _failure(self, text: str, error: RceError, id: m.FrameId | UnsetType) -> Piece:
+        errors.add("robot", error.info.code)
         if not self.features:
             return _piece(m.Failure(text))
         return _piece(m.Failure(text, id, error.info))

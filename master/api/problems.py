@@ -56,6 +56,7 @@ def status_of(error: RceError) -> int:
 def refuse(request: Request, error: RceError) -> None:
     """Answer with what is wrong."""
     info, status = error.info, status_of(error)
+    errors.add("http", info.code)
     title = info.code.replace("_", " ").capitalize()
     problem = Problem(title, status, info.message, info.code, info.field, info.fields)
     request.setResponseCode(status)

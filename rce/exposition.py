@@ -1,0 +1,54 @@
+"""Metrics as Prometheus reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily
+from prometheus_client.metrics_core import Metric
+from prometheus_client.registry import Collector
+
+from rce.errors import InvalidRequest
+from rce.metrics import Family, Sample
+
+CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
+
+
+class _Given(Collector):
+    def __init__(self, families: Iterable[Family]) -> None:
+        self._families = families
+
+    def collect(self) -> Iterator[Metric]:
+        return map(_metric, self._families)
+
+
+def text(families: Iterable[Family]) -> bytes:
+    """In Prometheus' text format. InvalidRequest for what cannot be a metric: it may be another process's word."""
+    registry = CollectorRegistry(auto_describe=False)
+    try:
+        registry.register(_Given(families))
+        return generate_latest(registry)
+    except (ValueError, IndexError) as error:
+        raise InvalidRequest(f"the process tells of metrics that are none: {error}") from None
+
+
+def _metric(family: Family) -> Metric:
+    if family.kind == "histogram":
+        histogram = HistogramMetricFamily(family.name, family.help, labels=family.labels)
+        for sample in family.samples:
+            histogram.add_metric(sample.labels, list(_buckets(family, sample)), sample.value)
+        return histogram
+    kind = CounterMetricFamily if family.kind == "counter" else GaugeMetricFamily
+    metric = kind(family.name, family.help, labels=family.labels)
+    for sample in family.samples:
+        metric.add_metric(sample.labels, sample.value)
+    return metric
+
+
+def _buckets(family: Family, sample: Sample) -> Iterator[tuple[str, float]]:
+    """Prometheus wants how many are at most as large as each bound."""
+    total = 0
+    for bound, count in zip([*map(str, family.bounds), "+Inf"], sample.counts, strict=True):
+        total += count
+        yield bound, total
