@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
@@ -15,6 +16,7 @@ from containers.data_relay import DataRelay
 from containers.engine import Ended, Engine
 from containers.fetching import Fetcher
 from containers.packages import PackageCache
+from rce import metrics
 from rce.calls import (
     EnvironmentDied,
     FetchPackage,
@@ -23,10 +25,13 @@ from rce.calls import (
     KnowRelays,
     LimitReached,
     MeasureUsage,
+    Metrics,
     Nothing,
+    ReadMetrics,
     StartEnvironment,
     StopEnvironment,
     Usage,
+    Used,
     Welcome,
 )
 from rce.control import Handlers, MasterLink
@@ -36,6 +41,7 @@ from rce.ready import Ready, announce
 from rce.tls import Tls
 
 log = Logger()
+_launches = metrics.Timing("rce_environment_launch_seconds", "Time until an environment's process or container runs")
 MakeEngine = Callable[[Callable[[Ended], None]], Engine]
 
 
@@ -70,6 +76,7 @@ class TaskSet:
         handlers.on(KeepEnvironments, self._keep)
         handlers.on(KnowRelays, self._know)
         handlers.on(MeasureUsage, self._measure)
+        handlers.on(ReadMetrics, self._read_metrics)
         self._link = MasterLink(reactor, master, self._hello, handlers, self._welcomed, tls)
         self._engine.ticket = lambda digest: self._link.call(FetchPackage(digest))
         self._packages = PackageCache(packages, Fetcher(self._link, master, entry, tls).fetch)
@@ -115,6 +122,7 @@ class TaskSet:
     async def _start(self, call: StartEnvironment) -> Nothing:
         spec = call.environment
         self._starting.add(spec.run)
+        began = time.perf_counter()
         try:
             await self._packages.provide(spec.run, [] if self._engine.fetches else spec.packages)
             await self._engine.start(spec)
@@ -124,6 +132,7 @@ class TaskSet:
         finally:
             self._starting.discard(spec.run)
             await self._release()
+        _launches.of().since(began)
         log.info("{name} is started", name=spec.name, run=spec.run)
         return Nothing()
 
@@ -145,6 +154,21 @@ class TaskSet:
 
     async def _measure(self, _: MeasureUsage) -> Usage:
         return Usage(await self._engine.usage())
+
+    async def _read_metrics(self, _: ReadMetrics) -> Metrics:
+        return Metrics([*metrics.families("container"), *self._families(await self._engine.usage())])
+
+    def _families(self, used: dict[str, Used]) -> list[metrics.Family]:
+        slots = sum(life.size for life in self._engine.running().values())
+        sizes: dict[tuple[str, ...], float] = {("used",): slots, ("free",): self._engine.capacity - slots}
+        names = ["user", "environment"]
+        seconds = {tuple(name.split("/")): each.seconds for name, each in used.items()}
+        memory = {tuple(name.split("/")): each.memory for name, each in used.items()}
+        return [
+            metrics.gauge("rce_slots", "Slots of this machine", ["state"], sizes),
+            metrics.counted("rce_environment_cpu_seconds", "Processor time of an environment", names, seconds),
+            metrics.gauge("rce_environment_memory_bytes", "Memory of an environment", names, memory),
+        ]
 
     async def _release(self) -> None:
         """Packages that no environment has any more need not stay."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
+import time
 from collections.abc import Callable
 from typing import TypeVar
 
@@ -11,7 +12,7 @@ from msgspec.structs import replace
 from twisted.logger import Logger
 
 import rce
-from master import graph, packages, presence, wiring
+from master import graph, inventory, packages, presence, wiring
 from master.audit import Audit, Origin, object_of
 from master.carrier import Carrier
 from master.depot import FETCH_PATH, Depot
@@ -36,6 +37,7 @@ from master.sight import Sight
 from master.store import Store
 from master.users import Users, must_drive
 from rce import calls as c
+from rce import metrics
 from rce.control import Control, Handlers
 from rce.errors import (
     ErrorInfo,
@@ -52,9 +54,11 @@ from rce.names import check_tag
 from rce.roles import Principal
 
 START_TIMEOUT = 60.0
+ASK_TIMEOUT = 5.0
 LINK_RETRY_FIRST, LINK_RETRY_MOST = 0.1, 5.0
 
 log = Logger()
+_commands = metrics.Timing("rce_command_seconds", "Time until a command was complete", "command")
 R = TypeVar("R")
 T = TypeVar("T")
 
@@ -291,6 +295,7 @@ class Master:
 
     async def execute(self, user: str, command: Command, again: bool = False) -> c.Nothing:
         """Carry a user's command out to its completion; what did not become real is taken back."""
+        began = time.perf_counter()
         outcome = graph.execute(self.state, user, command, ids, again, self.limits.of(user))
         saved = self._rim.save(by_command=True)
         expected = {key: self._carrier.expect(key) for key in outcome.awaits}
@@ -306,6 +311,7 @@ class Master:
             self._rim.apply(graph.undo(self.state, outcome))
             raise
         await saved
+        _commands.of(type(command).__name__).since(began)
         if isinstance(command, DestroyContainer):
             await self._resettle()
         return c.Nothing()
@@ -329,6 +335,14 @@ class Master:
         if control is None:
             raise Unavailable(f"environment {environment.name} is away at present")
         return await control.call(call)
+
+    async def metrics_of(self, process: str) -> list[metrics.Family]:
+        """What a process counts of itself. Unavailable, TimedOut."""
+        return (await self._carrier.ask(process, c.ReadMetrics(), ASK_TIMEOUT)).families
+
+    async def missing(self) -> list[str]:
+        """What the platform lacks to do what it is for, in sentences."""
+        return [*inventory.lacking(self.state), *await self._store.missing()]
 
     # --- environments -------------------------------------------------------------------------------------------------
 

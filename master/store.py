@@ -14,11 +14,14 @@ from typing import Any, TypeVar
 import msgspec
 import sqlalchemy as sa
 from sqlalchemy.pool import StaticPool
+from twisted.logger import Logger
 
 from master.migration import bring_up_to_date
 from master.records import State
 from rce.errors import InvalidRequest
 
+log = Logger()
+PATIENCE = 5.0  # seconds
 R = TypeVar("R")
 tables = sa.MetaData()
 
@@ -115,6 +118,7 @@ class Store:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="store")
         self._waiting: dict[tuple[str, str], str | None] = {}
         self._flush: asyncio.Task[None] | None = None
+        self._check: asyncio.Future[Any] | None = None
 
     async def open(self) -> None:
         """Make the tables and columns that are missing."""
@@ -162,6 +166,17 @@ class Store:
             except BaseException:
                 self._waiting = rows | self._waiting  # for the next try, unless it has changed again
                 raise
+
+    async def missing(self) -> list[str]:
+        """A sentence, if the database does not do its work."""
+        if self._check is None or self._check.done():  # one look at a time, however often it is asked for
+            self._check = asyncio.ensure_future(self.run(lambda db: db.execute(sa.select(1)).scalar()))
+        try:
+            await asyncio.wait_for(asyncio.shield(self._check), PATIENCE)
+        except (TimeoutError, sa.exc.SQLAlchemyError) as error:
+            log.warn("the database does not answer: {error}", error=str(error) or f"for {PATIENCE:g} s")
+            return ["the database does not answer: what changes is not stored"]
+        return []
 
     async def close(self) -> None:
         if self._flush is not None:

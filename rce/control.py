@@ -129,9 +129,13 @@ class Control:
             good, pages = await deferred.asFuture(asyncio.get_running_loop())
         except (pb.DeadReferenceError, pb.PBConnectionLost):
             raise Lost(f"the control connection to {self.address} was lost during {name}") from None
-        if not good:
-            raise RceError.from_info(_value(pages, ErrorInfo))
-        return _value(pages, calls.result_type(type(call)))
+        try:
+            if good:
+                return _value(pages, calls.result_type(type(call)))
+            error = RceError.from_info(_value(pages, ErrorInfo))
+        except (msgspec.DecodeError, TypeError) as wrong:
+            error = InvalidRequest(f"{self.address} answered {name} with something else: {wrong}")
+        raise error
 
     def close(self) -> None:
         _abort(self._door.broker)

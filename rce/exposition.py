@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 
 from prometheus_client import CollectorRegistry, generate_latest
@@ -13,6 +14,7 @@ from rce.errors import InvalidRequest
 from rce.metrics import Family, Sample
 
 CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
+_NAME = re.compile(r"[a-zA-Z_][a-zA-Z0-9_]*", re.ASCII)
 
 
 class _Given(Collector):
@@ -34,6 +36,11 @@ def text(families: Iterable[Family]) -> bytes:
 
 
 def _metric(family: Family) -> Metric:
+    for name in (family.name, *family.labels):
+        if not _NAME.fullmatch(name):
+            raise ValueError(f"{name[:80]!r} is not a name")
+    if any(len(sample.labels) != len(family.labels) for sample in family.samples):
+        raise ValueError(f"{family.name} has samples with other labels")
     if family.kind == "histogram":
         histogram = HistogramMetricFamily(family.name, family.help, labels=family.labels)
         for sample in family.samples:

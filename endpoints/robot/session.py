@@ -16,6 +16,7 @@ from rce.blobs import BinaryFrame, Buffer
 from rce.calls import Execute, InterfaceSpec, Nothing
 from rce.control import MasterLink
 from rce.errors import InvalidRequest, LimitExceeded, Lost, RceError
+from rce.metrics import errors
 from rce.outbox import Outbox
 
 Piece = Sequence[bytes | BinaryFrame]

@@ -79,9 +79,11 @@ class Call(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """`body` goes out as JSON, a path as the file there, a stream as long as it goes on, None not at all."""
+    """`body` goes out as JSON, a path as the file there, a stream as long as it goes on, bytes as they are, None not at
+    all.
+    """
 
-    body: Struct | msgspec.Raw | list[Any] | Path | Stream | None = None
+    body: Struct | msgspec.Raw | list[Any] | Path | Stream | bytes | None = None
     status: int = 200
     headers: dict[str, str] = {}  # noqa: RUF012  # never changed
 

@@ -7,6 +7,7 @@ from twisted.web.server import Request
 
 from rce.errors import InvalidRequest, RceError
 from rce.http import PROBLEM, Problem
+from rce.metrics import errors
 
 STATUS = {
     "unauthorized": 401,

@@ -10,6 +10,7 @@ from master.api.keys import KeysApi
 from master.api.live import Live
 from master.api.logs import LogsApi
 from master.api.machines import MachinesApi
+from master.api.monitoring import Monitoring
 from master.api.openapi import OpenApi
 from master.api.packages import PackagesApi
 from master.api.robots import RobotsApi
@@ -34,5 +35,6 @@ def make_api(master: Master, depot: Depot, inviter: Inviter | None = None) -> Ap
     EventsApi(master, streams).add_to(api)
     LogsApi(master, streams).add_to(api)
     OpenApi().add_to(api)
+    Monitoring(master).add_to(api)
     api.mount("/live", SocketResource(Live(master).listener))
     return api

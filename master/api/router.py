@@ -46,9 +46,8 @@ class Route(NamedTuple):
     status: int = 200
     for_all: bool = False
 
-    @property
-    def pattern(self) -> re.Pattern[str]:
-        return re.compile(re.sub(r"\\\{(\w+)\\\}", r"(?P<\1>[^/]+)", re.escape(PREFIX + self.path)))
+    def pattern(self, prefix: str) -> re.Pattern[str]:
+        return re.compile(re.sub(r"\\\{(\w+)\\\}", r"(?P<\1>[^/]+)", re.escape(prefix + self.path)))
 
 
 class Api(Resource):
@@ -68,7 +67,11 @@ class Api(Resource):
     def add(self, *routes: Route) -> None:
         """`{word}` in a path stands for any one part."""
         self.routes += routes
-        self._patterns += [(route.pattern, route) for route in routes]
+        self._patterns += [(route.pattern(PREFIX), route) for route in routes]
+
+    def add_beside(self, *routes: Route) -> None:
+        """The same for paths of their own, which are no part of the API and its description."""
+        self._patterns += [(route.pattern(""), route) for route in routes]
 
     def mount(self, path: str, resource: Resource) -> None:
         """Let a resource answer at this path by itself."""
@@ -104,6 +107,8 @@ class Api(Resource):
                 await _send(request, path)
             case Stream() as stream:
                 await stream.run(request)
+            case bytes() as text:
+                write(request, text, answer.headers["content-type"])
             case None:
                 request.finish()
             case body:

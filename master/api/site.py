@@ -15,6 +15,8 @@ from master.depot import Depot
 from master.entry import Entry
 from master.redirect import EntryRequest, EntrySite
 
+BESIDE = (b"healthz", b"readyz", b"metrics")
+
 
 class ApiRequest(EntryRequest):
     """A request whose body goes to the depot if it is an upload that was announced."""
@@ -49,7 +51,7 @@ class _Root(Resource):
         self._dashboard = dashboard.Dashboard(entry.state)
 
     def getChild(self, path: bytes, request: Request) -> Resource:
-        if request.path.startswith(PREFIX.encode() + b"/"):
+        if request.path.startswith(PREFIX.encode() + b"/") or request.path.split(b"/")[1] in BESIDE:
             return self._api
         if request.path.startswith(dashboard.PREFIX):
             return self._dashboard

@@ -27,6 +27,7 @@ from rce.mapservice.fairness import FairQueue
 from rce.mapservice.files import Shelf, new_id
 from rce.mapservice.uploads import Uploads
 from rce.mapservice.work import Platform, Report, Task
+from rce.metrics import Family, gauge
 
 RETRY_FIRST, RETRY_MOST = 2.0, 60.0
 RECORDING, RESULTS, LOG, TIMES = "recording", "results", "log.txt", "times.json"
@@ -110,6 +111,11 @@ class Jobs:
         for task in [*self._running.values(), *self._tasks]:
             task.cancel()
         await asyncio.gather(*self._running.values(), *self._tasks, return_exceptions=True)
+
+    def families(self) -> list[Family]:
+        """How many jobs are in each state."""
+        states = Counter(kept.job.state for kept in self._kept.values())
+        return [gauge("rce_map_jobs", "Jobs that are kept", ["state"], {(state,): n for state, n in states.items()})]
 
     # --- what users ask for ------------------------------------------------------------------------------------------
 

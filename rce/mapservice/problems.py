@@ -12,6 +12,7 @@ from twisted.logger import Logger
 
 from rce.errors import InternalError, InvalidRequest, NotFound, RceError
 from rce.map_jobs import Problem
+from rce.metrics import errors
 
 TYPE = "application/problem+json"
 STATUS = {
@@ -53,6 +54,7 @@ def status_of(error: RceError) -> int:
 
 def answer(error: RceError) -> web.Response:
     status, info = status_of(error), error.info
+    errors.add("http", info.code)
     problem = Problem(HTTPStatus(status).phrase, status, info.message, info.code, info.field, info.fields)
     headers = {"WWW-Authenticate": 'Bearer, Basic realm="rce"'} if status == 401 else {}
     return web.Response(status=status, body=msgspec.json.encode(problem), content_type=TYPE, headers=headers)

@@ -81,6 +81,7 @@ class MapService:
         """The Master's calls."""
         handlers = Handlers()
         handlers.on(ForgetProofs, self._forget)
+        handlers.tell_metrics("map-service", self.jobs.families)
         return handlers
 
     async def _forget(self, call: ForgetProofs) -> Nothing:

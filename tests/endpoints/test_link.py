@@ -32,8 +32,9 @@ class End:
     def __init__(self, name: str = "l", throttle: Throttle | None = None) -> None:
         self.got: list[Message] = []
         self.lost: list[str] = []
+        self.left: list[Message] = []
         self.news = asyncio.Event()
-        self.link = StreamLink(name, self._deliver, self._lost, throttle)
+        self.link = StreamLink(name, self._deliver, self._lost, self.left.append, throttle)
 
     def _deliver(self, message: Message, link: Link) -> None:
         self.got.append(message)
@@ -128,6 +129,7 @@ async def test_messages_go_both_ways_whole_and_in_order(pair: tuple[End, End]) -
             end.link.send(Message(A, str(number), b"x" * number), None)
         end.link.send(Message(B, "large", b"y" * 3_000_000), None)
         await other.until(lambda other=other: len(other.got) == 101)  # type: ignore[misc]
+        assert sorted(message.msg_id for message in end.left) == sorted(message.msg_id for message in other.got)
         assert [m.msg_id for m in other.got if m.source == A] == [str(number) for number in range(100)]
         assert bytes(next(m for m in other.got if m.source == B).payload) == b"y" * 3_000_000
 
@@ -396,7 +398,7 @@ async def test_a_flood_does_not_starve_the_loop(pair: tuple[End, End]) -> None:
 
 async def test_a_loop_link_queues_while_it_is_paused() -> None:
     got: list[str] = []
-    link = LoopLink("l", lambda message, link: got.append(message.msg_id))
+    link = LoopLink("l", lambda message, link: got.append(message.msg_id), lambda message: None)
     assert link.opened.done()
     link.send(Message(A, "first", b""), 2)
     until: asyncio.Future[None] = asyncio.get_running_loop().create_future()

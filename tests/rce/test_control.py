@@ -9,10 +9,11 @@ from contextlib import suppress
 import pytest
 from twisted.internet.base import ReactorBase
 
-from rce import control
-from rce.calls import Hello, Log, NodeDied, Nothing, ReadLog, Welcome
+import rce
+from rce import control, metrics
+from rce.calls import Hello, Log, NodeDied, Nothing, Ping, ReadLog, ReadMetrics, Welcome
 from rce.control import Control, Handlers, MasterLink, connect, listen
-from rce.errors import InternalError, Unavailable
+from rce.errors import InternalError, InvalidRequest, Unavailable
 
 HELLO = Hello("container", "m1", "token", "1")
 LOCAL = "tcp:0:interface=127.0.0.1"
@@ -87,6 +88,41 @@ async def test_a_defect_is_logged_there_and_reported_here(reactor: ReactorBase, 
         await here.call(ReadLog("n"))
     assert len(failures) == 1
     failures.clear()
+    there.close()
+    await here.lost
+    await port.stopListening().asFuture(asyncio.get_running_loop())  # type: ignore[misc,union-attr]
+
+
+async def test_an_answer_of_another_type_is_an_error_of_the_call(reactor: ReactorBase) -> None:
+    doorman, handlers = Doorman(), Handlers()
+
+    async def wrong(call: ReadLog) -> Ping:
+        return Ping()
+
+    handlers.on(ReadLog, wrong)  # type: ignore[arg-type]
+    port = await listen(reactor, LOCAL, doorman)
+    there, _ = await connect(reactor, f"tcp:127.0.0.1:{port.getHost().port}", HELLO, handlers)  # type: ignore[misc]
+    here = await asyncio.wait_for(doorman.joined.get(), 10)
+    with pytest.raises(InvalidRequest, match="ReadLog with something else"):
+        await here.call(ReadLog("n"))
+    there.close()
+    await here.lost
+    await port.stopListening().asFuture(asyncio.get_running_loop())  # type: ignore[misc,union-attr]
+
+
+async def test_a_process_tells_its_metrics(reactor: ReactorBase) -> None:
+    doorman, handlers = Doorman(), Handlers()
+    handlers.tell_metrics("robot", lambda: [metrics.gauge("rce_links", "Links", [], {(): 3})])
+    port = await listen(reactor, LOCAL, doorman)
+    there, _ = await connect(reactor, f"tcp:127.0.0.1:{port.getHost().port}", HELLO, handlers)  # type: ignore[misc]
+    here = await asyncio.wait_for(doorman.joined.get(), 10)
+    with pytest.raises(InvalidRequest):
+        await here.call(ReadLog("n"))
+    found = {each.name: each for each in (await here.call(ReadMetrics())).families}
+    assert found["rce_links"].samples == [metrics.Sample([], 3)]
+    assert found["rce_info"].samples == [metrics.Sample(["robot", rce.__version__], 1)]
+    assert any(each.labels == ["process", "invalid_request"] for each in found["rce_errors"].samples)
+    assert found["process_open_fds"].samples[0].value > 3
     there.close()
     await here.lost
     await port.stopListening().asFuture(asyncio.get_running_loop())  # type: ignore[misc,union-attr]

@@ -74,7 +74,7 @@ async def parts() -> tuple[ServiceClientInterface, Service, Robot]:
     around = Surroundings(cast(RosThread, service), board, Definitions([]), lambda spec, error: None)
     interface = ServiceClientInterface(spec, around)
     interface._client = cast(RawClient, service)
-    interface.peers[PEER] = LoopLink("loop", lambda message, _: robot.heard.append(message))
+    interface.peers[PEER] = LoopLink("loop", lambda message, _: robot.heard.append(message), board.watch.left)
     return interface, service, robot
 
 

@@ -1,0 +1,58 @@
+"""Counters and timings, and the text that is made of them."""
+
+from __future__ import annotations
+
+import pytest
+from hand_turned import HandTurnedLoop
+
+from rce import metrics
+from rce.exposition import text
+from rce.metrics import Counter, Observed, Timing, watch_loop
+
+
+@pytest.fixture(autouse=True)
+def kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a test makes is not kept for the process."""
+    monkeypatch.setattr(metrics, "_kept", [])
+
+
+def test_counters_count_by_their_labels() -> None:
+    counter = Counter("rce_x", "What it is", "to", "code")
+    counter.add("robot", "not_found")
+    counter.add("robot", "not_found", by=4)
+    counter.add("http", 'of "odd" words')
+    assert text([counter.family()]).decode().splitlines() == [
+        "# HELP rce_x_total What it is",
+        "# TYPE rce_x_total counter",
+        'rce_x_total{code="not_found",to="robot"} 5.0',
+        'rce_x_total{code="of \\"odd\\" words",to="http"} 1.0',
+    ]
+
+
+def test_an_observation_is_in_the_first_bucket_that_takes_it() -> None:
+    timing = Timing("rce_y_seconds", "How long", "hop", bounds=(0.1, 1.0))
+    for seconds in (0.05, 0.1, 0.5, 7.0):
+        timing.of("there").observe(seconds)
+    assert timing.of("there").counts == [2, 1, 1]
+    lines = text([timing.family()]).decode().splitlines()[2:]
+    assert lines == [
+        'rce_y_seconds_bucket{hop="there",le="0.1"} 2.0',
+        'rce_y_seconds_bucket{hop="there",le="1.0"} 3.0',
+        'rce_y_seconds_bucket{hop="there",le="+Inf"} 4.0',
+        'rce_y_seconds_count{hop="there"} 4.0',
+        'rce_y_seconds_sum{hop="there"} 7.65',
+    ]
+
+
+def test_the_lag_of_the_loop_is_what_it_was_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    lag = Observed((0.1, 1.0))
+    monkeypatch.setattr(Timing, "of", lambda self: lag)
+    hand = HandTurnedLoop()
+    task = hand.begin(watch_loop())
+    hand.turn(1.0)
+    hand.call_at(hand.time() + 0.9, lambda: setattr(hand, "_now", hand.time() + 0.6))  # something blocks the loop
+    hand.turn(1.0)
+    assert lag.counts == [1, 1, 0]
+    task.cancel()
+    hand.settle()
+    hand.close()
