@@ -115,7 +115,7 @@ def test_rates_and_usage_are_those_between_two_answers(world: World) -> None:
     assert world.shown.interface(world.state.interfaces["ann/r/in"]).rate == Rate(8, 1000, 0)
     assert world.shown.connection(world.state.connections["ann/map/out ann/r/in"]).rate == Rate(8, 1000, 4)
     assert world.shown.environment(world.state.environments["ann/map"]).usage == Shows(0.5, 5_000_000)
-    assert world.shown.machine(world.state.processes["m1"]).usage == Shows(0.5, 5_000_000)
+    assert world.shown.process(world.state.processes["m1"]).usage == Shows(0.5, 5_000_000)
 
 
 def test_what_stays_the_same_is_not_told_anew(world: World) -> None:
