@@ -9,13 +9,13 @@ from urllib.parse import quote
 
 from msgspec import Struct
 
-from master import inventory, rights
+from master import exposition, inventory, rights
 from master.api.acting import principal
 from master.api.calls import Answer, Call
 from master.api.router import Api, Route
 from master.rights import NOBODY
 from master.service import Master
-from rce import exposition, metrics
+from rce import metrics
 from rce.errors import NotFound
 
 PATH = "/metrics"
