@@ -97,7 +97,11 @@ CASES: dict[str, Case | None] = {
     "DELETE /packages/{name}/shares/{other}": Case("package.share", "own"),
     "PUT /uploads": None,  # by ticket
     "GET /archives": None,
+    "GET /environments/{environment}/log": Case("environment.log"),
+    "GET /environments/{environment}/nodes/{node}/log": Case("node.log"),
     "GET /events": Case("feed.read"),
+    "GET /jobs": Case("job.read", "own", None, (404,)),  # no map service has joined
+    "GET /openapi.json": None,  # for all
 }
 THERE = {
     "environment": "brain",

@@ -8,7 +8,8 @@ import pytest
 from fleet import everything, furnished, interface, wired
 
 from master.__main__ import Settings, platform_policy
-from master.policies import UNLIMITED, Policy, granted, is_allowed, parse, with_changes
+from master.policies import UNLIMITED, Policy, check_totals, granted, is_allowed, parse, usage, with_changes
+from master.records import Environment, State
 from rce import messages as m
 from rce.errors import InvalidRequest, LimitExceeded
 from rce.messages import ContainerData, Rates
@@ -149,3 +150,21 @@ def test_limits_as_settings_of_the_master() -> None:
     assert (policy.memory, policy.robots, policy.images) == (2**31, 3, ["rce/base", "rce/mapping", "mine/*"])
     with pytest.raises(InvalidRequest, match="speed"):
         platform_policy(load(Settings, "rce master", ["--data-dir=/x", "--limits=speed=1"], {}))
+
+
+def test_bandwidth_of_all_environments_together() -> None:
+    """One that asks for none has the most that it could ask for, or what has none could not be counted."""
+    policy = Policy(total_bandwidth=1000)
+    state = State()
+    for tag, asks, gets in (("a", 400, 400), ("b", 0, 0), ("c", 500, 500), ("d", 0, 0)):
+        options = granted(policy, ContainerData(bandwidth=asks))
+        if not gets:
+            assert options.bandwidth == 1000
+            with pytest.raises(LimitExceeded, match=r"total_bandwidth: 1[49]00"):
+                check_totals(state, "ann", policy, options)
+            continue
+        check_totals(state, "ann", policy, options)
+        state.environments.put(Environment(f"ann/{tag}", options, "0", ""))
+    assert usage(state, "ann").total_bandwidth == 900
+    assert granted(Policy(bandwidth=300, total_bandwidth=1000), ContainerData()).bandwidth == 300
+    assert granted(Policy(default_bandwidth=100, total_bandwidth=1000), ContainerData()).bandwidth == 100

@@ -48,11 +48,13 @@ async def test_every_route_is_in_the_table(world: World, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("name", ACTORS)
-async def test_everything_over_http(world: World, name: str) -> None:
+async def test_everything_over_http(world: World, name: str, tmp_path: Path) -> None:
     actor = ACTORS[name]
+    api = make_api(world.served.master, Depot(tmp_path / "d"))
     await world.begin(actor)
+    routes = {f"{route.method} {route.path}" for route in api.routes}
     for route, case in CASES.items():
-        if case is None:
+        if case is None or route not in routes:
             continue
         if actor.column in ("expired", "metrics"):
             reach = "own" if case.operation == "whoami" and actor.column == "metrics" else "-"
