@@ -76,10 +76,15 @@ def document(
     }
 
 
-def path_parameters(path: str, described: dict[str, str]) -> tuple[Parameter, ...]:
-    """Those of `{name}` in a path."""
+def path_parameters(
+    path: str, described: dict[str, str], schemas: dict[str, dict[str, Any]] | None = None
+) -> tuple[Parameter, ...]:
+    """Those of `{name}` in a path: any text, unless `schemas` says more."""
     text = {"type": "string", "minLength": 1}
-    return tuple(Parameter("path", name, described.get(name, ""), text) for name in re.findall(r"{(\w+)}", path))
+    return tuple(
+        Parameter("path", name, described.get(name, ""), (schemas or {}).get(name, text))
+        for name in re.findall(r"{(\w+)}", path)
+    )
 
 
 def query_parameters(kind: type[msgspec.Struct]) -> tuple[Parameter, ...]:

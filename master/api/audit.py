@@ -13,13 +13,13 @@ from master.api.router import Api, Route
 from master.audit import Wanted
 from master.rights import EVERYBODY
 from master.service import Master
-from rce.errors import InvalidRequest
 from rce.views import AuditView, Page
 
 
 class Asked(Paging, frozen=True, forbid_unknown_fields=True):
     """Which entries: all that are given must fit. `object` is one thing and all below; times are [since, until)."""
 
+    after: Annotated[str, Meta(pattern="^[0-9]{0,18}$", description="`next` of the page before")] = ""
     user: Annotated[str, Meta(max_length=255, description="who did it")] = ""
     action: Annotated[str, Meta(max_length=64, description="as environment.create")] = ""
     object: Annotated[str, Meta(max_length=1500, description="as ann/brain, and all below")] = ""
@@ -45,16 +45,8 @@ class AuditApi:
             *(asked.user, asked.action, asked.object, asked.result, asked.since, asked.until),
             concerning=None if whose == EVERYBODY else whose,
         )
-        found = await self._audit.find(wanted, _cursor(asked.after), asked.limit + 1)
+        found = await self._audit.find(wanted, int(asked.after) if asked.after else None, asked.limit + 1)
         more, found = len(found) > asked.limit, found[: asked.limit]
         if whose != EVERYBODY:
             found = [each if each.user == whose else replace(each, key="", address="") for each in found]
         return Answer(Page(found, str(found[-1].id) if more else ""))
-
-
-def _cursor(after: str) -> int | None:
-    if not after:
-        return None
-    if not (after.isascii() and after.isdigit() and len(after) < 19):
-        raise InvalidRequest("query.after: it is not the `next` of a page before", field="after")
-    return int(after)

@@ -15,12 +15,20 @@ from master.audit import names_of
 from master.rights import Principal
 from rce.errors import InvalidRequest
 from rce.messages import decode_as
+from rce.names import TAG
 
 MOST = 1000  # items of a page
 T = TypeVar("T")
 Limit = Annotated[int, Meta(ge=1, le=MOST, description="items of a page")]
-Whose = Annotated[str, Meta(max_length=255, description="whose: another user, for those who may; empty: one's own")]
-Everybodys = Annotated[str, Meta(max_length=255, description="whose: another user, or * for all who may be seen")]
+NAME = f"({TAG.pattern})?"
+Whose = Annotated[
+    str,
+    Meta(pattern=f"^{NAME}$", max_length=255, description="whose: another user, for those who may; empty: one's own"),
+]
+Everybodys = Annotated[
+    str,
+    Meta(pattern=rf"^({NAME}|\*)$", max_length=255, description="whose: another user's, or * for all"),
+]
 
 
 class One(Struct, frozen=True, forbid_unknown_fields=True):
@@ -33,7 +41,7 @@ class Paging(Struct, frozen=True, forbid_unknown_fields=True):
     """What may be said in the query of each list."""
 
     limit: Limit = 100
-    after: Annotated[str, Meta(max_length=2000, description="`next` of the page before")] = ""
+    after: Annotated[str, Meta(max_length=1500, description="`next` of the page before")] = ""
 
 
 class Listing(Paging, frozen=True, forbid_unknown_fields=True):
@@ -71,11 +79,15 @@ class Call(NamedTuple):
     def asked(self, kind: type[T]) -> T:
         """The query. InvalidRequest with the parameter's name."""
         try:
-            return msgspec.convert(self.query, kind, strict=False)
+            found = msgspec.convert(self.query, kind, strict=False)
         except msgspec.ValidationError as error:
             reason, _, path = str(error).partition(" - at `$")
             name = path.rstrip("`").lstrip(".")
             raise InvalidRequest(f"query{'.' if name else ''}{name}: {reason}", field=name) from None
+        for name in self.query:
+            if getattr(found, name) is None:  # msgspec takes the word null for it
+                raise InvalidRequest(f"query.{name}: there is no null in a query; leave it out", field=name)
+        return found
 
 
 class Answer(NamedTuple):

@@ -12,6 +12,7 @@ from master.api.events import LAST
 from master.api.repeats import HEADER, LONGEST
 from master.api.router import PREFIX, Api, Route
 from rce import openapi
+from rce.messages import Tag
 from rce.openapi import Operation, Parameter
 
 PATH = "/openapi.json"
@@ -34,6 +35,8 @@ PARAMETERS = {
     "group": "of containerData",
     "id": "id of an API key",
 }
+TAGS = ("robot", "environment", "node", "owner", "interface", "ownerA", "interfaceA", "ownerB", "interfaceB")
+TAG = msgspec.json.schema(Tag)
 TICKET = {"type": "http", "scheme": "bearer", "description": "a ticket, as the request before got it"}
 VISIBLE = {"type": "string", "pattern": "^[!-~]+$", "maxLength": LONGEST}
 
@@ -59,7 +62,7 @@ def document(api: Api) -> dict[str, Any]:
 def _operation(route: Route) -> Operation:
     path = PREFIX + route.path
     answers = route.answer if isinstance(route.answer, tuple) else () if route.answer is None else (route.answer,)
-    parameters = list(openapi.path_parameters(path, PARAMETERS))
+    parameters = list(openapi.path_parameters(path, PARAMETERS, dict.fromkeys(TAGS, TAG)))
     if route.query is not None:
         parameters += openapi.query_parameters(route.query)
     if route.method == "POST":

@@ -14,7 +14,8 @@ from master.api.router import Api, Route
 from master.depot import UPLOAD_PATH, Announced, Depot, Upload
 from master.records import Package, Version
 from master.service import Master
-from rce.errors import InvalidRequest, NotFound, Unauthorized
+from rce.errors import NotFound, Unauthorized
+from rce.messages import Tag
 from rce.names import check_tag
 
 MOST_SHARES = 1000
@@ -23,9 +24,9 @@ MOST_SHARES = 1000
 class Announcement(Struct, frozen=True, forbid_unknown_fields=True):
     """What will be pushed: the SHA-256 of the archive in hex, and its size in bytes."""
 
-    name: str
-    digest: str
-    size: int
+    name: Tag
+    digest: Annotated[str, Meta(extra_json_schema={"pattern": "^[0-9a-f]{64}$"})]
+    size: Annotated[int, Meta(extra_json_schema={"minimum": 1})]
 
 
 class Invitation(Struct, frozen=True):
@@ -36,9 +37,9 @@ class Invitation(Struct, frozen=True):
 
 
 class Shares(Struct, frozen=True, forbid_unknown_fields=True):
-    """Users; `*` is everybody. To share: at least one; to unshare: none is all."""
+    """Users to share with; `*` is everybody."""
 
-    users: Annotated[list[str], Meta(max_length=MOST_SHARES)] = []
+    users: Annotated[list[str], Meta(min_length=1, max_length=MOST_SHARES)]
 
 
 class Shown(Struct, frozen=True):
@@ -57,7 +58,6 @@ class PackagesApi:
         self._depot = depot
 
     def add_to(self, api: Api) -> None:
-        users = Route("POST", "/packages/{name}/shares", self.share, "Share a package", body=Shares, answer=Shown)
         api.add(
             Route("GET", "/packages", self.list, "Packages: your own, and those shared with you", answer=list[Shown]),
             Route(
@@ -66,8 +66,8 @@ class PackagesApi:
             ),
             Route("DELETE", "/packages/{name}", self.remove, "Remove a package", status=204),
             Route("DELETE", "/packages/{name}/versions/{version}", self.remove, "Remove one version", status=204),
-            users,
-            users._replace(method="DELETE", handler=self.unshare, summary="Share it with none, or with these no more"),
+            Route("POST", "/packages/{name}/shares", self.share, "Share a package", body=Shares, answer=Shown),
+            Route("DELETE", "/packages/{name}/shares", self.unshare, "Share it with nobody any more", answer=Shown),
             Route(
                 "DELETE",
                 "/packages/{name}/shares/{other}",
@@ -124,8 +124,6 @@ class PackagesApi:
     async def share(self, call: Call) -> Answer:
         acting(call, "package.share", "")
         others = call.body(Shares).users
-        if not others:
-            raise InvalidRequest("users: name at least one, or * for everybody", field="users")
         packages.own(self._master.state, call.user, call.path["name"])
         known = {packages.EVERYBODY, *await self._master.users.names()}
         for other in others:

@@ -116,11 +116,11 @@ class Api(Resource):
 
     async def _answer(self, request: Request) -> Answer:
         path = request.path.decode("ascii", "replace")
-        matches = {
-            route.method: (route, match) for pattern, route in self._patterns if (match := pattern.fullmatch(path))
-        }
-        if not matches:
+        found_here = [(route, match) for pattern, route in self._patterns if (match := pattern.fullmatch(path))]
+        if not found_here:
             raise NotFound(f"there is nothing at {path[:200]}")
+        exact = [(route, match) for route, match in found_here if not match.groups()]
+        matches = {route.method: (route, match) for route, match in exact or found_here}
         method = request.method.decode("ascii", "replace")
         found = matches.get("GET" if method == "HEAD" else method)
         if found is None:

@@ -113,7 +113,7 @@ async def test_the_same_key_gets_the_same_answer(served: Served) -> None:
     assert first.body == second.body
     assert (await served.ask("POST", "/environments", body=BRAIN)).status == 409
     other = await served.ask("POST", "/environments", body={"containerTag": "x"}, **key)
-    assert (other.status, other.body["code"]) == (422, "key_reused")
+    assert (other.status, other.body["code"]) == (409, "key_reused")
     assert (await served.ask("POST", "/environments", "bob", BRAIN, **key)).body["user"] == "bob"
 
 
