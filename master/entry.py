@@ -33,6 +33,9 @@ class Entry(Resource):
             location = self.location(request.uri, request.getRequestHostname())
         except Unavailable as error:
             return _refuse(request, http.SERVICE_UNAVAILABLE, str(error))
+        if not location and request.method not in (b"GET", b"HEAD"):
+            request.setHeader("allow", "GET, HEAD")  # Twisted would say 501 to most: that it knows no such method
+            return _refuse(request, http.NOT_ALLOWED, "this is read by robots only: GET")
         if not location:
             return super().render(request)  # type: ignore[no-any-return, no-untyped-call]  # Twisted's
         request.setResponseCode(http.TEMPORARY_REDIRECT)

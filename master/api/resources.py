@@ -6,6 +6,7 @@ from master.api.audit import AuditApi
 from master.api.environments import EnvironmentsApi
 from master.api.events import EventsApi
 from master.api.interfaces import InterfacesApi
+from master.api.jobs import JobsApi
 from master.api.keys import KeysApi
 from master.api.live import Live
 from master.api.logs import LogsApi
@@ -27,7 +28,7 @@ from master.service import Master
 def make_api(master: Master, depot: Depot, inviter: Inviter | None = None) -> Api:
     """The API of this Master; without an inviter no machines are invited."""
     api = Api(master.users, master.audit)
-    for family in (UsersApi, KeysApi, AuditApi, RobotsApi, EnvironmentsApi, InterfacesApi, RosApi):
+    for family in (UsersApi, KeysApi, AuditApi, RobotsApi, EnvironmentsApi, InterfacesApi, RosApi, JobsApi):
         family(master).add_to(api)
     MachinesApi(master, inviter).add_to(api)
     PackagesApi(master, depot).add_to(api)

@@ -115,7 +115,8 @@ async def test_no_robot_endpoint(ask: Ask, fleet: Fleet) -> None:
 
 async def test_head_has_no_body_and_post_is_not_allowed(ask: Ask) -> None:
     assert (await ask(GOOD, "HEAD"))[:3] == (200, "application/json; charset=utf-8", b"")
-    assert (await ask(GOOD, "POST")).status == 405
+    for method in ("POST", "PUT", "DELETE", "PATCH"):
+        assert (await ask(GOOD, method)).status == 405
 
 
 @pytest.mark.parametrize(

@@ -147,3 +147,10 @@ async def test_methods(served: Served) -> None:
 async def test_forms_are_refused(served: Served) -> None:
     body = {"Content-Type": "text/plain"}
     assert (await served.ask("POST", "/packages", body=b"{}", **body)).status == 415
+
+
+async def test_jobs_are_at_the_map_service(served: Served) -> None:
+    assert (await served.ask("GET", "/jobs")).status == 404
+    await served.process("service", "map-service", url="http://:9030/")
+    answer = await served.ask("GET", "/jobs")
+    assert (answer.status, answer.headers["location"]) == (307, "/map-service/jobs")
