@@ -2,11 +2,13 @@
 
 import { attempt, h, show, table, time } from "./dom.js";
 import { ask, confirm, tell } from "./forms.js";
+import { newPassword } from "./users.js";
 
 export function keysPage(main, app) {
   const list = h("div");
   const keys = keysOf(app, list, {});
   main.append(h("div.head", h("h1", "Your API keys"), h("span.grow"),
+    app.me.may("password.change") && h("button", { onclick: () => newPassword(app, app.me.user) }, "Change password"),
     app.me.may("key.create") && h("button.main", { onclick: keys.add }, "New key")),
   h("section.panel", h("p.soft", "Robots and programs sign in with a key. It is shown once, when it is made."), list));
   keys.load();

@@ -1,6 +1,7 @@
 // The frame of the dashboard: who is signed in, the bar at the top, and which page is shown.
 
 import { Api, signIn } from "./api.js";
+import { auditPage } from "./audit.js";
 import { attempt, h, show } from "./dom.js";
 import { environmentPage } from "./environment.js";
 import { followEvents } from "./events.js";
@@ -25,6 +26,7 @@ const PAGES = [ // what the address says, the page, its place in the bar, and th
   [/^\/users$/, usersPage, "Users", "user.create"],
   [/^\/users\/(\w+)$/, userPage],
   [/^\/keys$/, keysPage, "Keys", "key.read"],
+  [/^\/audit$/, auditPage, "Audit", "audit.read"],
 ];
 
 let app = null;

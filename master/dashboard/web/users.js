@@ -1,11 +1,11 @@
 // Users for administrators: roles, passwords, quotas and what is used of them, keys.
 
-import { attempt, bytes, h, show, table, time } from "./dom.js";
+import { attempt, bytes, h, notice, show, table, time } from "./dom.js";
 import { ask, confirm } from "./forms.js";
 import { keysOf } from "./keys.js";
 
 const ROLES = ["user", "viewer", "operator", "admin"];
-const PASSWORD = { type: "password", required: true, autocomplete: "new-password" };
+const PASSWORD = { type: "password", required: true };
 
 export function usersPage(main, app) {
   const list = h("div");
@@ -39,15 +39,12 @@ export function userPage(main, app, name) {
   const change = {
     role: () => ask(`Role of ${name}`, [{ name: "role", label: "Role", options: ROLES }],
       async (wanted) => { await api.patch(path, wanted); load(); }, { button: "Change" }),
-    password: () => ask(`Password of ${name}`, [
-      ...(name === me.user ? [{ name: "old", label: "Present password", ...PASSWORD, autocomplete: "current-password" }] : []),
-      { name: "new", label: "New password", ...PASSWORD }],
-      (wanted) => api.put(`${path}/password`, wanted), { button: "Change" }),
-    limits: () => ask(`Quotas of ${name}`, QUOTAS.map(([key, label, , , factor]) => ({
-      name: key, label, help: `${factor ? "MB; " : ""}0: no limit, empty: as it is`, type: "number", min: 0, step: "any" })),
+    password: () => newPassword(app, name),
+    limits: () => ask(`Quotas of ${name}`, QUOTAS.map(([key, label, , words]) => ({
+      name: key, label, help: words ? "as 2GiB; empty: as it is" : "empty: as it is", placeholder: "0: no limit" })),
     async (wanted) => {
-      const factors = Object.fromEntries(QUOTAS.map(([key, , , , factor]) => [key, factor ?? 1]));
-      await api.patch(`${path}/limits`, Object.fromEntries(Object.entries(wanted).map(([key, value]) => [key, value * factors[key]])));
+      const number = (text) => (Number.isNaN(Number(text)) ? text : Number(text));
+      await api.patch(`${path}/limits`, Object.fromEntries(Object.entries(wanted).map(([key, text]) => [key, number(text)])));
       load();
     }, { button: "Change" }),
     remove: () => confirm(`Remove ${name}?`, "With all robots, environments, keys and packages of theirs.", "Remove user",
@@ -65,25 +62,34 @@ export function userPage(main, app, name) {
   return () => {};
 }
 
-const QUOTAS = [ // of the limits: key, label, key of what is used, words, factor of what is typed
-  ["environments", "Environments", "environments"],
-  ["cores", "Cores", "cores"],
-  ["total_memory", "Memory", "total_memory", bytes, 1_000_000],
-  ["total_bandwidth", "Bandwidth", "total_bandwidth", (value) => `${bytes(value)}/s`, 1_000_000],
-  ["robots", "Robots", "robots"],
-  ["connections", "Connections", "connections"],
-  ["package_bytes", "Stored packages", "package_bytes", bytes, 1_000_000],
-  ["memory", "Memory of one environment", "", bytes, 1_000_000],
-  ["bandwidth", "Bandwidth of one environment", "", (value) => `${bytes(value)}/s`, 1_000_000],
+const QUOTAS = [ // of the limits: key, label, whether usage counts it, words
+  ["environments", "Environments", true],
+  ["cores", "Cores", true],
+  ["total_memory", "Memory", true, bytes],
+  ["total_bandwidth", "Bandwidth", true, (value) => `${bytes(value)}/s`],
+  ["robots", "Robots", true],
+  ["connections", "Connections", true],
+  ["package_bytes", "Stored packages", true, bytes],
+  ["memory", "Memory of one environment", false, bytes],
+  ["cpu", "Cores of one environment", false],
 ];
 
 function quotas(given, used) {
   return table({
     Quota: ([, label]) => label,
-    "#Used": ([, , key, words = String]) => (key ? words(used[key] ?? 0) : ""),
+    "#Used": ([key, , counted, words = String]) => (counted ? words(used[key] ?? 0) : ""),
     "#Limit": ([key, , , words = String]) => (given[key] ? words(given[key]) : h("span.soft", "none")),
-    " ": ([key, label, use]) => (use && given[key] ? meter(used[use] ?? 0, given[key], label) : ""),
+    " ": ([key, label, counted]) => (counted && given[key] ? meter(used[key] ?? 0, given[key], label) : ""),
   }, QUOTAS, "");
+}
+
+/** One's own needs the old one. */
+export function newPassword(app, name) {
+  const old = name === app.me.user ? [{ name: "old", label: "Old password", ...PASSWORD }] : [];
+  ask(`Password of ${name}`, [...old, { name: "new", label: "New password", ...PASSWORD }], async (wanted) => {
+    await app.api.put(`/users/${name}/password`, wanted);
+    notice("The password is changed");
+  }, { button: "Change" });
 }
 
 function meter(value, most, label) {

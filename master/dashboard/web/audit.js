@@ -1,0 +1,37 @@
+// Who did what to what, and with what result.
+
+import { attempt, h, show, table, time } from "./dom.js";
+
+const FILTERS = [["user", "User"], ["action", "Action"], ["object", "Object"], ["result", "Result"]];
+
+export function auditPage(main, app) {
+  const list = h("div");
+  const form = h("form.panel.head", FILTERS.map(([name, label]) => h("label.inline", label, h("input", { name, size: 12, autocomplete: "off" }))),
+    h("button.main", { type: "submit" }, "Show"));
+  const more = h("button", { hidden: true }, "More");
+  let entries = [];
+  let after = "";
+  const load = () => attempt(async () => {
+    const page = await app.api.get("/audit", { ...Object.fromEntries(new FormData(form)), limit: 100, after });
+    entries = [...entries, ...page.items];
+    after = page.next;
+    more.hidden = !after;
+    show(list, table({
+      Time: (each) => time(each.time),
+      User: (each) => each.user || h("span.soft", "nobody"),
+      Action: (each) => each.action,
+      Object: (each) => each.object,
+      Result: (each) => h(each.result === "ok" ? "span" : "span.bad", each.result),
+      From: (each) => `${each.door} ${each.address}`,
+    }, entries, "Nothing was done that fits."));
+  });
+  form.onsubmit = (event) => {
+    event.preventDefault();
+    [entries, after] = [[], ""];
+    load();
+  };
+  more.onclick = load;
+  main.append(h("div.head", h("h1", "Audit log")), form, h("section.panel", list, more));
+  load();
+  return () => {};
+}

@@ -1,0 +1,75 @@
+"""docs/walkthrough-browser.md, step by step, on a fresh platform."""
+
+from __future__ import annotations
+
+import re
+from contextlib import AsyncExitStack
+from pathlib import Path
+from typing import Any
+
+from chromium import chromium, opened
+from real_platform import RealPlatform
+
+from rce.client import Robot
+
+GUIDE = Path(__file__).parents[2] / "docs" / "walkthrough-browser.md"
+STEP = re.compile(r"^\d+\. (\w[\w ]*?) \*\*(.+?)\*\*(?: (?:with )?`(.+)`)?$", re.MULTILINE)
+PRINTED = "the password that was printed"
+
+
+class Reader:
+    """Somebody who does what the guide says."""
+
+    def __init__(self, page: Any, platform: RealPlatform, stack: AsyncExitStack) -> None:
+        self.page = page
+        self._platform = platform
+        self._stack = stack
+        self._key = ""
+
+    async def do(self, verb: str, what: str, value: str) -> None:
+        dialog = self.page.get_by_role("dialog")
+        scope = dialog if await dialog.count() else self.page
+        match verb:
+            case "Open":
+                await self.page.goto(self._platform.url.rstrip("/") + what)
+            case "Fill in":
+                await scope.get_by_label(what).first.fill(printed(self._platform) if value == PRINTED else value)
+            case "Choose":
+                await scope.get_by_label(what).select_option(value)
+            case "Click":
+                button, link = (scope.get_by_role(role, name=what, exact=True) for role in ("button", "link"))
+                await button.or_(link).first.click()
+            case "See":
+                await self.page.get_by_text(what, exact=True).first.wait_for()
+            case "Keep":
+                self._key = await dialog.locator(".secret").inner_text()
+            case "Connect":
+                robot = Robot(self._platform.url, user="alice", robot=what, key=self._key)
+                await self._stack.enter_async_context(robot)
+            case _:
+                raise AssertionError(f"nobody knows how to {verb}")
+
+
+def printed(platform: RealPlatform) -> str:
+    """The administrator's password in the log of the first start."""
+    found = re.search(r"password[^\n]*?: ?\"?([A-Za-z0-9_-]{15,})", platform.log)
+    assert found, platform.log[:2000]
+    return found[1]
+
+
+async def test_the_guide(tmp_path: Path) -> None:
+    steps = STEP.findall(GUIDE.read_text())
+    assert len(steps) == len(re.findall(r"^\d+\. ", GUIDE.read_text(), re.MULTILINE)) > 30
+    async with chromium() as browser:
+        platform = RealPlatform(tmp_path, dev=False)
+        await platform.start()
+        try:
+            async with opened(browser) as (page, _), AsyncExitStack() as stack:
+                reader = Reader(page, platform, stack)
+                for number, step in enumerate(steps):
+                    try:
+                        await reader.do(*step)
+                    except Exception as error:
+                        raise AssertionError(f"step {number + 1}, {step}: {error}\n{await page.inner_text('body')}") from error
+        finally:
+            await platform.stop()
