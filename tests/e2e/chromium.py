@@ -35,13 +35,21 @@ async def opened(browser: Any, **options: Any) -> AsyncIterator[tuple[Any, list[
     """A page of its own context, and the errors that it logs: a test takes out those that it provokes."""
     context = await browser.new_context(**{"viewport": WIDE, **options})
     page = await context.new_page()
-    page.set_default_timeout(20_000)
+    page.set_default_timeout(30_000)
     errors: list[str] = []
-    page.on("console", lambda message: errors.append(message.text) if message.type in ("error", "warning") else None)
+
+    def heard(message: Any) -> None:
+        if message.type == "error":
+            errors.append(f"{message.text} ({message.location.get('url')})")
+
+    page.on("console", heard)
     page.on("pageerror", lambda error: errors.append(str(error)))
     try:
         yield page, errors
         assert errors == []
+    except BaseException as error:
+        error.add_note(f"{page.url}\n{await page.inner_text('body')}\n{errors}")
+        raise
     finally:
         await context.close()
 

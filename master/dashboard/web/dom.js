@@ -34,14 +34,27 @@ export function table(columns, rows, none) {
     h("tbody", rows.map((row) => h("tr", titles.map((title) => h(`td${kind(title)}`, columns[title](row))))))));
 }
 
-/** Put `children` in place of what `element` holds, unless that is the same; the focus stays on the same `data-key`. */
+/** Make `element` hold what `children` are. What is the same stays, so that a click or the focus is not lost; listeners
+ * of what stays are the old ones: use one on `element` (`data-do`) where they must know the newest. */
 export function show(element, ...children) {
-  const fresh = h("div", ...children);
-  if (element.innerHTML === fresh.innerHTML && element.dataset.shown) return;
-  const key = element.contains(document.activeElement) ? document.activeElement.dataset.key : "";
-  element.replaceChildren(...fresh.childNodes);
-  element.dataset.shown = "yes";
-  if (key) element.querySelector(`[data-key="${CSS.escape(key)}"]`)?.focus();
+  patch(element, h("div", ...children));
+}
+
+function patch(old, fresh) {
+  const [have, want] = [[...old.childNodes], [...fresh.childNodes]];
+  want.forEach((node, index) => {
+    const there = have[index];
+    if (!there) old.append(node);
+    else if (there.nodeName !== node.nodeName || there.id !== node.id) there.replaceWith(node);
+    else if (node.nodeType !== Node.ELEMENT_NODE) {
+      if (there.data !== node.data) there.data = node.data;
+    } else {
+      for (const { name, value } of node.attributes) if (there.getAttribute(name) !== value) there.setAttribute(name, value);
+      for (const { name } of [...there.attributes]) if (!node.hasAttribute(name)) there.removeAttribute(name);
+      patch(there, node);
+    }
+  });
+  for (const node of have.slice(want.length)) node.remove();
 }
 
 /** Something to be seen for a while; `more` is an element beside the words. */

@@ -72,7 +72,7 @@ function bind(element, actions) {
   };
 }
 
-const button = (does, of, text, kind = "") => h(`button.small${kind}`, { "data-do": does, "data-of": of, "data-key": `${does} ${of}`,
+const button = (does, of, text, kind = "") => h(`button.small${kind}`, { "data-do": does, "data-of": of,
   "aria-label": of && `${text} ${of}` }, text);
 const title = (text, more) => h("div.head", h("h2", text), h("span.grow"), more);
 

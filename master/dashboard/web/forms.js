@@ -47,7 +47,7 @@ function field({ name, label, help, options, value, type = "text", list, ...attr
   const common = { name, ...attributes };
   let input;
   if (options) {
-    input = h("select", common, options.map((each) => h("option", { value: each, selected: each === value }, each || "(default)")));
+    input = h("select", { ...common, "aria-label": label }, options.map((each) => h("option", { value: each, selected: each === value }, each || "(default)")));
   } else if (type === "checkbox") {
     return h("label", h("span.inline", h("input", { ...common, type, checked: value }), label), help && h("span.soft", ` ${help}`));
   } else {

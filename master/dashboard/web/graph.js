@@ -123,16 +123,16 @@ class Graph {
     const name = own + card.name;
     return h("div.title", state(card.view.state),
       card.kind === "environment"
-        ? h("a.name", { href: `#/environments/${card.view.user}/${card.name}`, title: name, "data-key": "name" }, name)
+        ? h("a.name", { href: `#/environments/${card.view.user}/${card.name}`, title: name }, name)
         : h("span.name", { title: name }, name),
-      card.ports.length > 0 && h("button.small", { "data-do": "fold", "data-key": "fold", "aria-expanded": String(!card.folded),
+      card.ports.length > 0 && h("button.small", { "data-do": "fold", "aria-expanded": String(!card.folded),
         title: card.folded ? "Show interfaces" : "Hide interfaces" }, card.folded ? `${card.ports.length} ▸` : "▾"),
-      h("button.small", { "data-do": "more", "data-key": "more", "aria-label": `Actions of ${name}` }, "⋯"));
+      h("button.small", { "data-do": "more", "aria-label": `Actions of ${name}` }, "⋯"));
   }
 
   #port({ key, view }, look) {
     const kind = view.interfaceType.replace(/(Interface|Converter|Forwarder)$/, "");
-    return h(`button.port${look ? `.${look}` : ""}`, { "data-do": "port", "data-port": key, "data-key": key,
+    return h(`button.port${look ? `.${look}` : ""}`, { "data-do": "port", "data-port": key,
       title: `${view.interfaceType} ${view.className} ${view.addr}`,
       "aria-label": `${view.endpointTag}/${view.interfaceTag}, ${kind} of ${view.className}` },
     h("span.tag", view.interfaceTag), h("span.type", short(view.className)));

@@ -30,8 +30,8 @@ export function keysOf(app, list, who) {
       "Last used": (key) => time(key.used) || "not yet",
       " ": (key) => [
         key.id === me.key && h("span.soft", "this page's"),
-        key.id !== me.key && me.may("key.rotate", owner) && h("button.small", { "data-do": "rotate", "data-of": key.id, "data-key": `rotate ${key.id}` }, "Rotate"),
-        me.may("key.revoke", owner) && h("button.small.danger", { "data-do": "revoke", "data-of": key.id, "data-key": `revoke ${key.id}`,
+        key.id !== me.key && me.may("key.rotate", owner) && h("button.small", { "data-do": "rotate", "data-of": key.id }, "Rotate"),
+        me.may("key.revoke", owner) && h("button.small.danger", { "data-do": "revoke", "data-of": key.id,
           "aria-label": `Revoke ${key.label || key.id}` }, "Revoke"),
       ],
     }, keys, "There are no keys."));

@@ -40,6 +40,7 @@ export class Live {
 
   close() {
     this.#closed = true;
+    this.#listeners.clear();
     this.#socket?.close();
   }
 

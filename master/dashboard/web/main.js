@@ -59,7 +59,6 @@ function route() {
   leave?.();
   leave = null;
   main.replaceChildren();
-  delete main.dataset.shown;
   drawBar();
   if (!found) return show(main, h("p", `There is no page ${path}.`));
   const [match, page] = found;
@@ -75,15 +74,15 @@ function drawBar() {
     h("a.brand", { href: "#/" }, h("img", { src: "icon.svg", alt: "" }), h("span", "RCE")),
     h("nav", { "aria-label": "Pages" }, links.map(([pattern, , title]) => {
       const path = pattern.source.replace(/^\^|\(.*|\\|\$$/g, "") || "/";
-      return h("a", { href: `#${path}`, "aria-current": pattern.test(here) && "page", "data-key": path }, title);
+      return h("a", { href: `#${path}`, "aria-current": pattern.test(here) && "page" }, title);
     })),
-    everybody && h("label.inline.soft", h("input", { type: "checkbox", id: "everybody", "data-key": "everybody",
-      checked: app.live.user === "*" }), "everybody's"),
+    everybody && h("label.inline.soft", h("input", { type: "checkbox", id: "everybody" }), "everybody's"),
     h("span.who", h(`span.pulse${app.live.connected ? ".on" : ""}`, { role: "img",
       "aria-label": app.live.connected ? "live" : "not connected", title: app.live.connected ? "live" : "not connected" }),
-    `${app.me.user} (${app.me.role})`, h("button.small", { id: "leave", "data-key": "leave" }, "Sign out")));
+    `${app.me.user} (${app.me.role})`, h("button.small", { id: "leave" }, "Sign out")));
   document.getElementById("leave").onclick = signOut;
   const box = document.getElementById("everybody");
+  if (box) box.checked = app.live.user === "*";
   if (box) box.onchange = () => app.live.watch(box.checked ? "*" : app.me.user);
 }
 
@@ -115,6 +114,7 @@ function signInPage(message = "") {
 
 async function signOut() {
   await attempt(() => app.api.remove(`/keys/${app.me.key}`));
+  history.replaceState(null, "", location.pathname); // who signs in next begins at the graph
   forget();
 }
 
@@ -128,8 +128,6 @@ function forget(message = "") {
   app?.ended.abort();
   app?.robot?.then((robot) => robot.close(), () => {});
   app = null;
-  delete bar.dataset.shown;
-  delete main.dataset.shown;
   signInPage(message);
 }
 
