@@ -1,7 +1,7 @@
 """`provision install` for real: into a copy-on-write image of this system, in a network of its own.
 
-The Master and a Robot endpoint are installed, started as their units say, met by a robot and by a second machine that
-joins, looked at by the doctor, and removed without a trace. Environments have tests of their own.
+The Master, the map service and a Robot endpoint are installed, started as their units say, met by a robot and by a
+second machine that joins, looked at by the doctor, and removed without a trace. Environments have tests of their own.
 """
 
 from __future__ import annotations
@@ -41,13 +41,15 @@ ip link set lo up
 cd /
 rce=/opt/rce/current/bin
 as="runuser -u rce -g rce --"
-for role in master robot; do
+for role in master robot map-service; do
     $as $rce/rce $role --config /etc/rce/$role.toml > /tmp/$role.log 2>&1 &
 done
-trap 'cat /tmp/master.log /tmp/robot.log >&2; kill $(jobs -p)' EXIT
-for turn in $(seq 100); do
-    grep -q '"program":"robot"' /tmp/robot.log && break
-    sleep 0.2
+trap 'cat /tmp/master.log /tmp/robot.log /tmp/map-service.log >&2; kill $(jobs -p)' EXIT
+for role in robot map-service; do
+    for turn in $(seq 100); do
+        grep -q "\\"program\\":\\"$role\\"" /tmp/$role.log && break
+        sleep 0.2
+    done
 done
 echo 'met by chance' | $as $rce/rce user --data-dir=/var/lib/rce/master add ada
 SSL_CERT_FILE=/etc/rce/tls/ca.pem $rce/python -P -c '
@@ -102,6 +104,6 @@ def test_a_platform_from_its_installation_to_its_end(place: Path) -> None:
     assert "refused" in lines  # the code is good once
     findings = json.loads(next(line for line in lines if line.startswith("[")))
     assert {finding["level"] for finding in findings} <= {"ok", "warn"}
-    assert {"master", "clock", "port 9000", "cert.pem"} <= {finding["about"] for finding in findings}
+    assert {"master", "clock", "port 9000", "port 9040", "cert.pem"} <= {finding["about"] for finding in findings}
     assert "doctor: well" in lines
     assert lines[-1] == "left:  0"
