@@ -52,9 +52,10 @@ def _attended(
         from rce.console.part import attend, taking_part
 
         function: Callable[[Part, argparse.Namespace], Awaitable[int]] = getattr(import_module(module), work)
+        environment = place(words)
 
         async def act() -> int:
-            async with taking_part(session, place(words)) as part:
+            async with taking_part(session, environment) as part:
                 return await function(part, words)
 
         return attend(act)
