@@ -81,7 +81,8 @@ class Parser(argparse.ArgumentParser):
 
 def parser(command: Command, prog: str = "rce", platform: bool = True) -> Parser:
     """The command line of one command; in a console the `platform` is the console's."""
-    epilog = "\n".join(["examples:", *(f"  {prog} {each}".replace("%", "%%") for each in command.examples)])
+    begin = f"{prog} ".lstrip()
+    epilog = "\n".join(["examples:", *(f"  {begin}{each}".replace("%", "%%") for each in command.examples)])
     whole = Parser(
         prog=f"{prog} {command.name}".strip(),
         description=command.help,

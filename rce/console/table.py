@@ -44,6 +44,7 @@ def overview(prefix: str = "") -> str:
 
 def usage_of(word: str, prog: str) -> str:
     """The commands that begin with this word."""
-    lines = [f"{prog} {word} …; {prog} {word} COMMAND --help tells more", ""]
+    begin = f"{prog} {word}".strip()
+    lines = [f"{begin} …; {begin} COMMAND --help tells more", ""]
     width = max(len(command.name) for command in below(word))
     return "\n".join(lines + [f"  {command.name:{width}}  {command.help}" for command in below(word)])

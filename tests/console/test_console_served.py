@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import stat
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
@@ -88,11 +88,12 @@ async def test_lists_are_read_page_by_page(served: Served, monkeypatch: pytest.M
         await served.master.execute("ann", m.CreateContainer(f"e{number}"))
     monkeypatch.setattr("rce.api.PAGE", 3)
     api = Api(served.url, user="ann", password=PASSWORD)
-    read: Callable[..., list[EnvironmentView]] = lambda **query: list(
-        api.items(EnvironmentView, "environments", **query)
-    )
+
+    def read(limit: int = 0) -> list[EnvironmentView]:
+        return list(api.items(EnvironmentView, "environments", limit=limit))
+
     assert [each.containerTag for each in await asyncio.to_thread(read)] == [f"e{number}" for number in range(7)]
-    assert len(await asyncio.to_thread(lambda: read(limit=4))) == 4
+    assert len(await asyncio.to_thread(lambda: read(4))) == 4
 
 
 async def test_json_is_what_the_api_said(served: Served, capsys: pytest.CaptureFixture[str]) -> None:

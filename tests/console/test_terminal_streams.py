@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from itertools import pairwise
 
 import pytest
 
@@ -60,7 +61,7 @@ def test_what_is_not_taken_is_sent_again_at_longer_and_longer_intervals() -> Non
         before = len(wire)
         out.tick()
         times += [clock.now] if len(wire) > before else []
-    gaps = [round(after - before) for before, after in zip(times, times[1:], strict=False)]
+    gaps = [round(after - before) for before, after in pairwise(times)]
     assert gaps[:3] == [2, 4, 8]
     assert set(gaps[2:]) == {8}
     assert set(wire) == {wire[0]}

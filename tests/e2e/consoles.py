@@ -28,18 +28,21 @@ def surroundings(directory: Path, url: str = "", user: str = USER) -> dict[str, 
     """The variables of a user at home in `directory`, who asks at `url`."""
     given = {key: value for key, value in os.environ.items() if not key.startswith("RCE_")}
     given |= {"XDG_CONFIG_HOME": str(directory / "config"), "XDG_STATE_HOME": str(directory / "state")}
-    given |= {"TERM": "xterm", "HOME": str(directory)}
+    given |= {"TERM": "xterm", "HOME": str(directory), "PROMPT_TOOLKIT_NO_CPR": "1"}
     return given | ({"RCE_URL": url, "RCE_USER": user, "RCE_PASSWORD": user} if url else {})
 
 
-async def rce(*words: str, env: Mapping[str, str], given: str = "", status: int | None = 0) -> str:
-    """Run a command and return its standard output; the status must be this."""
+async def rce(*words: str, env: Mapping[str, str], given: str = "", status: int | None = 0, seconds: float = 0) -> str:
+    """Run a command and return its standard output; the status must be this. After `seconds` it gets a Ctrl-C."""
     process = await asyncio.create_subprocess_exec(
         RCE, *words, env=env, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
+    interrupt = asyncio.get_running_loop().call_later(seconds, process.send_signal, signal.SIGINT) if seconds else None
     try:
         out, err = await asyncio.wait_for(process.communicate(given.encode()), PATIENCE)
     finally:
+        if interrupt is not None:
+            interrupt.cancel()
         if process.returncode is None:
             process.kill()
             await process.wait()
@@ -49,29 +52,19 @@ async def rce(*words: str, env: Mapping[str, str], given: str = "", status: int 
 
 
 class OnTerminal:
-    """A command on a pseudo-terminal; blocking, for a thread."""
+    """A program on a pseudo-terminal, which is its controlling one; blocking, for a thread."""
 
-    def __init__(
-        self, words: list[str], env: Mapping[str, str], rows: int = 24, columns: int = 80, program: bool = False
-    ) -> None:
-        """Of `rce`, or a `program` of its own, to whom the terminal is the controlling one."""
+    def __init__(self, words: list[str], env: Mapping[str, str], rows: int = 24, columns: int = 80) -> None:
         self.master, slave = pty.openpty()
-        self.resize(rows, columns, tell=False)
+        self.resize(rows, columns)
         self.process = subprocess.Popen(
-            ["setsid", "--ctty", *words] if program else [RCE, *words],
-            env=dict(env),
-            stdin=slave,
-            stdout=slave,
-            stderr=slave,
-            start_new_session=not program,
+            ["setsid", "--ctty", *words], env=dict(env), stdin=slave, stdout=slave, stderr=slave
         )
         os.close(slave)
         self.seen = b""
 
-    def resize(self, rows: int, columns: int, tell: bool = True) -> None:
+    def resize(self, rows: int, columns: int) -> None:
         fcntl.ioctl(self.master, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
-        if tell:
-            self.process.send_signal(signal.SIGWINCH)  # the kernel tells the foreground of a controlling terminal only
 
     def type(self, text: str) -> None:
         os.write(self.master, text.encode())
@@ -116,7 +109,8 @@ class OnTerminal:
 
 @contextmanager
 def on_terminal(*words: str, env: Mapping[str, str]) -> Iterator[OnTerminal]:
-    made = OnTerminal(list(words), env)
+    """A command of `rce`."""
+    made = OnTerminal([RCE, *words], env)
     try:
         yield made
     finally:

@@ -66,5 +66,5 @@ async def test_it_ends_when_its_client_vanishes(env: dict[str, str], platform: R
     assert platform.pid("sleep 1234")
     await until(lambda: not platform.pid("sleep 1234"), 40, "the program ends")
     await until(lambda: not platform.pid("rce_shell"), 5, "the node ends")
-    await rce("topic", "pub", "--once", f"{BRAIN}/parameter_events", "rcl_interfaces/ParameterEvent", env=env)
+    await rce("topic", "hz", f"{BRAIN}/rosout", "rcl_interfaces/Log", env=env, status=None, seconds=5)
     assert "console_" not in await rce("interface", "list", BRAIN, env=env), "what it left is tidied by the next"

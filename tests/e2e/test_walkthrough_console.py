@@ -28,7 +28,7 @@ async def test_the_walk_by_the_console(tmp_path: Path) -> None:
 
 
 def walk(env: dict[str, str], replaced: dict[str, str]) -> None:
-    shell = OnTerminal(["bash", "--norc", "--noediting", "-i"], env, columns=500, program=True)
+    shell = OnTerminal(["bash", "--norc", "--noediting", "-i"], env, columns=500)
     try:
         shell.until("<0>")
         shell.type(f"stty -echo; cd {env['HOME']}; set +m\n")
