@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 asyncio.set_event_loop_policy(uvloop.EventLoopPolicy())
 
-OF_DOCKER = {"docker_host", "images", "island", "swarm", "stand_in_image"}
+OF_DOCKER = {"docker_host", "images", "island", "swarm", "one_machine", "stand_in_image"}
 
 
 @pytest.hookimpl(trylast=True)
