@@ -9,13 +9,18 @@ from numpy.typing import NDArray
 
 from rce.mapping.kernels import compiled
 
+CHECK = 16  # points between looks at whether it is any good
 
-@compiled("float64(uint8[:,::1], int32[:,::1], int64, int64)")
-def score(field: NDArray[np.uint8], cells: NDArray[np.int32], column: int, row: int) -> float:
-    """Mean of the field (0..1) at `cells` (n, 2: column, row) moved by `column` and `row`; nothing is outside."""
+
+@compiled("float64(uint8[:,::1], int32[:,::1], int64, int64, float64)")
+def score(field: NDArray[np.uint8], cells: NDArray[np.int32], column: int, row: int, least: float) -> float:
+    """Mean of the field (0..1) at `cells` (n, 2: column, row) moved by `column` and `row`; nothing is outside. 0 as
+    soon as it cannot be more than `least`."""
     height, width = field.shape
-    total = 0
+    total, missing = 0, 255.0 * cells.shape[0] * (1.0 - least)
     for i in range(cells.shape[0]):
+        if i % CHECK == 0 and 255 * i - total > missing:
+            return 0.0
         c, r = cells[i, 0] + column, cells[i, 1] + row
         if 0 <= c < width and 0 <= r < height:
             total += field[r, c]
@@ -59,7 +64,7 @@ def branch_and_bound(
     first = np.empty(angles * side * side)
     for k in range(first.size):
         a, column, row = k // (side * side), k % side << top, k // side % side << top
-        first[k] = score(pyramid[top], cells[a], column - steps, row - steps)
+        first[k] = score(pyramid[top], cells[a], column - steps, row - steps, least)
     stack = np.empty((4 * top + 4, 4), np.int64)  # level, angle, column, row
     bounds = np.empty(4 * top + 4)
     best, found = least, np.array([x, y, theta, least])
@@ -91,7 +96,7 @@ def branch_and_bound(
                 if near and min(left, low) > -excluded[3] and max(left, low) + half - 1 < excluded[3]:
                     continue
                 looked += 1
-                bound = score(pyramid[level - 1], cells[a], u, v)
+                bound = score(pyramid[level - 1], cells[a], u, v, best)
                 if bound <= best:
                     continue
                 place = depth  # the children are kept in order, the best on top

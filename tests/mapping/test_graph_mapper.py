@@ -93,24 +93,6 @@ def test_bad_returns_are_ignored(simulation: Simulation) -> None:
     assert evaluate(mapper.grid(), mapper.trajectory(), part).translation < 0.03
 
 
-@pytest.mark.parametrize("ranges", [[], [np.nan] * 360, [np.inf] * 360], ids=["empty", "nan", "inf"])
-def test_an_unusable_scan_moves_by_odometry(simulation: Simulation, ranges: list[float]) -> None:
-    mapper = mapped(simulation.records[:5])
-    last = simulation.records[4]
-    assert last.odometry
-    pose = Pose(*mapper.trajectory()[-1, 1:])
-    blind = dataclasses.replace(
-        last,
-        stamp=last.stamp + 0.1,
-        ranges=np.array(ranges, np.float32),
-        odometry=last.odometry @ Pose(0.3, 0.0, 0.1),
-    )
-    estimate = mapper.add(blind)
-    assert not estimate.matched
-    assert estimate.pose == pytest.approx(pose @ Pose(0.3, 0.0, 0.1))
-    assert len(mapper.trajectory()) == 6
-
-
 @pytest.mark.parametrize("odometry", [Pose(1e9, 0.0, 0.0), Pose(math.nan, 0.0, 0.0), None], ids=["reset", "nan", "gap"])
 def test_nonsense_from_the_wheels_is_survived(simulation: Simulation, odometry: Pose | None) -> None:
     scans = list(simulation.records[:60])
@@ -123,18 +105,3 @@ def test_nonsense_from_the_wheels_is_survived(simulation: Simulation, odometry: 
 def test_angles_that_are_no_numbers_make_a_scan_unusable(simulation: Simulation) -> None:
     mapper = mapped(simulation.records[:5])
     assert not mapper.add(dataclasses.replace(simulation.records[5], angle_increment=math.nan)).matched
-
-
-def test_scans_that_come_late_or_twice_are_answered_and_dropped(simulation: Simulation) -> None:
-    scans = simulation.records[:20]
-    mapper, plain = mapped([*scans, scans[-1], scans[10]]), mapped(scans)
-    late = mapper.add(scans[10])
-    assert (late.taken, late.matched, late.stamp) == (False, False, scans[10].stamp)
-    assert late.pose == pytest.approx(tuple(plain.trajectory()[10, 1:]))
-    np.testing.assert_array_equal(mapper.trajectory(), plain.trajectory())
-
-
-def test_before_the_first_scan_there_is_an_empty_map() -> None:
-    mapper = GraphMapper()
-    assert mapper.trajectory().shape == (0, 4)
-    assert mapper.grid().cells.max() == -1
