@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from twisted.logger import Logger
+
 from endpoints.environment.arguments import ros_arguments, split, substitute
 from endpoints.environment.node import NodeProcess
 from endpoints.environment.nodelog import NodeLog
@@ -16,6 +18,7 @@ from endpoints.environment.surroundings import for_users_nodes
 from rce.calls import NodeDied, NodeSpec, ParameterSpec
 from rce.errors import NotFound
 
+log = Logger()
 LAST_LINES = 20
 START = 5.0  # seconds in which a node has appeared in ROS, if it is one
 
@@ -73,6 +76,7 @@ class Nodes:
         self._running[spec.tag] = await NodeProcess.start(
             spec, command, variables, self._directory / "home", output, self._ended
         )
+        log.info("node {node} is started: {pkg} {exe}", node=spec.tag, pkg=spec.pkg, exe=spec.exe)
 
     async def stop(self, tag: str) -> None:
         async with self._lock(tag):
@@ -102,6 +106,7 @@ class Nodes:
 
     def _ended(self, node: NodeProcess, status: int) -> None:
         tag = node.spec.tag
+        log.info("node {node} has ended with status {status}", node=tag, status=status)
         if self._running.get(tag) is node:
             del self._running[tag]
         if not node.stopping:

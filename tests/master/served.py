@@ -140,7 +140,9 @@ class Served:
 
 
 @asynccontextmanager
-async def serve(reactor: ReactorBase, files: Path, policy: Policy | None = None) -> AsyncIterator[Served]:
+async def serve(
+    reactor: ReactorBase, files: Path, policy: Policy | None = None, at: str = "tcp:0:interface=127.0.0.1"
+) -> AsyncIterator[Served]:
     store = Store("sqlite://")
     await store.open()
     depot = Depot(files / "depot")
@@ -150,7 +152,7 @@ async def serve(reactor: ReactorBase, files: Path, policy: Policy | None = None)
         await master.users.add(user, PASSWORD, role)  # type: ignore[arg-type]
     await master.start()
     site = ApiSite(Entry(master.state), make_api(master, depot), depot)
-    endpoint = endpoints.serverFromString(reactor, "tcp:0:interface=127.0.0.1")
+    endpoint = endpoints.serverFromString(reactor, at)
     port = await endpoint.listen(site).asFuture(asyncio.get_running_loop())
     served = Served(master, port.getHost().port)
     await served.process("robot", "west", url="ws://:1/", addresses=["tcp:x:1"])

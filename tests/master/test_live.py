@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import json
+import ssl
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from certified import certify
 from served import Served, serve
 from twisted.internet.base import ReactorBase
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
 from rce import messages as m
+from rce.certificates import Authority
 from rce.roles import Scopes
+from rce.tls import CA, CERTIFICATE, KEY
 from rce.views import Rate, Usage
 
 
@@ -224,3 +228,20 @@ async def until(true: Any) -> None:
     async with asyncio.timeout(20):
         while not true():  # noqa: ASYNC110
             await asyncio.sleep(0.01)
+
+
+async def test_it_is_watched_over_tls_too(reactor: ReactorBase, tmp_path: Path) -> None:
+    """There the connection that is taken over lies within another."""
+    authority = Authority.make("tests")
+    keys = certify(tmp_path / "tls", authority, ["localhost"])
+    description = f"ssl:0:interface=127.0.0.1:privateKey={keys / KEY}:certKey={keys / CERTIFICATE}"
+    async with serve(reactor, tmp_path, at=description) as served:
+        secret, _ = await served.master.users.add_key("ann", "user")
+        trust = ssl.create_default_context(cafile=str(keys / CA))
+        async with connect(f"wss://localhost:{served.port}/api/v1/live", ssl=trust) as socket:
+            await socket.send(json.dumps({"key": secret}))
+            watcher = Watch(socket)
+            await watcher.take()
+            await served.master.execute("ann", m.CreateContainer("brain"))
+            await watcher.until("environments", "ann/brain", "state", value="ready")
+        await until(lambda: not served.master.feed.watched)
