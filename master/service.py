@@ -35,6 +35,7 @@ from master.rim import Rim
 from master.shown import Shown
 from master.sight import Sight
 from master.store import Store
+from master.tracing import Tracer
 from master.users import Users, must_drive
 from rce import calls as c
 from rce import metrics
@@ -97,6 +98,7 @@ class Master:
         self.shown = Shown(self.state, self._carrier.is_real)
         self.guard = Guard(self.users, self.state, self._rim.apply)
         self.gauges = Gauges(self.state, self._carrier, self.shown)
+        self.tracer = Tracer(self.state, self._carrier)
         self.feed = Feed(Sight(self.shown, self._carrier), self.gauges.watch)
         self.events = Events(self.state)
         self._rim.listeners.append(self.events.told)

@@ -19,6 +19,7 @@ from master.api.ros import RosApi
 from master.api.router import Api
 from master.api.sockets import SocketResource
 from master.api.streams import Streams
+from master.api.traces import TracesApi
 from master.api.users import UsersApi
 from master.depot import Depot
 from master.machines import Inviter
@@ -35,6 +36,7 @@ def make_api(master: Master, depot: Depot, inviter: Inviter | None = None) -> Ap
     streams = Streams(master.guard)
     EventsApi(master, streams).add_to(api)
     LogsApi(master, streams).add_to(api)
+    TracesApi(master, streams).add_to(api)
     OpenApi().add_to(api)
     Monitoring(master).add_to(api)
     api.mount("/live", SocketResource(Live(master).listener))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rce.console import accounts, data, environments, machines, robots, signing
+from rce.console import accounts, data, environments, machines, robots, signing, tracing
 from rce.console.command import Command
 
 COMMANDS: dict[str, Command] = {
     command.name: command
-    for family in (signing, environments, robots, data, machines, accounts)
+    for family in (signing, environments, robots, data, tracing, machines, accounts)
     for command in family.COMMANDS
 }
 WORDS = sorted({name.partition(" ")[0] for name in COMMANDS})

@@ -33,6 +33,9 @@ from rce.views.resources import ParameterView as ParameterView
 from rce.views.resources import Rate as Rate
 from rce.views.resources import RobotView as RobotView
 from rce.views.resources import Usage as Usage
+from rce.views.traces import HopView as HopView
+from rce.views.traces import MessageTrace as MessageTrace
+from rce.views.traces import Traced as Traced
 from rce.views.wanted import NewConnection as NewConnection
 from rce.views.wanted import NewEnvironment as NewEnvironment
 from rce.views.wanted import NewInterface as NewInterface
