@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterator
+from contextvars import Context
 from typing import NamedTuple, TypeVar
 
 from twisted.logger import Logger
@@ -73,7 +74,7 @@ class Gauges:
         """Measure from now on, and tell of what has changed, until what is returned is called."""
         self._watchers.append(changed)
         if self._running is None:
-            self._running = asyncio.create_task(self._run())
+            self._running = asyncio.create_task(self._run(), context=Context())  # of nobody's request
 
         def leave() -> None:
             if changed in self._watchers:

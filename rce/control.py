@@ -24,7 +24,7 @@ from twisted.logger import Logger
 from twisted.python.failure import Failure
 from twisted.spread import pb
 
-from rce import calls, metrics
+from rce import calls, logs, metrics
 from rce.calls import Call, Hello, Nothing, Ping, Welcome
 from rce.errors import ErrorInfo, InternalError, InvalidRequest, Lost, RceError, Unavailable
 from rce.tls import Tls
@@ -65,8 +65,10 @@ class Handlers:
     def on(self, kind: type[Call[R]], handler: Callable[[Any], Awaitable[R]]) -> None:
         self._handlers[kind.__name__] = cast(Callable[[Any], Awaitable[Struct]], handler)
 
-    async def answer(self, name: str, pages: Pages) -> tuple[bool, Pages]:
-        """Whether it went well, and the result or the ErrorInfo."""
+    async def answer(self, name: str, pages: Pages, request: str = "") -> tuple[bool, Pages]:
+        """Whether it went well, and the result or the ErrorInfo. `request`: on whose behalf, for the log."""
+        if request:
+            logs.enter(request)
         began = time.perf_counter()
         try:
             handler = self._handlers.get(name)
@@ -76,8 +78,13 @@ class Handlers:
                 call = _value(pages, call_types[name])
             except (msgspec.DecodeError, TypeError) as error:
                 raise InvalidRequest(f"{name}: {error}") from None
-            return True, _pages(await handler(call))
+            result = await handler(call)
+            if request and isinstance(result, Nothing):  # others are questions, of which there may be many
+                log.info("{call} is done in {seconds:.3f} s", call=name, seconds=time.perf_counter() - began)
+            return True, _pages(result)
         except RceError as error:
+            if request:
+                log.info("{call} was refused: {error}", call=name[:80], error=str(error), code=error.info.code)
             metrics.errors.add("process", error.info.code)
             return False, _pages(error.info)
         except Exception:  # noqa: BLE001  # the caller must hear of a defect here; the traceback stays in this process's log
@@ -107,8 +114,8 @@ class _Door(pb.Referenceable):
     def __init__(self, handlers: Handlers) -> None:
         self.handlers = handlers
 
-    def remote_call(self, name: str, pages: Pages) -> Deferred[tuple[bool, Pages]]:
-        return Deferred.fromFuture(asyncio.ensure_future(self.handlers.answer(name, pages)))
+    def remote_call(self, name: str, pages: Pages, request: str = "") -> Deferred[tuple[bool, Pages]]:
+        return Deferred.fromFuture(asyncio.ensure_future(self.handlers.answer(name, pages, request)))
 
 
 class Control:
@@ -125,7 +132,7 @@ class Control:
         """Raises what the other side raised, or Lost when it is gone."""
         name = type(call).__name__
         try:
-            deferred = self._door.callRemote("call", name, _pages(call))
+            deferred = self._door.callRemote("call", name, _pages(call), logs.request.get())
             good, pages = await deferred.asFuture(asyncio.get_running_loop())
         except (pb.DeadReferenceError, pb.PBConnectionLost):
             raise Lost(f"the control connection to {self.address} was lost during {name}") from None

@@ -2,13 +2,19 @@
 
 On a terminal a line is for people; elsewhere it is a JSON object with `time`, `level`, `from`, `message`, the event's
 own fields and, with a failure, its `traceback`. What libraries send to Python's `logging` comes out the same way.
+
+What is logged on behalf of a robot's command or of a request over HTTP has its id, as `request`, in every process that
+has a part in it: the id goes along with control calls (`rce.control`).
 """
 
 from __future__ import annotations
 
 import logging
+import re
+import secrets
 import sys
 from collections.abc import Callable
+from contextvars import ContextVar
 from datetime import datetime
 from typing import IO, Any
 
@@ -25,7 +31,17 @@ from twisted.logger import (
     globalLogPublisher,
 )
 
+request: ContextVar[str] = ContextVar("request", default="")
+"""The id of what is being done here: that of a connection, `a1b2c3d4`, and of its commands, `a1b2c3d4.1`, `.2`, …"""
+_ID = re.compile(r"[\w.:-]{1,80}", re.ASCII)
 _OWN = frozenset({"format", "time", "isError", "message"})  # keys that Twisted adds beside those that begin with log_
+
+
+def enter(id: str = "") -> str:
+    """Do what follows in this task under this id, if it is one, else under a new one; returns it."""
+    good = id if _ID.fullmatch(id) else secrets.token_hex(4)
+    request.set(good)
+    return good
 
 
 def begin(stream: IO[str] = sys.stderr) -> None:
@@ -66,6 +82,7 @@ class _FromLogging(logging.Handler):
 def _for_people(event: LogEvent) -> str:
     time = datetime.fromtimestamp(event["log_time"]).strftime("%H:%M:%S.%f")[:-3]
     line = f"{time} {event['log_level'].name:5} {event.get('log_namespace', '-')}: {formatEvent(event)}"
+    line += f" [{id}]" if (id := request.get()) else ""
     return f"{line}\n{_traceback(event)}\n" if "log_failure" in event else line + "\n"
 
 
@@ -76,6 +93,8 @@ def _for_programs(event: LogEvent) -> str:
         "from": event.get("log_namespace", ""),
         "message": formatEvent(event),
     }
+    if id := request.get():
+        line["request"] = id
     line |= {key: value for key, value in event.items() if not key.startswith("log_") and key not in _OWN}
     if "log_failure" in event:
         line["traceback"] = _traceback(event)

@@ -15,6 +15,7 @@ from endpoints.robot.session import Session
 from endpoints.robot.types import UserTypes
 from endpoints.switchboard import Interface, Switchboard
 from rce import calls as c
+from rce import logs
 from rce.blobs import Buffer
 from rce.control import Handlers, MasterLink
 from rce.errors import NotFound, RceError, Unavailable
@@ -81,6 +82,7 @@ class RobotEndpoint:
 
     async def login(self, greeting: Greeting) -> Admitted:
         name = f"{greeting.user}/{greeting.robot}"
+        connection = logs.enter()
         if name in self._leaving:  # the Master must not end the session that it is about to give
             await asyncio.wait([self._leaving[name]])
         timer = self._away.pop(name, None)
@@ -95,7 +97,7 @@ class RobotEndpoint:
         session = self.sessions.get(name)
         if session is None or (session.token and not answer.resumed):
             session = self._begin(name)
-        session.features = greeting.features
+        session.features, session.connection = greeting.features, connection
         if name in self._away:
             self._away.pop(name).cancel()
         how = "resumes" if answer.resumed else "comes"

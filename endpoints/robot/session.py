@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from typing import Protocol
@@ -11,6 +12,7 @@ import msgspec
 from msgspec import UNSET, Raw, UnsetType
 from twisted.logger import Logger
 
+from rce import logs
 from rce import messages as m
 from rce.blobs import BinaryFrame, Buffer
 from rce.calls import Execute, InterfaceSpec, Nothing
@@ -66,10 +68,12 @@ class Session:
         self.interfaces: dict[str, Sink] = {}  # by tag
         self.socket: Socket | None = None
         self.token = ""
+        self.connection = ""  # id of the socket, for the log
         self.outbox: Outbox[Piece] = Outbox(self._write)
         self.outbox.pause()
         self._master = master
         self._order = asyncio.Lock()
+        self._count = itertools.count(1)
         self._commands: dict[asyncio.Task[None], tuple[int, int]] = {}  # how many items, how many bytes
         self._drops: dict[tuple[str, str], int] = {}
         self._drop_timer: asyncio.TimerHandle | None = None
@@ -194,6 +198,7 @@ class Session:
 
     async def _run(self, frame: m.Frame, items: list[tuple[str, m.Command]], good: bool) -> None:
         answers: list[asyncio.Task[None]] = []
+        logs.enter(f"{self.connection}.{next(self._count)}")
         async with self._order:
             try:
                 for item, command in items:
@@ -218,6 +223,7 @@ class Session:
         self._tell(piece)
 
     async def _issue(self, item: str, command: m.Command) -> asyncio.Task[None]:
+        log.info("robot {robot}: {command}", robot=self.name, command=type(command).__name__)
         answer = await self._master.issue(Execute.of(self.name, command))
         return asyncio.create_task(self._finish(item, command, answer))
 

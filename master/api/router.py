@@ -23,10 +23,12 @@ from master.api.repeats import Repeats
 from master.api.streams import Stream
 from master.audit import Audit
 from master.users import Users
+from rce import logs
 from rce.errors import InternalError, InvalidRequest, NotFound, RceError
 
 PREFIX = "/api/v1"
 JSON = "application/json"
+READS = (b"GET", b"HEAD")
 log = Logger()
 
 
@@ -92,6 +94,15 @@ class Api(Resource):
             log.info("an answer did not reach who asked: {error}", error=str(error))
 
     async def _serve(self, request: Request) -> None:
+        request.setHeader("x-request-id", logs.enter(request.getHeader("x-request-id") or ""))
+        try:
+            await self._respond(request)
+        finally:
+            if request.method not in READS:
+                method, path = request.method.decode("ascii", "replace"), request.path.decode("ascii", "replace")
+                log.info("{method} {path}: {status}", method=method[:20], path=path[:500], status=request.code)
+
+    async def _respond(self, request: Request) -> None:
         try:
             answer = await self._answer(request)
         except RceError as error:

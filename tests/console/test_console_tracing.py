@@ -56,18 +56,10 @@ def test_a_message_to_two_goes_two_ways_and_what_is_missing_is_left_out() -> Non
 
 
 def test_an_answer_goes_the_way_back() -> None:
-    hops = [
-        ("brain/out", "entered", 0.0),
-        ("brain/out", "sent", 0.1),
-        ("r1/in", "received", 0.2),
-        ("r1/in", "delivered", 0.3),
-    ] + [
-        ("r1/in", "entered", 1.3),
-        ("r1/in", "sent", 1.4),
-        ("brain/out", "received", 1.5),
-        ("brain/out", "delivered", 1.6),
-    ]
-    ((_, row),) = paths(message("call", *hops))
+    there = [("brain/out", "entered", 0.0), ("brain/out", "sent", 0.1), ("r1/in", "received", 0.2)]
+    back = [("r1/in", "entered", 1.3), ("r1/in", "sent", 1.4), ("brain/out", "received", 1.5)]
+    hops = [*there, ("r1/in", "delivered", 0.3), *back, ("brain/out", "delivered", 1.6)]
+    ((_, row),) = paths(message("call", *hops))  # type: ignore[arg-type]  # hops are strings
     assert {step: round(value / 1e5) for step, value in row.items()} == {
         "sent": 1, "received": 1, "delivered": 1, "entered back": 10, "sent back": 1, "received back": 1,
         "delivered back": 1, "total": 16,
