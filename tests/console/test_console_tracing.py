@@ -81,9 +81,7 @@ class _Api:
 
 
 def test_a_line_for_each_and_the_medians(capsys: pytest.CaptureFixture[str]) -> None:
-    session = cast(
-        Session, argparse.Namespace(api=_Api(ONE, message("m2", *[("r1/in", "received", 2.0)], host="other")))
-    )
+    session = cast(Session, argparse.Namespace(api=_Api(ONE, message("m2", ("r1/in", "received", 2.0), host="other"))))
     trace(session, argparse.Namespace(interface="brain/out", count=2, of="", json=False))
     title, first, second, last, clocks = capsys.readouterr().out.splitlines()
     assert title.split()[:5] == ["MESSAGE", "TO", "SENT", "RECEIVED", "DELIVERED"]
