@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import itertools
+import json
 import os
 import shutil
 import signal
@@ -20,6 +21,7 @@ from pathlib import Path
 import docker
 import pytest
 from docker.errors import DockerException
+from numba.core.caching import _CacheLocator
 
 from rce import __version__
 
@@ -159,13 +161,25 @@ def host_mounts() -> list[str]:
     return sorted(path for path in places if Path(path).exists())
 
 
-def load_host_image(node: Node) -> None:
-    empty = io.BytesIO()
-    tarfile.open(fileobj=empty, mode="w").close()
-    path = f"ENV PATH={Path(sys.executable).parent}:/usr/bin:/bin PYTHONDONTWRITEBYTECODE=1"
+def load_host_image(node: Node, *, mapping: bool = False) -> None:
+    """With `mapping` it has the compiled kernels, as `rce/mapping` has; else Numba would compile them in each."""
+    layer = io.BytesIO()
+    with tarfile.open(fileobj=layer, mode="w") as archive:
+        if mapping:
+            subprocess.run([sys.executable, "-P", "-c", "import rce.mapping.graph_mapper"], check=True)
+            directory = ROOT / "rce" / "mapping"
+            place = _CacheLocator.get_suitable_cache_subpath(str(directory / "graph_mapper.py"))  # type: ignore[no-untyped-call]
+            for file in (directory / "__pycache__").glob("*.nb?"):
+                archive.add(file, f"numba/{place}/{file.name}")
+    changes = [
+        f"ENV PATH={Path(sys.executable).parent}:/usr/bin:/bin PYTHONDONTWRITEBYTECODE=1 NUMBA_CACHE_DIR=/tmp/numba",
+        f"LABEL rce.version={__version__}",
+    ]
+    if mapping:
+        words = ["/usr/bin/sh", "-c", 'cp -r /numba /tmp/numba && exec "$@"', "sh"]
+        changes.append(f"ENTRYPOINT {json.dumps(words)}")
     name, _, tag = HOST_IMAGE.partition(":")
-    changes = [path, f"LABEL rce.version={__version__}"]
-    node.api().import_image_from_data(empty.getvalue(), repository=name, tag=tag, changes=changes)
+    node.api().import_image_from_data(layer.getvalue(), repository=name, tag=tag, changes=changes)
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,6 +19,7 @@ docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce
 from machines import Host, Machines
 from real_platform import until
 from swarm_nodes import HOST_IMAGE, Node, Swarm, host_mounts, load_host_image, swarm_of
+from test_map import rce_map
 
 from rce.client import Environment, Publisher, Subscriber
 
@@ -35,7 +37,7 @@ except OSError as error:
 @pytest.fixture(scope="module")
 def swarm() -> Iterator[Swarm]:
     with swarm_of(3) as made:
-        load_host_image(made.nodes[0])  # the others take it from there
+        load_host_image(made.nodes[0], mapping=True)  # the others take it from there
         for node in made.nodes[1:]:
             label(made, node, {"rce.feature.cloud": "true"}, "active")
         before = os.environ.get("DOCKER_HOST")
@@ -170,6 +172,14 @@ def run_in(node: Node, tag: str, program: str) -> str:
 def volumes(node: Node) -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = node.api().volumes(filters={"label": "rce.directory"})["Volumes"] or []
     return found
+
+
+async def test_a_map_is_made_on_a_machine_of_the_swarm(platform: Machines, tmp_path: Path) -> None:
+    """The main job, small: in an environment with one core and 1 GiB."""
+    url = platform.master.ready["url"]
+    done = await rce_map("--simulate", "--url", url, "--out", tmp_path / "map", temporary=tmp_path)
+    assert done.status == 0, done.errors
+    assert (tmp_path / "map" / "map.yaml").exists()
 
 
 async def test_a_machine_that_is_cut_off_under_traffic(swarm: Swarm, platform: Machines) -> None:
