@@ -117,10 +117,15 @@ def node_logs(session: Session, words: argparse.Namespace) -> None:
 def _log(session: Session, words: argparse.Namespace, *path: str) -> None:
     query: dict[str, Any] = {"lines": words.lines, "user": words.of}
     if not words.follow:
-        print("\n".join(session.api.get(views.LogLines, *path, **query).lines))
+        _say(session.api.get(views.LogLines, *path, **query))
         return
     for event in session.api.follow(*path, follow=True, **query):
-        print("\n".join(msgspec.json.decode(event.data, type=views.LogLines).lines), flush=True)
+        _say(msgspec.json.decode(event.data, type=views.LogLines))
+
+
+def _say(log: views.LogLines) -> None:
+    for line in log.lines:
+        print(line, flush=True)
 
 
 def param_list(session: Session, words: argparse.Namespace) -> None:

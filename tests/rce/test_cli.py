@@ -1,9 +1,13 @@
 """The command line in a light installation, where the servers' and the mapper's libraries are missing."""
 
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+
+from rce.cli import is_program
 
 WITHOUT = """
 import sys
@@ -33,3 +37,39 @@ def test_an_unknown_command_is_named_with_those_that_exist() -> None:
     assert ended.returncode == 2
     assert "'mapp'" in ended.stderr
     assert "make a map" in ended.stderr
+
+
+@pytest.mark.parametrize(
+    ("line", "program"),
+    [
+        ("robot", True),
+        ("robot --master=tcp:a:1", True),
+        ("robot list", False),
+        ("container --help", True),
+        ("container start -n c1", False),
+        ("master", True),
+        ("user --data-dir=/var/lib/rce/master add ada", True),
+        ("user --database sqlite:// list", True),
+        ("user add ada", False),
+        ("machine --config=/etc/rce/master.toml list", True),
+        ("machine list", False),
+        ("env list", False),
+    ],
+)
+def test_programs_and_the_console_s_commands_of_one_name(line: str, program: bool) -> None:
+    name, *arguments = line.split()
+    assert is_program(name, arguments) is program
+
+
+def test_the_interactive_console_names_what_it_lacks(tmp_path: Path) -> None:
+    """On a terminal; a script needs neither library."""
+    without = WITHOUT.replace('"twisted", "numpy", "rosbags"', '"prompt_toolkit", "rich"')
+    env = os.environ | {"XDG_CONFIG_HOME": str(tmp_path)}
+    master, slave = os.openpty()
+    command = [sys.executable, "-c", without, "console"]
+    ended = subprocess.run(command, stdin=slave, capture_output=True, text=True, timeout=30, env=env)
+    os.close(master)
+    os.close(slave)
+    assert (ended.returncode, "pip install 'rce[console]'" in ended.stderr) == (1, True), ended.stderr
+    script = subprocess.run(command, input="help\n", capture_output=True, text=True, timeout=30, env=env)
+    assert (script.returncode, "env " in script.stdout) == (0, True), script.stderr
