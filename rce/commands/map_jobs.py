@@ -10,14 +10,13 @@ from pathlib import Path
 import msgspec
 
 from rce.client.map_service import MapService
-from rce.commands.platform import access, add_credentials
+from rce.commands.platform import access, add_entry
 from rce.errors import InvalidRequest, NotFound, RceError
 from rce.map_jobs import MAPPERS, OVER, Job, MapOptions
 
 NAMES = ("submit", "status", "fetch", "cancel")
 TICK, LINE_EVERY = 0.2, 5.0  # seconds between signs of progress on a terminal, and elsewhere
 MEGABYTE = 1e6
-ENTRY = "http://127.0.0.1:9000/"
 
 
 def parser() -> argparse.ArgumentParser:
@@ -43,8 +42,7 @@ def parser() -> argparse.ArgumentParser:
         command.add_argument("--json", action="store_true", help="print jobs as JSON")
     for command in (submit, status, fetch, cancel):
         group = command.add_argument_group("platform")
-        group.add_argument("--url", default=ENTRY, help="entry of a running platform (default: %(default)s)")
-        add_credentials(group)
+        add_entry(group)
     return whole
 
 

@@ -15,7 +15,7 @@ import msgspec
 
 from rce import layout
 from rce.archive import Entry
-from rce.commands.platform import access, add_credentials
+from rce.commands.platform import access, add_entry
 from rce.errors import InvalidRequest, StartFailed
 from rce.http import Entry as HttpEntry
 from rce.http import basic
@@ -54,8 +54,7 @@ def parser() -> argparse.ArgumentParser:
     remove.add_argument("name", metavar="NAME[@VERSION]")
     for each in commands.choices.values():
         group = each.add_argument_group("platform")
-        group.add_argument("--url", default="http://127.0.0.1:9000/", help="its entry (default: %(default)s)")
-        add_credentials(group)
+        add_entry(group)
     return whole
 
 

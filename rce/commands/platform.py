@@ -11,24 +11,16 @@ import tempfile
 from collections import deque
 from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import NamedTuple
 
-from rce import up
+from rce import contexts, up
+from rce.contexts import Access as Access
 from rce.errors import InternalError, StartFailed
 from rce.ready import Ready
 
 DEV_USER = "testUser"
+LOCAL = "http://127.0.0.1:9000/"
 LOG_LINES = 20
 ENGINES = ("process", "docker", "swarm")
-
-
-class Access(NamedTuple):
-    """The entry of a platform and the credentials to use there."""
-
-    url: str
-    user: str
-    password: str | None
-    key: str | None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,18 +30,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--engine", choices=ENGINES, default="process", help="of the started platform")
 
 
+def add_entry(group: argparse._ActionsContainer) -> None:
+    """For commands that need a platform that runs."""
+    group.add_argument("--url", default="", help=f"its entry (default: where you are signed in, else {LOCAL})")
+    add_credentials(group)
+
+
 def add_credentials(group: argparse._ActionsContainer) -> None:
     group.add_argument("--user", default=DEV_USER, help="(default: %(default)s)")
     group.add_argument("--password", default=None, help="better: RCE_PASSWORD or RCE_KEY in the environment")
 
 
 def access(words: argparse.Namespace) -> Access:
-    """The running platform of `--url`."""
+    """The running platform of `--url`; else, if no credentials are given either, the one that the user is signed in to,
+    or one of development on this machine.
+    """
     password = words.password or os.environ.get("RCE_PASSWORD")
     key = None if password else os.environ.get("RCE_KEY")
     if password is None and key is None and words.user == DEV_USER:
+        if not words.url and contexts.load().current:
+            return contexts.access()
         password = DEV_USER  # the user of development platforms
-    return Access(words.url, words.user, password, key)
+    return Access(words.url or LOCAL, words.user, password, key)
 
 
 @contextlib.asynccontextmanager

@@ -15,6 +15,7 @@ from twisted.internet.base import ReactorBase
 from rce import contexts
 from rce import messages as m
 from rce.api import Api, ServerEvent, read_events
+from rce.commands import package
 from rce.console.run import DONE, FAILED, WRONG, run
 from rce.console.script import run_script
 from rce.console.session import Session
@@ -76,6 +77,17 @@ async def test_commands_go_where_the_context_says(served: Served, capsys: pytest
     assert await rce("context", "remove", "one") == DONE
     assert contexts.load().current == "two"
     assert await rce("context", "use", "one") == FAILED
+
+
+async def test_other_commands_go_there_too(
+    served: Served, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    await login(served, "ann", "home")
+    monkeypatch.delenv("RCE_PASSWORD")
+    assert await asyncio.to_thread(package.main, ["list", "--json"]) == DONE
+    assert capsys.readouterr().out.splitlines()[-1] == "[]"
+    with pytest.raises(Unauthorized):  # an address that is given has credentials of its own
+        await asyncio.to_thread(package.main, ["list", "--url", served.url])
 
 
 async def test_an_address_on_the_command_line_needs_no_context(served: Served) -> None:
