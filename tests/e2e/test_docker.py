@@ -104,9 +104,8 @@ async def test_two_environments_of_a_user_talk(contained: RealPlatform) -> None:
 
 async def test_as_many_nodes_as_memory_allows(contained: RealPlatform) -> None:
     """Fast DDS takes 64 MB of shared memory for each."""
-    async with contained.robot("r7") as robot, robot.environment("full") as full:
-        for number in range(5):
-            await full.add_node(f"echo{number}", "rce_demo", "echo.py")
+    async with contained.robot("r7") as robot, robot.environment("full", cpu=2) as full:
+        await asyncio.gather(*(full.add_node(f"echo{number}", "rce_demo", "echo.py") for number in range(5)))
         heard = await full.subscriber("/heard", STRING)
         say = await full.publisher("/say", STRING)
         answers: Counter[str] = Counter()
