@@ -14,9 +14,20 @@ from real_platform import USER, RealPlatform
 
 from rce.client import Event, Robot, Stream
 from rce.errors import Unauthorized
+from rce.mapping.robot import MappingRobot
+from rce.mapping.simulation import simulate
 from rce.messages import AddInterface
 
 STRING, IMAGE, TWIST = "std_msgs/String", "sensor_msgs/Image", "geometry_msgs/Twist"
+MAP_PIXELS = """(canvas) => {
+    const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    const seen = { trail: 0, free: 0 };
+    for (let at = 0; at < data.length; at += 4) {
+        if (data[at] === 0xd9 && data[at + 1] === 0x48) seen.trail += 1;
+        if (data[at] === 255 && data[at + 2] === 255) seen.free += 1;
+    }
+    return seen;
+}"""
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +67,44 @@ async def test_wrong_passwords_and_ended_sessions(browser: Any, platform: RealPl
         await page.reload()
         await page.get_by_role("alert").filter(has_text="revoked").wait_for()
         assert "401" in errors.pop()
+
+
+async def test_a_robot_maps_a_building_before_our_eyes(browser: Any, platform: RealPlatform) -> None:
+    recording = simulate().records
+    async with (
+        platform.robot("surveyor") as robot,
+        robot.environment("building") as building,
+        MappingRobot(robot, building) as mapping,
+        signed_in(browser, platform) as page,
+    ):
+        await mapping.prepare({"map_update_interval": 0.5})
+        await page.goto(f"{platform.url}ui/#/map/building")
+        canvas = page.locator("canvas.map")
+        await mapping.drive(recording[:150], lambda _: None)
+        await page.get_by_role("status").filter(has_text="cells of").wait_for()
+        await page.wait_for_function(f"({MAP_PIXELS})(document.querySelector('canvas.map')).trail > 10")
+        early = await canvas.evaluate(MAP_PIXELS)
+        driving = asyncio.create_task(mapping.drive(recording[150:700], lambda _: None))
+        await page.wait_for_function(
+            f"(before) => ({MAP_PIXELS})(document.querySelector('canvas.map')).trail > 1.3 * before", arg=early["trail"]
+        )
+        await page.goto(f"{platform.url}ui/#/")
+        wires = page.get_by_role("button", name=re.compile("connection surveyor/.*scan.*building/"))
+        await wires.filter(has_text=re.compile(r"\d/s")).first.wait_for()
+        await screenshot(page, "graph")
+        await page.get_by_role("link", name="building", exact=True).click()
+        await page.get_by_role("heading", name="building").wait_for()
+        await page.get_by_role("cell", name="rce_mapping mapper").wait_for()
+        await page.locator(".figure").filter(has_text="MB").wait_for()
+        await driving
+        await screenshot(page, "environment")
+        await page.goto(f"{platform.url}ui/#/map/building")
+        await page.wait_for_function(f"({MAP_PIXELS})(document.querySelector('canvas.map')).trail > 10")
+        await screenshot(page, "map")
+        await page.goto(f"{platform.url}ui/#/environments/{USER}/building")
+        platform.kill(platform.pid("rce_mapping/mapper"))
+        await page.locator("#notices").get_by_text("Node building/mapper ended").wait_for()
+        await screenshot(page, "node-died")
 
 
 async def test_interfaces_are_connected_and_disconnected_by_click_and_by_key(

@@ -24,7 +24,7 @@ from rce import __version__, loop
 from rce import calls as c
 from rce import messages as m
 from rce.control import Control, Handlers, connect
-from rce.ready import parse
+from rce.ready import Ready, parse
 
 USERS, ROBOTS, ENVIRONMENTS = 20, 400, 100
 AT_ONCE = 20
@@ -51,14 +51,18 @@ class Around:
         self.environments: dict[str, Control] = {}
         self.robots: Control
 
-    async def join(self, role: str, name: str, token: str, **hello: Any) -> Control:
+    def handlers(self, name: str) -> Handlers:
+        """What the process of this name answers."""
         handlers = Handlers()
         for kind in CONTROL:
             handlers.on(kind, nothing)
         handlers.on(c.Sync, settled)
         handlers.on(c.StartEnvironment, self._start)
+        return handlers
+
+    async def join(self, role: str, name: str, token: str, **hello: Any) -> Control:
         said = c.Hello(role, name, token, __version__, incarnation=secrets.token_hex(4), host="here", **hello)
-        control, _ = await connect(self._reactor, self._address, said, handlers)
+        control, _ = await connect(self._reactor, self._address, said, self.handlers(name))
         return control
 
     async def _start(self, call: c.StartEnvironment) -> c.Nothing:
@@ -69,7 +73,7 @@ class Around:
 
 
 @asynccontextmanager
-async def master(directory: Path, tokens: str) -> AsyncIterator[tuple[asyncio.subprocess.Process, str]]:
+async def master(directory: Path, tokens: str) -> AsyncIterator[tuple[asyncio.subprocess.Process, Ready]]:
     words = [f"--data-dir={directory}", "--http=tcp:0", "--control=tcp:0:interface=127.0.0.1", f"--tokens={tokens}"]
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-P", "-m", "master", *words),
@@ -80,7 +84,7 @@ async def master(directory: Path, tokens: str) -> AsyncIterator[tuple[asyncio.su
     while (ready := parse(await process.stdout.readline())) is None:
         pass
     try:
-        yield process, ready.control
+        yield process, ready
     finally:
         process.terminate()
         await process.wait()
@@ -115,8 +119,8 @@ async def trial(reactor: ReactorBase) -> None:
             await users.add(f"u{number}", "secret")
         keys = [(await users.add_key(f"u{number}"))[0] for number in range(USERS)]
         await store.close()
-        async with master(directory, "robot:west:t1,container:m1:t2") as (process, address):
-            around = Around(reactor, address)
+        async with master(directory, "robot:west:t1,container:m1:t2") as (process, ready):
+            around = Around(reactor, ready.control)
             robots = await around.join("robot", "west", "t1", url="ws://:1/", addresses=["unix:/w"])
             await around.join("container", "m1", "t2", capacity=10 * ENVIRONMENTS)
 
