@@ -19,15 +19,13 @@ from rce.mapping.simulation import simulate
 from rce.messages import AddInterface
 
 STRING, IMAGE, TWIST = "std_msgs/String", "sensor_msgs/Image", "geometry_msgs/Twist"
-MAP_PIXELS = """(canvas) => {
+TRAIL = """(canvas) => {
     const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
-    const seen = { trail: 0, free: 0 };
-    for (let at = 0; at < data.length; at += 4) {
-        if (data[at] === 0xd9 && data[at + 1] === 0x48) seen.trail += 1;
-        if (data[at] === 255 && data[at + 2] === 255) seen.free += 1;
-    }
-    return seen;
+    let count = 0;
+    for (let at = 0; at < data.length; at += 4) if (data[at] === 0xd9 && data[at + 1] === 0x48) count += 1;
+    return count;
 }"""
+"""Pixels in the colour of the robot's trail."""
 
 
 @pytest.fixture(scope="module")
@@ -69,27 +67,39 @@ async def test_wrong_passwords_and_ended_sessions(browser: Any, platform: RealPl
         assert "401" in errors.pop()
 
 
+async def trail(canvas: Any, most: float) -> int:
+    """Wait until the trail has more pixels than that; how many it has then."""
+    async with asyncio.timeout(60):
+        while True:  # the policy of the page keeps Playwright from waiting in it
+            count: int = await canvas.evaluate(TRAIL)
+            if count > most:
+                return count
+            await asyncio.sleep(0.2)
+
+
+@asynccontextmanager
+async def prepared(mapping: MappingRobot) -> AsyncIterator[None]:
+    await mapping.prepare({"map_update_interval": 0.5})
+    yield
+
+
 async def test_a_robot_maps_a_building_before_our_eyes(browser: Any, platform: RealPlatform) -> None:
-    recording = simulate().records
+    recording = simulate().records[:700]
     async with (
         platform.robot("surveyor") as robot,
         robot.environment("building") as building,
         MappingRobot(robot, building) as mapping,
+        prepared(mapping),
         signed_in(browser, platform) as page,
     ):
-        await mapping.prepare({"map_update_interval": 0.5})
         await page.goto(f"{platform.url}ui/#/map/building")
         canvas = page.locator("canvas.map")
-        await mapping.drive(recording[:150], lambda _: None)
+        driving = asyncio.create_task(mapping.drive(recording, lambda _: None))
         await page.get_by_role("status").filter(has_text="cells of").wait_for()
-        await page.wait_for_function(f"({MAP_PIXELS})(document.querySelector('canvas.map')).trail > 10")
-        early = await canvas.evaluate(MAP_PIXELS)
-        driving = asyncio.create_task(mapping.drive(recording[150:700], lambda _: None))
-        await page.wait_for_function(
-            f"(before) => ({MAP_PIXELS})(document.querySelector('canvas.map')).trail > 1.3 * before", arg=early["trail"]
-        )
+        early = await trail(canvas, 10)
+        await trail(canvas, 1.3 * early)
         await page.goto(f"{platform.url}ui/#/")
-        wires = page.get_by_role("button", name=re.compile("connection surveyor/.*scan.*building/"))
+        wires = page.get_by_role("button", name=re.compile("connection surveyor.*scan"))
         await wires.filter(has_text=re.compile(r"\d/s")).first.wait_for()
         await screenshot(page, "graph")
         await page.get_by_role("link", name="building", exact=True).click()
@@ -99,7 +109,7 @@ async def test_a_robot_maps_a_building_before_our_eyes(browser: Any, platform: R
         await driving
         await screenshot(page, "environment")
         await page.goto(f"{platform.url}ui/#/map/building")
-        await page.wait_for_function(f"({MAP_PIXELS})(document.querySelector('canvas.map')).trail > 10")
+        await trail(canvas, 10)
         await screenshot(page, "map")
         await page.goto(f"{platform.url}ui/#/environments/{USER}/building")
         platform.kill(platform.pid("rce_mapping/mapper"))
