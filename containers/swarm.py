@@ -15,7 +15,6 @@ import secrets
 from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from weakref import WeakValueDictionary
 
 from twisted.internet.base import ReactorBase
 from twisted.logger import Logger
@@ -101,10 +100,9 @@ class SwarmEngine(Engine):
         self._manager = Manager(self._labels)
         self._fleet = Fleet(self._manager, self._labels, features, directory / "swarm.json", agent, tls)
         self._places: dict[str, _Place] = {}
-        self._looking: set[asyncio.Task[None]] = set()
-        self._tidying: set[asyncio.Task[None]] = set()  # what is removed while nobody waits for it
+        self._looking: set[asyncio.Task[object]] = set()
+        self._tidying: set[asyncio.Task[object]] = set()  # what is removed while nobody waits for it
         self._following = asyncio.Event()
-        self._network_locks: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
 
     @property
     def relays(self) -> list[str]:
@@ -141,8 +139,7 @@ class SwarmEngine(Engine):
             self._nameservers,
         )
         place = self._places[spec.name] = _Place(spec.run)
-        async with self._lock_of(network.name):
-            await self._manager.make(service, task, labels, network)
+        await self._manager.make(service, task, labels, network)
         try:
             async with asyncio.timeout(START_TIMEOUT):
                 place.node = await self._manager.running(spec.name, service)
@@ -213,19 +210,7 @@ class SwarmEngine(Engine):
         if not await self._fleet.clear(found.node, found.run):
             await self._no_task(found.service)
             await self._fleet.agents.clear_everywhere(found.run)
-        self._look(self._remove_network(found.network), self._tidying)
-
-    async def _remove_network(self, name: str) -> None:
-        """That of a group goes with its last member."""
-        async with self._lock_of(name):
-            if all(found.network != name for found in await self._manager.present()):
-                await self._manager.remove_network(name)
-
-    def _lock_of(self, network: str) -> asyncio.Lock:
-        lock = self._network_locks.get(network)
-        if lock is None:
-            lock = self._network_locks[network] = asyncio.Lock()
-        return lock
+        self._look(self._manager.release(found.network), self._tidying)
 
     async def _no_task(self, service: str) -> None:
         try:
@@ -269,16 +254,12 @@ class SwarmEngine(Engine):
                 "/etc/docker/daemon.json",
                 node=self._fleet.nodes[node].name if node in self._fleet.nodes else node,
             )
-        self._look(self._spread())
+        self._look(self._fleet.spread(reference(self._image)))  # most environments need not wait for it then
         for name, place in self._places.items():
             if place.run in report.runs:
                 place.settle()
             elif place.node == node and place.settled.done():
                 self._look(self._check(name, place.run))
-
-    async def _spread(self) -> None:
-        """Most environments are of this image, and need not wait for it."""
-        await self._fleet.spread(reference(self._image))
 
     async def _check(self, name: str, run: str) -> None:
         """An agent does not see an environment: it had ended while no agent was there, or it has only just begun."""
@@ -306,13 +287,13 @@ class SwarmEngine(Engine):
                 if not place.settle(StartFailed(f"environment {name} did not start: {why}")):
                     self.died(name, place.run, why, None)
 
-    def _look(self, work: Coroutine[None, None, None], among: set[asyncio.Task[None]] | None = None) -> None:
+    def _look(self, work: Coroutine[None, None, object], among: set[asyncio.Task[object]] | None = None) -> None:
         tasks = self._looking if among is None else among
         task = asyncio.create_task(work)
         tasks.add(task)
         task.add_done_callback(tasks.discard)
         task.add_done_callback(self._looked)
 
-    def _looked(self, task: asyncio.Task[None]) -> None:
+    def _looked(self, task: asyncio.Task[object]) -> None:
         if not task.cancelled() and (error := task.exception()):
             log.error("the swarm could not be asked: {error}", error=str(error))

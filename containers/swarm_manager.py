@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
+from weakref import WeakValueDictionary
 
 from docker.errors import APIError, NotFound
 from docker.types import IPAMConfig, IPAMPool
@@ -68,6 +69,7 @@ class Manager(Asked):
         self._labels = dict(labels)
         self._filter = [f"{key}={value}" for key, value in labels.items()]
         self._events: Events | None = None
+        self._locks: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()  # of networks
         self.address = ""
         self.root = ""
 
@@ -108,7 +110,20 @@ class Manager(Asked):
 
     async def make(self, name: str, task: Mapping[str, Any], labels: Mapping[str, str], network: Network) -> None:
         """A service of one task, and its network unless that is there. StartFailed, TimedOut, Unavailable."""
-        await self._call(lambda: self._make(name, dict(task), {**self._labels, **labels}, network))
+        async with self._lock_of(network.name):
+            await self._call(lambda: self._make(name, dict(task), {**self._labels, **labels}, network))
+
+    async def release(self, network: str) -> None:
+        """Remove a network unless an environment is in it: that of a group goes with its last member."""
+        async with self._lock_of(network):
+            if all(found.network != network for found in await self.present()):
+                await self.remove_network(network)
+
+    def _lock_of(self, network: str) -> asyncio.Lock:
+        lock = self._locks.get(network)
+        if lock is None:
+            lock = self._locks[network] = asyncio.Lock()
+        return lock
 
     async def running(self, name: str, service: str) -> str:
         """The node on which the task of a service runs, once it does. NoCapacity, StartFailed."""
