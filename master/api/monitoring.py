@@ -9,11 +9,10 @@ from urllib.parse import quote
 
 from msgspec import Struct
 
-from master import exposition, inventory, rights
-from master.api.acting import principal
+from master import exposition, inventory
+from master.api.acting import platform
 from master.api.calls import Answer, Call
 from master.api.router import Api, Route
-from master.rights import NOBODY
 from master.service import Master
 from rce import metrics
 from rce.errors import NotFound
@@ -59,7 +58,7 @@ class Monitoring:
         return Answer(Health("missing", missing), 503) if missing else Answer(Health("ok"))
 
     async def own(self, call: Call) -> Answer:
-        _check(call)
+        platform(call, "metrics.read")
         return _text(metrics.families("master", lambda: inventory.families(self._master.shown)))
 
     async def of_process(self, call: Call) -> Answer:
@@ -69,14 +68,14 @@ class Monitoring:
         return await self._of(call, f"{call.path['user']}/{call.path['environment']}")
 
     async def _of(self, call: Call, name: str) -> Answer:
-        _check(call)
+        platform(call, "metrics.read")
         if name not in self._master.state.processes:
             raise NotFound(f"there is no process {name[:200]!r}")
         return _text(await self._master.metrics_of(name))
 
     async def targets(self, call: Call) -> Answer:
         """Each process that has joined, and the Master, all at this address."""
-        _check(call)
+        platform(call, "metrics.read")
         here = call.request.getHeader("host") or ""
         scheme = "https" if call.request.isSecure() else "http"
         state = self._master.state
@@ -84,10 +83,6 @@ class Monitoring:
         found = [_target(here, scheme, "master", "master", PATH)]
         found += [_target(here, scheme, name, role, f"{PATH}/{quote(name)}") for name, role in joined]
         return Answer(found)
-
-
-def _check(call: Call) -> None:
-    rights.check(principal(call), "metrics.read", NOBODY)
 
 
 def _target(here: str, scheme: str, name: str, role: str, path: str) -> Target:

@@ -226,6 +226,10 @@ class World:
         path = path.format(**names)
         if case.whose == "query" and user != asker:
             path += f"?user={user}"
+        return await self.at(method, "/api/v1" + path, body)
+
+    async def at(self, method: str, path: str, body: Any = None) -> tuple[int, Any]:
+        """Status and JSON at a path of the entry."""
         return await asyncio.to_thread(self._ask, method, path, body)
 
     def _ask(self, method: str, path: str, body: Any) -> tuple[int, Any]:
@@ -233,10 +237,9 @@ class World:
         headers = {"Authorization": f"Bearer {self.secret}", "Connection": "close", "Content-Type": "application/json"}
         content = None if body is None else json.dumps(body)
         try:
-            connection.request(method, "/api/v1" + path, content, headers)
+            connection.request(method, path, content, headers)
             answer = connection.getresponse()
-            stream = answer.headers.get_content_type() == "text/event-stream"
-            text = b"" if stream else answer.read()
+            text = answer.read() if "json" in answer.headers.get_content_type() else b""
             return answer.status, json.loads(text) if text else None
         finally:
             connection.close()

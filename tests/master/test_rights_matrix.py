@@ -128,6 +128,19 @@ async def test_lists_have_what_one_may_see(world: World) -> None:
         assert {tag for _, tag in seen["GET /connections"]} == tags
 
 
+@pytest.mark.parametrize("name", ACTORS)
+async def test_metrics_beside_the_api(world: World, name: str) -> None:
+    actor = ACTORS[name]
+    await world.begin(actor)
+    good = 200 if actor.column in ("operator", "admin", "metrics") else 401 if actor.column == "expired" else 403
+    for path in ("/metrics", "/metrics/targets"):
+        assert (await world.at("GET", path))[0] == good
+    missing = [await world.at("GET", path) for path in ("/metrics/nothing", "/metrics/bob/nothing")]
+    assert [status for status, _ in missing] == [404 if good == 200 else good] * 2
+    if good != 200:
+        assert await world.at("GET", "/metrics/bob/brain") == missing[1]
+
+
 # --- robots -----------------------------------------------------------------------------------------------------------
 
 
