@@ -1,8 +1,10 @@
 """How long messages stay in this process, and single messages followed through it.
 
-A message knows when it came into the process (`Message.since`). It leaves at the end of its pieces, so what is measured
-is conversion, waiting and writing. Messages of interfaces that somebody follows are noted besides: the hops of one
-message in several processes are joined by its id (`rce trace`).
+A message knows when it came into the process (`Message.since`). Towards a link, what is measured is conversion and
+waiting; towards a robot or ROS, these and writing.
+
+Messages of interfaces that somebody follows are noted besides: the hops of one message in several processes are joined
+by its id (`rce trace`).
 """
 
 from __future__ import annotations
@@ -39,7 +41,7 @@ class Watch:
         self._followed: dict[bytes, list[_Trace]] = {}  # by interface; empty while nobody follows
 
     def left(self, message: Message) -> None:
-        """It has gone out over a link."""
+        """It begins to go out over a link."""
         self._to_link.since(message.since)
         if message.source in self._followed:
             self._note(message.source, message, "entered", message.since)

@@ -100,7 +100,7 @@ class StreamLink(asyncio.BufferedProtocol):
         throttle: Throttle | None = None,
     ) -> None:
         """`lost` is called once, if the link breaks or does not open; not when it is closed on purpose. `left` is
-        called with each message that has gone out.
+        called with each message that begins to go out.
 
         `throttle` is for what comes in, perhaps together with other links.
         """
@@ -154,8 +154,8 @@ class StreamLink(asyncio.BufferedProtocol):
         return self._outbox.put(message.source, self._pieces(message), keep)
 
     def _pieces(self, message: Message) -> Iterator[list[Buffer]]:
-        yield from pieces(message, next(self._streams))
         self._left(message)
+        yield from pieces(message, next(self._streams))
 
     def room(self, source: bytes) -> asyncio.Future[None] | None:
         return self._outbox.room(source)

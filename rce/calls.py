@@ -248,7 +248,8 @@ class CountTraffic(Call[Traffic], frozen=True):
 
 
 Hop = Literal["entered", "sent", "received", "delivered"]
-"""Of a message at an endpoint: it came from the robot or ROS; went out over a link; came in; went to robot or ROS."""
+"""Of a message at an endpoint: it came from the robot or ROS; begins to go out over a link; came in; went to robot or
+ROS."""
 
 
 class Passage(Struct, frozen=True):
