@@ -62,9 +62,9 @@ def _converse(env: dict[str, str]) -> None:
     with on_terminal("console", env=env) as console:
         console.until(">")
         console.type("env sho\t")
-        console.until(r"sho\s*w")
+        console.until("w")
         console.type(" con\t")
-        console.until(r"con\s*sole_brain")
+        console.until("sole_brain")
         console.type("\r")
         console.until("containerTag +console_brain")
         console.type("robot lst\r")
