@@ -185,6 +185,7 @@ async def test_everything_is_made_and_ended_by_click(browser: Any, platform: Rea
         await dialog.get_by_label("Topic or service").fill("/heard")
         await dialog.get_by_role("button", name="Create").click()
         await page.get_by_role("cell", name="/heard").wait_for()
+        await dialog.wait_for(state="detached")
         await screenshot(page, "environment-dark")
         await page.get_by_role("button", name="Stop echo").click()
         await page.get_by_text("No nodes run here").wait_for()
@@ -273,3 +274,6 @@ async def test_keys_of_ones_own(browser: Any, platform: RealPlatform) -> None:
         await page.get_by_role("cell", name="dashboard").first.wait_for()
         assert await page.get_by_role("link", name="Users").count() == 0
         await screenshot(page, "keys")
+        await page.get_by_role("link", name="Audit").click()
+        await page.get_by_role("cell", name="key.create").first.wait_for()
+        await screenshot(page, "audit")
