@@ -44,7 +44,9 @@ LEFT_OUT = (
 )
 
 
-async def test_random_requests_get_what_the_document_says(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_random_requests_get_what_the_document_says(
+    served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """schemathesis with a seed: good and bad requests to each operation, as an operator who has a robot."""
     monkeypatch.setattr(served.master.users.throttle, "check", lambda name, address: None)  # it tries bad passwords
     await served.robot("olga", "r1")
@@ -58,7 +60,11 @@ async def test_random_requests_get_what_the_document_says(served: Served, monkey
         *("--exclude-operation-id", "delete_api_v_keys_key", "--exclude-operation-id", "post_api_v_keys_key_rotate"),
     ]
     process = await asyncio.create_subprocess_exec(
-        *words, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT
+        *words,
+        cwd=tmp_path,
+        stdin=asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.STDOUT,
     )
     try:
         output, _ = await asyncio.wait_for(process.communicate(), 180)
