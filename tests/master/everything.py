@@ -79,6 +79,7 @@ CASES: dict[str, Case | None] = {
     ),
     "GET /interfaces/{owner}/{interface}": Case("interface.read"),
     "DELETE /interfaces/{owner}/{interface}": Case("interface.remove"),
+    "GET /interfaces/{owner}/{interface}/trace": Case("trace.read"),
     "GET /connections": Case("connection.read"),
     "POST /connections": Case("connection.create", body={"tagA": "r1/spare", "tagB": "brain/spare"}),
     "GET /connections/{ownerA}/{interfaceA}/{ownerB}/{interfaceB}": Case("connection.read"),
@@ -224,8 +225,10 @@ class World:
             name = "rate" if there else "norate"
         names = tags | {"name": name, "key": self.keys.get(user, "0123") if there else "beef"}
         path = path.format(**names)
+        query = ["seconds=0"] if path.endswith("/trace") else []
         if case.whose == "query" and user != asker:
-            path += f"?user={user}"
+            query.append(f"user={user}")
+        path += "?" * bool(query) + "&".join(query)
         return await self.at(method, "/api/v1" + path, body)
 
     async def at(self, method: str, path: str, body: Any = None) -> tuple[int, Any]:
