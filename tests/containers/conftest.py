@@ -6,7 +6,7 @@ import io
 import shutil
 import subprocess
 import tarfile
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +47,12 @@ def load(host: str, layer: bytes) -> None:
 def stand_in_image(docker_host: str, stand_in: bytes) -> str:
     load(docker_host, stand_in)
     return STAND_IN
+
+
+@pytest.fixture(scope="session")
+def load_stand_in(stand_in: bytes) -> Callable[[str], None]:
+    """For a daemon of a test's own."""
+    return lambda host: load(host, stand_in)
 
 
 @pytest.fixture(scope="session")

@@ -104,7 +104,7 @@ async def platform(inside: Any, tmp_path_factory: pytest.TempPathFactory) -> Asy
     directory = tmp_path_factory.mktemp("networked")
     (directory / "data" / "master").mkdir(parents=True)
     for user, egress in (("ann", "none"), ("bob", "none"), ("net", "internet"), ("wide", "all")):
-        rce_user(directory, "add", user, given=f"{user}\n")
+        rce_user(directory, "add", user, given=f"{password(user)}\n")
         if egress != "none":
             rce_user(directory, "limits", user, f"egress={egress}")
     rce_user(directory, "limits", "ann", f"images={MPI_IMAGE}")
@@ -124,13 +124,17 @@ def rce_user(directory: Path, *words: str, given: str = "") -> None:
     subprocess.run(command, input=given, text=True, check=True, stdout=subprocess.DEVNULL)
 
 
+def password(user: str) -> str:
+    return f"{user} and its robots"
+
+
 def said(*command: str) -> str:
     """In this thread, which is on the island."""
     return subprocess.check_output(command, text=True)
 
 
 def robot(platform: RealPlatform, user: str, name: str) -> Robot:
-    return Robot(platform.url, user=user, robot=name, password=user, timeout=90)
+    return Robot(platform.url, user=user, robot=name, password=password(user), timeout=90)
 
 
 def seen(api: Any, platform: RealPlatform) -> dict[str, Inside]:
