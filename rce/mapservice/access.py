@@ -25,6 +25,9 @@ log = Logger()
 class Master(Protocol):
     """The control connection."""
 
+    @property
+    def connected(self) -> bool: ...
+
     async def call(self, call: Call[Any], wait: float = ...) -> Any: ...
 
 
@@ -46,6 +49,11 @@ class Access:
         self._asked: dict[bytes, asyncio.Task[Person]] = {}
         self._notes: set[asyncio.Task[None]] = set()
         self._doubts: dict[str, asyncio.Future[None]] = {}
+
+    @property
+    def reachable(self) -> bool:
+        """Whether the Master is there."""
+        return self._master().connected
 
     async def client(
         self, headers: Mapping[str, str], query: Mapping[str, str], operation: str = "job.submit", address: str = ""

@@ -15,8 +15,8 @@ from rce.calls import ForgetProofs, Nothing
 from rce.control import Handlers
 from rce.errors import InvalidRequest
 from rce.map_jobs import PREFIX
+from rce.mapservice import health, openapi
 from rce.mapservice import jobs as jobs_module
-from rce.mapservice import openapi
 from rce.mapservice import uploads as uploads_module
 from rce.mapservice.access import Access, Master
 from rce.mapservice.jobs import Jobs, Workers
@@ -60,6 +60,7 @@ class MapService:
         rest = Rest(access, self.uploads, self.jobs)
         openapi.add(application, openapi.routes(rest), rest.asked)
         Soap(access, self.uploads, self.jobs).add(application)
+        health.add(application, access)
         self._runner = web.AppRunner(
             application, handle_signals=False, access_log=None, shutdown_timeout=SHUTDOWN, read_bufsize=READ_AHEAD
         )

@@ -29,6 +29,10 @@ class FakeMaster:
         self.calls: list[c.Call[Any]] = []
         self.grants: dict[str, str] = {}
 
+    @property
+    def connected(self) -> bool:
+        return self.away is None
+
     async def call(self, call: c.Call[Any], wait: float = 10.0) -> Any:
         self.calls.append(call)
         if self.away is not None:

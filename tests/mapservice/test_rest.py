@@ -45,6 +45,17 @@ async def test_tus_step_by_step(service: Service) -> None:
     assert (await service.ask("HEAD", place)).status == 404
 
 
+async def test_whether_it_is_well_needs_no_credentials(service: Service) -> None:
+    root = service.url.removesuffix("/map-service")
+    for path in ("/healthz", "/readyz"):
+        async with service.session.get(root + path) as answer:
+            assert (answer.status, await answer.json()) == (200, {"status": "ok", "missing": []})
+    service.master.away = Unavailable("it is away")
+    async with service.session.get(root + "/readyz") as answer:
+        assert answer.status == 503
+        assert "Master" in (await answer.json())["missing"][0]
+
+
 async def test_a_broken_connection_costs_nothing_that_had_come(service: Service) -> None:
     headers = {**TUS, "Upload-Length": str(len(LOG)), **metadata("a.log")}
     place = (await service.ask("POST", "/uploads", headers=headers)).headers["Location"]
@@ -271,7 +282,7 @@ async def test_the_document_is_openapi_and_names_every_route(service: Service) -
     own = {
         (method, path)
         for method, path in routes
-        if path.rstrip("/") not in ("/map-service", "/map-service/openapi.json")
+        if path.rstrip("/") not in ("/map-service", "/map-service/openapi.json", "/healthz", "/readyz")
     }
     assert described == own
     job = document["components"]["schemas"]["Job"]
