@@ -17,6 +17,7 @@ from typing import Any
 import msgspec
 import pytest
 import rclpy
+from domains import domain
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.context import Context
@@ -32,16 +33,16 @@ from rce.mapping.recordings.bags import Bag
 from rce.mapping.scans import Scan
 from rce.mapping.simulation import simulate
 
-DOMAINS = {"rover": 211, "lander": 212}
+ROBOTS = ("rover", "lander")
 
 
 class RobotRos:
     """The nodes of one robot, in its ROS domain: what was heard on each topic."""
 
-    def __init__(self, domain: int) -> None:
+    def __init__(self, number: int) -> None:
         self.heard: dict[str, list[Any]] = {}
         self._context = Context()
-        rclpy.init(context=self._context, domain_id=domain, args=[])
+        rclpy.init(context=self._context, domain_id=number, args=[])
         self.node = rclpy.create_node("robot", context=self._context, enable_rosout=False)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
@@ -72,7 +73,7 @@ class RobotRos:
 def robots(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, RobotRos]]:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.syspath_prepend(build(shipped()).prefix / "python")
-    found = {name: RobotRos(domain) for name, domain in DOMAINS.items()}
+    found = {name: RobotRos(domain(name)) for name in ROBOTS}
     yield found
     for robot in found.values():
         robot.stop()
@@ -87,7 +88,7 @@ async def bridge(platform: RealPlatform, robot: str, directory: Path, **config: 
     file.write_bytes(msgspec.json.encode(whole))
     log = directory / f"{robot}.log"
     words = [sys.executable, "-P", "-m", "endpoints.bridge", str(file), "--typesupport", str(typesupport.prefix)]
-    variables = {"ROS_DOMAIN_ID": str(DOMAINS[robot]), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    variables = {"ROS_DOMAIN_ID": str(domain(robot)), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     with log.open("w") as output:
         process = await asyncio.create_subprocess_exec(*words, env=os.environ | variables, stderr=output)
     try:

@@ -15,8 +15,8 @@ from raw_robot import PASSWORD, USER, Json, Robot, dm, eventually, status
 from websockets.asyncio.client import connect
 
 from endpoints.robot import server
-from endpoints.robot.__main__ import Settings, _tls
 from rce.blobs import PART
+from rce.tls import public
 
 ID, OTHER = "0a" * 16, "0b" * 16
 BYTES = "std_msgs/UInt8MultiArray"
@@ -349,8 +349,7 @@ async def test_a_robot_without_a_sign_of_life_is_given_up(make_platform: Any, mo
 
 async def test_wss(platform: Platform, tmp_path: Path) -> None:
     certificate, key = _self_signed(tmp_path)
-    settings = Settings(data_dir=tmp_path, certificate=str(certificate), private_key=str(key))
-    secure = await server.listen(platform.endpoint, "127.0.0.1", 0, _tls(settings))
+    secure = await server.listen(platform.endpoint, "127.0.0.1", 0, public(str(certificate), str(key)))
     port = secure.sockets[0].getsockname()[1]
     trust = ssl.create_default_context(cafile=str(certificate))
     url = f"wss://localhost:{port}/?userID={USER}&robotID=a&password={PASSWORD}"

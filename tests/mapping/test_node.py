@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import importlib
 import math
-import os
 import sys
 from array import array
 from collections.abc import Callable, Iterator
@@ -15,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from domains import domain
 
 from provisioning import typesupport
 from rce.mapping.scans import Scan
@@ -108,7 +108,7 @@ def robot(monkeypatch: pytest.MonkeyPatch, parameters: list[str]) -> Iterator[Ro
         sys, "path", [str(PACKAGE), str(typesupport.build(typesupport.shipped()).prefix / "python"), *sys.path]
     )
     words = [word for each in parameters for word in ("-p", each)]
-    rclpy.init(args=["--ros-args", *words], domain_id=os.getpid() % 100 + 1)
+    rclpy.init(args=["--ros-args", *words], domain_id=domain("mapping"))
     robot = Robot([Parameter("map_update_interval", value=3600.0)])
     yield robot
     robot.close()

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from array import array
 from collections.abc import Callable
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from domains import domain
 
 from rce.mapping.simulation import Simulation
 
@@ -32,7 +32,7 @@ NAMES = "one", "two"
 def test_each_robot_is_answered_under_its_name(monkeypatch: pytest.MonkeyPatch, simulation: Simulation) -> None:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setattr(sys, "path", [str(PACKAGE), *sys.path])
-    rclpy.init(args=["--ros-args", "-p", "robots:=[one, two]"], domain_id=os.getpid() % 100 + 1)
+    rclpy.init(args=["--ros-args", "-p", "robots:=[one, two]"], domain_id=domain("mapping"))
     from rce_mapping.map_output import LATCHED
     from rce_mapping.team import TeamNode
 

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from domains import domain
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from provisioning import typesupport as module
@@ -27,7 +28,7 @@ PARAMETERS = ("int:=99", "str:=hello", "float:=2.5", "bool:=true", "list:=[1, 2,
 
 def environment(support: TypeSupport) -> dict[str, str]:
     """PYTHONPATH is all that a program needs; the rest keeps these programs among themselves."""
-    own = {"ROS_DOMAIN_ID": str(40 + os.getpid() % 50), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    own = {"ROS_DOMAIN_ID": str(domain("types")), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     return {**os.environ, **own, "PYTHONPATH": str(support.python_path)}
 
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
+from domains import domain
 from twisted.internet.base import ReactorBase
 from twisted.internet.interfaces import IListeningPort
 
@@ -23,7 +24,6 @@ from rce.calls import Call, Hello, InterfaceSpec, LinkSpec, Route, Welcome
 from rce.errors import Unauthorized
 from rce.messages import Qos
 
-DOMAIN = "62"
 NAME = "user/env"
 RUN = "ab" * 16
 PACKAGES = Path(__file__).parent / "packages"
@@ -170,7 +170,7 @@ async def start(reactor: ReactorBase, directory: Path, **more: str) -> tuple[Fak
             **os.environ,
             **{f"RCE_{key.upper()}": value for key, value in settings.items()},
             "HOME": str(directory / "home"),
-            "ROS_DOMAIN_ID": DOMAIN,
+            "ROS_DOMAIN_ID": str(domain("environment")),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
         },
