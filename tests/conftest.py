@@ -27,7 +27,7 @@ asyncio.set_event_loop_policy(uvloop.EventLoopPolicy())
 OF_DOCKER = {"docker_host", "images", "island", "swarm", "one_machine", "stand_in_image"}
 
 
-@pytest.hookimpl(trylast=True)
+@pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """For runs in several processes (`-n 2 --dist loadgroup`): what needs Docker is one group and comes first, since
     daemons and images are made once in a process; else a file is one.

@@ -210,6 +210,7 @@ class RawSubscription(_Topic):
         self._seen = {gid: number for gid, number in self._seen.items() if gid in gids}
         profile = for_subscription(self._qos, speakers)
         if speakers and profile != self._profile:
+            self._profile = profile  # what is taken now does not come again: if it is latched, it is to be kept
             self._drain()
             self._ros.node.destroy_subscription(self._subscription)
             self._make(profile)
@@ -237,9 +238,9 @@ class RawSubscription(_Topic):
         self._index = wait_set.add_subscription(self._subscription.handle) if self._flow else None
 
     def take(self, wait_set: _rclpy.WaitSet) -> None:
+        super().take(wait_set)  # first who speaks, then what was said: only so it is known what to keep
         if self._index is not None and wait_set.is_ready("subscription", self._index):
             self._drain(AT_ONCE)
-        super().take(wait_set)
 
     def _drain(self, most: int = -1) -> None:
         while self._flow and most:

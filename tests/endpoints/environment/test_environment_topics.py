@@ -64,6 +64,17 @@ async def test_a_latched_topic_is_followed_when_its_publisher_comes_later(master
     await master.call(c.StopNode("later"))
 
 
+async def test_late_peers_hear_a_latched_topic_that_is_younger_than_the_interface(master: FakeMaster) -> None:
+    bound = await master.bind("SubscriberInterface", "std_msgs/String", "/younger/latched")
+    first = await master.connect(bound)
+    await master.call(c.StartNode(c.NodeSpec("younger", "probe", "echo.py", "once_heard", namespace="/younger")))
+    assert text(await first.next()) == "kept"
+    second = await master.connect(bound)
+    assert text(await second.next()) == "kept"
+    assert first.got.empty()
+    await master.call(c.StopNode("younger"))
+
+
 async def test_nobody_hears_himself(master: FakeMaster) -> None:
     said = await master.interface("PublisherInterface", "std_msgs/String", "back")
     heard = await master.interface("SubscriberInterface", "std_msgs/String", "back")

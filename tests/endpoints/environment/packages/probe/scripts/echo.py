@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import sys
+import time
 
 import rclpy
 from rcl_interfaces.msg import SetParametersResult
@@ -26,7 +27,10 @@ class Echo(Node):
         back = self.create_publisher(String, "back", qos)
         self.create_subscription(String, "there", back.publish, qos)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self.create_publisher(String, "latched", latched).publish(String(data="kept"))
+        kept = self.create_publisher(String, "latched", latched)
+        while "once_heard" in sys.argv and not kept.get_subscription_count():
+            time.sleep(0.0001)  # to publish in the very moment in which a subscription is there
+        kept.publish(String(data="kept"))
         self.create_service(SetBool, "flip", self.flip)
         self.declare_parameter("speed", 1.0)
         self.declare_parameter("words", ["none"])
