@@ -34,7 +34,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """
     items.sort(key=lambda item: not _needs_docker(item))
     for item in items:
-        group = "docker" if _needs_docker(item) else str(item.path)
+        group = "docker" if _needs_docker(item) else item.path.name
         item.add_marker(pytest.mark.xdist_group(group))
 
 
