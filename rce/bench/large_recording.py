@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import secrets
 import shutil
 import subprocess
 import time
@@ -136,8 +137,9 @@ def _whole_job(service: MapService, recording: Path) -> Job:
 def add_user(directory: Path) -> str:
     """Make another user in the Master's database; the password."""
     words = [*programs.command("user"), "--data-dir", str(directory), "add", OTHER]
-    subprocess.run(words, input=OTHER.encode(), check=True, capture_output=True)
-    return OTHER
+    password = secrets.token_hex(16)
+    subprocess.run(words, input=password.encode(), check=True, capture_output=True)
+    return password
 
 
 def service_process() -> int:

@@ -92,10 +92,11 @@ def try_all(targets: list[tuple[str, str, int]]) -> list[tuple[str, str, int]]:
 def knock(directory: str) -> list[str]:
     """What the data ports of other endpoints say to a guessed key."""
     said = []
-    for name in sorted(os.listdir(directory)):
+    os.chdir(directory)  # the path of a socket may not be long
+    for name in sorted(os.listdir()):
         with socket.socket(socket.AF_UNIX) as line:
             line.settimeout(5)
-            line.connect(os.path.join(directory, name))
+            line.connect(name)
             line.sendall(b"RCE1" + b"guessed guessed!")
             try:
                 said.append(line.recv(100).hex())

@@ -73,6 +73,7 @@ def _converse(env: dict[str, str]) -> None:
         console.until("rce_demo/echo")
         console.until("rce_demo/echo")
         console.type("\x03")
+        console.until("[0-9]>")
         console.type("exit\r")
         console.wait()
 

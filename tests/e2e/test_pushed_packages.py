@@ -17,7 +17,7 @@ from rce.http import Entry, basic
 from rce.packages import Packages
 
 TEST_PACKAGE = Path(__file__).parents[1] / "ros" / "Test"
-OTHER, PASSWORD = "bob", "secret"
+OTHER, PASSWORD = "bob", "sailing in winter"
 OTHER_NODE = "other.py"
 STRING_ECHO = "Test/StringEcho"
 

@@ -45,7 +45,7 @@ def test_dry_run_of_test_prints_the_plan_and_touches_nothing(checkout: Path) -> 
     names = ["system packages", "virtual env", "python packages", "type support"]
     checks = ["ruff check", "ruff format", "mypy", "mypy provision", "run"]
     assert [line[:16].strip() for line in lines] == names + checks
-    assert lines[-1].endswith("-m pytest -k 'some thing' tests/rce")
+    assert lines[-1].endswith(f"-m pytest {' '.join(development.IN_TWO_PROCESSES)} -k 'some thing' tests/rce")
     assert f"make {checkout}/.venv" in lines[1]
 
 
