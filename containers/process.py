@@ -115,10 +115,18 @@ class ProcessEngine(Engine):
             await asyncio.to_thread(shutil.rmtree, directory)
         self._remove_empty(self._root / name)
         if environment is not None:
-            self._let_go(self._environments.pop(name))
-            domain = environment.state.domain
-            shared = any(other.state.domain == domain for other in self._environments.values())
-            await asyncio.to_thread(_clean_shared_memory, None if shared else domain)
+            del self._environments[name]
+            try:
+                await asyncio.to_thread(_clean_shared_memory, self._empty_domain(environment))
+            finally:
+                self._let_go(environment)
+
+    def _empty_domain(self, environment: _Environment) -> int | None:
+        """Its ROS domain if we hold that and nobody is in it any more. It is let go only after it was cleaned: whoever
+        gets it next would lose the ports that it has just made."""
+        domain = environment.state.domain
+        shared = any(other.state.domain == domain for other in self._environments.values())
+        return None if shared or environment.lock is None else domain
 
     async def recover(self) -> dict[str, Life]:
         self._root.mkdir(parents=True, exist_ok=True, mode=0o700)

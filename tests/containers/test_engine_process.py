@@ -153,6 +153,19 @@ async def test_each_has_its_own_domain_and_gives_it_back(world: ProcessWorld, en
     os.close(lock)
 
 
+async def test_a_domain_is_cleaned_before_others_may_have_it(
+    world: ProcessWorld, engine: ProcessEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await engine.start(spec("ann/a", 1))
+    domain = int((await world.seen("ann/a"))["environ"]["ROS_DOMAIN_ID"])
+    cleaned: list[tuple[int, int | None]] = []
+    monkeypatch.setattr(
+        "containers.shared_memory.clean_ports", lambda number: cleaned.append((number, world.domains.hold(number)))
+    )
+    await engine.stop("ann/a")
+    assert cleaned == [(domain, None)]
+
+
 async def test_members_of_a_group_share_a_domain_until_the_last_is_gone(
     world: ProcessWorld, engine: ProcessEngine
 ) -> None:
