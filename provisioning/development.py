@@ -40,7 +40,8 @@ DOCKER_PROGRAMS = {  # a private daemon, what makes images without a registry, a
     "iproute2": "ip",
 }
 BROWSER_PROGRAMS = {"nodejs": "node", "chromium": "chromium"}  # not every distribution has both as packages
-IN_TWO_PROCESSES = ("-n", "2", "--dist", "loadgroup", "--no-loadscope-reorder")  # grouped in tests/conftest.py
+IN_TWO_PROCESSES = ("-n", "2", "--dist", "loadgroup", "--no-loadscope-reorder", "--reruns", "1")
+"""The groups are made in tests/conftest.py. What fails beside other work is tried once more, and counted as a rerun."""
 IS_ROOT = os.geteuid() == 0
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import signal
 from collections.abc import AsyncIterator, Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from island import Island
 
 asyncio.set_event_loop_policy(uvloop.EventLoopPolicy())
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # by a shell, in the background: all that tests start would, too
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 OF_DOCKER = {"docker_host", "images", "island", "swarm", "one_machine", "stand_in_image"}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -60,10 +61,14 @@ async def test_it_ends_when_its_client_vanishes(env: dict[str, str], platform: R
         with on_terminal("env", "shell", BRAIN, env=env) as shell:
             shell.until("[#$] ")
             shell.type("sleep 1234\r")
-            shell.until("sleep 1234")  # closed, and with it killed
+            shell.until("sleep 1234")
+            end = time.monotonic() + 20
+            while not platform.pid("sleep 1234"):  # what was typed is seen before it runs
+                assert time.monotonic() < end
+                time.sleep(0.1)
+        # closed now, and with it killed
 
     await asyncio.to_thread(vanish)
-    assert platform.pid("sleep 1234")
     await until(lambda: not platform.pid("sleep 1234"), 40, "the program ends")
     await until(lambda: not platform.pid("rce_shell"), 5, "the node ends")
     await rce("topic", "hz", f"{BRAIN}/rosout", "rcl_interfaces/Log", env=env, status=None, seconds=5)
