@@ -31,22 +31,11 @@ from containers.swarm_agents import ROLE
 from containers.swarm_node import NodeDaemon, Task
 from containers.swarm_spec import Names
 from rce import __version__, loop
-from rce.calls import (
-    Call,
-    Cleared,
-    ClearRun,
-    ContainerEnded,
-    HaveImage,
-    Hello,
-    KnowGroup,
-    KnowRelays,
-    MeasureUsage,
-    NodeReport,
-    Nothing,
-    Unfit,
-    Usage,
-    Welcome,
-)
+from rce.calls.agents import Cleared, ClearRun, ContainerEnded, HaveImage, KnowGroup, NodeReport, Unfit
+from rce.calls.call import Call, Nothing
+from rce.calls.environments import KnowRelays
+from rce.calls.joining import Hello, Welcome
+from rce.calls.watching import MeasureUsage, Usage
 from rce.control import Handlers, MasterLink
 from rce.errors import RceError, StartFailed, Unavailable
 from rce.settings import load_or_exit

@@ -31,7 +31,8 @@ from containers.engine import LAST_LINES, Ended, Engine, Life
 from containers.logfile import LONGEST_LINE
 from containers.packages import package_path, places
 from containers.relay import Relay
-from rce.calls import EnvironmentSpec, Used
+from rce.calls.environments import EnvironmentSpec
+from rce.calls.watching import Used
 from rce.errors import NoCapacity, StartFailed, Unavailable
 from rce.host import host_identity
 from rce.tls import Tls

@@ -19,7 +19,7 @@ from containers.docker_options import Machine, Walls
 from containers.docker_used import used
 from containers.processes import describe_end
 from rce import __version__
-from rce.calls import Used
+from rce.calls.watching import Used
 from rce.errors import StartFailed
 from rce.slots import MB
 

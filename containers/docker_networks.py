@@ -26,7 +26,7 @@ from msgspec import Struct
 from twisted.logger import Logger
 
 from containers.firewall import Firewall, Rule, for_egress, for_group
-from rce.calls import EnvironmentSpec, Group
+from rce.calls.environments import EnvironmentSpec, Group
 from rce.errors import StartFailed, Unavailable
 
 log = Logger()

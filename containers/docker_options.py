@@ -14,7 +14,7 @@ from msgspec import Struct
 from containers.docker_disks import Disk
 from containers.docker_networks import Attachments
 from rce import __version__, slots
-from rce.calls import EnvironmentSpec, Group
+from rce.calls.environments import EnvironmentSpec, Group
 from rce.errors import LimitExceeded
 from rce.messages import Rates
 from rce.slots import MB

@@ -7,7 +7,7 @@ from typing import Any
 import docker
 from docker.errors import NotFound
 
-from rce.calls import Used
+from rce.calls.watching import Used
 
 NANO = 1e9
 

@@ -16,7 +16,8 @@ from weakref import WeakValueDictionary
 from msgspec import Struct
 from twisted.logger import Logger
 
-from rce.calls import EnvironmentSpec, Ticket, Used
+from rce.calls.environments import EnvironmentSpec, Ticket
+from rce.calls.watching import Used
 from rce.errors import InvalidRequest, NoCapacity, NotFound, RceError, StartFailed, Unavailable
 from rce.names import check_tag
 

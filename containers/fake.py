@@ -10,7 +10,8 @@ import asyncio
 from collections.abc import Callable, Collection
 
 from containers.engine import Ended, Engine, Life
-from rce.calls import EnvironmentSpec, Used
+from rce.calls.environments import EnvironmentSpec
+from rce.calls.watching import Used
 from rce.errors import StartFailed, Unavailable
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from containers.settings import host_of
 from rce import http
-from rce.calls import FetchPackage, Ticket
+from rce.calls.environments import FetchPackage, Ticket
 from rce.control import MasterLink
 from rce.errors import Unavailable
 from rce.tls import CA, Tls

@@ -18,7 +18,7 @@ from containers.hands import Work
 from containers.packages import PackageCache
 from containers.swarm_node import NodeDaemon, Task
 from containers.swarm_spec import Names
-from rce.calls import Group
+from rce.calls.environments import Group
 
 DONE = "furnished"  # a file in the environment's control directory
 

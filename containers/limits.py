@@ -11,7 +11,7 @@ import os
 
 from twisted.logger import Logger
 
-from rce.calls import EnvironmentSpec
+from rce.calls.environments import EnvironmentSpec
 from rce.errors import InvalidRequest, LimitExceeded
 from rce.messages import ContainerData, Rates
 

@@ -28,7 +28,8 @@ from containers.limits import check_limits
 from containers.packages import package_path, places
 from containers.processes import KILL_TIMEOUT, MARKER, Watch, describe_end, has_marker, kill_marked
 from containers.processes_used import used_below
-from rce.calls import EnvironmentSpec, Used
+from rce.calls.environments import EnvironmentSpec
+from rce.calls.watching import Used
 from rce.errors import StartFailed, TimedOut
 
 log = Logger()

@@ -28,7 +28,10 @@ from containers.engine import Ended, Engine, Life
 from containers.swarm_fleet import Fleet
 from containers.swarm_manager import Found, Manager, Network
 from containers.swarm_spec import AgentService, Names, check, environment_task, surroundings
-from rce.calls import ContainerEnded, EnvironmentSpec, FetchPackage, Nothing, Unfit, Used
+from rce.calls.agents import ContainerEnded, Unfit
+from rce.calls.call import Nothing
+from rce.calls.environments import EnvironmentSpec, FetchPackage
+from rce.calls.watching import Used
 from rce.control import Handlers
 from rce.errors import RceError, StartFailed, TimedOut
 from rce.tls import Tls

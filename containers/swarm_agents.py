@@ -19,20 +19,11 @@ from twisted.internet.interfaces import IListeningPort
 from twisted.logger import Logger
 
 from rce import control
-from rce.calls import (
-    Call,
-    ClearRun,
-    Group,
-    HaveImage,
-    Hello,
-    KnowGroup,
-    KnowRelays,
-    MeasureUsage,
-    NodeReport,
-    Nothing,
-    Used,
-    Welcome,
-)
+from rce.calls.agents import ClearRun, HaveImage, KnowGroup, NodeReport
+from rce.calls.call import Call, Nothing
+from rce.calls.environments import Group, KnowRelays
+from rce.calls.joining import Hello, Welcome
+from rce.calls.watching import MeasureUsage, Used
 from rce.control import Control, Handlers
 from rce.errors import Lost, RceError, Unauthorized
 from rce.tls import Tls

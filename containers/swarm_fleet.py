@@ -17,7 +17,8 @@ from containers.swarm_images import NAME, USER, ImageRegistry
 from containers.swarm_manager import Manager, Node
 from containers.swarm_spec import AGENT, FEATURE, AgentService, Names, agent_task
 from rce import __version__
-from rce.calls import EnvironmentSpec, HaveImage
+from rce.calls.agents import HaveImage
+from rce.calls.environments import EnvironmentSpec
 from rce.control import Handlers
 from rce.errors import InvalidRequest, NoCapacity, RceError, StartFailed, Unavailable
 from rce.tls import Tls

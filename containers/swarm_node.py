@@ -18,7 +18,8 @@ from containers.docker_networks import ENVIRONMENT
 from containers.hands import Work
 from containers.swarm_spec import AGENT, DOCKER_SOCKET, SPEC
 from rce import __version__
-from rce.calls import EnvironmentSpec, HaveImage
+from rce.calls.agents import HaveImage
+from rce.calls.environments import EnvironmentSpec
 from rce.errors import ErrorInfo, RceError, StartFailed
 
 RIGHTS = ["SYS_ADMIN", "SYS_PTRACE", "NET_ADMIN"]  # to mount, to enter another container, to shape its networks

@@ -28,7 +28,7 @@ from containers.docker_options import (
     variables,
 )
 from containers.packages import package_path, places
-from rce.calls import EnvironmentSpec
+from rce.calls.environments import EnvironmentSpec
 from rce.errors import InvalidRequest
 from rce.messages import ContainerData
 from rce.tls import Tls

@@ -17,23 +17,18 @@ from containers.engine import Ended, Engine
 from containers.fetching import Fetcher
 from containers.packages import PackageCache
 from rce import metrics
-from rce.calls import (
+from rce.calls.call import Nothing
+from rce.calls.environments import (
     EnvironmentDied,
     FetchPackage,
-    Hello,
     KeepEnvironments,
     KnowRelays,
     LimitReached,
-    MeasureUsage,
-    Metrics,
-    Nothing,
-    ReadMetrics,
     StartEnvironment,
     StopEnvironment,
-    Usage,
-    Used,
-    Welcome,
 )
+from rce.calls.joining import Hello, Welcome
+from rce.calls.watching import MeasureUsage, Metrics, ReadMetrics, Usage, Used
 from rce.control import Handlers, MasterLink
 from rce.credential import Credential, stay_joined
 from rce.errors import RceError

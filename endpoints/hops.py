@@ -16,7 +16,7 @@ from collections import defaultdict, deque
 from msgspec.structs import replace
 
 from endpoints.frames import Message
-from rce.calls import FollowMessages, Hop, Passage, Passages
+from rce.calls.watching import FollowMessages, Hop, Passage, Passages
 from rce.metrics import QUICK, Timing
 
 MOST = 4000  # passages of one trace that wait to be fetched: the newest

@@ -17,7 +17,8 @@ from endpoints.hops import Watch
 from endpoints.link import Link, LoopLink, StreamLink
 from endpoints.throttle import Throttle
 from endpoints.traffic import InterfaceCounts, Totals
-from rce.calls import CountTraffic, InterfaceSpec, LinkSpec, Route, Sync, Traffic
+from rce.calls.endpoints import InterfaceSpec, LinkSpec, Route, Sync
+from rce.calls.watching import CountTraffic, Traffic
 from rce.errors import ErrorInfo, LimitExceeded, NotConnected, NotFound, RceError, Unavailable
 from rce.metrics import Family, gauge
 

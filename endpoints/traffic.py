@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 
-from rce.calls import Counts, InterfaceTraffic
+from rce.calls.watching import Counts, InterfaceTraffic
 from rce.metrics import Family, counted
 
 

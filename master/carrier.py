@@ -9,7 +9,7 @@ from typing import TypeVar
 from twisted.logger import Logger
 
 from master.effects import Plan, Send, Settle
-from rce.calls import Call
+from rce.calls.call import Call
 from rce.control import Control
 from rce.errors import RceError, TimedOut, Unavailable
 

@@ -7,7 +7,7 @@ from typing import Any
 from msgspec import Struct
 
 from master.records import Parameter
-from rce.calls import Call
+from rce.calls.call import Call
 
 
 class Send(Struct, frozen=True):

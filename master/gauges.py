@@ -12,7 +12,8 @@ from twisted.logger import Logger
 from master.carrier import Carrier
 from master.records import Connection, State
 from master.shown import Shown
-from rce.calls import Call, CountTraffic, MeasureUsage, Traffic
+from rce.calls.call import Call
+from rce.calls.watching import CountTraffic, MeasureUsage, Traffic
 from rce.errors import RceError
 from rce.views import Kind, Rate, Usage
 

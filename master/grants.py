@@ -14,7 +14,7 @@ import time
 import sqlalchemy as sa
 
 from master import store as db
-from rce.calls import LentKey
+from rce.calls.services import LentKey
 from rce.errors import Unauthorized
 from rce.roles import Principal
 

@@ -17,20 +17,18 @@ from master.policies import UNLIMITED, Policy, check_connections, check_totals, 
 from master.records import Connection, Environment, Interface, Node, Parameter, State, what
 from master.wiring import Ids, activate, connections_of, deactivate
 from rce import messages as m
-from rce.calls import (
+from rce.calls.endpoints import (
     Bind,
     DropParameter,
-    EnvironmentSpec,
     InterfaceSpec,
     NodeSpec,
     ParameterSpec,
     PutParameter,
-    StartEnvironment,
     StartNode,
-    StopEnvironment,
     StopNode,
     Unbind,
 )
+from rce.calls.environments import EnvironmentSpec, StartEnvironment, StopEnvironment
 from rce.errors import AlreadyExists, InvalidRequest, NotConnectable, NotFound
 from rce.names import check_tag, parse_type, split_interface
 from rce.variables import check_variables

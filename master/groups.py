@@ -9,7 +9,7 @@ from __future__ import annotations
 from ipaddress import AddressValueError, IPv4Address, IPv4Network
 
 from master.records import Environment, State, user_of
-from rce.calls import Group
+from rce.calls.environments import Group
 from rce.errors import AlreadyExists, InvalidRequest, NoCapacity
 from rce.messages import ContainerData
 from rce.names import check_tag

@@ -16,7 +16,7 @@ from master import presence
 from master.effects import Plan, Send
 from master.records import State
 from master.users import Users
-from rce.calls import ForgetProofs
+from rce.calls.services import ForgetProofs
 from rce.roles import WITHIN, Principal, UserRole
 from rce.views import KeyView
 

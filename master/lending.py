@@ -6,7 +6,8 @@ from master.audit import Audit, Origin
 from master.records import Process
 from master.rights import check
 from master.users import Users
-from rce import calls as c
+from rce.calls.call import Nothing
+from rce.calls.services import Borrow, Delegate, EndGrant, Grant, NoteDone, Person, Vouch
 from rce.control import Handlers
 from rce.errors import ErrorInfo, Forbidden, InvalidRequest, RceError
 from rce.roles import Principal
@@ -20,29 +21,29 @@ class Lending:
         self._audit = audit
 
     def add_to(self, handlers: Handlers, process: Process) -> None:
-        handlers.on(c.Vouch, self._vouch)
-        handlers.on(c.NoteDone, self._note)
-        handlers.on(c.Delegate, lambda call: self._delegate(process, call))
-        handlers.on(c.Borrow, lambda call: self._users.grants.borrow(process.name, call.grant, call.seconds))
-        handlers.on(c.EndGrant, lambda call: self._end_grant(process, call))
+        handlers.on(Vouch, self._vouch)
+        handlers.on(NoteDone, self._note)
+        handlers.on(Delegate, lambda call: self._delegate(process, call))
+        handlers.on(Borrow, lambda call: self._users.grants.borrow(process.name, call.grant, call.seconds))
+        handlers.on(EndGrant, lambda call: self._end_grant(process, call))
 
-    async def _note(self, call: c.NoteDone) -> c.Nothing:
+    async def _note(self, call: NoteDone) -> Nothing:
         who = Principal(call.person.user, "robot", call.person.key)
         error = None if call.result == "ok" else RceError.from_info(ErrorInfo(call.result, ""))
         self._audit.note(who, call.action, who.user, call.object, Origin("map-service", call.address), error)
-        return c.Nothing()
+        return Nothing()
 
-    async def _vouch(self, call: c.Vouch) -> c.Person:
+    async def _vouch(self, call: Vouch) -> Person:
         principal = await self._client(call.user, call.secret, call.address, call.operation)
-        return c.Person(principal.user, principal.role, principal.key)
+        return Person(principal.user, principal.role, principal.key)
 
-    async def _delegate(self, process: Process, call: c.Delegate) -> c.Grant:
+    async def _delegate(self, process: Process, call: Delegate) -> Grant:
         principal = await self._client(call.user, call.secret, call.address, "job.submit")
-        return c.Grant(await self._users.grants.give(process.name, principal.user, principal.key))
+        return Grant(await self._users.grants.give(process.name, principal.user, principal.key))
 
-    async def _end_grant(self, process: Process, call: c.EndGrant) -> c.Nothing:
+    async def _end_grant(self, process: Process, call: EndGrant) -> Nothing:
         await self._users.grants.end(process.name, call.grant)
-        return c.Nothing()
+        return Nothing()
 
     async def _client(self, user: str, secret: str, address: str, operation: str) -> Principal:
         """Who may do this; noted when they are refused."""

@@ -12,7 +12,9 @@ from master.effects import Send
 from master.records import Environment, Process, user_of, what
 from master.rim import Rim
 from master.wiring import Ids
-from rce import calls as c
+from rce.calls.call import Nothing
+from rce.calls.endpoints import NodeDied, StartNode
+from rce.calls.environments import EnvironmentDied, LimitReached
 from rce.control import Handlers
 from rce.errors import RceError, StartFailed
 from rce.messages import EnvironmentEvent, LimitEvent, NodeEvent
@@ -36,25 +38,25 @@ class Lifecycle:
 
     def of_machine(self, handlers: Handlers) -> None:
         """What a task set may tell."""
-        handlers.on(c.EnvironmentDied, self.died)
-        handlers.on(c.LimitReached, self._limit_reached)
+        handlers.on(EnvironmentDied, self.died)
+        handlers.on(LimitReached, self._limit_reached)
 
     def of_environment(self, handlers: Handlers, process: Process) -> None:
         """What an Environment endpoint may tell."""
-        handlers.on(c.NodeDied, lambda call: self._node_died(process, call))
+        handlers.on(NodeDied, lambda call: self._node_died(process, call))
 
-    async def died(self, call: c.EnvironmentDied) -> c.Nothing:
+    async def died(self, call: EnvironmentDied) -> Nothing:
         """An environment ended, or did not start: it is tried again after a pause."""
         environment = self._state.environments.get(call.name)
         if environment is None or environment.run != call.run:
-            return c.Nothing()  # an earlier life
+            return Nothing()  # an earlier life
         lived = self._carrier.is_real(what(environment))
         self.down(environment, call.reason)
         if call.name in self._state.environments:
             self._rim.later(self._pause(call.name, lived), lambda: self._restart(call.name, call.run))
         else:
             await self._resettle()
-        return c.Nothing()
+        return Nothing()
 
     def down(self, environment: Environment, reason: str) -> None:
         """Take it out of the work, and tell its user."""
@@ -70,12 +72,12 @@ class Lifecycle:
         event: Literal["failed", "lost", "gone"] = "failed" if not lived else "lost" if kept else "gone"
         self._rim.tell(user_of(name), EnvironmentEvent(name.partition("/")[2], event, reason))
 
-    async def _limit_reached(self, call: c.LimitReached) -> c.Nothing:
+    async def _limit_reached(self, call: LimitReached) -> Nothing:
         environment = self._state.environments.get(call.name)
         if environment is not None and environment.run == call.run:
             tag = call.name.partition("/")[2]
             self._rim.tell(user_of(call.name), LimitEvent(f"environment {tag}: {call.reason}"))
-        return c.Nothing()
+        return Nothing()
 
     async def _restart(self, name: str, run: str) -> None:
         environment = self._state.environments.get(name)
@@ -92,11 +94,11 @@ class Lifecycle:
             *map(what, wiring.connections_of(state, name)),
         ]
 
-    async def _node_died(self, process: Process, call: c.NodeDied) -> c.Nothing:
+    async def _node_died(self, process: Process, call: NodeDied) -> Nothing:
         node = self._state.nodes.get(f"{process.name}/{call.node}")
         environment = self._state.environments.get(process.name)
         if node is None or environment is None:
-            return c.Nothing()
+            return Nothing()
         tag = process.name.partition("/")[2]
         self._rim.tell(user_of(process.name), NodeEvent(tag, call.node, call.status, call.lines))
         if call.status == 0 or environment.options.restart == "no" or call.seconds < STEADY:
@@ -104,14 +106,14 @@ class Lifecycle:
             self._rim.apply([])
         else:
             self._rim.later(RETRY_FIRST, lambda: self._start_again(node.key))
-        return c.Nothing()
+        return Nothing()
 
     async def _start_again(self, key: str) -> None:
         node = self._state.nodes.get(key)
         if node is None:
             return
         try:
-            await self._carrier.carry([[Send(node.owner, c.StartNode(node.spec), what(node))]])
+            await self._carrier.carry([[Send(node.owner, StartNode(node.spec), what(node))]])
         except RceError as error:
             if self._state.nodes.get(key) == node:
                 self._state.nodes.drop(key)

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from master import packages
 from master.records import State
 from rce import quantities, slots
-from rce.calls import Egress
+from rce.calls.environments import Egress
 from rce.errors import InvalidRequest, LimitExceeded
 from rce.messages import ContainerData, Rates
 from rce.views import UsageView

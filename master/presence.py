@@ -10,7 +10,10 @@ from master.placement import place
 from master.policies import UNLIMITED, Policy, check_robots
 from master.records import Environment, Process, Robot, State, at, user_of
 from master.wiring import RELAY, Ids, bring_up, connections_of, deactivate, link_spec, routes_of, take_down
-from rce.calls import Bind, DropRobot, Hello, KeepEnvironments, KnowRelays, Sync
+from rce.calls.endpoints import Bind, Sync
+from rce.calls.environments import KeepEnvironments, KnowRelays
+from rce.calls.joining import Hello
+from rce.calls.robots import DropRobot
 from rce.errors import AlreadyExists, NoCapacity
 from rce.names import check_tag
 from rce.roles import Principal

@@ -20,7 +20,8 @@ from typing import Any, Generic, Literal, Protocol, TypeVar
 
 from msgspec import Struct
 
-from rce.calls import Egress, InterfaceSpec, NodeSpec, ParameterSpec
+from rce.calls.endpoints import InterfaceSpec, NodeSpec, ParameterSpec
+from rce.calls.environments import Egress
 from rce.messages import ContainerData
 from rce.roles import Principal
 

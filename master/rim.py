@@ -12,7 +12,7 @@ from master.carrier import Carrier
 from master.effects import Plan, Send
 from master.records import State
 from master.store import Store
-from rce import calls as c
+from rce.calls.robots import Tell
 from rce.errors import ErrorInfo, NotFound, RceError
 from rce.messages import StatusData
 
@@ -60,7 +60,7 @@ class Rim:
                 listener(user, status)
         for robot in self.state.robots.by(user):
             if robot.endpoint in self.state.joined:
-                self.carrier.carry([[Send(robot.endpoint, c.Tell(robot.name, status, error), robot.name)]])
+                self.carrier.carry([[Send(robot.endpoint, Tell(robot.name, status, error), robot.name)]])
 
     def later(self, seconds: float, work: Callable[[], Coroutine[None, None, None]]) -> asyncio.Task[None]:
         async def wait() -> None:

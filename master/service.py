@@ -37,8 +37,13 @@ from master.sight import Sight
 from master.store import Store
 from master.tracing import Tracer
 from master.users import Users, must_drive
-from rce import calls as c
 from rce import metrics
+from rce.calls.call import Call, Nothing, Settled
+from rce.calls.endpoints import LinkLost, Report, Sync
+from rce.calls.environments import EnvironmentDied, FetchPackage, StartEnvironment, Ticket
+from rce.calls.joining import Hello, Welcome
+from rce.calls.robots import Definitions, Describe, Execute, Leave, LoggedIn, Login
+from rce.calls.watching import ReadMetrics
 from rce.control import Control, Handlers
 from rce.errors import (
     ErrorInfo,
@@ -124,7 +129,7 @@ class Master:
 
     # --- processes ----------------------------------------------------------------------------------------------------
 
-    async def join(self, hello: c.Hello, address: str) -> tuple[c.Welcome, Handlers, Callable[[Control], None]]:
+    async def join(self, hello: Hello, address: str) -> tuple[Welcome, Handlers, Callable[[Control], None]]:
         """Let a process in; see `rce.control.Joiner`."""
         if hello.version != rce.__version__:
             raise InvalidRequest(f"{hello.role} {hello.name} is version {hello.version}, the Master {rce.__version__}")
@@ -143,9 +148,9 @@ class Master:
             hello.features,
             hello.gpus,
         )
-        return c.Welcome(credential), self._handlers(process), lambda control: self._joined(process, hello, control)
+        return Welcome(credential), self._handlers(process), lambda control: self._joined(process, hello, control)
 
-    def _joined(self, process: Process, hello: c.Hello, control: Control) -> None:
+    def _joined(self, process: Process, hello: Hello, control: Control) -> None:
         log.info("{role} {name} joined from {address}", role=process.role, name=process.name, address=control.address)
         old = self._carrier.controls.get(process.name)
         self._carrier.controls[process.name] = control
@@ -229,31 +234,31 @@ class Master:
     def _handlers(self, process: Process) -> Handlers:
         handlers = Handlers()
         if process.role == "robot":
-            handlers.on(c.Login, lambda call: self._login(process, call))
-            handlers.on(c.Leave, lambda call: self._leave(process, call))
-            handlers.on(c.Execute, lambda call: self._execute(process, call))
-            handlers.on(c.Describe, self._describe)
+            handlers.on(Login, lambda call: self._login(process, call))
+            handlers.on(Leave, lambda call: self._leave(process, call))
+            handlers.on(Execute, lambda call: self._execute(process, call))
+            handlers.on(Describe, self._describe)
         elif process.role == "service":
             Lending(self.users, self.audit).add_to(handlers, process)
         elif process.role == "environment":
             self._lives.of_environment(handlers, process)
-            handlers.on(c.Report, lambda call: self._report(process, call))
+            handlers.on(Report, lambda call: self._report(process, call))
         else:
             self._lives.of_machine(handlers)
-            handlers.on(c.FetchPackage, lambda call: self._fetch_package(process, call))
-        handlers.on(c.LinkLost, lambda call: self._link_lost(process, call))
+            handlers.on(FetchPackage, lambda call: self._fetch_package(process, call))
+        handlers.on(LinkLost, lambda call: self._link_lost(process, call))
         return handlers
 
     # --- robots -------------------------------------------------------------------------------------------------------
 
-    async def _login(self, process: Process, call: c.Login) -> c.LoggedIn:
+    async def _login(self, process: Process, call: Login) -> LoggedIn:
         origin, robot = Origin("websocket", _host(call.address)), f"{call.user}/{call.robot}"
         with self.audit.noting("robot.connect", call.user, robot, origin) as noted:
             check_tag(call.user, "userID")
             noted.who = await self.users.check(call.user, call.secret, origin.address)
             return await self._begin(process, call, noted.who, origin.address)
 
-    async def _begin(self, process: Process, call: c.Login, principal: Principal, address: str) -> c.LoggedIn:
+    async def _begin(self, process: Process, call: Login, principal: Principal, address: str) -> LoggedIn:
         """A session, or an earlier one again."""
         must_drive(principal, call.robot)
         token = secrets.token_hex(32)
@@ -269,13 +274,13 @@ class Master:
         except RceError as error:  # the session stands without it: refused now, the robot could not come back
             self._rim.tell(call.user, error=error.info)
         await saved
-        return c.LoggedIn(token, resumed)
+        return LoggedIn(token, resumed)
 
-    async def _leave(self, process: Process, call: c.Leave) -> c.Nothing:
+    async def _leave(self, process: Process, call: Leave) -> Nothing:
         robot = self.state.robots.get(call.robot)
         if robot is not None and robot.endpoint == process.name:
             self._rim.apply(presence.robot_left(self.state, call.robot))
-        return c.Nothing()
+        return Nothing()
 
     async def disconnect(self, robot: str, reason: str) -> None:
         """End a robot's session; returns once its socket is closed, or its Robot endpoint is away."""
@@ -284,7 +289,7 @@ class Master:
         await asyncio.shield(self._carrier.carry(plan))
         await saved
 
-    async def _execute(self, process: Process, call: c.Execute) -> c.Nothing:
+    async def _execute(self, process: Process, call: Execute) -> Nothing:
         robot = self.state.robots.get(call.robot)
         if robot is None or robot.endpoint != process.name:
             raise NotFound(f"robot {call.robot} has no session at {process.name}")
@@ -295,7 +300,7 @@ class Master:
             check_command(robot.by, self.state, user, command)
             return await self.execute(user, command, call.again)
 
-    async def execute(self, user: str, command: Command, again: bool = False) -> c.Nothing:
+    async def execute(self, user: str, command: Command, again: bool = False) -> Nothing:
         """Carry a user's command out to its completion; what did not become real is taken back."""
         began = time.perf_counter()
         outcome = graph.execute(self.state, user, command, ids, again, self.limits.of(user))
@@ -307,7 +312,7 @@ class Master:
                 await self._carrier.wait(key, START_TIMEOUT, future)
         except RceError:
             if expected and all(future.done() and not future.exception() for future in expected.values()):
-                return c.Nothing()  # a later command took it back while this one was on its way
+                return Nothing()  # a later command took it back while this one was on its way
             for future in expected.values():
                 future.cancel()
             self._rim.apply(graph.undo(self.state, outcome))
@@ -316,9 +321,9 @@ class Master:
         _commands.of(type(command).__name__).since(began)
         if isinstance(command, DestroyContainer):
             await self._resettle()
-        return c.Nothing()
+        return Nothing()
 
-    async def _describe(self, call: c.Describe) -> c.Definitions:
+    async def _describe(self, call: Describe) -> Definitions:
         """Ask the user's environments, those that are starting once they are there."""
         for environment in self.state.environments.by(call.user):
             try:
@@ -330,7 +335,7 @@ class Master:
                 log.debug("{name} does not know {type}: {error}", name=environment.name, type=call.type, error=error)
         raise UnknownType(f"type {call.type} is known neither here nor in an environment of {call.user}")
 
-    async def ask(self, environment: Environment, call: c.Call[R]) -> R:
+    async def ask(self, environment: Environment, call: Call[R]) -> R:
         """Ask an environment, once it is there. TimedOut, Unavailable, and what the environment answers."""
         await self._carrier.wait(what(environment), START_TIMEOUT)
         control = self._carrier.controls.get(environment.name)
@@ -340,7 +345,7 @@ class Master:
 
     async def metrics_of(self, process: str) -> list[metrics.Family]:
         """What a process counts of itself. Unavailable, TimedOut."""
-        return (await self._carrier.ask(process, c.ReadMetrics(), ASK_TIMEOUT)).families
+        return (await self._carrier.ask(process, ReadMetrics(), ASK_TIMEOUT)).families
 
     async def missing(self) -> list[str]:
         """What the platform lacks to do what it is for, in sentences."""
@@ -348,14 +353,14 @@ class Master:
 
     # --- environments -------------------------------------------------------------------------------------------------
 
-    async def _report(self, process: Process, call: c.Report) -> c.Nothing:
+    async def _report(self, process: Process, call: Report) -> Nothing:
         self._rim.tell(user_of(process.name), error=call.error)  # an environment speaks to its own user only
-        return c.Nothing()
+        return Nothing()
 
-    async def _link_lost(self, process: Process, call: c.LinkLost) -> c.Nothing:
+    async def _link_lost(self, process: Process, call: LinkLost) -> Nothing:
         link = self.state.links.get(call.link)
         if link is None or process.name not in (link.listener, link.dialler) or call.link in self._reopening:
-            return c.Nothing()
+            return Nothing()
         log.info("link {link} is lost: {reason}", link=call.link, reason=call.reason)
         pause = self._breaks.after(f"{link.listener} {link.dialler} {link.alone_for}")
         if pause:
@@ -363,7 +368,7 @@ class Master:
             self._rim.later(pause, lambda: self._reopen(call.link))
         else:
             self._rim.apply(wiring.reopen(self.state, call.link, ids))
-        return c.Nothing()
+        return Nothing()
 
     async def _reopen(self, link: str) -> None:
         self._reopening.discard(link)
@@ -371,7 +376,7 @@ class Master:
 
     # --- users' packages ----------------------------------------------------------------------------------------------
 
-    async def _fetch_package(self, process: Process, call: c.FetchPackage) -> c.Ticket:
+    async def _fetch_package(self, process: Process, call: FetchPackage) -> Ticket:
         """A task set gets what its own environments are to see."""
         needed = any(
             call.digest in environment.packages for environment in self.state.environments.by(at(process.name))
@@ -380,7 +385,7 @@ class Master:
             raise NotFound(f"no environment of {process.name} has the package {call.digest[:80]}")
         token, size = self._depot.ticket(call.digest)
         scheme, port = self.entry
-        return c.Ticket(scheme, port, FETCH_PATH, token, size)
+        return Ticket(scheme, port, FETCH_PATH, token, size)
 
     def _sweep(self) -> None:
         if self._depot is not None:
@@ -395,22 +400,22 @@ class Master:
     async def _prepare(self, send: Send) -> Send:
         """A new life of an environment gets a new join token, and its earlier ones can join no more."""
         call = send.call
-        if not isinstance(call, c.StartEnvironment):
+        if not isinstance(call, StartEnvironment):
             return send
         token = secrets.token_hex(32)
         await self.processes.forget(call.environment.name)
         await self.processes.allow(call.environment.name, "environment", token)
-        return replace(send, call=c.StartEnvironment(replace(call.environment, token=token)))
+        return replace(send, call=StartEnvironment(replace(call.environment, token=token)))
 
     def _carried(self, send: Send, result: object) -> None:
         match send.call, result:
-            case c.Sync() as sync, c.Settled(failed):
+            case Sync() as sync, Settled(failed):
                 self._synced(send.to, sync, failed)
-            case c.StartEnvironment(spec), RceError() as error:
-                died = c.EnvironmentDied(spec.name, spec.run, str(error))
+            case StartEnvironment(spec), RceError() as error:
+                died = EnvironmentDied(spec.name, spec.run, str(error))
                 self._rim.keep(asyncio.create_task(self._lives.died(died)))
 
-    def _synced(self, process: str, sync: c.Sync, failed: dict[str, ErrorInfo]) -> None:
+    def _synced(self, process: str, sync: Sync, failed: dict[str, ErrorInfo]) -> None:
         links = {route.link for route in sync.routes}
         for spec in sync.interfaces:
             interface = self.state.interfaces.get(f"{spec.owner}/{spec.tag}")

@@ -14,7 +14,7 @@ from twisted.logger import Logger
 
 from master.carrier import Carrier
 from master.records import Interface, State
-from rce.calls import FollowMessages, Passage
+from rce.calls.watching import FollowMessages, Passage
 from rce.errors import RceError
 from rce.views import HopView, MessageTrace
 

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from master.effects import Plan, Send, Sequence, Settle
 from master.records import Connection, Interface, Link, Process, State, what
-from rce.calls import AddRoute, CloseLink, LinkSpec, OpenLink, RemoveRoute, Route
+from rce.calls.endpoints import AddRoute, CloseLink, LinkSpec, OpenLink, RemoveRoute, Route
 
 RELAY, UNIX = "relay:", "unix:"
 Ids = Callable[[], str]

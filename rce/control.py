@@ -24,8 +24,10 @@ from twisted.logger import Logger
 from twisted.python.failure import Failure
 from twisted.spread import pb
 
-from rce import calls, logs, metrics
-from rce.calls import Call, Hello, Nothing, Ping, Welcome
+from rce import logs, metrics
+from rce.calls.call import Call, Nothing, Ping, result_type
+from rce.calls.joining import Hello, Welcome
+from rce.calls.watching import Metrics, ReadMetrics
 from rce.errors import ErrorInfo, InternalError, InvalidRequest, Lost, RceError, Unavailable
 from rce.tls import Tls
 
@@ -42,9 +44,6 @@ _answering = metrics.Timing("rce_control_call_seconds", "Time to answer a call o
 R = TypeVar("R")
 C = TypeVar("C", bound=Call[Any])
 Pages = list[bytes]
-call_types: dict[str, type[Call[Any]]] = {
-    kind.__name__: kind for kind in vars(calls).values() if isinstance(kind, type) and issubclass(kind, Call)
-}
 
 
 def _pages(value: Struct) -> Pages:
@@ -60,10 +59,11 @@ class Handlers:
     """What this process answers: one coroutine function for each type of call."""
 
     def __init__(self) -> None:
-        self._handlers: dict[str, Callable[[Any], Awaitable[Struct]]] = {"Ping": _pong}
+        self._handlers: dict[str, tuple[type[Call[Any]], Callable[[Any], Awaitable[Struct]]]] = {}
+        self.on(Ping, _pong)
 
     def on(self, kind: type[Call[R]], handler: Callable[[Any], Awaitable[R]]) -> None:
-        self._handlers[kind.__name__] = cast(Callable[[Any], Awaitable[Struct]], handler)
+        self._handlers[kind.__name__] = kind, cast(Callable[[Any], Awaitable[Struct]], handler)
 
     async def answer(self, name: str, pages: Pages, request: str = "") -> tuple[bool, Pages]:
         """Whether it went well, and the result or the ErrorInfo. `request`: on whose behalf, for the log."""
@@ -71,11 +71,11 @@ class Handlers:
             logs.enter(request)
         began = time.perf_counter()
         try:
-            handler = self._handlers.get(name)
-            if handler is None:
+            if name not in self._handlers:
                 raise InvalidRequest(f"this process does not answer {name}")
+            kind, handler = self._handlers[name]
             try:
-                call = _value(pages, call_types[name])
+                call = _value(pages, kind)
             except (msgspec.DecodeError, TypeError) as error:
                 raise InvalidRequest(f"{name}: {error}") from None
             result = await handler(call)
@@ -98,10 +98,10 @@ class Handlers:
     def tell_metrics(self, role: str, *sources: metrics.Source) -> None:
         """Answer for the metrics of this process, and for these of its parts."""
 
-        async def read(_: calls.ReadMetrics) -> calls.Metrics:
-            return calls.Metrics(metrics.families(role, *sources))
+        async def read(_: ReadMetrics) -> Metrics:
+            return Metrics(metrics.families(role, *sources))
 
-        self.on(calls.ReadMetrics, read)
+        self.on(ReadMetrics, read)
 
 
 async def _pong(_: Ping) -> Nothing:
@@ -138,7 +138,7 @@ class Control:
             raise Lost(f"the control connection to {self.address} was lost during {name}") from None
         try:
             if good:
-                return _value(pages, calls.result_type(type(call)))
+                return _value(pages, result_type(type(call)))
             error = RceError.from_info(_value(pages, ErrorInfo))
         except (msgspec.DecodeError, TypeError) as wrong:
             error = InvalidRequest(f"{self.address} answered {name} with something else: {wrong}")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from twisted.logger import Logger
 
-from rce.calls import Welcome
+from rce.calls.joining import Welcome
 from rce.control import MasterLink
 from rce.errors import Unauthorized
 

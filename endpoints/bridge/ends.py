@@ -10,12 +10,12 @@ from pathlib import Path
 from twisted.logger import Logger
 
 from endpoints.data_port import DataPort
-from endpoints.environment.definitions import Definitions
+from endpoints.environment.definitions import InstalledTypes
 from endpoints.environment.interfaces import RosInterface, Surroundings
 from endpoints.environment.ros import RosThread
 from endpoints.frames import Message
 from endpoints.switchboard import Switchboard
-from rce.calls import InterfaceSpec
+from rce.calls.endpoints import InterfaceSpec
 from rce.errors import RceError
 from rce.messages import Qos
 
@@ -59,7 +59,7 @@ class LocalRos:
     """The robot's own ROS: makes interfaces there, of the same kinds as environments have, each with one peer."""
 
     def __init__(self, ros: RosThread, prefixes: Sequence[Path]) -> None:
-        self._definitions = Definitions(prefixes)
+        self._definitions = InstalledTypes(prefixes)
         switchboard = Switchboard(DataPort(), lambda link, reason: None)
         self._around = Surroundings(ros, switchboard, self._definitions, self._report)
         self._interfaces: set[RosInterface] = set()

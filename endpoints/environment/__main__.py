@@ -18,7 +18,8 @@ from endpoints.environment.nodelog import NodeLog
 from endpoints.environment.settings import Settings
 from endpoints.host import listen
 from rce import __version__, logs, loop
-from rce.calls import Call, Hello, Nothing, Welcome
+from rce.calls.call import Call, Nothing
+from rce.calls.joining import Hello, Welcome
 from rce.control import MasterLink
 from rce.errors import RceError
 from rce.host import host_identity

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from endpoints.environment.packages import Packages
-from rce.calls import NodeSpec
+from rce.calls.endpoints import NodeSpec
 from rce.errors import InvalidName, InvalidRequest
 
 _SUBSTITUTION = re.compile(r"\$\(\s*(\w+)\s+([^)\s]+)\s*\)")

@@ -31,7 +31,7 @@ _BUILT_IN = frozenset(
 )
 
 
-class Definitions:
+class InstalledTypes:
     """Looks in `prefixes` (as ROS 2 installs: `share/PKG/msg`) and `sources` (directories of packages: `PKG/msg`)."""
 
     def __init__(self, prefixes: Sequence[Path], sources: Sequence[Path] = ()) -> None:

@@ -10,7 +10,7 @@ from typing import TypeVar
 from twisted.logger import Logger
 
 from endpoints.data_port import DataPort
-from endpoints.environment.definitions import Definitions
+from endpoints.environment.definitions import InstalledTypes
 from endpoints.environment.graph import read
 from endpoints.environment.interfaces import RosInterface, Surroundings
 from endpoints.environment.live import LiveParameters
@@ -24,7 +24,27 @@ from endpoints.environment.settings import Settings
 from endpoints.environment.surroundings import for_nodes, prefixes
 from endpoints.environment.topics import PublisherInterface, SubscriberInterface
 from endpoints.switchboard import Interface, Switchboard
-from rce import calls as c
+from rce.calls.call import Call, Nothing, Settled
+from rce.calls.endpoints import (
+    AddRoute,
+    Bind,
+    CloseLink,
+    DropParameter,
+    InterfaceSpec,
+    LinkLost,
+    NodeSpec,
+    OpenLink,
+    ParameterSpec,
+    PutParameter,
+    RemoveRoute,
+    Report,
+    StartNode,
+    StopNode,
+    Sync,
+    Unbind,
+)
+from rce.calls.robots import Definitions, Describe
+from rce.calls.watching import CountTraffic, FollowMessages, Log, ReadGraph, ReadLog, RosGraph
 from rce.control import Handlers
 from rce.errors import ErrorInfo, InvalidRequest, RceError
 from rce.metrics import Family, gauge
@@ -38,7 +58,7 @@ KINDS: dict[str, type[RosInterface]] = {
 TICK = 1.0
 
 log = Logger()
-Tell = Callable[[c.Call[c.Nothing]], None]
+Tell = Callable[[Call[Nothing]], None]
 C = TypeVar("C")
 
 
@@ -53,33 +73,33 @@ class Environment:
         self._tell = tell
         self._log = log
         self._ros = ros
-        self._definitions = Definitions(installed + packages.prefixes, packages.sources)
+        self._definitions = InstalledTypes(installed + packages.prefixes, packages.sources)
         self._parameters = Parameters()
         self._live = LiveParameters(ros)
         self._nodes = Nodes(settings.data_dir, packages, self._parameters, for_nodes(settings), tell)
-        self._switchboard = Switchboard(port, lambda link, reason: tell(c.LinkLost(link, reason)))
+        self._switchboard = Switchboard(port, lambda link, reason: tell(LinkLost(link, reason)))
         self._around = Surroundings(ros, self._switchboard, self._definitions, self._report)
         self._drops: dict[str, int] = {}
 
     def handlers(self) -> Handlers:
         """What this process answers to the Master."""
         handlers, board, nodes = Handlers(), self._switchboard, self._nodes
-        handlers.on(c.Sync, self._sync)
-        handlers.on(c.Bind, _awaited(lambda call: board.bind(call.interface, self._make)))
-        handlers.on(c.Unbind, _called(lambda call: board.unbind(call.interface)))
-        handlers.on(c.OpenLink, _called(lambda call: board.open_link(call.link)))
-        handlers.on(c.CloseLink, _called(lambda call: board.close_link(call.link)))
-        handlers.on(c.AddRoute, _awaited(lambda call: board.add_route(call.route)))
-        handlers.on(c.RemoveRoute, _called(lambda call: board.remove_route(call.interface, call.peer)))
-        handlers.on(c.StartNode, _awaited(lambda call: nodes.start(call.node)))
-        handlers.on(c.StopNode, _awaited(lambda call: nodes.stop(call.node)))
-        handlers.on(c.PutParameter, _awaited(lambda call: self._put(call.parameter)))
-        handlers.on(c.DropParameter, _called(lambda call: self._parameters.drop(call.key)))
-        handlers.on(c.ReadLog, self._read_log)
-        handlers.on(c.Describe, self._describe)
-        handlers.on(c.ReadGraph, self._read_graph)
-        handlers.on(c.CountTraffic, board.traffic)
-        handlers.on(c.FollowMessages, board.watch.follow)
+        handlers.on(Sync, self._sync)
+        handlers.on(Bind, _awaited(lambda call: board.bind(call.interface, self._make)))
+        handlers.on(Unbind, _called(lambda call: board.unbind(call.interface)))
+        handlers.on(OpenLink, _called(lambda call: board.open_link(call.link)))
+        handlers.on(CloseLink, _called(lambda call: board.close_link(call.link)))
+        handlers.on(AddRoute, _awaited(lambda call: board.add_route(call.route)))
+        handlers.on(RemoveRoute, _called(lambda call: board.remove_route(call.interface, call.peer)))
+        handlers.on(StartNode, _awaited(lambda call: nodes.start(call.node)))
+        handlers.on(StopNode, _awaited(lambda call: nodes.stop(call.node)))
+        handlers.on(PutParameter, _awaited(lambda call: self._put(call.parameter)))
+        handlers.on(DropParameter, _called(lambda call: self._parameters.drop(call.key)))
+        handlers.on(ReadLog, self._read_log)
+        handlers.on(Describe, self._describe)
+        handlers.on(ReadGraph, self._read_graph)
+        handlers.on(CountTraffic, board.traffic)
+        handlers.on(FollowMessages, board.watch.follow)
         handlers.tell_metrics("environment", board.families, self._families)
         return handlers
 
@@ -95,7 +115,7 @@ class Environment:
 
     # calls
 
-    async def _make(self, spec: c.InterfaceSpec) -> Interface:
+    async def _make(self, spec: InterfaceSpec) -> Interface:
         kind = KINDS.get(spec.kind)
         if kind is None:
             raise InvalidRequest(
@@ -106,16 +126,16 @@ class Environment:
         await interface.open()
         return interface
 
-    async def _sync(self, call: c.Sync) -> c.Settled:
+    async def _sync(self, call: Sync) -> Settled:
         failed = await self._sync_parameters(call.parameters)
         starting = asyncio.gather(*(self._start(spec, failed) for spec in call.nodes))
         for tag in set(self._nodes.specs) - {spec.tag for spec in call.nodes}:
             await self._nodes.stop(tag)
         failed |= await self._switchboard.sync(call, self._make)
         await starting
-        return c.Settled(failed)
+        return Settled(failed)
 
-    async def _sync_parameters(self, specs: list[c.ParameterSpec]) -> dict[str, ErrorInfo]:
+    async def _sync_parameters(self, specs: list[ParameterSpec]) -> dict[str, ErrorInfo]:
         failed: dict[str, ErrorInfo] = {}
         for key in set(self._parameters.specs) - {spec.key for spec in specs}:
             self._parameters.drop(key)
@@ -126,13 +146,13 @@ class Environment:
                 failed[f"parameter:{spec.key}"] = error.info
         return failed
 
-    async def _start(self, spec: c.NodeSpec, failed: dict[str, ErrorInfo]) -> None:
+    async def _start(self, spec: NodeSpec, failed: dict[str, ErrorInfo]) -> None:
         try:
             await self._nodes.start(spec)
         except RceError as error:
             failed[f"node:{spec.tag}"] = error.info
 
-    async def _put(self, spec: c.ParameterSpec) -> None:
+    async def _put(self, spec: ParameterSpec) -> None:
         spec = checked(self._nodes.resolved(spec))
         before = self._parameters.specs.get(spec.key)
         if before == spec:
@@ -149,16 +169,16 @@ class Environment:
                 self._parameters.put(before)
             raise
 
-    async def _read_log(self, call: c.ReadLog) -> c.Log:
+    async def _read_log(self, call: ReadLog) -> Log:
         log = self._nodes.log(call.node) if call.node else self._log
         if call.after:
-            return c.Log(*await log.more(call.after, call.wait))
-        return c.Log(log.last_lines(call.lines), log.end)
+            return Log(*await log.more(call.after, call.wait))
+        return Log(log.last_lines(call.lines), log.end)
 
-    async def _describe(self, call: c.Describe) -> c.Definitions:
-        return c.Definitions(self._definitions.describe(call.type, call.service))
+    async def _describe(self, call: Describe) -> Definitions:
+        return Definitions(self._definitions.describe(call.type, call.service))
 
-    async def _read_graph(self, call: c.ReadGraph) -> c.RosGraph:
+    async def _read_graph(self, call: ReadGraph) -> RosGraph:
         return await self._ros.run(lambda: read(self._ros.node))
 
     def _families(self) -> list[Family]:
@@ -166,8 +186,8 @@ class Environment:
 
     # reports
 
-    def _report(self, spec: c.InterfaceSpec, error: RceError) -> None:
-        self._tell(c.Report(spec.owner, spec.tag, error.info))
+    def _report(self, spec: InterfaceSpec, error: RceError) -> None:
+        self._tell(Report(spec.owner, spec.tag, error.info))
 
     def _tick(self, now: float) -> None:
         for interface in list(self._switchboard.interfaces.values()):
@@ -175,22 +195,22 @@ class Environment:
             interface.tick(now)
             if interface.dropped > self._drops.get(interface.spec.id, 0):
                 self._drops[interface.spec.id] = interface.dropped
-                self._tell(c.Report(interface.spec.owner, interface.spec.tag, drops=interface.dropped))
+                self._tell(Report(interface.spec.owner, interface.spec.tag, drops=interface.dropped))
         present = {interface.spec.id for interface in self._switchboard.interfaces.values()}
         self._drops = {id: count for id, count in self._drops.items() if id in present}
 
 
-def _awaited(action: Callable[[C], Awaitable[None]]) -> Callable[[C], Awaitable[c.Nothing]]:
-    async def handler(call: C) -> c.Nothing:
+def _awaited(action: Callable[[C], Awaitable[None]]) -> Callable[[C], Awaitable[Nothing]]:
+    async def handler(call: C) -> Nothing:
         await action(call)
-        return c.Nothing()
+        return Nothing()
 
     return handler
 
 
-def _called(action: Callable[[C], None]) -> Callable[[C], Awaitable[c.Nothing]]:
-    async def handler(call: C) -> c.Nothing:
+def _called(action: Callable[[C], None]) -> Callable[[C], Awaitable[Nothing]]:
+    async def handler(call: C) -> Nothing:
         action(call)
-        return c.Nothing()
+        return Nothing()
 
     return handler

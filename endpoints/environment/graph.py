@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rclpy.node import Node
 
-from rce.calls import RosGraph, RosName
+from rce.calls.watching import RosGraph, RosName
 
 
 def read(node: Node) -> RosGraph:

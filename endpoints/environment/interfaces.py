@@ -10,10 +10,10 @@ from rclpy.exceptions import InvalidServiceNameException, InvalidTopicNameExcept
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from twisted.logger import Logger
 
-from endpoints.environment.definitions import Definitions
+from endpoints.environment.definitions import InstalledTypes
 from endpoints.environment.ros import RosThread, Waited
 from endpoints.switchboard import Interface, Switchboard
-from rce.calls import InterfaceSpec
+from rce.calls.endpoints import InterfaceSpec
 from rce.errors import InvalidRequest, RceError
 
 log = Logger()
@@ -26,7 +26,7 @@ class Surroundings:
 
     ros: RosThread
     switchboard: Switchboard
-    definitions: Definitions
+    definitions: InstalledTypes
     report: Callable[[InterfaceSpec, RceError], None]
 
 

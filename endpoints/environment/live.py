@@ -14,7 +14,7 @@ from twisted.logger import Logger
 
 from endpoints.environment.ros import NODE, RosThread
 from endpoints.environment.ros_services import RawClient
-from rce.calls import ParameterSpec
+from rce.calls.endpoints import ParameterSpec
 from rce.errors import InvalidRequest
 from rce.messages import ParameterValue
 

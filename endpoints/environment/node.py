@@ -13,7 +13,7 @@ from pathlib import Path
 from twisted.logger import Logger
 
 from endpoints.environment.nodelog import NodeLog
-from rce.calls import NodeSpec
+from rce.calls.endpoints import NodeSpec
 from rce.errors import StartFailed
 
 LAUNCHER = Path(__file__).with_name("launcher.py")

@@ -15,7 +15,7 @@ from endpoints.environment.nodelog import NodeLog
 from endpoints.environment.packages import Packages
 from endpoints.environment.parameters import Parameters
 from endpoints.environment.surroundings import for_users_nodes
-from rce.calls import NodeDied, NodeSpec, ParameterSpec
+from rce.calls.endpoints import NodeDied, NodeSpec, ParameterSpec
 from rce.errors import NotFound
 
 log = Logger()

@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable
 from pathlib import Path
 
-from rce.calls import ParameterSpec
+from rce.calls.endpoints import ParameterSpec
 from rce.errors import InvalidRequest
 from rce.messages import ParameterValue
 

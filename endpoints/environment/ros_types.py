@@ -7,12 +7,12 @@ from typing import Any
 
 from rclpy.type_support import check_is_valid_msg_type, check_is_valid_srv_type
 
-from endpoints.environment.definitions import Definitions
+from endpoints.environment.definitions import InstalledTypes
 from rce.errors import UnknownType
 from rce.names import parse_type
 
 
-def message_class(name: str, definitions: Definitions) -> type[Any]:
+def message_class(name: str, definitions: InstalledTypes) -> type[Any]:
     """UnknownType when there is no such message here, or no type support for it."""
     kind = _load(name, "msg", definitions)
     try:
@@ -22,7 +22,7 @@ def message_class(name: str, definitions: Definitions) -> type[Any]:
     return kind
 
 
-def service_class(name: str, definitions: Definitions) -> type[Any]:
+def service_class(name: str, definitions: InstalledTypes) -> type[Any]:
     """UnknownType when there is no such service here, or no type support for it."""
     kind = _load(name, "srv", definitions)
     try:
@@ -32,7 +32,7 @@ def service_class(name: str, definitions: Definitions) -> type[Any]:
     return kind
 
 
-def _load(name: str, sort: str, definitions: Definitions) -> type[Any]:
+def _load(name: str, sort: str, definitions: InstalledTypes) -> type[Any]:
     package, base = parse_type(name)
     definitions.find(package, sort, base)  # nothing is imported but packages of interfaces
     try:

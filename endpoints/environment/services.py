@@ -16,7 +16,7 @@ from endpoints.environment.ros_types import service_class
 from endpoints.frames import Message
 from endpoints.link import Link
 from endpoints.switchboard import MAX_REQUESTS, error_of
-from rce.calls import InterfaceSpec
+from rce.calls.endpoints import InterfaceSpec
 from rce.errors import ConversionError, LimitExceeded, NotConnected, NotFound, RceError, TimedOut
 
 TIMEOUT = 30.0  # seconds that an answer may take

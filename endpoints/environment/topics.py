@@ -12,7 +12,7 @@ from endpoints.environment.ros_topics import SETTLING, RawPublisher, RawSubscrip
 from endpoints.environment.ros_types import message_class
 from endpoints.frames import Buffer, Message
 from endpoints.link import Link
-from rce.calls import InterfaceSpec
+from rce.calls.endpoints import InterfaceSpec
 from rce.errors import ConversionError, InvalidRequest
 
 HIGH_WATER = 8  # with keep_all: messages not yet published at which the sender has to wait

@@ -19,7 +19,7 @@ from endpoints.memory import keep_large_blocks
 from endpoints.robot.endpoint import Options, RobotEndpoint
 from endpoints.robot.server import ServerLimits, listen
 from rce import loop, settings
-from rce.calls import Hello, Welcome
+from rce.calls.joining import Hello, Welcome
 from rce.control import MasterLink
 from rce.credential import Credential, stay_joined
 from rce.host import host_identity

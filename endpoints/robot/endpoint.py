@@ -14,9 +14,12 @@ from endpoints.robot.server import Admitted, Greeting, ServerLimits
 from endpoints.robot.session import Session
 from endpoints.robot.types import UserTypes
 from endpoints.switchboard import Interface, Switchboard
-from rce import calls as c
 from rce import logs
 from rce.blobs import Buffer
+from rce.calls.call import Nothing, Settled
+from rce.calls.endpoints import AddRoute, Bind, CloseLink, InterfaceSpec, LinkLost, OpenLink, RemoveRoute, Sync, Unbind
+from rce.calls.robots import Definitions, Describe, DropRobot, Leave, LoggedIn, Login, Tell
+from rce.calls.watching import CountTraffic, FollowMessages
 from rce.control import Handlers, MasterLink
 from rce.errors import NotFound, RceError, Unavailable
 from rce.messages import DataMessage
@@ -54,17 +57,17 @@ class RobotEndpoint:
 
     def handlers(self) -> Handlers:
         handlers = Handlers()
-        handlers.on(c.Sync, self._sync)
-        handlers.on(c.Bind, self._bind)
-        handlers.on(c.Unbind, self._unbind)
-        handlers.on(c.OpenLink, self._open_link)
-        handlers.on(c.CloseLink, self._close_link)
-        handlers.on(c.AddRoute, self._add_route)
-        handlers.on(c.RemoveRoute, self._remove_route)
-        handlers.on(c.Tell, self._tell)
-        handlers.on(c.DropRobot, self._drop_robot)
-        handlers.on(c.CountTraffic, self.switchboard.traffic)
-        handlers.on(c.FollowMessages, self.switchboard.watch.follow)
+        handlers.on(Sync, self._sync)
+        handlers.on(Bind, self._bind)
+        handlers.on(Unbind, self._unbind)
+        handlers.on(OpenLink, self._open_link)
+        handlers.on(CloseLink, self._close_link)
+        handlers.on(AddRoute, self._add_route)
+        handlers.on(RemoveRoute, self._remove_route)
+        handlers.on(Tell, self._tell)
+        handlers.on(DropRobot, self._drop_robot)
+        handlers.on(CountTraffic, self.switchboard.traffic)
+        handlers.on(FollowMessages, self.switchboard.watch.follow)
         handlers.tell_metrics("robot", self.switchboard.families, self._families)
         return handlers
 
@@ -104,9 +107,9 @@ class RobotEndpoint:
         log.info("robot {robot} {how} from {address}", robot=name, how=how, address=greeting.address)
         return Admitted(session, answer.token, answer.resumed)
 
-    async def _ask(self, greeting: Greeting) -> c.LoggedIn:
+    async def _ask(self, greeting: Greeting) -> LoggedIn:
         return await self.master.call(
-            c.Login(
+            Login(
                 greeting.user,
                 greeting.robot,
                 greeting.secret,
@@ -149,7 +152,7 @@ class RobotEndpoint:
     async def _leave(self, session: Session) -> None:
         while self.sessions.get(session.name) is session and session.socket is None:
             try:
-                await self.master.call(c.Leave(session.name))
+                await self.master.call(Leave(session.name))
             except Unavailable:
                 await asyncio.sleep(LEAVE_RETRY)
                 continue
@@ -166,61 +169,61 @@ class RobotEndpoint:
 
     # --- the Master's calls -------------------------------------------------------------------------------------------
 
-    async def _sync(self, call: c.Sync) -> c.Settled:
+    async def _sync(self, call: Sync) -> Settled:
         for name in set(self.sessions) - set(call.robots):
             self.sessions.pop(name).end("the session is over")
-        return c.Settled(await self.switchboard.sync(call, self._make))
+        return Settled(await self.switchboard.sync(call, self._make))
 
-    async def _bind(self, call: c.Bind) -> c.Nothing:
+    async def _bind(self, call: Bind) -> Nothing:
         await self.switchboard.bind(call.interface, self._make)
-        return c.Nothing()
+        return Nothing()
 
-    async def _make(self, spec: c.InterfaceSpec) -> Interface:
+    async def _make(self, spec: InterfaceSpec) -> Interface:
         # Without a session the robot's login is under way: the Master binds what it has before it answers.
         session = self.sessions.get(spec.owner) or self._begin(spec.owner)
         user = spec.owner.partition("/")[0]
         types = self._types.setdefault(user, UserTypes(partial(self._describe, user)))
         return make(spec, self.switchboard, session, await types.of(spec), self._timeout)
 
-    async def _describe(self, user: str, name: str, service: bool) -> c.Definitions:
-        return await self.master.call(c.Describe(user, name, service))
+    async def _describe(self, user: str, name: str, service: bool) -> Definitions:
+        return await self.master.call(Describe(user, name, service))
 
-    async def _unbind(self, call: c.Unbind) -> c.Nothing:
+    async def _unbind(self, call: Unbind) -> Nothing:
         self.switchboard.unbind(call.interface)
-        return c.Nothing()
+        return Nothing()
 
-    async def _open_link(self, call: c.OpenLink) -> c.Nothing:
+    async def _open_link(self, call: OpenLink) -> Nothing:
         self.switchboard.open_link(call.link)
-        return c.Nothing()
+        return Nothing()
 
-    async def _close_link(self, call: c.CloseLink) -> c.Nothing:
+    async def _close_link(self, call: CloseLink) -> Nothing:
         self.switchboard.close_link(call.link)
-        return c.Nothing()
+        return Nothing()
 
-    async def _add_route(self, call: c.AddRoute) -> c.Nothing:
+    async def _add_route(self, call: AddRoute) -> Nothing:
         await self.switchboard.add_route(call.route)
-        return c.Nothing()
+        return Nothing()
 
-    async def _remove_route(self, call: c.RemoveRoute) -> c.Nothing:
+    async def _remove_route(self, call: RemoveRoute) -> Nothing:
         self.switchboard.remove_route(call.interface, call.peer)
-        return c.Nothing()
+        return Nothing()
 
-    async def _tell(self, call: c.Tell) -> c.Nothing:
+    async def _tell(self, call: Tell) -> Nothing:
         session = self.sessions.get(call.robot)
         if session is not None:
             if call.status is not None:
                 session.status(call.status)
             if call.error is not None and "events" in session.features:
                 session.error(RceError.from_info(call.error))
-        return c.Nothing()
+        return Nothing()
 
-    async def _drop_robot(self, call: c.DropRobot) -> c.Nothing:
+    async def _drop_robot(self, call: DropRobot) -> Nothing:
         session = self.sessions.pop(call.robot, None)
         if session is not None:
             session.end(call.reason)
             for interface in list(session.interfaces.values()):
                 self.switchboard.unbind(interface.spec.id)
-        return c.Nothing()
+        return Nothing()
 
     def _link_lost(self, link: str, reason: str) -> None:
         task = asyncio.create_task(self._report_link(link, reason))
@@ -229,6 +232,6 @@ class RobotEndpoint:
 
     async def _report_link(self, link: str, reason: str) -> None:
         try:
-            await self.master.call(c.LinkLost(link, reason))
+            await self.master.call(LinkLost(link, reason))
         except RceError as error:  # when it joins again, its Sync makes this endpoint report the link again
             log.info("link {link} could not be reported: {error}", link=link, error=str(error))

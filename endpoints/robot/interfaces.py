@@ -23,7 +23,7 @@ from endpoints.link import Link
 from endpoints.robot.session import Piece, Session
 from endpoints.switchboard import Interface, Switchboard, error_of
 from rce.blobs import Buffer, binary_frames
-from rce.calls import InterfaceSpec
+from rce.calls.endpoints import InterfaceSpec
 from rce.errors import InvalidRequest, LimitExceeded, NotConnected, RceError, TimedOut
 from rce.messages import MAX_MSG_ID, DataMessage
 from rce.names import parse_type

@@ -15,7 +15,9 @@ from twisted.logger import Logger
 from rce import logs
 from rce import messages as m
 from rce.blobs import BinaryFrame, Buffer
-from rce.calls import Execute, InterfaceSpec, Nothing
+from rce.calls.call import Nothing
+from rce.calls.endpoints import InterfaceSpec
+from rce.calls.robots import Execute
 from rce.control import MasterLink
 from rce.errors import InvalidRequest, LimitExceeded, Lost, RceError
 from rce.metrics import errors

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 
 from converters.types import TypeRegistry, common_definitions
-from rce.calls import Definitions, InterfaceSpec
+from rce.calls.endpoints import InterfaceSpec
+from rce.calls.robots import Definitions
 from rce.errors import AlreadyExists, UnknownType
 from rce.names import parse_type
 

@@ -13,7 +13,7 @@ from master.api.events import LAST
 from master.api.router import Api, Route
 from master.api.streams import Piece, Streams
 from master.service import Master
-from rce.calls import Log, ReadLog
+from rce.calls.watching import Log, ReadLog
 from rce.errors import NotFound
 from rce.views import LogLines
 

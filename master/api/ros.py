@@ -6,7 +6,7 @@ from master.api.acting import acting, cut
 from master.api.calls import Answer, Call, Paging, Whose
 from master.api.router import Api, Route
 from master.service import Master
-from rce.calls import ReadGraph, RosGraph, RosName
+from rce.calls.watching import ReadGraph, RosGraph, RosName
 from rce.errors import NotFound
 from rce.views import Page
 

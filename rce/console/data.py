@@ -11,7 +11,7 @@ from rce.console.command import ENVIRONMENT, JSON, OF, Argument, Command, argume
 from rce.console.session import Session
 
 if TYPE_CHECKING:  # most commands have no part in data
-    from rce.calls import RosName
+    from rce.calls.watching import RosName
     from rce.console.part import Part
 
 TOPIC = argument("topic", live="topic", metavar="ENV/TOPIC", help="a topic of an environment, as brain/pose")
@@ -28,7 +28,7 @@ SERVICES: show.Columns[RosName] = {"service": lambda each: each.name, "type": la
 
 
 def names(session: Session, words: argparse.Namespace, kind: str) -> Iterator[RosName]:
-    from rce.calls import RosName
+    from rce.calls.watching import RosName
 
     return session.api.items(RosName, "environments", words.environment, kind, user=words.of)
 

@@ -10,7 +10,7 @@ from contextlib import asynccontextmanager, suppress
 from typing import TypeVar
 
 from rce import views
-from rce.calls import RosName
+from rce.calls.watching import RosName
 from rce.client import Robot
 from rce.console.session import Session
 from rce.errors import InvalidRequest, NotFound

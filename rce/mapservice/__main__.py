@@ -14,7 +14,7 @@ from twisted.logger import Logger
 
 import rce
 from rce import loop, settings
-from rce.calls import Hello, Welcome
+from rce.calls.joining import Hello, Welcome
 from rce.control import MasterLink
 from rce.credential import Credential, stay_joined
 from rce.host import host_identity

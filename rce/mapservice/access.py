@@ -12,7 +12,8 @@ from typing import Any, Protocol
 from msgspec import Struct
 from twisted.logger import Logger
 
-from rce.calls import Borrow, Call, Delegate, EndGrant, LentKey, NoteDone, Person, Vouch
+from rce.calls.call import Call
+from rce.calls.services import Borrow, Delegate, EndGrant, LentKey, NoteDone, Person, Vouch
 from rce.errors import RceError, Unauthorized
 
 REMEMBER = 30.0  # seconds for which a proof is good, so that a stream of requests is not a stream of argon2 checks

@@ -20,7 +20,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 from twisted.logger import Logger
 
-from rce.calls import LentKey
+from rce.calls.services import LentKey
 from rce.errors import InvalidRequest, LimitExceeded, NoCapacity, NotFound, RceError, Unavailable
 from rce.map_jobs import OVER, File, Job, JobRequest
 from rce.mapservice.fairness import FairQueue

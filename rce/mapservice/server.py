@@ -11,7 +11,8 @@ from aiohttp import web
 from msgspec import Struct
 from twisted.logger import Logger
 
-from rce.calls import ForgetProofs, Nothing
+from rce.calls.call import Nothing
+from rce.calls.services import ForgetProofs
 from rce.control import Handlers
 from rce.errors import InvalidRequest
 from rce.map_jobs import PREFIX

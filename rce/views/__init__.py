@@ -4,7 +4,7 @@ Things of the protocol have the names that they have in CC, CN and CX (`containe
 are single words. Every view of what belongs to a user begins with `user`. Times are seconds since 1970, sizes bytes.
 """
 
-from rce.calls import RosName as RosName
+from rce.calls.watching import RosName as RosName
 from rce.views.accounts import AuditView as AuditView
 from rce.views.accounts import KeyView as KeyView
 from rce.views.accounts import MadeKey as MadeKey

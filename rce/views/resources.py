@@ -6,7 +6,7 @@ from typing import Literal
 
 from msgspec import Struct
 
-from rce.calls import Egress
+from rce.calls.environments import Egress
 from rce.messages import ContainerData, ParameterValue, Qos
 
 

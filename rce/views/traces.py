@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from msgspec import Struct
 
-from rce.calls import Hop
+from rce.calls.watching import Hop
 
 
 class HopView(Struct, frozen=True):

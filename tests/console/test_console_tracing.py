@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from rce.api import ServerEvent
-from rce.calls import Hop
+from rce.calls.watching import Hop
 from rce.console.session import Session
 from rce.console.tracing import CLOCKS, medians, paths, trace
 from rce.views import HopView, MessageTrace

@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Callable
 import pytest
 
 from containers.engine import Ended, Engine, Life
-from rce.calls import EnvironmentSpec
+from rce.calls.environments import EnvironmentSpec
 from rce.errors import InvalidName, InvalidRequest, NoCapacity, StartFailed
 from rce.messages import ContainerData
 

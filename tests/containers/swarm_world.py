@@ -14,7 +14,7 @@ from twisted.internet.base import ReactorBase
 from containers.engine import Ended, Engine
 from containers.swarm import SwarmEngine
 from containers.swarm_spec import AgentService
-from rce.calls import EnvironmentSpec
+from rce.calls.environments import EnvironmentSpec
 from rce.messages import ContainerData
 
 COMMAND = ["/stand-in"]

@@ -20,7 +20,7 @@ from test_engine_docker import DockerWorld
 from containers import firewall
 from containers.docker import NAMESERVERS, DockerEngine
 from containers.docker_networks import identity
-from rce.calls import Egress, EnvironmentSpec, Group
+from rce.calls.environments import Egress, EnvironmentSpec, Group
 from rce.errors import StartFailed
 from rce.messages import ContainerData
 

@@ -19,7 +19,7 @@ docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce
 
 from containers.docker import DockerEngine
 from containers.engine import Ended, Engine, Life
-from rce.calls import EnvironmentSpec
+from rce.calls.environments import EnvironmentSpec
 from rce.errors import InvalidRequest, LimitExceeded, StartFailed, Unavailable
 from rce.messages import ContainerData
 from rce.slots import MB, PIDS

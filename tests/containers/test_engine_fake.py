@@ -8,7 +8,7 @@ from engine_contract import CAPACITY, FEATURES, Endings, EngineContract, World, 
 
 from containers.engine import Ended, Engine, Life
 from containers.fake import AwayEngine, DyingEngine, FailingEngine, FakeEngine, FakeMachine, NeverEngine, SlowEngine
-from rce.calls import EnvironmentSpec
+from rce.calls.environments import EnvironmentSpec
 from rce.errors import StartFailed
 
 

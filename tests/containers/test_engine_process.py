@@ -19,7 +19,7 @@ from containers.data_relay import DataRelay
 from containers.domains import Domains
 from containers.engine import Ended, Engine, Life
 from containers.process import ProcessEngine
-from rce.calls import EnvironmentSpec, Group
+from rce.calls.environments import EnvironmentSpec, Group
 from rce.errors import InvalidRequest, LimitExceeded, NoCapacity, StartFailed
 from rce.messages import ContainerData
 from rce.passage import Passage, refused

@@ -13,7 +13,7 @@ import pytest
 from certified import certify
 
 from containers.fetching import Fetcher, entry_of
-from rce.calls import Ticket
+from rce.calls.environments import Ticket
 from rce.certificates import Authority
 from rce.errors import NotFound, Unauthorized, Unavailable
 from rce.tls import Tls

@@ -16,7 +16,7 @@ from test_engine_process import STAND_IN, ProcessWorld
 from test_taskset import FakeMaster, joined
 from twisted.internet.base import ReactorBase
 
-from rce.calls import StartEnvironment, StopEnvironment
+from rce.calls.environments import StartEnvironment, StopEnvironment
 
 # As containers.__main__, with the stand-in instead of the Environment endpoint.
 PROGRAM = """

@@ -24,7 +24,7 @@ from swarm_world import SwarmWorld, with_options
 
 from containers.swarm import SwarmEngine
 from rce import archive
-from rce.calls import EnvironmentSpec, Group, Ticket
+from rce.calls.environments import EnvironmentSpec, Group, Ticket
 from rce.errors import InvalidRequest, NotFound, StartFailed
 from rce.messages import ContainerData, Rates
 from rce.slots import MB

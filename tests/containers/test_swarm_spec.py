@@ -13,7 +13,7 @@ pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'
 from containers.furnishing import hosts
 from containers.swarm_manager import Node, _judge, _node
 from containers.swarm_spec import Names, check, needs, surroundings
-from rce.calls import EnvironmentSpec, Group
+from rce.calls.environments import EnvironmentSpec, Group
 from rce.errors import InvalidRequest, NoCapacity, StartFailed
 from rce.messages import ContainerData
 

@@ -14,21 +14,11 @@ from twisted.internet.interfaces import IListeningPort
 from containers.engine import Life
 from containers.fake import FailingEngine, FakeEngine, FakeMachine
 from containers.taskset import TaskSet
-from rce.calls import (
-    EnvironmentDied,
-    Hello,
-    KeepEnvironments,
-    LimitReached,
-    MeasureUsage,
-    Nothing,
-    Ping,
-    StartEnvironment,
-    StopEnvironment,
-    StopNode,
-    Usage,
-    Used,
-    Welcome,
-)
+from rce.calls.call import Nothing, Ping
+from rce.calls.endpoints import StopNode
+from rce.calls.environments import EnvironmentDied, KeepEnvironments, LimitReached, StartEnvironment, StopEnvironment
+from rce.calls.joining import Hello, Welcome
+from rce.calls.watching import MeasureUsage, Usage, Used
 from rce.control import Control, Handlers, listen
 from rce.credential import Credential
 from rce.errors import InvalidRequest, StartFailed, Unauthorized

@@ -10,7 +10,7 @@ import pytest
 
 from containers.docker_used import read
 from containers.processes_used import used_below
-from rce.calls import Used
+from rce.calls.watching import Used
 
 BUSY = "import os, time\nwhile os.times().user < 0.1: pass\n"
 

@@ -108,7 +108,7 @@ IMPERSONATE = """
 import asyncio
 from pathlib import Path
 from rce import __version__, loop
-from rce.calls import Hello
+from rce.calls.joining import Hello
 from rce.control import Handlers, connect
 from rce.errors import RceError
 victim = sys.argv[1]

@@ -22,7 +22,7 @@ docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce
 
 from provisioning.image import BASE, MAPPING, Builder
 from rce import __version__
-from rce.calls import Hello
+from rce.calls.joining import Hello
 from rce.control import Handlers, connect
 from rce.errors import TimedOut, Unauthorized
 

@@ -23,7 +23,8 @@ from endpoints.robot.server import ServerLimits
 from master.service import Master
 from master.store import Store
 from rce import control, ready
-from rce.calls import Hello, Leave
+from rce.calls.joining import Hello
+from rce.calls.robots import Leave
 from rce.control import MasterLink
 
 

@@ -10,7 +10,7 @@ from hand_turned import HandTurnedLoop
 from endpoints import hops
 from endpoints.frames import Message
 from endpoints.hops import Watch
-from rce.calls import FollowMessages, Passage
+from rce.calls.watching import FollowMessages, Passage
 
 OUT, IN, OTHER = bytes([1] * 16), bytes([2] * 16), bytes([3] * 16)
 

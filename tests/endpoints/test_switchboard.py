@@ -12,7 +12,8 @@ from endpoints.data_port import DataPort
 from endpoints.frames import Message
 from endpoints.link import Link
 from endpoints.switchboard import Interface, Switchboard, error_of
-from rce.calls import Counts, CountTraffic, InterfaceSpec, InterfaceTraffic, LinkSpec, Route, Sync
+from rce.calls.endpoints import InterfaceSpec, LinkSpec, Route, Sync
+from rce.calls.watching import Counts, CountTraffic, InterfaceTraffic
 from rce.errors import NotConnected, NotFound, TimedOut, Unavailable
 from rce.messages import Qos
 

@@ -8,7 +8,8 @@ from msgspec import Raw
 from converters.types import TypeRegistry
 from converters.wire import Wire
 from endpoints.robot.types import UserTypes
-from rce.calls import Definitions, InterfaceSpec
+from rce.calls.endpoints import InterfaceSpec
+from rce.calls.robots import Definitions
 from rce.errors import AlreadyExists, UnknownType
 from rce.names import parse_type
 

@@ -9,7 +9,8 @@ from typing import Any
 
 import aiohttp
 
-from rce import calls as c
+from rce.calls.call import Call, Nothing
+from rce.calls.services import Borrow, Delegate, EndGrant, Grant, LentKey, NoteDone, Person, Vouch
 from rce.errors import RceError, Unauthorized
 from rce.mapservice import jobs, uploads
 from rce.mapservice.server import Limits, MapService
@@ -26,31 +27,31 @@ class FakeMaster:
 
     def __init__(self) -> None:
         self.away: RceError | None = None
-        self.calls: list[c.Call[Any]] = []
+        self.calls: list[Call[Any]] = []
         self.grants: dict[str, str] = {}
 
     @property
     def connected(self) -> bool:
         return self.away is None
 
-    async def call(self, call: c.Call[Any], wait: float = 10.0) -> Any:
+    async def call(self, call: Call[Any], wait: float = 10.0) -> Any:
         self.calls.append(call)
         if self.away is not None:
             raise self.away
         match call:
-            case c.Vouch(user, secret, _, _) if KEYS.get(secret, "") and user in ("", KEYS[secret]):
-                return c.Person(KEYS[secret], "robot")
-            case c.NoteDone():
-                return c.Nothing()
-            case c.Delegate(user, _):
+            case Vouch(user, secret, _, _) if KEYS.get(secret, "") and user in ("", KEYS[secret]):
+                return Person(KEYS[secret], "robot")
+            case NoteDone():
+                return Nothing()
+            case Delegate(user, _):
                 name = f"grant {len(self.calls)}"
                 self.grants[name] = user
-                return c.Grant(name)
-            case c.Borrow(grant, _) if grant in self.grants:
-                return c.LentKey(self.grants[grant], "rce_lent_1")
-            case c.EndGrant(grant):
+                return Grant(name)
+            case Borrow(grant, _) if grant in self.grants:
+                return LentKey(self.grants[grant], "rce_lent_1")
+            case EndGrant(grant):
                 self.grants.pop(grant, None)
-                return c.Nothing()
+                return Nothing()
         raise Unauthorized("user or password is wrong")
 
 

@@ -11,7 +11,7 @@ import pytest
 from maps_in_memory import LOG, Service
 from openapi_spec_validator import OpenAPIV31SpecValidator
 
-from rce import calls as c
+from rce.calls.services import NoteDone
 from rce.errors import InvalidRequest, Unauthorized, Unavailable
 from rce.mapservice.work import Report
 
@@ -307,7 +307,7 @@ async def test_what_is_changed_is_told_for_the_audit_log(service: Service) -> No
     assert (await service.ask("DELETE", f"/jobs/{job}")).status == 400
     assert (await service.ask("POST", f"/jobs/{job}/cancel")).status == 200
     assert (await service.ask("POST", f"/jobs/{job}/cancel", "bob")).status == 404
-    noted = [call for call in service.master.calls if isinstance(call, c.NoteDone)]
+    noted = [call for call in service.master.calls if isinstance(call, NoteDone)]
     assert [(call.person.user, call.action, call.object, call.result) for call in noted] == [
         ("ann", "upload.create", f"ann/{upload}", "ok"),
         ("ann", "job.submit", f"ann/{job}", "ok"),

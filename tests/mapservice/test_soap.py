@@ -10,7 +10,7 @@ import pytest
 from lxml import etree
 from maps_in_memory import LOG, Service
 
-from rce import calls as c
+from rce.calls.services import Vouch
 from rce.mapservice.envelope import OWN, SOAP, WSSE, Envelopes
 
 NAMES = {"s": SOAP, "r": OWN}
@@ -142,7 +142,7 @@ async def test_a_username_token(service: Service) -> None:
     assert fault(answer)[1] == "not_found"
     _, answer = await ask(service, envelope(asked, token("secret")), "nobody")
     assert fault(answer)[:2] == ("soap:Client", "unauthorized")
-    vouch = c.Vouch("ann", hashlib.sha256(b"secret").hexdigest(), "job.read", "127.0.0.1")
+    vouch = Vouch("ann", hashlib.sha256(b"secret").hexdigest(), "job.read", "127.0.0.1")
     assert vouch in service.master.calls
     _, answer = await ask(service, envelope(asked, token("x", "PasswordDigest")), "nobody")
     assert fault(answer)[:2] == ("soap:Client", "unauthorized")

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 from served import Served
 
 from master.records import Package, Version
-from rce import calls as c
 from rce import messages as m
+from rce.calls.robots import Login
 from rce.roles import Scopes
 
 GOOD = "correct horse battery"
@@ -173,7 +173,7 @@ class World:
         for tag in ("r1", "r2"):
             if f"{user}/{tag}" not in state.robots:
                 secret, _ = await master.users.keys.add(user, "robot")
-                await self.served.said("west", c.Login(user, tag, secret))
+                await self.served.said("west", Login(user, tag, secret))
         for command in self._lacking(user):
             await master.execute(user, command)
         state.packages.put(Package(f"{user}/tool", [Version(DIGEST, 1, [], 0.0)], ["vera"]))

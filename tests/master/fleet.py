@@ -11,7 +11,8 @@ from master.effects import Outcome, Plan, Send
 from master.policies import UNLIMITED
 from master.records import Process, Role, State
 from rce import messages as m
-from rce.calls import Call, Hello
+from rce.calls.call import Call
+from rce.calls.joining import Hello
 
 
 def numbers() -> Callable[[], str]:

@@ -24,8 +24,13 @@ from master.policies import Policy
 from master.service import Master
 from master.store import Store
 from master.users import digest
-from rce import calls as c
 from rce import http as client
+from rce.calls.call import Call, Nothing, Settled
+from rce.calls.endpoints import Sync
+from rce.calls.environments import StartEnvironment, StopEnvironment
+from rce.calls.joining import Hello
+from rce.calls.robots import Definitions, Describe, Login
+from rce.calls.watching import CountTraffic, Log, MeasureUsage, ReadGraph, ReadLog, RosGraph, Traffic, Usage
 from rce.control import Control, Handlers
 from rce.errors import RceError
 
@@ -43,33 +48,33 @@ class Peer:
 
     handlers: Handlers
 
-    def __init__(self, served: Served, hello: c.Hello) -> None:
+    def __init__(self, served: Served, hello: Hello) -> None:
         self.address = "memory"
         self.lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self.told: list[c.Call[Any]] = []
-        self.refuse: dict[type[c.Call[Any]], RceError] = {}
-        self.answers: dict[type[c.Call[Any]], Any] = {
-            c.Sync: c.Settled(),
-            c.Describe: c.Definitions({}),
-            c.CountTraffic: c.Traffic({}),
-            c.ReadGraph: c.RosGraph([], []),
-            c.ReadLog: c.Log([]),
-            c.MeasureUsage: c.Usage({}),
+        self.told: list[Call[Any]] = []
+        self.refuse: dict[type[Call[Any]], RceError] = {}
+        self.answers: dict[type[Call[Any]], Any] = {
+            Sync: Settled(),
+            Describe: Definitions({}),
+            CountTraffic: Traffic({}),
+            ReadGraph: RosGraph([], []),
+            ReadLog: Log([]),
+            MeasureUsage: Usage({}),
         }
         self._served = served
         self._hello = hello
 
-    async def call(self, call: c.Call[Any]) -> Any:
+    async def call(self, call: Call[Any]) -> Any:
         await asyncio.sleep(0)
         self.told.append(call)
         if type(call) in self.refuse:
             raise self.refuse[type(call)]
         match call:
-            case c.StartEnvironment(spec) if self._served.starts:
-                await self._served.join(c.Hello("environment", spec.name, spec.token, rce.__version__, spec.run))
-            case c.StopEnvironment(name) if name in self._served.peers:
+            case StartEnvironment(spec) if self._served.starts:
+                await self._served.join(Hello("environment", spec.name, spec.token, rce.__version__, spec.run))
+            case StopEnvironment(name) if name in self._served.peers:
                 self._served.peers.pop(name).close()
-        answer = self.answers.get(type(call), c.Nothing())
+        answer = self.answers.get(type(call), Nothing())
         return await answer(call) if callable(answer) else answer
 
     def close(self) -> None:
@@ -89,7 +94,7 @@ class Served:
         self.peers: dict[str, Peer] = {}
         self.starts = True
 
-    async def join(self, hello: c.Hello) -> Peer:
+    async def join(self, hello: Hello) -> Peer:
         peer = Peer(self, hello)
         _, handlers, joined = await self.master.join(hello, peer.address)
         self.peers[hello.name] = peer
@@ -99,20 +104,20 @@ class Served:
 
     async def process(self, role: Any, name: str, **hello: Any) -> Peer:
         await self.master.processes.allow(name, role, f"token of {name}")
-        return await self.join(c.Hello(role, name, f"token of {name}", rce.__version__, "1", **hello))
+        return await self.join(Hello(role, name, f"token of {name}", rce.__version__, "1", **hello))
 
     async def robot(self, user: str, robot: str, endpoint: str = "west") -> None:
         """A robot's login at its Robot endpoint."""
-        await self.said(endpoint, c.Login(user, robot, digest(PASSWORD)))
+        await self.said(endpoint, Login(user, robot, digest(PASSWORD)))
 
-    async def said(self, process: str, call: c.Call[Any]) -> Any:
+    async def said(self, process: str, call: Call[Any]) -> Any:
         """What a process tells the Master."""
         handlers = self.peers[process].handlers
         good, pages = await handlers.answer(type(call).__name__, [msgspec.msgpack.encode(call)])
         assert good, pages
         return pages
 
-    async def until_told(self, process: str, call: c.Call[Any]) -> None:
+    async def until_told(self, process: str, call: Call[Any]) -> None:
         """Returns once a process was called so."""
         async with asyncio.timeout(20):
             while call not in self.peers[process].told:  # noqa: ASYNC110  # it has no event of its own

@@ -7,7 +7,25 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from master.effects import Plan, Send
-from rce import calls as c
+from rce.calls.call import Call
+from rce.calls.endpoints import (
+    AddRoute,
+    Bind,
+    CloseLink,
+    DropParameter,
+    InterfaceSpec,
+    NodeSpec,
+    OpenLink,
+    ParameterSpec,
+    PutParameter,
+    RemoveRoute,
+    StartNode,
+    StopNode,
+    Sync,
+    Unbind,
+)
+from rce.calls.environments import KeepEnvironments, KnowRelays, StartEnvironment, StopEnvironment
+from rce.calls.robots import DropRobot
 
 
 class Refused(Exception):
@@ -21,44 +39,44 @@ class Endpoint:
     name: str
     incarnation: str
     robots: set[str] = field(default_factory=set)
-    interfaces: dict[str, c.InterfaceSpec] = field(default_factory=dict)
+    interfaces: dict[str, InterfaceSpec] = field(default_factory=dict)
     links: set[str] = field(default_factory=set)
     routes: dict[tuple[str, str], str] = field(default_factory=dict)
-    nodes: dict[str, c.NodeSpec] = field(default_factory=dict)
-    parameters: dict[str, c.ParameterSpec] = field(default_factory=dict)
+    nodes: dict[str, NodeSpec] = field(default_factory=dict)
+    parameters: dict[str, ParameterSpec] = field(default_factory=dict)
 
-    def take(self, call: c.Call[Any]) -> None:
+    def take(self, call: Call[Any]) -> None:
         match call:
-            case c.Sync():
+            case Sync():
                 self._sync(call)
-            case c.Bind(spec):
+            case Bind(spec):
                 self.interfaces[spec.id] = spec
-            case c.Unbind(id):
+            case Unbind(id):
                 self._unbind(id)
-            case c.OpenLink(link):
+            case OpenLink(link):
                 self.links.add(link.name)
-            case c.CloseLink(name):
+            case CloseLink(name):
                 self.links.discard(name)
-            case c.AddRoute(route):
+            case AddRoute(route):
                 if route.link not in self.links or route.interface not in self.interfaces:
                     raise Refused(f"{self.name} cannot route {route}")
                 self.routes[route.interface, route.peer] = route.link
-            case c.RemoveRoute(interface, peer):
+            case RemoveRoute(interface, peer):
                 self.routes.pop((interface, peer), None)
-            case c.StartNode(node):
+            case StartNode(node):
                 self.nodes.setdefault(node.tag, node)
-            case c.StopNode(tag):
+            case StopNode(tag):
                 self.nodes.pop(tag, None)
-            case c.PutParameter(parameter):
+            case PutParameter(parameter):
                 self.parameters[parameter.key] = parameter
-            case c.DropParameter(key):
+            case DropParameter(key):
                 self.parameters.pop(key, None)
-            case c.DropRobot(robot):
+            case DropRobot(robot):
                 self.drop_robot(robot)
             case _:
                 raise AssertionError(f"{call} at an endpoint")
 
-    def _sync(self, sync: c.Sync) -> None:
+    def _sync(self, sync: Sync) -> None:
         self.interfaces = {spec.id: spec for spec in sync.interfaces}
         self.links = {link.name for link in sync.links}
         self.routes = {(route.interface, route.peer): route.link for route in sync.routes}
@@ -87,17 +105,17 @@ class TaskSet:
     ended: Callable[[str, str], None]
     runs: dict[str, str] = field(default_factory=dict)
 
-    def take(self, call: c.Call[Any]) -> None:
+    def take(self, call: Call[Any]) -> None:
         match call:
-            case c.StartEnvironment(spec):
+            case StartEnvironment(spec):
                 if self.runs.get(spec.name) != spec.run:
                     self._end(spec.name)
                     self.runs[spec.name] = spec.run
-            case c.StopEnvironment(name):
+            case StopEnvironment(name):
                 self._end(name)
-            case c.KnowRelays():
+            case KnowRelays():
                 pass
-            case c.KeepEnvironments(runs):
+            case KeepEnvironments(runs):
                 for name in [name for name, run in self.runs.items() if run not in runs]:
                     self._end(name)
             case _:

@@ -14,8 +14,10 @@ from twisted.internet.base import ReactorBase
 from master.policies import Policy
 from master.throttle import Throttle
 from master.users import digest
-from rce import calls as c
 from rce import messages as m
+from rce.calls.call import Call
+from rce.calls.environments import StopEnvironment
+from rce.calls.robots import DropRobot, Execute, Login
 from rce.errors import LimitExceeded
 
 GOOD = "correct horse battery"
@@ -101,10 +103,10 @@ async def test_keys_that_are_not_made(served: Served, wanted: Any, field: str) -
 
 async def test_a_rotated_key_cuts_off_the_robot_that_has_the_old_secret(served: Served) -> None:
     name, secret = await key(served, role="robot")
-    await served.said("west", c.Login("ann", "r1", secret))
+    await served.said("west", Login("ann", "r1", secret))
     fresh = (await served.ask("POST", f"/keys/{name}/rotate")).body
     assert fresh["key"]["id"] == name
-    await served.until_told("west", c.DropRobot("ann/r1", "the API key has a new secret"))
+    await served.until_told("west", DropRobot("ann/r1", "the API key has a new secret"))
     assert (await by_key(served, secret, "GET", "/whoami")).status == 401
     assert (await by_key(served, fresh["secret"], "GET", "/whoami")).status == 200
 
@@ -125,7 +127,7 @@ async def test_an_administrator_makes_changes_and_removes_users(served: Served) 
     await served.robot("ann", "r1")
     await served.master.execute("ann", m.CreateContainer("brain"))
     assert (await served.ask("DELETE", "/users/ann", "root")).status == 204
-    await served.until_told("m1", c.StopEnvironment("ann/brain"))
+    await served.until_told("m1", StopEnvironment("ann/brain"))
     assert (await served.ask("GET", "/robots")).status == 401
     assert (await served.ask("GET", "/robots?user=*", "root")).body["items"] == []
     assert (await served.ask("DELETE", "/users/root", "root")).status == 400  # the last administrator
@@ -162,7 +164,7 @@ async def test_one_changes_ones_password_with_the_old_one(served: Served) -> Non
         answer = await served.ask("PUT", "/users/ann/password", "ann", body)
         assert (answer.status, answer.body["field"]) == (status, field)
     assert (await served.ask("PUT", "/users/ann/password", "ann", {"new": GOOD, "old": PASSWORD})).status == 204
-    await served.until_told("west", c.DropRobot("ann/r1", "the password was changed"))
+    await served.until_told("west", DropRobot("ann/r1", "the password was changed"))
     assert (await served.ask("GET", "/whoami")).status == 401
     assert (await served.ask("GET", "/whoami", secret=GOOD)).status == 200
     assert (await by_key(served, secret, "GET", f"/keys/{name}")).status == 200
@@ -248,7 +250,7 @@ async def test_a_session_is_found_whole_in_the_log(served: Served) -> None:
         recorded.append((user, action, thing, result, "rest"))
         return answer
 
-    async def robot(call: c.Call[Any], action: str, thing: str, result: str = "ok", user: str = "ann") -> None:
+    async def robot(call: Call[Any], action: str, thing: str, result: str = "ok", user: str = "ann") -> None:
         try:
             await served.said("west", call)
         except AssertionError:
@@ -259,9 +261,9 @@ async def test_a_session_is_found_whole_in_the_log(served: Served) -> None:
     made = await rest("ann", "POST", "/keys", {"label": "k", "role": "robot"}, "key.create", "ann/robot/k")
     name, secret = made.body["key"]["id"], made.body["secret"]
     await served.ask("GET", "/keys")  # to read is not noted
-    await robot(c.Login("ann", "r1", secret), "robot.connect", "ann/r1")
-    await robot(c.Login("ann", "r1", digest("wrong")), "robot.connect", "ann/r1", "unauthorized", user="")
-    await robot(c.Login("vera", "r1", digest(PASSWORD)), "robot.connect", "vera/r1", "forbidden", user="vera")
+    await robot(Login("ann", "r1", secret), "robot.connect", "ann/r1")
+    await robot(Login("ann", "r1", digest("wrong")), "robot.connect", "ann/r1", "unauthorized", user="")
+    await robot(Login("vera", "r1", digest(PASSWORD)), "robot.connect", "vera/r1", "forbidden", user="vera")
     for command, action, thing, result in (
         (m.CreateContainer("e"), "environment.create", "ann/e", "ok"),
         (m.CreateContainer("e"), "environment.create", "ann/e", "already_exists"),
@@ -276,7 +278,7 @@ async def test_a_session_is_found_whole_in_the_log(served: Served) -> None:
         (m.RemoveNode("e", "n"), "node.remove", "ann/e/n", "ok"),
         (m.RemoveNode("e", "n"), "node.remove", "ann/e/n", "not_found"),
     ):
-        await robot(c.Execute.of("ann/r1", command), action, thing, result)
+        await robot(Execute.of("ann/r1", command), action, thing, result)
     await rest("ann", "POST", "/environments", {"containerTag": "f"}, "environment.create", "ann/f")
     body = {"nodeTag": "n", "pkg": "p", "exe": "x"}
     await rest("ann", "POST", "/environments/f/nodes", body, "node.create", "ann/f/n")

@@ -10,7 +10,8 @@ from hand_turned import HandTurnedLoop
 
 from master.carrier import Carrier
 from master.effects import Plan, Send, Settle
-from rce.calls import Call, CloseLink, DropParameter, Nothing, StopNode, Sync, Unbind
+from rce.calls.call import Call, Nothing
+from rce.calls.endpoints import CloseLink, DropParameter, StopNode, Sync, Unbind
 from rce.control import Control
 from rce.errors import InvalidRequest, Lost, NotFound, RceError, StartFailed, TimedOut, Unavailable
 

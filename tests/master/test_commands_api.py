@@ -11,7 +11,9 @@ import pytest
 from served import Answer, Served, serve
 from twisted.internet.base import ReactorBase
 
-from rce import calls as c
+from rce.calls.endpoints import NodeSpec, StartNode
+from rce.calls.environments import StartEnvironment, StopEnvironment
+from rce.calls.robots import DropRobot
 from rce.errors import StartFailed
 
 BRAIN = {"containerTag": "brain"}
@@ -45,7 +47,7 @@ async def test_a_user_makes_and_removes_everything(served: Served) -> None:
     assert (environment.body["state"], environment.body["containerData"]["size"]) == ("ready", 2)
     node = await made("/environments/brain/nodes", {"nodeTag": "n", "pkg": "demo", "exe": "talker"})
     assert node.body["state"] == "running"
-    assert served.peers["ann/brain"].told[-1] == c.StartNode(c.NodeSpec("n", "demo", "talker"))
+    assert served.peers["ann/brain"].told[-1] == StartNode(NodeSpec("n", "demo", "talker"))
     await made("/environments/brain/parameters", {"name": "a/b", "value": [1, 2]}, 200)
     await made("/interfaces", OUT)
     await made("/interfaces", IN)
@@ -58,7 +60,7 @@ async def test_a_user_makes_and_removes_everything(served: Served) -> None:
         assert (await served.ask("DELETE", path)).status == 204
         assert (await served.ask("DELETE", path)).status == 404
     assert not list(served.master.state.interfaces)
-    assert served.peers["m1"].told[-1] == c.StopEnvironment("ann/brain")
+    assert served.peers["m1"].told[-1] == StopEnvironment("ann/brain")
 
 
 async def test_an_operator_acts_for_a_user(served: Served) -> None:
@@ -99,7 +101,7 @@ async def test_what_is_refused(served: Served, path: str, body: Any, status: int
 
 
 async def test_what_does_not_become_real_is_taken_back(served: Served) -> None:
-    served.peers["m1"].refuse[c.StartEnvironment] = StartFailed("no such image")
+    served.peers["m1"].refuse[StartEnvironment] = StartFailed("no such image")
     answer = await served.ask("POST", "/environments", body=BRAIN)
     assert (answer.status, answer.body["code"]) == (409, "start_failed")
     assert "no such image" in answer.body["detail"]
@@ -132,7 +134,7 @@ async def test_a_robot_is_disconnected(served: Served) -> None:
     assert (await served.ask("POST", "/interfaces", body=IN)).status == 201
     assert (await served.ask("DELETE", "/robots/r1?user=ann", "bob")).status == 404
     assert (await served.ask("DELETE", "/robots/r1")).status == 204
-    assert c.DropRobot("ann/r1", "disconnected by ann") in served.peers["west"].told
+    assert DropRobot("ann/r1", "disconnected by ann") in served.peers["west"].told
     assert (await served.ask("GET", "/robots")).body["items"] == []
     assert (await served.ask("GET", "/interfaces")).body["items"] == []
 

@@ -11,8 +11,9 @@ from sse import follow
 from twisted.internet.base import ReactorBase
 
 from master import events
-from rce import calls as c
 from rce import messages as m
+from rce.calls.endpoints import NodeDied
+from rce.calls.environments import EnvironmentDied, LimitReached
 from rce.roles import Scopes
 
 
@@ -31,7 +32,7 @@ async def test_what_happens_is_told(served: Served) -> None:
     ready = await follower.next()
     assert (ready["type"], ready["user"], ready["object"]) == ("environment.ready", "ann", "ann/brain")
     await run("ann", m.AddNode("brain", "n", "demo", "talker"))
-    await served.said("ann/brain", c.NodeDied("n", -11, ["Segmentation fault"]))
+    await served.said("ann/brain", NodeDied("n", -11, ["Segmentation fault"]))
     died = await follower.next()
     assert (died["type"], died["object"], died["status"]) == ("node.died", "ann/brain/n", -11)
     assert died["lines"] == ["Segmentation fault"]
@@ -39,10 +40,10 @@ async def test_what_happens_is_told(served: Served) -> None:
     await run("ann", m.AddInterface("r1", "in", "PublisherConverter", "std_msgs/String"))
     await run("ann", m.Connect("brain/out", "r1/in"))
     life = served.master.state.environments["ann/brain"].run
-    await served.said("m1", c.LimitReached("ann/brain", life, "out of memory"))
+    await served.said("m1", LimitReached("ann/brain", life, "out of memory"))
     await served.master.disconnect("ann/r1", "")
     assert await follower.types(4) == ["connection.made", "limit.reached", "connection.gone", "robot.left"]
-    await served.said("m1", c.EnvironmentDied("ann/brain", life, "ended with status 1"))
+    await served.said("m1", EnvironmentDied("ann/brain", life, "ended with status 1"))
     assert await follower.types(2) == ["environment.gone", "environment.lost"]
     await follower.close()
 

@@ -12,17 +12,9 @@ from master.carrier import Carrier
 from master.gauges import Changed, Gauges
 from master.records import Connection, Environment, Interface, Process, Robot, State
 from master.shown import Shown
-from rce.calls import (
-    Call,
-    Counts,
-    CountTraffic,
-    InterfaceSpec,
-    InterfaceTraffic,
-    MeasureUsage,
-    Traffic,
-    Usage,
-    Used,
-)
+from rce.calls.call import Call
+from rce.calls.endpoints import InterfaceSpec
+from rce.calls.watching import Counts, CountTraffic, InterfaceTraffic, MeasureUsage, Traffic, Usage, Used
 from rce.control import Control
 from rce.errors import Lost
 from rce.messages import ContainerData

@@ -9,7 +9,7 @@ from master import graph, wiring
 from master.effects import Settle
 from master.records import what
 from rce import messages as m
-from rce.calls import (
+from rce.calls.endpoints import (
     AddRoute,
     Bind,
     CloseLink,
@@ -17,12 +17,11 @@ from rce.calls import (
     OpenLink,
     PutParameter,
     RemoveRoute,
-    StartEnvironment,
     StartNode,
-    StopEnvironment,
     StopNode,
     Unbind,
 )
+from rce.calls.environments import StartEnvironment, StopEnvironment
 from rce.errors import (
     AlreadyExists,
     InvalidName,

@@ -11,7 +11,7 @@ from test_presence import machines, placed
 from master import graph, groups, presence
 from master.policies import Policy, parse
 from rce import messages as m
-from rce.calls import Group, StartEnvironment
+from rce.calls.environments import Group, StartEnvironment
 from rce.errors import AlreadyExists, InvalidRequest, NoCapacity
 
 

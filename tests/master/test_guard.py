@@ -17,7 +17,9 @@ from master.guard import Guard
 from master.records import Environment, Package, Process, Robot, State
 from master.store import Store
 from master.users import Users, digest
-from rce import calls as c
+from rce.calls.call import Call
+from rce.calls.robots import DropRobot
+from rce.calls.services import ForgetProofs
 from rce.errors import Forbidden, InvalidRequest, NotFound, TooManyAttempts, Unauthorized
 from rce.messages import ContainerData
 from rce.roles import Principal, Scopes
@@ -38,7 +40,7 @@ class Place(NamedTuple):
     def robots(self) -> set[str]:
         return {robot.name.partition("/")[2] for robot in self.state.robots.by("ann")}
 
-    def told(self) -> list[c.Call[object]]:
+    def told(self) -> list[Call[object]]:
         return [step.call for plan in self.plans for steps in plan for step in steps if isinstance(step, Send)]
 
 
@@ -93,14 +95,14 @@ async def test_what_is_closed(place: Place, change: Callable[[Place], Awaitable[
     await place.guard.look_round()
     assert place.robots() == ALL - gone
     assert set(place.closed) == gone
-    dropped = [call.robot for call in place.told() if isinstance(call, c.DropRobot)]
+    dropped = [call.robot for call in place.told() if isinstance(call, DropRobot)]
     assert sorted(dropped) == sorted(f"ann/{tag}" for tag in gone)
     assert "root/r" not in dropped
 
 
 async def test_services_ask_anew(place: Place) -> None:
     await place.guard.revoke_key("ann", place.k1)
-    assert c.ForgetProofs("ann") in place.told()
+    assert ForgetProofs("ann") in place.told()
 
 
 async def test_what_has_ended_by_itself_is_not_closed(place: Place) -> None:
@@ -125,7 +127,7 @@ async def test_a_robot_whose_endpoint_is_away_is_cut_when_that_is_back(place: Pl
     place.state.joined.discard("west")
     await place.guard.revoke_key("ann", place.k1)
     assert "k1" not in place.robots()  # so the endpoint's Sync does not name it
-    assert not [call for call in place.told() if isinstance(call, c.DropRobot)]
+    assert not [call for call in place.told() if isinstance(call, DropRobot)]
 
 
 async def test_nothing_is_left_of_a_user_who_is_removed(place: Place) -> None:

@@ -10,8 +10,8 @@ from served import Served, serve
 from sse import follow
 from twisted.internet.base import ReactorBase
 
-from rce import calls as c
 from rce import messages as m
+from rce.calls.watching import Log, ReadLog
 from rce.errors import NotFound
 
 
@@ -22,15 +22,15 @@ class Output:
         self.lines: list[str] = ["one", "two"]
         self.more = asyncio.Event()
 
-    async def read(self, call: c.ReadLog) -> c.Log:
+    async def read(self, call: ReadLog) -> Log:
         if call.node not in ("", "n"):
             raise NotFound(f"no node {call.node} was started in this environment", field="nodeTag")
         if not call.after:
-            return c.Log(self.lines[-call.lines :], str(len(self.lines)))
+            return Log(self.lines[-call.lines :], str(len(self.lines)))
         if call.wait and int(call.after) == len(self.lines):
             self.more.clear()
             await self.more.wait()
-        return c.Log(self.lines[int(call.after) :], str(len(self.lines)))
+        return Log(self.lines[int(call.after) :], str(len(self.lines)))
 
     def print(self, line: str) -> None:
         self.lines.append(line)
@@ -41,7 +41,7 @@ async def test_logs_are_read_and_followed(reactor: ReactorBase, tmp_path: Path) 
     async with serve(reactor, tmp_path) as served:
         await served.master.execute("ann", m.CreateContainer("brain"))
         output = Output()
-        served.peers["ann/brain"].answers[c.ReadLog] = output.read
+        served.peers["ann/brain"].answers[ReadLog] = output.read
         path = "/environments/brain/nodes/n/log"
         assert (await served.ask("GET", path + "?lines=1")).body == {"lines": ["two"], "next": "2"}
         assert (await served.ask("GET", "/environments/brain/log?after=1")).body["lines"] == ["two"]

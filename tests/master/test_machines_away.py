@@ -13,8 +13,12 @@ from hand_turned import HandTurnedLoop
 from master.records import Process, Robot, Role, State
 from master.service import LINK_RETRY_MOST, RETRY_FIRST, Master
 from master.store import Store
-from rce import calls as c
 from rce import messages as m
+from rce.calls.call import Call, Nothing, Settled
+from rce.calls.endpoints import AddRoute, LinkLost, OpenLink, Sync
+from rce.calls.environments import KeepEnvironments, StartEnvironment
+from rce.calls.joining import Hello
+from rce.calls.robots import Tell
 from rce.control import Control
 from rce.errors import NoCapacity, StartFailed
 from rce.messages import EnvironmentEvent
@@ -36,10 +40,10 @@ class NoStore:
 class Peer:
     """A process that has joined: does at once what it is asked to."""
 
-    def __init__(self, desk: Desk, hello: c.Hello) -> None:
+    def __init__(self, desk: Desk, hello: Hello) -> None:
         self.address = "memory"
         self.hello = hello
-        self.arrived: list[c.Call[Any]] = []
+        self.arrived: list[Call[Any]] = []
         self.lost: asyncio.Future[None] = desk.hand.create_future()
         self._desk = desk
         role = cast(Role, hello.role)
@@ -48,9 +52,9 @@ class Peer:
         )
         desk.hand.do(lambda: desk.master._joined(process, hello, cast(Control, self)))
 
-    async def call(self, call: c.Call[Any]) -> object:
+    async def call(self, call: Call[Any]) -> object:
         self.arrived.append(call)
-        return c.Settled() if isinstance(call, c.Sync) else c.Nothing()
+        return Settled() if isinstance(call, Sync) else Nothing()
 
     def close(self) -> None:
         self.leave()
@@ -73,17 +77,17 @@ class Desk:
         self.state = self.master.state
 
     def robot(self) -> Peer:
-        west = Peer(self, c.Hello("robot", "west", "", "", "1"))
+        west = Peer(self, Hello("robot", "west", "", "", "1"))
         self.state.robots.put(Robot("ann/r1", "west", "s"))
         return west
 
     def machine(self, name: str, **environments: str) -> Peer:
         runs = {f"ann/{tag}": run for tag, run in environments.items()}
-        return Peer(self, c.Hello("container", name, "", "", "1", capacity=2, environments=runs))
+        return Peer(self, Hello("container", name, "", "", "1", capacity=2, environments=runs))
 
     def endpoint(self, tag: str) -> Peer:
         """The endpoint of the present life of an environment."""
-        return Peer(self, c.Hello("environment", f"ann/{tag}", "", "", self.run(tag)))
+        return Peer(self, Hello("environment", f"ann/{tag}", "", "", self.run(tag)))
 
     def run(self, tag: str) -> str:
         return self.state.environments[f"ann/{tag}"].run
@@ -91,8 +95,8 @@ class Desk:
     def at(self, tag: str) -> str:
         return self.state.environments[f"ann/{tag}"].machine
 
-    def do(self, *commands: m.Command) -> asyncio.Task[list[c.Nothing]]:
-        async def all_of_them() -> list[c.Nothing]:
+    def do(self, *commands: m.Command) -> asyncio.Task[list[Nothing]]:
+        async def all_of_them() -> list[Nothing]:
             return await asyncio.gather(*(self.master.execute("ann", command) for command in commands))
 
         return self.hand.begin(all_of_them())
@@ -114,7 +118,7 @@ def desk(hand: HandTurnedLoop) -> Desk:
 
 
 def events(peer: Peer) -> list[tuple[str, str]]:
-    said = [tell.status for tell in peer.got(c.Tell) if isinstance(tell.status, EnvironmentEvent)]
+    said = [tell.status for tell in peer.got(Tell) if isinstance(tell.status, EnvironmentEvent)]
     return [(status.containerTag, status.state) for status in said]
 
 
@@ -138,17 +142,17 @@ def test_the_environments_of_a_machine_that_stays_away_move_with_all_that_is_the
     desk.turn(1)
     assert events(west)[1:] == [("brain", "lost")]
     desk.turn(RETRY_FIRST)
-    (start,) = m2.got(c.StartEnvironment)
+    (start,) = m2.got(StartEnvironment)
     assert (start.environment.name, start.environment.run != before) == ("ann/brain", True)
     again = desk.endpoint("brain")
-    (sync,) = again.got(c.Sync)
+    (sync,) = again.got(Sync)
     assert [each.tag for each in sync.nodes] == ["n"]
     assert [each.value for each in sync.parameters] == [7]
     assert [each.tag for each in sync.interfaces] == ["pose"]
-    assert len(again.got(c.AddRoute)) == 1
+    assert len(again.got(AddRoute)) == 1
     assert events(west)[2:] == [("brain", "ready")]
     back = desk.machine("m1", brain=before)
-    assert back.got(c.KeepEnvironments) == [c.KeepEnvironments([])]
+    assert back.got(KeepEnvironments) == [KeepEnvironments([])]
     assert desk.at("brain") == "m2"
 
 
@@ -178,9 +182,9 @@ def test_who_comes_back_in_time_has_lost_nothing(desk: Desk) -> None:
         m1.leave()
         desk.turn(GRACE - 1)
         m1, brain = desk.machine("m1", brain=run), desk.endpoint("brain")
-        assert m1.got(c.KeepEnvironments) == [c.KeepEnvironments([run])]
+        assert m1.got(KeepEnvironments) == [KeepEnvironments([run])]
     desk.turn(10 * GRACE)
-    assert (desk.run("brain"), m2.got(c.StartEnvironment), m1.got(c.StartEnvironment)) == (run, [], [])
+    assert (desk.run("brain"), m2.got(StartEnvironment), m1.got(StartEnvironment)) == (run, [], [])
     assert "lost" not in [state for _, state in events(west)]
 
 
@@ -192,8 +196,8 @@ def test_an_environment_that_shall_not_be_restarted_is_removed(desk: Desk) -> No
     m1.leave()
     desk.turn(GRACE + RETRY_FIRST)
     assert events(west)[1:] == [("once", "gone")]
-    assert ("ann/once" in desk.state.environments, m2.got(c.StartEnvironment)) == (False, [])
-    assert desk.machine("m1", once=run).got(c.KeepEnvironments) == [c.KeepEnvironments([])]
+    assert ("ann/once" in desk.state.environments, m2.got(StartEnvironment)) == (False, [])
+    assert desk.machine("m1", once=run).got(KeepEnvironments) == [KeepEnvironments([])]
 
 
 def test_without_another_machine_it_waits_and_its_own_may_bring_it_back_alive(desk: Desk) -> None:
@@ -206,7 +210,7 @@ def test_without_another_machine_it_waits_and_its_own_may_bring_it_back_alive(de
     assert events(west)[1:] == [("brain", "lost")]
     m1 = desk.machine("m1", brain=run)
     desk.endpoint("brain")
-    assert (m1.got(c.KeepEnvironments), m1.got(c.StartEnvironment)) == ([c.KeepEnvironments([run])], [])
+    assert (m1.got(KeepEnvironments), m1.got(StartEnvironment)) == ([KeepEnvironments([run])], [])
     assert events(west)[2:] == [("brain", "ready")]
 
 
@@ -218,10 +222,10 @@ def test_what_waits_moves_when_there_is_room(desk: Desk) -> None:
     brain.leave()
     m1.leave()
     desk.turn(GRACE + RETRY_FIRST)
-    assert [call.environment.name for call in m2.got(c.StartEnvironment)] == ["ann/other"]
+    assert [call.environment.name for call in m2.got(StartEnvironment)] == ["ann/other"]
     other.leave()
     desk.do(m.DestroyContainer("other"))
-    assert [call.environment.name for call in m2.got(c.StartEnvironment)] == ["ann/other", "ann/brain"]
+    assert [call.environment.name for call in m2.got(StartEnvironment)] == ["ann/other", "ann/brain"]
 
 
 def test_the_first_start_on_a_machine_that_dies_fails_with_the_reason(desk: Desk) -> None:
@@ -240,9 +244,9 @@ def test_an_environment_asked_for_while_the_only_task_set_restarts_is_made_after
     desk.turn(GRACE - 1)
     assert not task.done()
     m1 = desk.machine("m1")
-    assert [call.environment.name for call in m1.got(c.StartEnvironment)] == ["ann/brain"]
-    assert [each.tag for each in desk.endpoint("brain").got(c.Sync)[0].nodes] == ["n"]
-    assert task.result() == [c.Nothing()] * 2
+    assert [call.environment.name for call in m1.got(StartEnvironment)] == ["ann/brain"]
+    assert [each.tag for each in desk.endpoint("brain").got(Sync)[0].nodes] == ["n"]
+    assert task.result() == [Nothing()] * 2
 
 
 def test_it_is_refused_when_that_does_not_come_back_or_was_never_there(desk: Desk) -> None:
@@ -269,11 +273,11 @@ def test_a_link_that_breaks_again_and_again_is_opened_less_and_less_often(desk: 
     process = desk.state.processes["west"]
     for _ in range(600):
         desk.turn(0.1)
-        name = west.got(c.OpenLink)[-1].link.name
-        desk.hand.begin(desk.master._link_lost(process, c.LinkLost(name, "refused")))
-    opened = len(west.got(c.OpenLink))
+        name = west.got(OpenLink)[-1].link.name
+        desk.hand.begin(desk.master._link_lost(process, LinkLost(name, "refused")))
+    opened = len(west.got(OpenLink))
     assert 60 / LINK_RETRY_MOST < opened < 60 / LINK_RETRY_MOST + 10
     desk.turn(60)
-    name = west.got(c.OpenLink)[-1].link.name
-    desk.hand.begin(desk.master._link_lost(process, c.LinkLost(name, "broke")))
-    assert len(brain.got(c.OpenLink)) == len(west.got(c.OpenLink)) == opened + 2  # at once, after it had held
+    name = west.got(OpenLink)[-1].link.name
+    desk.hand.begin(desk.master._link_lost(process, LinkLost(name, "broke")))
+    assert len(brain.got(OpenLink)) == len(west.got(OpenLink)) == opened + 2  # at once, after it had held

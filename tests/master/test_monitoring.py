@@ -13,9 +13,9 @@ from prometheus_client.parser import text_string_to_metric_families
 from served import PASSWORD, Served, serve
 from twisted.internet.base import ReactorBase
 
-from rce import calls as c
 from rce import http as client
 from rce import messages as m
+from rce.calls.watching import Metrics, ReadMetrics
 from rce.metrics import Family, Sample, gauge
 
 
@@ -104,7 +104,7 @@ async def test_the_metrics_of_other_processes_come_through_the_master(served: Se
         gauge("rce_links", "Links", ["state"], {("up",): 3}),
         Family("rce_hop_seconds", "Time", "histogram", ["hop"], [Sample(["to_link"], 0.5, [1, 2, 4])], [0.1, 1.0]),
     ]
-    served.peers["ann/brain"].answers[c.ReadMetrics] = c.Metrics(told)
+    served.peers["ann/brain"].answers[ReadMetrics] = Metrics(told)
     seen = values((await ask(served, "/metrics/ann/brain", "olga"))[1])
     assert seen == {
         "rce_links up": 3,
@@ -125,7 +125,7 @@ async def test_the_metrics_of_other_processes_come_through_the_master(served: Se
     ],
 )
 async def test_what_is_no_metric_is_not_passed_on(served: Served, family: Family) -> None:
-    served.peers["ann/brain"].answers[c.ReadMetrics] = c.Metrics([family])
+    served.peers["ann/brain"].answers[ReadMetrics] = Metrics([family])
     status, text = await ask(served, "/metrics/ann/brain", "olga")
     assert status == 400
     assert "metrics that are none" in text

@@ -29,8 +29,8 @@ from master.records import Environment, Process
 from master.service import Master
 from master.store import Store
 from rce import archive
-from rce import calls as c
 from rce import http as client
+from rce.calls.environments import FetchPackage
 from rce.errors import Forbidden, InvalidRequest, LimitExceeded, NotFound, RceError, Unauthorized
 from rce.messages import ContainerData
 from rce.packages import Package, Packages
@@ -301,13 +301,13 @@ async def test_a_task_set_gets_what_its_environments_have(platform: Platform, tm
     master.state.joined.add("m1")
     fetch = master._fetch_package
     with pytest.raises(NotFound):
-        await fetch(machine, c.FetchPackage(contents.digest))
+        await fetch(machine, FetchPackage(contents.digest))
     master.state.environments.put(Environment("ann/e", ContainerData(), "0" * 32, "m1", packages=[contents.digest]))
     with pytest.raises(NotFound):
-        await fetch(other, c.FetchPackage(contents.digest))
+        await fetch(other, FetchPackage(contents.digest))
     with pytest.raises(NotFound):
-        await fetch(machine, c.FetchPackage("../master.db"))
-    ticket = await fetch(machine, c.FetchPackage(contents.digest))
+        await fetch(machine, FetchPackage("../master.db"))
+    ticket = await fetch(machine, FetchPackage(contents.digest))
     assert (ticket.scheme, ticket.port, ticket.size) == ("http", platform.port, contents.size)
 
     def get() -> bytes:

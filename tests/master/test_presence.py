@@ -8,18 +8,9 @@ from fleet import Fleet, calls, everything, furnished, interface, wired
 from master import placement, presence
 from master.records import State
 from rce import messages as m
-from rce.calls import (
-    AddRoute,
-    Bind,
-    CloseLink,
-    DropRobot,
-    KeepEnvironments,
-    KnowRelays,
-    OpenLink,
-    RemoveRoute,
-    StartEnvironment,
-    Sync,
-)
+from rce.calls.endpoints import AddRoute, Bind, CloseLink, OpenLink, RemoveRoute, Sync
+from rce.calls.environments import KeepEnvironments, KnowRelays, StartEnvironment
+from rce.calls.robots import DropRobot
 from rce.errors import AlreadyExists, InvalidName, NoCapacity, Unavailable
 
 

@@ -9,8 +9,8 @@ import pytest
 from served import Served, serve
 from twisted.internet.base import ReactorBase
 
-from rce import calls as c
 from rce import messages as m
+from rce.calls.watching import ReadGraph, RosGraph, RosName
 
 
 @pytest.fixture
@@ -33,8 +33,8 @@ async def served(reactor: ReactorBase, tmp_path: Path) -> AsyncIterator[Served]:
 
 
 async def test_an_environment_is_asked_for_its_topics_and_services(served: Served) -> None:
-    here = c.RosName("/pose", ["geometry_msgs/msg/Pose2D"], 1, 2)
-    served.peers["ann/brain"].answers[c.ReadGraph] = c.RosGraph([here], [c.RosName("/reset", ["std_srvs/srv/Empty"])])
+    here = RosName("/pose", ["geometry_msgs/msg/Pose2D"], 1, 2)
+    served.peers["ann/brain"].answers[ReadGraph] = RosGraph([here], [RosName("/reset", ["std_srvs/srv/Empty"])])
     topics = await served.ask("GET", "/environments/brain/topics")
     assert topics.body["items"] == [
         {"name": "/pose", "types": ["geometry_msgs/msg/Pose2D"], "publishers": 1, "subscribers": 2}

@@ -31,8 +31,9 @@ from twisted.internet.base import ReactorBase
 from master.api.resources import make_api
 from master.depot import Depot
 from master.rights import COMMANDS, RIGHTS
-from rce import calls as c
 from rce import messages as m
+from rce.calls.call import Call
+from rce.calls.robots import Execute, Login
 
 
 @pytest.fixture
@@ -162,7 +163,7 @@ def commands(robot: str, environment: str, node: str = "talker") -> list[m.Comma
     ]
 
 
-async def outcome(world: World, call: c.Call[Any]) -> str:
+async def outcome(world: World, call: Call[Any]) -> str:
     """`ok`, or what is said."""
     try:
         await world.served.said("west", call)
@@ -177,24 +178,24 @@ async def test_everything_as_a_robot(world: World, name: str) -> None:
     assert {type(command) for command in commands("r1", "brain")} == set(COMMANDS)
     await world.begin(actor)
     await world.served.master.disconnect(f"{actor.user}/r1", "the test takes its place")
-    came = await outcome(world, c.Login(actor.user, "r1", world.secret))
+    came = await outcome(world, Login(actor.user, "r1", world.secret))
     column = actor.column
     if column in ("expired", "metrics") or RIGHTS["robot.connect"][column] == "-":
         codes = {"expired": "unauthorized", "viewer": "forbidden", "admin": "invalid_request"}
         assert codes.get(column, "invalid_request") in came
         for command in commands("r1", "brain"):
-            assert "has no session" in await outcome(world, c.Execute.of(f"{actor.user}/r1", command))
+            assert "has no session" in await outcome(world, Execute.of(f"{actor.user}/r1", command))
         return
     assert came == "ok"
-    assert "unauthorized" in await outcome(world, c.Login("bob", "r1", world.secret))
+    assert "unauthorized" in await outcome(world, Login("bob", "r1", world.secret))
     await world.furnish(actor.user)
     for command in commands("r1", "brain"):
-        assert await outcome(world, c.Execute.of(f"{actor.user}/r1", command)) == "ok", (name, command)
+        assert await outcome(world, Execute.of(f"{actor.user}/r1", command)) == "ok", (name, command)
     await world.furnish(actor.user)
     if column == "tied":
-        assert "forbidden" in await outcome(world, c.Login("ann", "r2", world.secret))
+        assert "forbidden" in await outcome(world, Login("ann", "r2", world.secret))
         for hidden, missing in zip(commands("r2", "attic"), commands("r9", "annex"), strict=True):
-            said, of_missing = [await outcome(world, c.Execute.of("ann/r1", each)) for each in (hidden, missing)]
+            said, of_missing = [await outcome(world, Execute.of("ann/r1", each)) for each in (hidden, missing)]
             assert "not_found" in said or "forbidden" in said
             same = of_missing.replace("r9", "r2").replace("annex", "attic")
             assert said == same

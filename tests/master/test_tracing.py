@@ -12,9 +12,8 @@ from twisted.internet.base import ReactorBase
 
 from master import tracing
 from master.tracing import Joined
-from rce import calls as c
 from rce import messages as m
-from rce.calls import Passage
+from rce.calls.watching import FollowMessages, Passage, Passages
 from rce.errors import Lost
 from rce.roles import Scopes
 
@@ -57,17 +56,17 @@ async def served(reactor: ReactorBase, tmp_path: Path, monkeypatch: pytest.Monke
             await served.master.execute("ann", command)
         interfaces = served.master.state.interfaces
         out, into = interfaces["ann/brain/out"].spec.id, interfaces["ann/r1/in"].spec.id
-        served.peers["ann/brain"].answers[c.FollowMessages] = c.Passages(
+        served.peers["ann/brain"].answers[FollowMessages] = Passages(
             [Passage(out, "m1", out, "entered", 5.0), Passage(out, "m1", out, "sent", 5.1)]
         )
-        served.peers["west"].answers[c.FollowMessages] = c.Passages(
+        served.peers["west"].answers[FollowMessages] = Passages(
             [Passage(out, "m1", into, "received", 5.3), Passage(out, "m1", into, "delivered", 5.7)]
         )
         yield served
 
 
-def told(served: Served, process: str) -> list[c.FollowMessages]:
-    return [call for call in served.peers[process].told if isinstance(call, c.FollowMessages)]
+def told(served: Served, process: str) -> list[FollowMessages]:
+    return [call for call in served.peers[process].told if isinstance(call, FollowMessages)]
 
 
 async def test_what_both_endpoints_noted_is_one_message(served: Served) -> None:
@@ -88,14 +87,14 @@ async def test_what_both_endpoints_noted_is_one_message(served: Served) -> None:
 
 
 async def test_an_endpoint_that_is_away_is_missing_from_the_message(served: Served) -> None:
-    served.peers["west"].refuse[c.FollowMessages] = Lost("it went")
+    served.peers["west"].refuse[FollowMessages] = Lost("it went")
     answer = await served.ask("GET", PATH + "?messages=1")
     assert [hop["hop"] for hop in answer.body["messages"][0]["hops"]] == ["entered", "sent"]
 
 
 async def test_nothing_passes_within_the_time(served: Served) -> None:
     for process in ("ann/brain", "west"):
-        served.peers[process].answers[c.FollowMessages] = c.Passages([])
+        served.peers[process].answers[FollowMessages] = Passages([])
     assert (await served.ask("GET", PATH + "?seconds=0.05")).body == {"messages": []}
 
 

@@ -7,7 +7,7 @@ from fleet import Fleet, furnished
 
 from master import packages
 from master.records import State, Version
-from rce.calls import StartEnvironment
+from rce.calls.environments import StartEnvironment
 from rce.errors import InvalidName, InvalidRequest, LimitExceeded, NotFound
 from rce.messages import ContainerData, CreateContainer, DestroyContainer
 

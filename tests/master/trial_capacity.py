@@ -21,25 +21,41 @@ from twisted.internet.base import ReactorBase
 from master.store import Store
 from master.users import Users
 from rce import __version__, loop
-from rce import calls as c
 from rce import messages as m
+from rce.calls.call import Call, Nothing, Settled
+from rce.calls.endpoints import (
+    AddRoute,
+    Bind,
+    CloseLink,
+    DropParameter,
+    OpenLink,
+    PutParameter,
+    RemoveRoute,
+    StartNode,
+    StopNode,
+    Sync,
+    Unbind,
+)
+from rce.calls.environments import KeepEnvironments, KnowRelays, StartEnvironment, StopEnvironment
+from rce.calls.joining import Hello
+from rce.calls.robots import DropRobot, Execute, Login, Tell
 from rce.control import Control, Handlers, connect
 from rce.ready import Ready, parse
 
 USERS, ROBOTS, ENVIRONMENTS = 20, 400, 100
 AT_ONCE = 20
 CONTROL = {
-    *(c.Bind, c.Unbind, c.OpenLink, c.CloseLink, c.AddRoute, c.RemoveRoute, c.StartNode, c.StopNode, c.PutParameter),
-    *(c.DropParameter, c.Tell, c.DropRobot, c.StopEnvironment, c.KeepEnvironments, c.KnowRelays),
+    *(Bind, Unbind, OpenLink, CloseLink, AddRoute, RemoveRoute, StartNode, StopNode, PutParameter),
+    *(DropParameter, Tell, DropRobot, StopEnvironment, KeepEnvironments, KnowRelays),
 }
 
 
-async def nothing(call: c.Call[Any]) -> c.Nothing:
-    return c.Nothing()
+async def nothing(call: Call[Any]) -> Nothing:
+    return Nothing()
 
 
-async def settled(call: c.Call[Any]) -> c.Settled:
-    return c.Settled()
+async def settled(call: Call[Any]) -> Settled:
+    return Settled()
 
 
 class Around:
@@ -56,20 +72,20 @@ class Around:
         handlers = Handlers()
         for kind in CONTROL:
             handlers.on(kind, nothing)
-        handlers.on(c.Sync, settled)
-        handlers.on(c.StartEnvironment, self._start)
+        handlers.on(Sync, settled)
+        handlers.on(StartEnvironment, self._start)
         return handlers
 
     async def join(self, role: str, name: str, token: str, **hello: Any) -> Control:
-        said = c.Hello(role, name, token, __version__, incarnation=secrets.token_hex(4), host="here", **hello)
+        said = Hello(role, name, token, __version__, incarnation=secrets.token_hex(4), host="here", **hello)
         control, _ = await connect(self._reactor, self._address, said, self.handlers(name))
         return control
 
-    async def _start(self, call: c.StartEnvironment) -> c.Nothing:
+    async def _start(self, call: StartEnvironment) -> Nothing:
         spec = call.environment
         control = await self.join("environment", spec.name, spec.token, addresses=["unix:/x"])
         self.environments[spec.name] = control
-        return c.Nothing()
+        return Nothing()
 
 
 @asynccontextmanager
@@ -137,10 +153,10 @@ async def trial(reactor: ReactorBase) -> None:
                 )
 
             def execute(number: int, command: m.Command) -> Callable[[], Awaitable[Any]]:
-                return lambda: robots.call(c.Execute.of(f"u{number % USERS}/r{number}", command))
+                return lambda: robots.call(Execute.of(f"u{number % USERS}/r{number}", command))
 
             def login(number: int) -> Callable[[], Awaitable[Any]]:
-                return lambda: robots.call(c.Login(f"u{number % USERS}", f"r{number}", keys[number % USERS]))
+                return lambda: robots.call(Login(f"u{number % USERS}", f"r{number}", keys[number % USERS]))
 
             def interface(number: int, owner: str, kind: str) -> Callable[[], Awaitable[Any]]:
                 return execute(number, m.AddInterface(f"{owner}{number}", "i", kind, "std_msgs/String"))

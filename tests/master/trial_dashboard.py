@@ -21,9 +21,12 @@ from twisted.internet.base import ReactorBase
 
 from master.store import Store
 from master.users import Users
-from rce import calls as c
 from rce import loop
 from rce import messages as m
+from rce.calls.call import Nothing
+from rce.calls.endpoints import AddRoute, Bind
+from rce.calls.robots import Execute, Login
+from rce.calls.watching import Counts, CountTraffic, InterfaceTraffic, MeasureUsage, Traffic, Usage, Used
 from rce.control import Control, Handlers
 
 sys.path.append(str(Path(__file__).parents[1] / "e2e"))
@@ -47,41 +50,41 @@ class Busy(Around):
         handlers = super().handlers(name)
         bound = self._bound[name]
 
-        async def bind(call: c.Bind) -> c.Nothing:
+        async def bind(call: Bind) -> Nothing:
             bound[call.interface.id] = set()
-            return c.Nothing()
+            return Nothing()
 
-        async def route(call: c.AddRoute) -> c.Nothing:
+        async def route(call: AddRoute) -> Nothing:
             bound[call.route.interface].add(call.route.peer)
-            return c.Nothing()
+            return Nothing()
 
-        async def count(call: c.CountTraffic) -> c.Traffic:
+        async def count(call: CountTraffic) -> Traffic:
             now = time.monotonic() - self._began
-            each = c.Counts(int(now * now), int(1000 * now * now))
-            return c.Traffic(
-                {key: c.InterfaceTraffic(each, each, dict.fromkeys(peers, each)) for key, peers in bound.items()}
+            each = Counts(int(now * now), int(1000 * now * now))
+            return Traffic(
+                {key: InterfaceTraffic(each, each, dict.fromkeys(peers, each)) for key, peers in bound.items()}
             )
 
-        async def measure(call: c.MeasureUsage) -> c.Usage:
+        async def measure(call: MeasureUsage) -> Usage:
             now = time.monotonic() - self._began
-            return c.Usage({key: c.Used(now * now / 1000, int(1e8 + 1e6 * now)) for key in self.environments})
+            return Usage({key: Used(now * now / 1000, int(1e8 + 1e6 * now)) for key in self.environments})
 
-        handlers.on(c.Bind, bind)
-        handlers.on(c.AddRoute, route)
-        handlers.on(c.CountTraffic, count)
-        handlers.on(c.MeasureUsage, measure)
+        handlers.on(Bind, bind)
+        handlers.on(AddRoute, route)
+        handlers.on(CountTraffic, count)
+        handlers.on(MeasureUsage, measure)
         return handlers
 
 
 async def fill(robots: Control, key: str) -> None:
     def execute(number: int, command: m.Command) -> Callable[[], Any]:
-        return lambda: robots.call(c.Execute.of(f"{USER}/robot{number}", command))
+        return lambda: robots.call(Execute.of(f"{USER}/robot{number}", command))
 
     def interface(number: int, owner: str, kind: str, tag: int) -> Callable[[], Any]:
         return execute(number, m.AddInterface(f"{owner}{number}", f"i{tag}", kind, "std_msgs/String", f"/t{tag}"))
 
     numbers = range(PAIRS)
-    await all_of((lambda n=n: robots.call(c.Login(USER, f"robot{n}", key))) for n in numbers)  # type: ignore[misc]
+    await all_of((lambda n=n: robots.call(Login(USER, f"robot{n}", key))) for n in numbers)  # type: ignore[misc]
     await all_of(execute(n, m.CreateContainer(f"brain{n}")) for n in numbers)
     sides = [("robot", "SubscriberConverter"), ("brain", "PublisherInterface")]
     await all_of(interface(n, *side, tag) for n in numbers for side in sides for tag in range(EACH))

@@ -11,7 +11,10 @@ from twisted.internet.base import ReactorBase
 
 import rce
 from rce import control, metrics
-from rce.calls import Hello, Log, NodeDied, Nothing, Ping, ReadLog, ReadMetrics, Welcome
+from rce.calls.call import Nothing, Ping
+from rce.calls.endpoints import NodeDied
+from rce.calls.joining import Hello, Welcome
+from rce.calls.watching import Log, ReadLog, ReadMetrics
 from rce.control import Control, Handlers, MasterLink, connect, listen
 from rce.errors import InternalError, InvalidRequest, Unavailable
 

@@ -12,7 +12,10 @@ from twisted.internet.base import ReactorBase
 from twisted.logger import Logger, LogLevel
 
 from rce import logs
-from rce.calls import Hello, Log, Nothing, ReadLog, StopNode, Welcome
+from rce.calls.call import Nothing
+from rce.calls.endpoints import StopNode
+from rce.calls.joining import Hello, Welcome
+from rce.calls.watching import Log, ReadLog
 from rce.control import Control, Handlers, connect, listen
 from rce.errors import NotFound
 

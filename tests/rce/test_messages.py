@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import math
+import pkgutil
 from typing import Any, get_args
 
 import msgspec
@@ -12,9 +14,10 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from rce import calls as c
-from rce import control
+from rce import calls, control
 from rce import messages as m
+from rce.calls.call import Call, result_type
+from rce.calls.robots import Execute
 from rce.errors import ErrorInfo, InvalidRequest
 
 KINDS: dict[str, type[Any]] = {
@@ -222,8 +225,8 @@ def decode_all(payload: bytes) -> None:
 
 
 def through_wire(command: m.Command) -> m.Command:
-    pages = control._pages(c.Execute.of("ann/r1", command))
-    return control._value(pages, c.Execute).command
+    pages = control._pages(Execute.of("ann/r1", command))
+    return control._value(pages, Execute).command
 
 
 values = st.recursive(
@@ -271,13 +274,16 @@ def test_a_command_crosses_to_the_master(command: m.Command) -> None:
 
 @pytest.mark.parametrize(("kind", "item"), [("Nothing", {}), ("Connect", {"tagA": 1}), ("Connect", [])])
 def test_no_other_command_crosses(kind: str, item: object) -> None:
-    call = c.Execute("ann/r1", kind, msgspec.Raw(msgspec.msgpack.encode(item)))
+    call = Execute("ann/r1", kind, msgspec.Raw(msgspec.msgpack.encode(item)))
     with pytest.raises(InvalidRequest):
-        _ = control._value(control._pages(call), c.Execute).command
+        _ = control._value(control._pages(call), Execute).command
 
 
-def test_every_call_has_a_result_and_crosses() -> None:
-    for kind in control.call_types.values():
-        if kind is not c.Call:
-            msgspec.msgpack.Decoder(kind)  # raises where a type cannot be decoded
-            assert issubclass(c.result_type(kind), msgspec.Struct)
+def test_every_call_has_a_name_of_its_own_and_a_result_and_crosses() -> None:
+    for module in pkgutil.iter_modules(calls.__path__, f"{calls.__name__}."):
+        importlib.import_module(module.name)
+    kinds = [kind for kind in Call.__subclasses__() if kind.__module__.startswith(calls.__name__)]
+    assert len({kind.__name__ for kind in kinds}) == len(kinds) > 40
+    for kind in kinds:
+        msgspec.msgpack.Decoder(kind)  # raises where a type cannot be decoded
+        assert issubclass(result_type(kind), msgspec.Struct)

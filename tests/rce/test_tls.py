@@ -12,7 +12,7 @@ from test_control import HELLO, LOCAL, Doorman
 from twisted.internet.base import ReactorBase
 
 from rce import control
-from rce.calls import Log, ReadLog
+from rce.calls.watching import Log, ReadLog
 from rce.certificates import Authority
 from rce.control import Handlers, connect, listen
 from rce.errors import InvalidRequest, Unavailable

@@ -9,7 +9,7 @@ import pytest
 from environment_driver import FakeMaster, start
 from twisted.internet.base import ReactorBase
 
-from rce import calls as c
+from rce.calls.endpoints import NodeSpec, StartNode
 
 
 @pytest.fixture(scope="module")
@@ -17,7 +17,7 @@ async def master(running_reactor: ReactorBase, tmp_path_factory: pytest.TempPath
     """With node `echo` of package `probe` running."""
     pytest.importorskip("rclpy", reason="needs ROS 2: pip install 'rce[ros]'")
     master, process = await start(running_reactor, tmp_path_factory.mktemp("environment"))
-    await master.call(c.StartNode(c.NodeSpec("echo", "probe", "echo.py")))
+    await master.call(StartNode(NodeSpec("echo", "probe", "echo.py")))
     yield master
     process.terminate()
     await asyncio.wait_for(process.wait(), 10)

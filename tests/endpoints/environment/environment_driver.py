@@ -18,9 +18,10 @@ from endpoints.data_port import DataPort
 from endpoints.frames import Message
 from endpoints.link import Link
 from endpoints.switchboard import Interface, Switchboard, error_of
-from rce import calls as c
 from rce import control
-from rce.calls import Call, Hello, InterfaceSpec, LinkSpec, Route, Welcome
+from rce.calls.call import Call, Nothing
+from rce.calls.endpoints import AddRoute, Bind, InterfaceSpec, LinkLost, LinkSpec, NodeDied, OpenLink, Report, Route
+from rce.calls.joining import Hello, Welcome
 from rce.errors import Unauthorized
 from rce.messages import Qos
 
@@ -67,7 +68,7 @@ class FakeMaster:
         self.heard: asyncio.Queue[Call[Any]] = asyncio.Queue()
         self.refuse = False
         self.joined: asyncio.Future[control.Control] = asyncio.get_running_loop().create_future()
-        self.board = Switchboard(port, lambda link, reason: self.heard.put_nowait(c.LinkLost(link, reason)))
+        self.board = Switchboard(port, lambda link, reason: self.heard.put_nowait(LinkLost(link, reason)))
         self.listening: IListeningPort
         self._link = ""
 
@@ -78,15 +79,15 @@ class FakeMaster:
             raise Unauthorized("replaced")
         self.hello = hello
         handlers = control.Handlers()
-        for kind in (c.NodeDied, c.LinkLost, c.Report):
+        for kind in (NodeDied, LinkLost, Report):
             handlers.on(kind, self._hear)
         if self.joined.done():
             self.joined = asyncio.get_running_loop().create_future()
         return Welcome("credential"), handlers, self.joined.set_result
 
-    async def _hear(self, call: Call[Any]) -> c.Nothing:
+    async def _hear(self, call: Call[Any]) -> Nothing:
         self.heard.put_nowait(call)
-        return c.Nothing()
+        return Nothing()
 
     async def call(self, call: Call[R]) -> R:
         return await (await asyncio.wait_for(asyncio.shield(self.joined), 20)).call(call)
@@ -96,14 +97,14 @@ class FakeMaster:
         if not self._link:
             await asyncio.shield(self.joined)
             self._link, key = "link", secrets.token_hex(16)
-            await self.call(c.OpenLink(LinkSpec(self._link, key)))
+            await self.call(OpenLink(LinkSpec(self._link, key)))
             self.board.open_link(LinkSpec(self._link, key, self.hello.addresses))
         return self._link
 
     async def bind(self, kind: str, type: str, addr: str, qos: Qos | None = None) -> InterfaceSpec:
         """An interface of the environment."""
         spec = InterfaceSpec(secrets.token_hex(16), NAME, f"tag{secrets.token_hex(4)}", kind, type, addr, qos or Qos())
-        await self.call(c.Bind(spec))
+        await self.call(Bind(spec))
         return spec
 
     async def connect(self, there: InterfaceSpec) -> Robot:
@@ -120,7 +121,7 @@ class FakeMaster:
         receiving = there.kind in ("PublisherInterface", "ServiceProviderInterface")
         sides = [
             self.board.add_route(Route(here.id, there.id, link)),
-            self.call(c.AddRoute(Route(there.id, here.id, link))),
+            self.call(AddRoute(Route(there.id, here.id, link))),
         ]
         for side in reversed(sides) if receiving else sides:  # the receiving side first
             await side
@@ -133,16 +134,16 @@ class FakeMaster:
         if stopping is not None:
             await stopping.asFuture(asyncio.get_running_loop())
 
-    async def died(self) -> c.NodeDied:
+    async def died(self) -> NodeDied:
         async with asyncio.timeout(10):
-            while not isinstance(found := await self.heard.get(), c.NodeDied):
+            while not isinstance(found := await self.heard.get(), NodeDied):
                 pass
             return found
 
-    async def report(self, interface: str) -> c.Report:
+    async def report(self, interface: str) -> Report:
         """The next report about an interface of the environment, by its tag."""
         async with asyncio.timeout(10):
-            while not isinstance(found := await self.heard.get(), c.Report) or found.interface != interface:
+            while not isinstance(found := await self.heard.get(), Report) or found.interface != interface:
                 pass
             return found
 

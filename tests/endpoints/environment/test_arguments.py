@@ -6,7 +6,7 @@ import pytest
 
 from endpoints.environment.arguments import ros_arguments, split, substitute
 from endpoints.environment.packages import Packages
-from rce.calls import NodeSpec
+from rce.calls.endpoints import NodeSpec
 from rce.errors import InvalidName, InvalidRequest, NotFound
 
 PACKAGES = Packages([], [Path(__file__).parent / "packages"])

@@ -12,7 +12,18 @@ pytest.importorskip("rclpy", reason="needs ROS 2: pip install 'rce[ros]'")
 
 from environment_driver import FakeMaster
 
-from rce import calls as c
+from rce.calls.endpoints import (
+    DropParameter,
+    InterfaceSpec,
+    LinkSpec,
+    NodeSpec,
+    ParameterSpec,
+    PutParameter,
+    StartNode,
+    StopNode,
+    Sync,
+)
+from rce.calls.watching import ReadLog
 from rce.errors import InvalidRequest, NotFound, StartFailed
 
 
@@ -20,7 +31,7 @@ async def line(master: FakeMaster, tag: str, words: str) -> str:
     """The last line of a node's output with these words, once it is there."""
     async with asyncio.timeout(10):
         while True:
-            log = await master.call(c.ReadLog(tag))
+            log = await master.call(ReadLog(tag))
             found = [line for line in log.lines if words in line]
             if found:
                 return found[-1]
@@ -28,14 +39,14 @@ async def line(master: FakeMaster, tag: str, words: str) -> str:
 
 
 async def test_a_log_is_followed(master: FakeMaster) -> None:
-    await master.call(c.StartNode(c.NodeSpec("followed", "probe", "say", "live")))
+    await master.call(StartNode(NodeSpec("followed", "probe", "say", "live")))
     await line(master, "followed", "pids")
-    log = await master.call(c.ReadLog("followed"))
+    log = await master.call(ReadLog("followed"))
     assert log.lines
-    assert (await master.call(c.ReadLog("followed", after=log.next, wait=0.01))).lines == []
-    own = await master.call(c.ReadLog(""))
+    assert (await master.call(ReadLog("followed", after=log.next, wait=0.01))).lines == []
+    own = await master.call(ReadLog(""))
     assert any("node followed is started: probe say" in each for each in own.lines)
-    await master.call(c.StopNode("followed"))
+    await master.call(StopNode("followed"))
 
 
 def alive(pid: int) -> bool:
@@ -46,14 +57,14 @@ def alive(pid: int) -> bool:
 
 
 async def test_death_is_reported_with_status_and_last_lines(master: FakeMaster) -> None:
-    await master.call(c.StartNode(c.NodeSpec("dying", "probe", "say", "die 'a b' $(env ROS_DOMAIN_ID)")))
+    await master.call(StartNode(NodeSpec("dying", "probe", "say", "die 'a b' $(env ROS_DOMAIN_ID)")))
     died = await master.died()
     assert (died.node, died.status) == ("dying", 3)
     assert died.lines[0] == f"arguments ['die', 'a b', '{domain('environment')}']"
 
 
 async def test_what_a_node_sees(master: FakeMaster) -> None:
-    await master.call(c.StartNode(c.NodeSpec("seeing", "probe", "say.py", "die")))
+    await master.call(StartNode(NodeSpec("seeing", "probe", "say.py", "die")))
     died = await master.died()
     assert died.lines[1] == "sees ['rclpy']"
     assert died.lines[2].startswith("secrets ['RCE_RUN'] ")
@@ -62,93 +73,93 @@ async def test_what_a_node_sees(master: FakeMaster) -> None:
 
 @pytest.mark.parametrize("how", ["live", "deaf"])
 async def test_stop_ends_the_whole_group(master: FakeMaster, how: str) -> None:
-    await master.call(c.StartNode(c.NodeSpec(how, "probe", "say", how)))
+    await master.call(StartNode(NodeSpec(how, "probe", "say", how)))
     pids = [int(word) for word in (await line(master, how, "pids")).split()[1:]]
     if how == "deaf":
         await line(master, how, "deaf to")
     assert all(map(alive, pids))
-    await master.call(c.StopNode(how))
+    await master.call(StopNode(how))
     assert not any(map(alive, pids))
-    await master.call(c.StopNode(how))
+    await master.call(StopNode(how))
 
 
 async def test_start_is_idempotent_and_a_change_restarts(master: FakeMaster) -> None:
-    spec = c.NodeSpec("twice", "probe", "say", "live")
-    await master.call(c.StartNode(spec))
+    spec = NodeSpec("twice", "probe", "say", "live")
+    await master.call(StartNode(spec))
     first = await line(master, "twice", "pids")
-    await master.call(c.StartNode(spec))
+    await master.call(StartNode(spec))
     assert await line(master, "twice", "pids") == first
-    await master.call(c.StartNode(c.NodeSpec("twice", "probe", "say", "live on")))
+    await master.call(StartNode(NodeSpec("twice", "probe", "say", "live on")))
     assert "on" in await line(master, "twice", "arguments ['live', 'on']")
-    await master.call(c.StopNode("twice"))
+    await master.call(StopNode("twice"))
 
 
 @pytest.mark.parametrize(
     ("spec", "error"),
     [
-        (c.NodeSpec("bad", "nothing", "say"), NotFound),
-        (c.NodeSpec("bad", "probe", "nothing"), NotFound),
-        (c.NodeSpec("bad", "probe", "say", "$(find nothing)"), NotFound),
-        (c.NodeSpec("bad", "probe", "say", "'"), InvalidRequest),
-        (c.NodeSpec("bad", "probe", "broken.sh"), StartFailed),
+        (NodeSpec("bad", "nothing", "say"), NotFound),
+        (NodeSpec("bad", "probe", "nothing"), NotFound),
+        (NodeSpec("bad", "probe", "say", "$(find nothing)"), NotFound),
+        (NodeSpec("bad", "probe", "say", "'"), InvalidRequest),
+        (NodeSpec("bad", "probe", "broken.sh"), StartFailed),
     ],
 )
-async def test_what_cannot_start(master: FakeMaster, spec: c.NodeSpec, error: type[Exception]) -> None:
+async def test_what_cannot_start(master: FakeMaster, spec: NodeSpec, error: type[Exception]) -> None:
     with pytest.raises(error):
-        await master.call(c.StartNode(spec))
+        await master.call(StartNode(spec))
 
 
 async def test_log_of_no_node(master: FakeMaster) -> None:
     with pytest.raises(NotFound):
-        await master.call(c.ReadLog("never"))
+        await master.call(ReadLog("never"))
 
 
 async def test_parameters_before_start(master: FakeMaster) -> None:
-    await master.call(c.PutParameter(c.ParameterSpec("speed", 2.5, "fast")))
-    await master.call(c.PutParameter(c.ParameterSpec("words", ["yes", "1"])))
-    await master.call(c.StartNode(c.NodeSpec("fast", "probe", "echo", namespace="/fast", name="renamed")))
+    await master.call(PutParameter(ParameterSpec("speed", 2.5, "fast")))
+    await master.call(PutParameter(ParameterSpec("words", ["yes", "1"])))
+    await master.call(StartNode(NodeSpec("fast", "probe", "echo", namespace="/fast", name="renamed")))
     assert "speed is 2.5" in await line(master, "fast", "speed is")
     assert "['yes', '1']" in await line(master, "fast", "words is")
     assert "renamed" in await line(master, "fast", "speed is")
-    await master.call(c.StopNode("fast"))
-    await master.call(c.DropParameter(c.ParameterSpec("speed", 2.5, "fast").key))
-    await master.call(c.DropParameter(c.ParameterSpec("words", [""]).key))
-    await master.call(c.StartNode(c.NodeSpec("fast", "probe", "echo", namespace="/fast")))
+    await master.call(StopNode("fast"))
+    await master.call(DropParameter(ParameterSpec("speed", 2.5, "fast").key))
+    await master.call(DropParameter(ParameterSpec("words", [""]).key))
+    await master.call(StartNode(NodeSpec("fast", "probe", "echo", namespace="/fast")))
     assert "speed is 1.0" in await line(master, "fast", "speed is 1.0")
-    await master.call(c.StopNode("fast"))
+    await master.call(StopNode("fast"))
 
 
 async def test_parameters_of_running_nodes(master: FakeMaster) -> None:
     await line(master, "echo", "words is")
-    await master.call(c.StartNode(c.NodeSpec("other", "probe", "echo", namespace="/other")))
+    await master.call(StartNode(NodeSpec("other", "probe", "echo", namespace="/other")))
     await line(master, "other", "words is")
-    await master.call(c.PutParameter(c.ParameterSpec("speed", 3, "other")))
+    await master.call(PutParameter(ParameterSpec("speed", 3, "other")))
     assert "becomes 3.0" in await line(master, "other", "speed becomes")
-    assert not [line for line in (await master.call(c.ReadLog("echo"))).lines if "speed becomes" in line]
-    await master.call(c.PutParameter(c.ParameterSpec("words", ["a"])))
+    assert not [line for line in (await master.call(ReadLog("echo"))).lines if "speed becomes" in line]
+    await master.call(PutParameter(ParameterSpec("words", ["a"])))
     for tag in ("echo", "other"):
         assert "['a']" in await line(master, tag, "words becomes")
-    await master.call(c.PutParameter(c.ParameterSpec("undeclared", 1)))
+    await master.call(PutParameter(ParameterSpec("undeclared", 1)))
     with pytest.raises(InvalidRequest, match="too fast"):
-        await master.call(c.PutParameter(c.ParameterSpec("speed", 11)))
-    await master.call(c.StopNode("other"))
+        await master.call(PutParameter(ParameterSpec("speed", 11)))
+    await master.call(StopNode("other"))
 
 
 async def test_sync_brings_in_line(master: FakeMaster) -> None:
-    await master.call(c.StartNode(c.NodeSpec("away", "probe", "say", "live")))
+    await master.call(StartNode(NodeSpec("away", "probe", "say", "live")))
     pid = int((await line(master, "away", "pids")).split()[1])
-    echo = c.NodeSpec("echo", "probe", "echo.py")
-    wanted = c.Sync(
+    echo = NodeSpec("echo", "probe", "echo.py")
+    wanted = Sync(
         interfaces=[
-            c.InterfaceSpec("11" * 16, "user/env", "good", "PublisherInterface", "std_msgs/String", "there"),
-            c.InterfaceSpec("22" * 16, "user/env", "bad", "PublisherInterface", "std_msgs/Nothing", "there"),
+            InterfaceSpec("11" * 16, "user/env", "good", "PublisherInterface", "std_msgs/String", "there"),
+            InterfaceSpec("22" * 16, "user/env", "bad", "PublisherInterface", "std_msgs/Nothing", "there"),
         ],
-        links=[c.LinkSpec(await master.link(), "00" * 16)],
-        nodes=[echo, c.NodeSpec("missing", "probe", "nothing")],
-        parameters=[c.ParameterSpec("mixed", [1, "a"])],
+        links=[LinkSpec(await master.link(), "00" * 16)],
+        nodes=[echo, NodeSpec("missing", "probe", "nothing")],
+        parameters=[ParameterSpec("mixed", [1, "a"])],
     )
     settled = await master.call(wanted)
     assert set(settled.failed) == {"22" * 16, "node:missing", "parameter::mixed"}
-    settled = await master.call(c.Sync(links=wanted.links, nodes=[echo]))
+    settled = await master.call(Sync(links=wanted.links, nodes=[echo]))
     assert settled.failed == {}
     assert not alive(pid)

@@ -14,12 +14,12 @@ from environment_driver import NAME, FakeMaster, start
 from test_environment_nodes import alive, line
 from twisted.internet.base import ReactorBase
 
-from rce import calls as c
+from rce.calls.endpoints import NodeSpec, StartNode
 
 
 async def node(master: FakeMaster) -> int:
     """A node's pid."""
-    await master.call(c.StartNode(c.NodeSpec("living", "probe", "say", "live")))
+    await master.call(StartNode(NodeSpec("living", "probe", "say", "live")))
     return int((await line(master, "living", "pids")).split()[1])
 
 

@@ -15,7 +15,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from std_srvs.srv import SetBool
 
 from endpoints.frames import Message
-from rce import calls as c
+from rce.calls.endpoints import NodeSpec, StartNode, StopNode
 from rce.errors import ConversionError, NotFound, UnknownType
 
 TRUE = serialize_message(SetBool.Request(data=True))
@@ -46,9 +46,9 @@ async def test_only_the_one_who_asked_gets_the_answer(master: FakeMaster) -> Non
 async def test_a_request_waits_for_its_service_to_appear(master: FakeMaster) -> None:
     robot = await master.interface("ServiceClientInterface", "std_srvs/SetBool", "/soon/flip")
     answer = asyncio.create_task(robot.ask(TRUE))
-    await master.call(c.StartNode(c.NodeSpec("soon", "probe", "echo.py", namespace="soon")))
+    await master.call(StartNode(NodeSpec("soon", "probe", "echo.py", namespace="soon")))
     assert not deserialize_message(await answer, SetBool.Response).success
-    await master.call(c.StopNode("soon"))
+    await master.call(StopNode("soon"))
 
 
 async def test_a_service_that_does_not_appear(master: FakeMaster) -> None:

@@ -13,7 +13,9 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
-from rce import calls as c
+from rce.calls.endpoints import NodeSpec, StartNode, StopNode, Unbind
+from rce.calls.robots import Describe
+from rce.calls.watching import ReadGraph, RosName
 from rce.errors import InvalidRequest, UnknownType
 from rce.messages import Qos
 
@@ -41,11 +43,11 @@ async def test_what_comes_before_a_subscription_waits_for_it(master: FakeMaster)
     heard = await master.connect(late)
     for word in ("one", "two", "three"):
         early.publish(cdr(word))
-    await master.call(c.StartNode(c.NodeSpec("early", "probe", "echo.py", namespace="early")))
+    await master.call(StartNode(NodeSpec("early", "probe", "echo.py", namespace="early")))
     assert [text(await heard.next()), text(await heard.next())] == ["two", "three"]
     report = await master.report(early.spec.tag)
     assert report.drops == 1
-    await master.call(c.StopNode("early"))
+    await master.call(StopNode("early"))
 
 
 async def test_every_peer_hears_and_latched_topics_reach_late_ones(master: FakeMaster) -> None:
@@ -59,20 +61,20 @@ async def test_every_peer_hears_and_latched_topics_reach_late_ones(master: FakeM
 
 async def test_a_latched_topic_is_followed_when_its_publisher_comes_later(master: FakeMaster) -> None:
     heard = await master.interface("SubscriberInterface", "std_msgs/String", "/later/latched")
-    await master.call(c.StartNode(c.NodeSpec("later", "probe", "echo.py", namespace="/later")))
+    await master.call(StartNode(NodeSpec("later", "probe", "echo.py", namespace="/later")))
     assert text(await heard.next()) == "kept"
-    await master.call(c.StopNode("later"))
+    await master.call(StopNode("later"))
 
 
 async def test_late_peers_hear_a_latched_topic_that_is_younger_than_the_interface(master: FakeMaster) -> None:
     bound = await master.bind("SubscriberInterface", "std_msgs/String", "/younger/latched")
     first = await master.connect(bound)
-    await master.call(c.StartNode(c.NodeSpec("younger", "probe", "echo.py", "once_heard", namespace="/younger")))
+    await master.call(StartNode(NodeSpec("younger", "probe", "echo.py", "once_heard", namespace="/younger")))
     assert text(await first.next()) == "kept"
     second = await master.connect(bound)
     assert text(await second.next()) == "kept"
     assert first.got.empty()
-    await master.call(c.StopNode("younger"))
+    await master.call(StopNode("younger"))
 
 
 async def test_nobody_hears_himself(master: FakeMaster) -> None:
@@ -87,12 +89,12 @@ async def test_nobody_hears_himself(master: FakeMaster) -> None:
 async def test_qos_follows_best_effort_nodes(master: FakeMaster) -> None:
     there = await master.interface("PublisherInterface", "std_msgs/String", "/best/there")
     back = await master.interface("SubscriberInterface", "std_msgs/String", "/best/back")
-    await master.call(c.StartNode(c.NodeSpec("best", "probe", "echo.py", "best_effort", namespace="best")))
+    await master.call(StartNode(NodeSpec("best", "probe", "echo.py", "best_effort", namespace="best")))
     async with asyncio.timeout(10):
         while back.got.empty():  # best effort also means that the first may be lost
             there.publish(cdr("effort"))
             await asyncio.sleep(0.05)
-    await master.call(c.StopNode("best"))
+    await master.call(StopNode("best"))
 
 
 async def test_qos_that_does_not_match_is_reported_with_both_sides(master: FakeMaster) -> None:
@@ -106,25 +108,25 @@ async def test_keep_all_loses_nothing(master: FakeMaster) -> None:
     keep = Qos(history="keep_all")
     there = await master.interface("PublisherInterface", "std_msgs/String", "/keep/there", keep)
     back = await master.interface("SubscriberInterface", "std_msgs/String", "/keep/back", keep)
-    await master.call(c.StartNode(c.NodeSpec("keep", "probe", "echo.py", "keep_all", namespace="keep")))
+    await master.call(StartNode(NodeSpec("keep", "probe", "echo.py", "keep_all", namespace="keep")))
     for number in range(500):
         while (room := there.room()) is not None:
             await room
         there.publish(cdr(str(number)))
     assert [text(await back.next()) for _ in range(500)] == [str(number) for number in range(500)]
-    await master.call(c.StopNode("keep"))
+    await master.call(StopNode("keep"))
 
 
 async def test_large_messages(master: FakeMaster) -> None:
     said = await master.bind("PublisherInterface", "sensor_msgs/Image", "image")
     there = await master.connect(said)
     back = await master.interface("SubscriberInterface", "sensor_msgs/Image", "image_back")
-    await master.call(c.StartNode(c.NodeSpec("large", "probe", "images.py")))
+    await master.call(StartNode(NodeSpec("large", "probe", "images.py")))
     sent = Image(width=2000, height=1000, data=bytes(range(250)) * 24_000)
     there.publish(serialize_message(sent))
     same = deserialize_message(await back.next(), Image) == sent  # not their bytes: ROS leaves what it finds in padding
     assert same, "pytest would compare millions of numbers one by one"
-    await master.call(c.StopNode("large"))
+    await master.call(StopNode("large"))
 
 
 async def test_what_is_not_cdr_is_reported(master: FakeMaster) -> None:
@@ -148,23 +150,23 @@ async def test_unknown_types(master: FakeMaster, name: str) -> None:
 
 
 async def test_describe(master: FakeMaster) -> None:
-    described = await master.call(c.Describe("user", "sensor_msgs/Image", service=False))
+    described = await master.call(Describe("user", "sensor_msgs/Image", service=False))
     assert {"sensor_msgs/msg/Image", "std_msgs/msg/Header", "builtin_interfaces/msg/Time"} == set(described.texts)
 
 
 async def test_what_ros_has_is_read(master: FakeMaster) -> None:
     await master.interface("SubscriberInterface", "std_msgs/String", "/read/here")
     await master.interface("ServiceProviderInterface", "std_srvs/SetBool", "/read/asked")
-    graph = await master.call(c.ReadGraph())
+    graph = await master.call(ReadGraph())
     (topic,) = [each for each in graph.topics if each.name == "/read/here"]
     assert (topic.types, topic.publishers, topic.subscribers) == (["std_msgs/msg/String"], 0, 1)
-    assert c.RosName("/read/asked", ["std_srvs/srv/SetBool"]) in graph.services
+    assert RosName("/read/asked", ["std_srvs/srv/SetBool"]) in graph.services
 
 
 async def test_unbound_interfaces_are_gone(master: FakeMaster) -> None:
     bound = await master.bind("SubscriberInterface", "std_msgs/String", "back")
     heard = await master.connect(bound)
-    await master.call(c.Unbind(bound.id))
+    await master.call(Unbind(bound.id))
     there = await master.interface("PublisherInterface", "std_msgs/String", "there")
     back = await master.interface("SubscriberInterface", "std_msgs/String", "back")
     there.publish(cdr("x"))

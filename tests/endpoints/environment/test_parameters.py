@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from endpoints.environment.parameters import Parameters, checked, params_file
-from rce.calls import ParameterSpec
+from rce.calls.endpoints import ParameterSpec
 from rce.errors import InvalidRequest
 from rce.messages import ParameterValue
 

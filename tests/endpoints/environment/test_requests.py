@@ -12,7 +12,7 @@ pytest.importorskip("rclpy", reason="needs ROS 2: pip install 'rce[ros]'")
 
 
 from endpoints.data_port import DataPort
-from endpoints.environment.definitions import Definitions
+from endpoints.environment.definitions import InstalledTypes
 from endpoints.environment.interfaces import Surroundings
 from endpoints.environment.ros import RosThread
 from endpoints.environment.ros_services import RawClient
@@ -20,7 +20,7 @@ from endpoints.environment.services import IN_FLIGHT, TIMEOUT, ServiceClientInte
 from endpoints.frames import Message
 from endpoints.link import LoopLink
 from endpoints.switchboard import MAX_REQUESTS, Switchboard, error_of
-from rce.calls import InterfaceSpec
+from rce.calls.endpoints import InterfaceSpec
 from rce.errors import RceError
 
 PEER = b"p" * 16
@@ -71,7 +71,7 @@ async def parts() -> tuple[ServiceClientInterface, Service, Robot]:
     service, robot = Service(), Robot()
     spec = InterfaceSpec("11" * 16, "user/env", "tag", "ServiceClientInterface", "a/B", "/name")
     board = Switchboard(DataPort(), lambda link, reason: None)
-    around = Surroundings(cast(RosThread, service), board, Definitions([]), lambda spec, error: None)
+    around = Surroundings(cast(RosThread, service), board, InstalledTypes([]), lambda spec, error: None)
     interface = ServiceClientInterface(spec, around)
     interface._client = cast(RawClient, service)
     interface.peers[PEER] = LoopLink("loop", lambda message, _: robot.heard.append(message), board.watch.left)

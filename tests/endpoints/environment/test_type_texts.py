@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from endpoints.environment.definitions import Definitions
+from endpoints.environment.definitions import InstalledTypes
 from rce.errors import UnknownType
 
 
 @pytest.fixture
-def definitions(tmp_path: Path) -> Definitions:
+def definitions(tmp_path: Path) -> InstalledTypes:
     files = {
         "prefix/share/std_msgs/msg/Header.msg": "string frame_id",
         "prefix/share/a/msg/Outer.msg": "Header h # c/Never\nInner[<=3] in\nb/Other[2] o\nint32 N=3\nstring<=5 s",
@@ -22,21 +22,21 @@ def definitions(tmp_path: Path) -> Definitions:
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
-    return Definitions([tmp_path / "prefix"], [tmp_path / "src"])
+    return InstalledTypes([tmp_path / "prefix"], [tmp_path / "src"])
 
 
-def test_message_with_all_that_it_uses(definitions: Definitions) -> None:
+def test_message_with_all_that_it_uses(definitions: InstalledTypes) -> None:
     names = {"a/msg/Outer", "a/msg/Inner", "b/msg/Other", "b/msg/Deep", "std_msgs/msg/Header"}
     assert set(definitions.describe("a/Outer", service=False)) == names
 
 
-def test_service_uses_what_both_parts_use(definitions: Definitions) -> None:
+def test_service_uses_what_both_parts_use(definitions: InstalledTypes) -> None:
     texts = definitions.describe("b/srv/Do", service=True)
     assert set(texts) == {"b/srv/Do", "a/msg/Inner", "b/msg/Other", "b/msg/Deep"}
     assert texts["b/srv/Do"] == "a/Inner question\n---\nOther answer"
 
 
 @pytest.mark.parametrize(("name", "service"), [("a/Nothing", False), ("x/Inner", False), ("a/Inner", True)])
-def test_unknown(definitions: Definitions, name: str, service: bool) -> None:
+def test_unknown(definitions: InstalledTypes, name: str, service: bool) -> None:
     with pytest.raises(UnknownType):
         definitions.describe(name, service)
