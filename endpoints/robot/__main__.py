@@ -16,8 +16,9 @@ import rce
 from endpoints.data_port import DataPort
 from endpoints.host import listen as listen_data
 from endpoints.memory import keep_large_blocks
+from endpoints.robot.door import ServerLimits
 from endpoints.robot.endpoint import Options, RobotEndpoint
-from endpoints.robot.server import ServerLimits, listen
+from endpoints.robot.server import listen
 from rce import loop, settings
 from rce.calls.joining import Hello, Welcome
 from rce.control import MasterLink

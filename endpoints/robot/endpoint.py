@@ -9,8 +9,8 @@ from msgspec import Struct
 from twisted.logger import Logger
 
 from endpoints.data_port import DataPort
+from endpoints.robot.door import Admitted, Greeting, ServerLimits
 from endpoints.robot.interfaces import make
-from endpoints.robot.server import Admitted, Greeting, ServerLimits
 from endpoints.robot.session import Session
 from endpoints.robot.types import UserTypes
 from endpoints.switchboard import Interface, Switchboard

@@ -1,4 +1,4 @@
-"""The WebSocket server for robots: handshake, limits, and the way from a frame to its session.
+"""The WebSocket server for robots: their sockets open, live, and close; turns to read and to write.
 
 Autobahn is known in this file only.
 """
@@ -7,30 +7,18 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections import deque
-from typing import Annotated, Any, Protocol
+from typing import Any
 
 import txaio
-from msgspec import UNSET, Meta, Struct
 from twisted.logger import Logger
 from websockets.speedups import apply_mask
 
+from endpoints.robot.door import Admitted, Door
+from endpoints.robot.handshake import hears_by_closing, read_request, refusal_status
+from endpoints.robot.intake import Intake
 from endpoints.robot.session import Piece, Session
-from rce import messages as m
-from rce.assembler import Assembler, Limits, Outcome
 from rce.blobs import BinaryFrame, Buffer
-from rce.errors import (
-    AlreadyExists,
-    Forbidden,
-    InternalError,
-    InvalidRequest,
-    NotConnected,
-    RceError,
-    TimedOut,
-    TooManyAttempts,
-    Unauthorized,
-    Unavailable,
-)
+from rce.errors import RceError
 from rce.sockets import tune
 
 txaio.use_asyncio()  # before Autobahn is imported: it asks once which of the two it runs on
@@ -43,124 +31,15 @@ HIGH_WATER = 256 * 1024  # bytes in the transport at which the outbox keeps what
 MAX_REQUEST = 64 * 1024  # bytes before a robot is let in
 SLICE = 0.0005  # seconds for which one robot's frames may be worked on at a stretch
 TICK = 10.0  # seconds: a robot from which nothing came for so long is pinged, and given up after as long again
-BAD_WINDOW = 60.0
 NORMAL = 1000  # the close code of a peer that has done all it wanted
 REFUSED = 4000  # plus the HTTP status: the close code of a robot that is refused and asked to hear it so
 
 log = Logger()
 
 
-class ServerLimits(Struct, frozen=True):
-    """What one robot may send."""
-
-    message: Annotated[int, Meta(ge=1024)] = 64 * 1024 * 1024
-    bad_messages: Annotated[int, Meta(ge=0)] = 100  # a minute; 0: no limit
-    blobs: Annotated[int, Meta(ge=1)] = 64
-    blob_memory: Annotated[int, Meta(ge=1024)] = 256 * 1024 * 1024
-    blob_age: Annotated[float, Meta(gt=0)] = 60.0
-
-
-class Door(Protocol):
-    """What the server needs of the endpoint."""
-
-    limits: ServerLimits
-    grace: float
-
-    async def login(self, greeting: Greeting) -> Admitted:
-        """A session for a robot that has proved who it is; raises why not."""
-
-    def data(self, session: Session, message: m.DataMessage, blobs: dict[str, Buffer]) -> None:
-        """Take a data message of the robot; raises what the robot shall hear."""
-
-    def disconnected(self, session: Session) -> None:
-        """The session has lost its socket: its grace time begins."""
-
-    def finished(self, session: Session) -> None:
-        """The robot has said goodbye: its session ends now."""
-
-
-class Greeting(Struct, frozen=True):
-    """What a robot says in the request that opens its WebSocket."""
-
-    user: str
-    robot: str
-    secret: str
-    features: frozenset[str]
-    resume: str
-    compress: bool
-    address: str
-
-
-class Admitted(Struct, frozen=True):
-    """The answer to it."""
-
-    session: Session
-    token: str
-    resumed: bool
-
-
-def read_request(request: ConnectionRequest) -> Greeting:
-    """InvalidRequest if a parameter is missing or repeated."""
-    header = str(request.headers.get("authorization", ""))
-    scheme, _, bearer = header.partition(" ")
-    secret = bearer.strip() if scheme.lower() == "bearer" else _one(request, "password", "key")
-    offered = _optional(request, "features").split(",")
-    return Greeting(
-        user=_one(request, "userID"),
-        robot=_one(request, "robotID"),
-        secret=secret,
-        features=m.FEATURES & frozenset(offered),
-        resume=_optional(request, "resume"),
-        compress=_compress(_optional(request, "compress")),
-        address=str(request.peer),
-    )
-
-
-def _one(request: ConnectionRequest, *names: str) -> str:
-    values = [value for name in names for value in request.params.get(name, [])]
-    if len(values) != 1:
-        raise InvalidRequest(f"parameter {' or '.join(names)} must be given exactly once, not {len(values)} times")
-    return str(values[0])
-
-
-def _optional(request: ConnectionRequest, name: str) -> str:
-    values = request.params.get(name, [""])
-    if len(values) != 1:
-        raise InvalidRequest(f"parameter {name} must be given at most once, not {len(values)} times")
-    return str(values[0])
-
-
-def _hears_by_closing(request: ConnectionRequest) -> bool:
-    """Browsers tell scripts neither status nor reason of a handshake that was refused, but those of a closed socket."""
-    return "close" in request.params.get("refuse", [])
-
-
-def _compress(value: str) -> bool:
-    if value not in ("", "deflate"):
-        raise InvalidRequest(f"parameter compress may be deflate, not {value[:40]!r}")
-    return bool(value)
-
-
 def _accept_deflate(offers: list[Any]) -> PerMessageDeflateOfferAccept | None:
     offer = next((offer for offer in offers if isinstance(offer, PerMessageDeflateOffer)), None)
     return PerMessageDeflateOfferAccept(offer) if offer is not None else None
-
-
-def _denial(error: RceError, features: frozenset[str]) -> ConnectionDeny:
-    """Clients of the original know 400 and 401; those with features can tell a robotID in use from a bad request."""
-    if isinstance(error, AlreadyExists) and features:
-        return ConnectionDeny(409, str(error))
-    if isinstance(error, Unauthorized):
-        return ConnectionDeny(401, str(error))
-    if isinstance(error, TooManyAttempts):
-        return ConnectionDeny(429, str(error))
-    if isinstance(error, Forbidden):
-        return ConnectionDeny(403, str(error))
-    if isinstance(error, Unavailable | TimedOut):
-        return ConnectionDeny(503, str(error))
-    if isinstance(error, InternalError):
-        return ConnectionDeny(500, str(error))
-    return ConnectionDeny(400, str(error))
 
 
 class _Masker:
@@ -192,7 +71,6 @@ class RobotSocket(WebSocketServerProtocol):
         self._session: Session | None = None
         self._denied: ConnectionDeny | None = None  # what a robot hears by closing
         self._full = False
-        self._bad: deque[float] = deque()
         self._reason = ""
         self._timer: asyncio.TimerHandle | None = None
         self._hold: asyncio.Future[None] | None = None  # until when nothing is taken from the robot
@@ -211,8 +89,8 @@ class RobotSocket(WebSocketServerProtocol):
             features = greeting.features
             self._admitted = await self._door.login(greeting)
         except RceError as error:
-            denial = _denial(error, features)
-            if not _hears_by_closing(request):
+            denial = ConnectionDeny(refusal_status(error, features), str(error))
+            if not hears_by_closing(request):
                 raise denial from None
             self._denied = denial
             return None, {}
@@ -230,14 +108,8 @@ class RobotSocket(WebSocketServerProtocol):
             return
         assert self._admitted is not None
         session = self._session = self._admitted.session
-        limits = self._door.limits
-        loop = asyncio.get_running_loop()
-        self._assembler = Assembler(
-            loop.time,
-            parts=session.parts,
-            limits=Limits(limits.blobs, limits.blob_memory, limits.message, limits.blob_age),
-        )
-        self._timer = loop.call_later(TICK, self._tick)
+        self._intake = Intake(self._door, session, self.end)
+        self._timer = asyncio.get_running_loop().call_later(TICK, self._tick)
         self.transport.set_write_buffer_limits(high=HIGH_WATER)
         tune(self.transport)
         previous = session.socket
@@ -280,62 +152,17 @@ class RobotSocket(WebSocketServerProtocol):
             self.dropConnection(abort=True)
 
     def onMessage(self, payload: bytes, isBinary: bool) -> None:
-        session = self._session
-        if session is None or self._reason:
+        if self._session is None or self._reason:
             return
-        frame: m.Frame | None = None
-        try:
-            if isBinary:
-                self._take(session, self._assembler.blob(payload))
-                return
-            frame = m.decode_frame(payload)
-            if frame.type != "DM":
-                session.command(frame)
-            elif b"*" in payload:  # one byte is looked for ten times as fast as two
-                self._take(session, self._assembler.frame(frame))
-            else:
-                self._data(session, frame, {})
-        except RceError as error:
-            self._refuse(session, error, frame)
-        except RecursionError:
-            self._refuse(session, InvalidRequest("the message is nested too deeply"), frame)
-
-    def _take(self, session: Session, outcome: Outcome) -> None:
-        for dropped in outcome.dropped:
-            self._refuse(session, dropped.error, dropped.frame)
-        if outcome.complete is not None:
-            try:
-                self._data(session, outcome.complete.frame, dict(outcome.complete.blobs))
-            except RceError as error:
-                self._refuse(session, error, outcome.complete.frame)
-
-    def _data(self, session: Session, frame: m.Frame, blobs: dict[str, Buffer]) -> None:
-        message = m.decode_as(m.DataMessage, frame.data, "data")
-        try:
-            self._door.data(session, message, blobs)
-        except RceError as error:
-            raise error.about(iTag=message.iTag[:255], msgID=message.msgID[:255]) from None
-        if frame.id is not UNSET and "ack" in session.features:
-            session.status(m.Ack(), frame.id)
-
-    def _refuse(self, session: Session, error: RceError, frame: m.Frame | None) -> None:
-        """Tell the robot what was wrong; too many of these within a minute close the socket."""
-        session.error(error, frame.id if frame is not None and "ack" in session.features else UNSET)
-        most = self._door.limits.bad_messages
-        if not most or isinstance(error, NotConnected):  # the robot cannot know that its peer has just gone
-            return
-        now = asyncio.get_running_loop().time()
-        self._bad.append(now)
-        while self._bad[0] < now - BAD_WINDOW:
-            self._bad.popleft()
-        if len(self._bad) > most:
-            self.end(f"more than {most} bad messages within a minute; the last: {error}")
+        if isBinary:
+            self._intake.binary(payload)
+        else:
+            self._intake.text(payload)
 
     def _tick(self) -> None:
         self._timer = asyncio.get_running_loop().call_later(TICK, self._tick)
         if self._session is not None:
-            for dropped in self._assembler.sweep():
-                self._refuse(self._session, dropped.error, dropped.frame)
+            self._intake.sweep()
         if self.state == self.STATE_OPEN:
             self._see_whether_it_lives()
 

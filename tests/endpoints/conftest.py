@@ -11,7 +11,7 @@ import pytest
 from platforms import Platform, Processes
 from twisted.internet.base import ReactorBase
 
-from endpoints.robot.server import ServerLimits
+from endpoints.robot.door import ServerLimits
 
 MakePlatform = Callable[..., Any]
 

@@ -18,8 +18,8 @@ from twisted.internet.base import ReactorBase
 import rce
 from endpoints.data_port import DataPort
 from endpoints.robot import server
+from endpoints.robot.door import ServerLimits
 from endpoints.robot.endpoint import Options, RobotEndpoint
-from endpoints.robot.server import ServerLimits
 from master.service import Master
 from master.store import Store
 from rce import control, ready

@@ -11,7 +11,7 @@ from raw_robot import USER, WAIT, Robot, dm, eventually, status
 from test_handshake import GOOD, WS
 from websockets.exceptions import InvalidStatus
 
-from endpoints.robot.server import Admitted, Greeting
+from endpoints.robot.door import Admitted, Greeting
 from endpoints.robot.session import Session
 
 
