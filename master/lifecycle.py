@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
 from typing import Literal
 
 from twisted.logger import Logger
@@ -10,8 +9,7 @@ from twisted.logger import Logger
 from master import presence, wiring
 from master.effects import Send
 from master.records import Environment, Process, user_of, what
-from master.rim import Rim
-from master.wiring import Ids
+from master.rim import Rim, ids
 from rce.calls.call import Nothing
 from rce.calls.endpoints import NodeDied, StartNode
 from rce.calls.environments import EnvironmentDied, LimitReached
@@ -26,14 +24,12 @@ log = Logger()
 
 
 class Lifecycle:
-    """`resettle` is called where an environment has made room for others."""
+    """What is done about ends that nobody asked for."""
 
-    def __init__(self, rim: Rim, ids: Ids, resettle: Callable[[], Awaitable[None]]) -> None:
+    def __init__(self, rim: Rim) -> None:
         self._rim = rim
         self._state = rim.state
         self._carrier = rim.carrier
-        self._ids = ids
-        self._resettle = resettle
         self._retries: dict[str, float] = {}  # seconds to the next start of what keeps dying
 
     def of_machine(self, handlers: Handlers) -> None:
@@ -55,7 +51,7 @@ class Lifecycle:
         if call.name in self._state.environments:
             self._rim.later(self._pause(call.name, lived), lambda: self._restart(call.name, call.run))
         else:
-            await self._resettle()
+            await self._rim.resettle()
         return Nothing()
 
     def down(self, environment: Environment, reason: str) -> None:
@@ -82,7 +78,7 @@ class Lifecycle:
     async def _restart(self, name: str, run: str) -> None:
         environment = self._state.environments.get(name)
         if environment is not None and environment.run == run:
-            self._rim.apply(presence.restart(self._state, environment, self._ids))
+            self._rim.apply(presence.restart(self._state, environment, ids))
 
     def _inside(self, environment: Environment) -> list[str]:
         state, name = self._state, environment.name

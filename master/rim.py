@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import secrets
 from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
 from twisted.logger import Logger
 
+from master import presence
 from master.carrier import Carrier
 from master.effects import Plan, Send
 from master.records import State
@@ -18,6 +20,11 @@ from rce.messages import StatusData
 
 log = Logger()
 T = TypeVar("T")
+
+
+def ids() -> str:
+    """A name that nothing else has, 32 hex."""
+    return secrets.token_hex(16)
 
 
 class Rim:
@@ -35,6 +42,10 @@ class Rim:
         """Save what changed and carry the effects out; what fails is told to the user it concerns."""
         self.save()
         self.carrier.carry(plan).add_done_callback(_log_error)
+
+    async def resettle(self) -> None:
+        """There may be room for environments that wait for a machine."""
+        self.apply(presence.resettle(self.state, ids))
 
     def save(self, by_command: bool = False) -> asyncio.Task[None]:
         """Begin to write what changed; who waits for something that is gone hears so.

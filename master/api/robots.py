@@ -52,7 +52,7 @@ class RobotsApi:
 
     async def disconnect(self, call: Call) -> Answer:
         robot = self._robot(call, "robot.disconnect")
-        await self._master.disconnect(robot.name, f"disconnected by {call.user}")
+        await self._master.sessions.disconnect(robot.name, f"disconnected by {call.user}")
         return Answer(status=204)
 
     def _robot(self, call: Call, operation: str) -> Robot:

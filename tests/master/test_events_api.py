@@ -41,7 +41,7 @@ async def test_what_happens_is_told(served: Served) -> None:
     await run("ann", m.Connect("brain/out", "r1/in"))
     life = served.master.state.environments["ann/brain"].run
     await served.said("m1", LimitReached("ann/brain", life, "out of memory"))
-    await served.master.disconnect("ann/r1", "")
+    await served.master.sessions.disconnect("ann/r1", "")
     assert await follower.types(4) == ["connection.made", "limit.reached", "connection.gone", "robot.left"]
     await served.said("m1", EnvironmentDied("ann/brain", life, "ended with status 1"))
     assert await follower.types(2) == ["environment.gone", "environment.lost"]

@@ -203,7 +203,7 @@ async def test_a_tied_key_watches_what_it_is_tied_to(served: Served) -> None:
     await watcher.take()
     assert watcher.seen.keys() == {"robots", "environments"}
     assert [*watcher.seen["robots"], *watcher.seen["environments"]] == ["ann/r1", "ann/brain"]
-    await served.master.disconnect("ann/r2", "")
+    await served.master.sessions.disconnect("ann/r2", "")
     await run("ann", m.DestroyContainer("second"))
     await run("ann", m.DestroyContainer("brain"))
     assert (await watcher.take())["drop"] == {"environments": ["ann/brain"]}

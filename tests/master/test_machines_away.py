@@ -10,8 +10,10 @@ import pytest
 from fleet import interface
 from hand_turned import HandTurnedLoop
 
+from master import links
+from master.lifecycle import RETRY_FIRST
 from master.records import Process, Robot, Role, State
-from master.service import LINK_RETRY_MOST, RETRY_FIRST, Master
+from master.service import Master
 from master.store import Store
 from rce import messages as m
 from rce.calls.call import Call, Nothing, Settled
@@ -50,7 +52,7 @@ class Peer:
         process = Process(
             hello.name, role, hello.incarnation, hello.host, hello.addresses, "", hello.capacity, hello.features
         )
-        desk.hand.do(lambda: desk.master._joined(process, hello, cast(Control, self)))
+        desk.hand.do(lambda: desk.master.attendance.joined(process, hello, cast(Control, self)))
 
     async def call(self, call: Call[Any]) -> object:
         self.arrived.append(call)
@@ -274,10 +276,10 @@ def test_a_link_that_breaks_again_and_again_is_opened_less_and_less_often(desk: 
     for _ in range(600):
         desk.turn(0.1)
         name = west.got(OpenLink)[-1].link.name
-        desk.hand.begin(desk.master._link_lost(process, LinkLost(name, "refused")))
+        desk.hand.begin(desk.master._links.lost(process, LinkLost(name, "refused")))
     opened = len(west.got(OpenLink))
-    assert 60 / LINK_RETRY_MOST < opened < 60 / LINK_RETRY_MOST + 10
+    assert 60 / links.RETRY_MOST < opened < 60 / links.RETRY_MOST + 10
     desk.turn(60)
     name = west.got(OpenLink)[-1].link.name
-    desk.hand.begin(desk.master._link_lost(process, LinkLost(name, "broke")))
+    desk.hand.begin(desk.master._links.lost(process, LinkLost(name, "broke")))
     assert len(brain.got(OpenLink)) == len(west.got(OpenLink)) == opened + 2  # at once, after it had held

@@ -177,7 +177,7 @@ async def test_everything_as_a_robot(world: World, name: str) -> None:
     actor = ACTORS[name]
     assert {type(command) for command in commands("r1", "brain")} == set(COMMANDS)
     await world.begin(actor)
-    await world.served.master.disconnect(f"{actor.user}/r1", "the test takes its place")
+    await world.served.master.sessions.disconnect(f"{actor.user}/r1", "the test takes its place")
     came = await outcome(world, Login(actor.user, "r1", world.secret))
     column = actor.column
     if column in ("expired", "metrics") or RIGHTS["robot.connect"][column] == "-":

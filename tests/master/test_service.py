@@ -11,7 +11,7 @@ import pytest
 from twisted.internet.base import ReactorBase
 
 import rce
-from master import service
+from master import attendance
 from master.audit import Wanted
 from master.service import Master
 from master.store import Store
@@ -172,7 +172,7 @@ class Platform:
 
 @pytest.fixture
 async def platform(reactor: ReactorBase, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Platform]:
-    monkeypatch.setattr(service, "RETRY_FIRST", 0.0)
+    monkeypatch.setattr(attendance, "RETRY_FIRST", 0.0)
     platform = Platform(reactor, f"sqlite:///{tmp_path / 'master.db'}", LONG)
     await platform.start()
     await platform.master.users.add("ann", "secret")
@@ -457,7 +457,7 @@ async def test_a_login_stands_though_something_of_its_session_fails(furnished: F
 
 
 async def test_robots_of_an_endpoint_that_stays_away_are_given_up(platform: Platform) -> None:
-    platform.master.grace = 0.0
+    platform.master.attendance.grace = 0.0
     west = await platform.endpoint()
     await login(west, "ann/r1")
     await west.leave()
@@ -468,7 +468,7 @@ async def test_robots_of_an_endpoint_that_stays_away_are_given_up(platform: Plat
 async def test_an_endpoint_that_is_back_keeps_its_robots(furnished: Furnished) -> None:
     platform, west = furnished.platform, furnished.west
     await west.leave()
-    (timer,) = platform.master._away.values()
+    (timer,) = platform.master.attendance._away.values()
     back = await platform.endpoint(token=west.credential, robots=["ann/r1"])
     sync = await back.next(Sync)
     assert sync.robots == ["ann/r1"]
@@ -483,7 +483,7 @@ async def test_an_endpoint_that_is_back_keeps_its_robots(furnished: Furnished) -
 async def test_a_restarted_endpoint_has_lost_its_robots(furnished: Furnished) -> None:
     platform, west = furnished.platform, furnished.west
     await west.leave()
-    platform.master.grace = 0.0
+    platform.master.attendance.grace = 0.0
     back = await platform.endpoint(token=west.credential, incarnation="2")
     sync = await back.next(Sync)
     assert (sync.robots, sync.interfaces, sync.links) == ([], [], [])
