@@ -32,24 +32,23 @@ def _remove_dead(directory: Path) -> bool:
     young = False
     for path in _own(directory, LOCK):
         with suppress(FileNotFoundError):  # others clean too
-            if not _is_free(path):
-                continue
-            if time.time() - path.stat().st_mtime > YOUNG:
+            if time.time() - path.stat().st_mtime < YOUNG:
+                young = True  # not even tried: who finds its own lock taken goes on without shared memory
+            elif _is_free(path):
                 path.with_name(path.name.removesuffix("_el")).unlink(missing_ok=True)
                 path.unlink()
-            else:
-                young = True
     return young
 
 
 def clean_ports(domain: int, directory: Path = SHARED_MEMORY) -> None:
     """Remove the ports of a ROS domain in which nobody is any more.
 
-    Unicast ports are numbered as in RTPS 2.5, 9.6.2.3; the port to all participants of a domain is 7000 + domain.
+    They are numbered as in RTPS 2.5, 9.6.2.3. Those below 7400 stay: participants of all domains take them one by one,
+    for the reader of `ros_discovery_info`, and take over those of the dead.
     """
     for path in _own(directory, PORT):
         match = PORT.fullmatch(path.name)
-        if match and ((number := int(match[1])) == 7000 + domain or (number - 7400) // 250 == domain):
+        if match and (int(match[1]) - 7400) // 250 == domain:
             path.unlink(missing_ok=True)
 
 

@@ -88,8 +88,8 @@ class RealPlatform:
         assert not self.processes(), "processes are left"
         assert not list((self.directory / "data" / "container" / "environments").iterdir()), "directories are left"
         end = time.monotonic() + 5
-        while any(path.exists() for path in self.segments):  # another platform may be looking at it, and removes it
-            assert time.monotonic() < end, "segments of shared memory are left"
+        while left := [path for path in self.segments if path.exists()]:  # another platform may be about to remove it
+            assert time.monotonic() < end, f"segments of shared memory are left: {left}"
             time.sleep(0.1)
 
     def processes(self) -> dict[int, str]:
