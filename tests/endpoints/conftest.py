@@ -1,4 +1,4 @@
-"""Platforms to attack: one in this process, one of processes."""
+"""Platforms to attack: one in this process, one of processes. Two ends of a data link, joined by each way there is."""
 
 from __future__ import annotations
 
@@ -8,10 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from certified import certify
+from ends import KEY, End, Listener
 from platforms import Platform, Processes
+from raw_robot import WAIT
 from twisted.internet.base import ReactorBase
 
+from containers.data_relay import GATE, DataRelay
+from endpoints.data_port import DataPort
 from endpoints.robot.door import ServerLimits
+from rce.certificates import Authority
+from rce.tls import Tls
 
 MakePlatform = Callable[..., Any]
 
@@ -47,3 +54,65 @@ async def processes(tmp_path: Path) -> AsyncIterator[Processes]:
         if hasattr(made, "port"):
             await made.close()
         await made.stop()
+
+
+@pytest.fixture
+def security(request: pytest.FixtureRequest) -> Tls | None:
+    """TLS, if the way of this test has it."""
+    found: Tls | None = None
+    if "way" in request.fixturenames and request.getfixturevalue("way").endswith("tls"):
+        found = request.getfixturevalue("tls")
+    return found
+
+
+@pytest.fixture
+async def port(tmp_path: Path, security: Tls | None) -> AsyncIterator[tuple[Listener, list[str]]]:
+    made = Listener(tls=security)
+    yield made, await made.start(tmp_path)
+    await made.close()
+
+
+@pytest.fixture
+async def relays(
+    port: tuple[Listener, list[str]], tmp_path: Path, security: Tls | None
+) -> AsyncIterator[tuple[str, Path]]:
+    """The port as an environment's on another machine: its address there, and the gate of one on this machine."""
+    far, near = DataRelay(security), DataRelay(security)
+    await far.listen("127.0.0.1", 0)
+    for name, relay in (("far", far), ("near", near)):
+        (tmp_path / name).mkdir()
+        await relay.admit(f"ann/{name}", tmp_path / "data.sock", tmp_path / name)
+    near.know([far.address.removeprefix("relay:")])
+    yield f"{far.address}/ann/far", tmp_path / "near" / GATE
+    await near.close()
+    await far.close()
+
+
+@pytest.fixture(scope="session")
+def tls(tmp_path_factory: pytest.TempPathFactory) -> Tls:
+    return Tls(certify(tmp_path_factory.mktemp("tls") / "own", Authority.make("test"), ["127.0.0.1"]))
+
+
+@pytest.fixture(params=["unix", "tcp", "relay", "gate", "tcp with tls", "relay with tls", "gate with tls"])
+def way(request: pytest.FixtureRequest) -> str:
+    """By which a link goes."""
+    chosen: str = request.param
+    return chosen
+
+
+@pytest.fixture
+async def pair(
+    way: str, port: tuple[Listener, list[str]], relays: tuple[str, Path], security: Tls | None
+) -> AsyncIterator[tuple[End, End]]:
+    listener, addresses = port
+    relayed, gate = relays
+    here, there = End("here"), End("there")
+    listener.expect(there.link, KEY)
+    dialler = DataPort(gate) if way.startswith("gate") else DataPort(tls=security)
+    kind = "relay" if way.startswith("gate") else way.partition(" ")[0]
+    await dialler.dial(here.link, KEY, [each for each in (*addresses, relayed) if each.startswith(kind)])
+    await asyncio.wait_for(asyncio.gather(here.link.opened, there.link.opened), WAIT)
+    yield here, there
+    here.link.close()
+    there.link.close()
+    await asyncio.sleep(0)

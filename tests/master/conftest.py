@@ -9,7 +9,10 @@ from typing import Any
 
 import pytest
 from hand_turned import HandTurnedLoop
+from peers import LONG, Furnished, Platform
+from twisted.internet.base import ReactorBase
 
+from master import attendance
 from master.store import Store
 from master.users import Users
 
@@ -41,3 +44,19 @@ async def users(store: Store) -> Users:
     users = Users(store)
     await users.add("ann", "secret")
     return users
+
+
+@pytest.fixture
+async def platform(reactor: ReactorBase, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Platform]:
+    monkeypatch.setattr(attendance, "RETRY_FIRST", 0.0)
+    platform = Platform(reactor, f"sqlite:///{tmp_path / 'master.db'}", LONG)
+    await platform.start()
+    await platform.master.users.add("ann", "secret")
+    await platform.master.users.add("bob", "secret")
+    yield platform
+    await platform.stop()
+
+
+@pytest.fixture
+async def furnished(platform: Platform) -> Furnished:
+    return await Furnished(platform).build()

@@ -65,6 +65,23 @@ def wired() -> Fleet:
     return fleet
 
 
+def full() -> Fleet:
+    """`wired`, with a node, a parameter, and further interfaces, of which a service is connected."""
+    fleet = wired()
+    for command in (
+        m.AddNode("brain", "there", "p", "e"),
+        m.SetParameter("brain", "rate", 1),
+        interface("brain", "scans", "SubscriberInterface"),
+        interface("brain", "number", "PublisherInterface", "std_msgs/Int32"),
+        interface("brain", "answer", "ServiceClientInterface", "std_srvs/Empty"),
+        interface("brain", "answer2", "ServiceClientInterface", "std_srvs/Empty"),
+        interface("r1", "ask", "ServiceProviderConverter", "std_srvs/Empty"),
+        m.Connect("r1/ask", "brain/answer"),
+    ):
+        fleet.do("ann", command)
+    return fleet
+
+
 def interface(owner: str, tag: str, kind: str, type: str = "std_msgs/String", **more: Any) -> m.AddInterface:
     return m.AddInterface(owner, tag, kind, type, **more)
 

@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-import ipaddress
-import itertools
 import random
-from typing import Any
 
-from fleet import Fleet, everything, interface
+import invariants
+from fleet import everything, interface
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
-from simulated import Delivery, Endpoint, TaskSet
+from simulated import Endpoint
+from simulated_rim import MACHINES, WEST_EAST, Rim
 
 from master import presence, wiring
-from master.effects import Send
-from master.graph import OPPOSITE, split_kind
 from master.records import at, user_of
 from rce import messages as m
 from rce.errors import RceError
-from rce.names import parse_type
 
-WEST_EAST = ("west", "east")
-MACHINES = {"m1": 2, "m2": 3}
 users = st.sampled_from(["ann", "bob"])
 robots = st.sampled_from(["r1", "r2"])
 environments = st.sampled_from(["e1", "e2"])
@@ -55,27 +49,18 @@ commands = st.one_of(
 seeds = st.integers(0, 2**16)
 
 
-class Platform(RuleBasedStateMachine):
+class Platform(Rim, RuleBasedStateMachine):
     def __init__(self) -> None:
-        super().__init__()
-        self.fleet = Fleet()
-        self.numbers = itertools.count(1)
-        self.state = self.fleet.state
-        self.connected: dict[str, int] = {}  # number of its connection by process
-        self.delivery = Delivery(self.connected)
-        self.endpoints = {name: Endpoint(name, self.fleet.ids()) for name in WEST_EAST}
-        self.task_sets = {name: TaskSet(name, self._killed) for name in MACHINES}
-        self.down: dict[str, str] = {}  # environments that died and are to be restarted: their run
-        self.tokens: dict[str, str] = {}  # of robots whose login is complete
-        self.logins: list[tuple[list[Any], str, str, str]] = []
-        self._connect("west")
-        self._connect("m1")
+        RuleBasedStateMachine.__init__(self)
+        Rim.__init__(self)
+        self.connect("west")
+        self.connect("m1")
         self._furnish()
 
     def _furnish(self) -> None:
         """Ann has a robot connected with an environment: what all that follows may break."""
-        self._login("ann/r1", "west", "")
-        self._drain()
+        self.login("ann/r1", "west", "")
+        self.drain()
         for command in (
             m.CreateContainer("e1"),
             interface("r1", "a", "PublisherConverter"),
@@ -83,95 +68,7 @@ class Platform(RuleBasedStateMachine):
             m.Connect("e1/a", "r1/a"),
         ):
             self.delivery.add(self.fleet.do("ann", command).plan)
-        self._drain()
-
-    # --- the rim: what the Master's service does, without waiting -------------------------------------------------
-
-    def _carry(self, send: Send) -> None:
-        taker = self.task_sets.get(send.to) or self.endpoints.get(send.to)
-        assert taker is not None
-        taker.take(send.call)
-        taker.take(send.call)
-
-    def _step(self, chosen: random.Random) -> bool:
-        ready = self.delivery.runnable()
-        if not ready:
-            assert not self.delivery.sequences, "what is under way waits for itself"
-            return False
-        self.delivery.run(chosen.choice(ready), self._carry)
-        self._answer_logins()
-        self._start_environments()
-        return True
-
-    def _drain(self, seed: int = 0) -> None:
-        chosen = random.Random(seed)
-        while self._step(chosen):
-            pass
-
-    def _start_environments(self) -> None:
-        """A started environment's endpoint process appears; it joins in a step of its own.
-
-        That of an earlier life, which may still run on a machine out of sight, can join no more: it plays no part.
-        """
-        for task_set in self.task_sets.values():
-            for name, run in task_set.runs.items():
-                present, wanted = self.endpoints.get(name), self.state.environments.get(name)
-                if present is None or (present.incarnation != run and wanted is not None and wanted.run == run):
-                    if present is not None:
-                        self._killed(name, present.incarnation)
-                    self.endpoints[name] = Endpoint(name, run)
-
-    def _killed(self, name: str, run: str) -> None:
-        present = self.endpoints.get(name)
-        if present is not None and present.incarnation == run:
-            del self.endpoints[name]
-            if name in self.connected:
-                self._lose(name)
-
-    def _lose(self, name: str) -> None:
-        self.connected.pop(name, None)
-        presence.left(self.state, name)
-
-    def _connect(self, name: str) -> None:
-        self.connected[name] = next(self.numbers)
-        if name in self.task_sets:
-            plan = self.fleet.join(
-                name, "container", "1", capacity=MACHINES[name], environments=dict(self.task_sets[name].runs)
-            )
-        elif name in WEST_EAST:
-            endpoint = self.endpoints[name]
-            plan = self.fleet.join(name, "robot", endpoint.incarnation, robots=sorted(endpoint.robots))
-        else:
-            plan = self.fleet.join(name, "environment", self.endpoints[name].incarnation)
-        self.delivery.add(plan)
-
-    def _may_join(self, name: str) -> bool:
-        if name in self.connected:
-            return False
-        if name in self.task_sets or name in WEST_EAST:
-            return True
-        environment = self.state.environments.get(name)
-        return environment is not None and self.endpoints[name].incarnation == environment.run
-
-    def _login(self, name: str, endpoint: str, resume: str) -> None:
-        session = self.fleet.ids()
-        outcome, _ = self.fleet.robot(name, endpoint, session, resume)
-        self.tokens.pop(name, None)
-        self.logins.append((self.delivery.add(outcome.plan), name, endpoint, session))
-        self._answer_logins()
-
-    def _answer_logins(self) -> None:
-        """A login is answered when its plan is carried out, and after the Sync of that endpoint."""
-        for login in list(self.logins):
-            steps, name, endpoint, session = login
-            syncing = any(step.send.to == endpoint and not step.send.key for s in self.delivery.sequences for step in s)
-            if syncing or not all(step.done for step in steps):
-                continue
-            self.logins.remove(login)
-            robot = self.state.robots.get(name)
-            if robot is not None and (robot.endpoint, robot.session) == (endpoint, session):
-                self.endpoints[endpoint].robots.add(name)
-                self.tokens[name] = session
+        self.drain()
 
     # --- what happens ---------------------------------------------------------------------------------------------
 
@@ -197,22 +94,22 @@ class Platform(RuleBasedStateMachine):
     def some_calls_are_made(self, seed: int, count: int) -> None:
         chosen = random.Random(seed)
         for _ in range(count):
-            self._step(chosen)
+            self.step(chosen)
 
     @rule(data=st.data())
     def a_process_joins(self, data: st.DataObject) -> None:
-        absent = sorted(name for name in [*self.task_sets, *self.endpoints] if self._may_join(name))
+        absent = sorted(name for name in [*self.task_sets, *self.endpoints] if self.may_join(name))
         if absent:
-            self._connect(data.draw(st.sampled_from(absent)))
+            self.connect(data.draw(st.sampled_from(absent)))
 
     @precondition(lambda self: self.connected)
     @rule(data=st.data())
     def a_control_connection_is_lost(self, data: st.DataObject) -> None:
-        self._lose(data.draw(st.sampled_from(sorted(self.connected))))
+        self.lose(data.draw(st.sampled_from(sorted(self.connected))))
 
     @rule(name=st.sampled_from(WEST_EAST))
     def a_robot_endpoint_dies(self, name: str) -> None:
-        self._lose(name)
+        self.lose(name)
         self.endpoints[name] = Endpoint(name, self.fleet.ids())
 
     @rule(name=st.sampled_from(WEST_EAST))
@@ -230,7 +127,7 @@ class Platform(RuleBasedStateMachine):
             return
         name, task_set = data.draw(st.sampled_from(running))
         run = task_set.runs.pop(name)
-        self._killed(name, run)
+        self.killed(name, run)
         environment = self.state.environments.get(name)
         if task_set.name in self.connected and environment is not None and environment.run == run:
             self.delivery.add(presence.environment_down(self.state, environment))
@@ -241,10 +138,10 @@ class Platform(RuleBasedStateMachine):
     def a_machine_stays_away(self, name: str) -> None:
         """It is cut off: what is on it may run on, out of sight."""
         if name in self.connected:
-            self._lose(name)
+            self.lose(name)
         for environment in self.state.environments.by(at(name)):
             if environment.name in self.connected:
-                self._lose(environment.name)
+                self.lose(environment.name)
             self.state.expected.discard(environment.name)
         self.state.expected.discard(name)
         for environment in presence.lost_with(self.state, name):
@@ -266,7 +163,7 @@ class Platform(RuleBasedStateMachine):
             return
         before = everything(self.state)
         try:
-            self._login(name, endpoint, self.tokens.get(name, "") if resume else "")
+            self.login(name, endpoint, self.tokens.get(name, "") if resume else "")
         except RceError:
             assert name in self.state.robots
             assert everything(self.state) == before
@@ -291,8 +188,8 @@ class Platform(RuleBasedStateMachine):
 
     @rule(seed=seeds)
     def all_comes_to_rest(self, seed: int) -> None:
-        self._drain(seed)
-        self._check_convergence()
+        self.drain(seed)
+        self.check_convergence()
 
     @rule(seed=seeds)
     def all_come_back(self, seed: int) -> None:
@@ -300,10 +197,10 @@ class Platform(RuleBasedStateMachine):
         self.dead_environments_are_restarted()
         for _ in range(3):  # task sets start environments, which join
             for name in sorted([*self.task_sets, *self.endpoints]):
-                if (name in self.endpoints or name in self.task_sets) and self._may_join(name):
-                    self._connect(name)
-            self._drain(seed)
-        self._check_convergence()
+                if (name in self.endpoints or name in self.task_sets) and self.may_join(name):
+                    self.connect(name)
+            self.drain(seed)
+        self.check_convergence()
         for environment in self.state.environments:
             assert environment.name in self.state.joined or not environment.machine
         assert presence.resettle(self.state, self.fleet.ids) == []
@@ -311,106 +208,8 @@ class Platform(RuleBasedStateMachine):
     # --- what always holds ----------------------------------------------------------------------------------------
 
     @invariant()
-    def names_and_owners(self) -> None:
-        state = self.state
-        assert not {robot.name for robot in state.robots} & {environment.name for environment in state.environments}
-        for inside in (*state.nodes, *state.parameters):
-            assert inside.owner in state.environments
-        for record in state.interfaces:
-            home = state.environments if split_kind(record.spec.kind)[1] == "Interface" else state.robots
-            assert record.spec.owner in home
-        assert len({record.spec.id for record in state.interfaces}) == len(state.interfaces)
-
-    @invariant()
-    def connections_are_pairs(self) -> None:
-        state = self.state
-        providers = set()
-        for connection in state.connections:
-            sender, receiver = state.interfaces[connection.sender].spec, state.interfaces[connection.receiver].spec
-            assert user_of(sender.owner) == user_of(receiver.owner)
-            assert parse_type(sender.type) == parse_type(receiver.type)
-            (sends, _), (receives, _) = split_kind(sender.kind), split_kind(receiver.kind)
-            assert sends in ("Subscriber", "ServiceProvider")
-            assert OPPOSITE[receives] == sends
-            if sends == "ServiceProvider":
-                assert connection.sender not in providers
-                providers.add(connection.sender)
-
-    @invariant()
-    def a_connection_is_up_if_both_sides_are_there(self) -> None:
-        """It stays up while the Master has lost sight of a side, because data flows on."""
-        state = self.state
-        for connection in state.connections:
-            owners = [state.interfaces[side].spec.owner for side in (connection.sender, connection.receiver)]
-            if all(state.host(owner) for owner in owners):
-                assert connection.link
-            if connection.link:
-                link = state.links[connection.link]
-                hosts = [state.robots[owner].endpoint if owner in state.robots else owner for owner in owners]
-                assert {link.listener, link.dialler} == set(hosts)
-                ends = (link.listener, link.dialler)
-                assert link.incarnations == tuple(state.processes[end].incarnation for end in ends)
-                assert link.alone_for in ("", connection.key)
-
-    @invariant()
-    def links_are_used_and_shared(self) -> None:
-        seen = set()
-        for link in self.state.links:
-            assert self.state.connections.by(link.name)
-            assert (link.key_hex == "") == (link.listener == link.dialler)
-            purpose = (frozenset((link.listener, link.dialler)), link.alone_for)
-            assert purpose not in seen
-            seen.add(purpose)
-
-    @invariant()
-    def machines_are_not_overfull(self) -> None:
-        state = self.state
-        for machine in state.processes.by("container"):
-            assert sum(each.options.size for each in state.environments.by(at(machine.name))) <= machine.capacity
-
-    @invariant()
-    def groups_have_distinct_addresses(self) -> None:
-        given = [
-            (user_of(each.name), each.options.group, ipaddress.ip_address(each.address))
-            for each in self.state.environments
-            if each.options.group
-        ]
-        assert len(given) == len(set(given))
-
-    @invariant()
-    def who_has_joined_is_known(self) -> None:
-        assert self.state.joined <= {process.name for process in self.state.processes}
-        for process in self.state.processes.by("environment"):
-            assert process.name in self.state.environments
-
-    # --- what shall be at the processes ---------------------------------------------------------------------------
-
-    def _check_convergence(self) -> None:
-        for name in sorted(self.connected):
-            if name in self.task_sets:
-                wanted = {
-                    each.name: each.run
-                    for each in self.state.environments.by(at(name))
-                    if self.down.get(each.name) != each.run
-                }
-                assert self.task_sets[name].runs == wanted
-            elif name in self.state.joined:
-                self._check_endpoint(self.endpoints[name])
-
-    def _check_endpoint(self, endpoint: Endpoint) -> None:
-        state = self.state
-        process = state.processes[endpoint.name]
-        owners = presence.owners_at(state, process)
-        interfaces = [each for owner in owners for each in state.interfaces.by(owner)]
-        routes = [route for each in interfaces for route in wiring.routes_of(state, each)]
-        assert endpoint.interfaces == {each.spec.id: each.spec for each in interfaces}
-        assert endpoint.links == {link.name for link in state.links.by(endpoint.name)}
-        assert endpoint.routes == {(route.interface, route.peer): route.link for route in routes}
-        assert endpoint.nodes == {each.spec.tag: each.spec for owner in owners for each in state.nodes.by(owner)}
-        parameters = {each.spec.key: each.spec for owner in owners for each in state.parameters.by(owner)}
-        assert endpoint.parameters == parameters
-        if process.role == "robot":
-            assert endpoint.robots == set(owners)
+    def the_invariants(self) -> None:
+        invariants.check(self.state)
 
 
 Platform.TestCase.settings = settings(
