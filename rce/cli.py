@@ -121,10 +121,11 @@ def _become(name: str, arguments: list[str]) -> int:
 
 def _console(words: list[str]) -> int:
     from rce.console import run, table
-    from rce.console.completing import complete
     from rce.console.original import modern
 
     if words[0] == "complete":
+        from rce.console.completing import complete
+
         return complete(words[1:])
     if words[0] not in table.WORDS and modern(words) == words:
         print(f"rce: there is no command {words[0]!r}\n\n{usage()}", file=sys.stderr)

@@ -10,7 +10,6 @@ somebody keeps in any case) is told by functions that give families when they ar
 
 from __future__ import annotations
 
-import asyncio
 import os
 import resource
 import time
@@ -148,6 +147,8 @@ _lag = Timing("rce_event_loop_lag_seconds", "How late the event loop did what wa
 
 async def watch_loop() -> None:
     """Observe the lag of this process's event loop, until cancelled."""
+    import asyncio  # the console knows the types of this module, and would start half as fast again
+
     loop, lag = asyncio.get_running_loop(), _lag.of()
     while True:
         due = loop.time() + LAG_EVERY

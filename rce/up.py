@@ -84,6 +84,12 @@ class Part:
             raise StartFailed(f"rce {self.name} did not start; its log says why")
         return self.ready
 
+    @property
+    def pid(self) -> int:
+        """Of its present life; only once it has started."""
+        assert self._process is not None
+        return self._process.pid
+
     async def _launch(self) -> None:
         words = programs.command(self.name) + self._arguments()
         self._process = await asyncio.create_subprocess_exec(

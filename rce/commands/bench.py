@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import AsyncIterator, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from rce import __version__
 from rce.bench import overtake, payloads, report, start
@@ -20,9 +20,12 @@ from rce.bench.routes import ROUTES, USUAL
 from rce.bench.run import take
 from rce.client import Robot
 from rce.client.map_service import MapService
-from rce.commands.platform import DEV_USER, ENGINES, add_arguments, own_platform, platform
+from rce.commands.platform import DEV_USER, ENGINES, add_arguments, own_platform, platform, programs_log
 from rce.errors import InvalidRequest
 from rce.map_jobs import MAPPERS
+
+if TYPE_CHECKING:
+    from twisted.internet.base import ReactorBase
 
 QUICK_SIZES, QUICK_SAMPLES = 4, 3
 
@@ -56,6 +59,12 @@ def parser() -> argparse.ArgumentParser:
     )
     maps.add_argument("--engine", choices=ENGINES, default="process", help="(default: %(default)s)")
     maps.add_argument("--json", action="store_true", help="print the figures as JSON")
+    page = kinds.add_parser("dashboard", help="dashboard and lists of a Master with many robots and environments")
+    page.add_argument("--robots", type=int, default=200, help="with an environment each (default: %(default)s)")
+    page.add_argument("--interfaces", type=int, default=5, help="of each of both (default: %(default)s)")
+    page.add_argument("--seconds", type=float, default=20, help="for shares of a core (default: %(default)s)")
+    page.add_argument("--samples", type=int, default=5, help="of loads and lists (default: %(default)s)")
+    page.add_argument("--json", action="store_true", help="print every sample as JSON instead of a table")
     for each in (rtt, over):
         add_arguments(each)
     _add_maps(kinds)
@@ -81,8 +90,28 @@ def _add_maps(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> Non
 
 def main(arguments: list[str]) -> int:
     words = parser().parse_args(arguments)
+    if words.kind == "dashboard":
+        return dashboard(words)
     asyncio.run(KINDS[words.kind](words))
     return 0
+
+
+def dashboard(words: argparse.Namespace) -> int:
+    """On the loop that Twisted shares, since it takes part as processes of the platform."""
+    from rce import loop
+    from rce.bench import dashboard as measured  # needs the extra `bench`
+    from rce.bench.crowd import Size
+
+    if min(words.robots, words.interfaces, words.samples) < 1:
+        raise InvalidRequest("rce bench: --robots, --interfaces and --samples are 1 or more")
+    program, size = measured.browser(), Size(words.robots, words.interfaces)
+
+    async def run(reactor: ReactorBase) -> None:
+        with programs_log() as log:
+            result = await measured.measure(reactor, program, size, words.seconds, words.samples, log)
+        print(json.dumps(measured.as_data(result)) if words.json else measured.as_text(result))
+
+    return loop.run(run)
 
 
 async def round_trips(words: argparse.Namespace) -> None:

@@ -9,8 +9,9 @@ import os
 import sys
 import tempfile
 from collections import deque
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
+from typing import IO
 
 from rce import contexts, up
 from rce.contexts import Access as Access
@@ -68,7 +69,7 @@ async def platform(words: argparse.Namespace) -> AsyncIterator[Access]:
 @contextlib.asynccontextmanager
 async def own_platform(directory: Path, engine: str) -> AsyncIterator[Ready]:
     """A fresh platform that keeps what it has in `directory` and ends with the context."""
-    with tempfile.TemporaryFile("w+") as log:
+    with programs_log() as log:
         settings = up.Settings(data_dir=directory, http_port=0, dev=True, engine=engine)  # type: ignore[arg-type]
         entry: asyncio.Future[Ready] = asyncio.get_running_loop().create_future()
 
@@ -82,11 +83,19 @@ async def own_platform(directory: Path, engine: str) -> AsyncIterator[Ready]:
             if not entry.done():
                 await running  # raises why it did not start
             yield entry.result()
-        except (StartFailed, InternalError) as error:
-            log.seek(0)
-            sys.stderr.writelines(deque(log, LOG_LINES))  # what the platform said before it went wrong
-            raise error from None
         finally:
             running.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await running
+
+
+@contextlib.contextmanager
+def programs_log() -> Iterator[IO[str]]:
+    """For what started programs log; shows its end when they go wrong."""
+    with tempfile.TemporaryFile("w+") as log:
+        try:
+            yield log
+        except (StartFailed, InternalError) as error:
+            log.seek(0)
+            sys.stderr.writelines(deque(log, LOG_LINES))
+            raise error from None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import statistics
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
@@ -63,6 +62,8 @@ def paths(message: views.MessageTrace) -> Iterator[tuple[str, Row]]:
 
 def medians(rows: Sequence[Row]) -> Row:
     """Of each step, over the rows that have it."""
+    import statistics  # for this command alone
+
     known = {step: [row[step] for row in rows if step in row] for step in (*STEPS, "total")}
     return {step: statistics.median(values) for step, values in known.items() if values}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +16,7 @@ from rce.bench.payloads import IMAGE, sizes
 pytest.importorskip("rclpy", reason="needs the extra `ros`")
 
 TIMEOUT = 100.0
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 TOPICS = {"n2n string", "n2n bytes", "r2c json", "r2c blob", "r2c forwarder"}
 IMAGES = {"n2n image", "r2c image_forwarder", "r2c image_json"}
 SERVICES = {"n2n service", "r2c service json", "r2c service forwarder"}
@@ -78,6 +80,30 @@ def test_starts() -> None:
     assert done.returncode == 0, done.stderr
     (taken,) = json.loads(done.stdout)["seconds"]["process"]
     assert 0 < taken < math.inf
+
+
+def test_a_crowd() -> None:
+    pytest.importorskip("playwright", reason="needs the extra `bench`")
+    pytest.importorskip("psutil", reason="needs the extra `bench`")
+    if not any(map(shutil.which, BROWSERS)):
+        pytest.skip("no Chromium: install chromium to run this")
+    done = rce("bench", "dashboard", "--robots", "20", "--seconds", "1", "--samples", "1", "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)["dashboard"]
+    assert (found["robots"], found["interfaces"]) == (20, 200)
+    assert set(found["lists"]) == {"env list", "robot list"}
+    figures = [found[name] for name in ("browser", "master", "quiet")]
+    taken = [*found["loads"], *(each for one in found["lists"].values() for kind in one.values() for each in kind)]
+    assert len(taken) == 5
+    assert min(taken) > 0
+    assert max(*taken, *figures) < math.inf
+
+
+def test_a_crowd_of_nobody() -> None:
+    pytest.importorskip("playwright", reason="needs the extra `bench`")
+    done = rce("bench", "dashboard", "--robots", "0")
+    assert done.returncode == 1
+    assert "--robots" in done.stderr
 
 
 def test_starts_of_an_unknown_engine() -> None:

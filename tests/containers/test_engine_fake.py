@@ -8,6 +8,7 @@ from engine_contract import CAPACITY, FEATURES, Endings, EngineContract, World, 
 
 from containers.engine import Ended, Engine, Life
 from containers.fake import AwayEngine, DyingEngine, FailingEngine, FakeEngine, FakeMachine, NeverEngine, SlowEngine
+from containers.hollow import HollowEngine
 from rce.calls.environments import EnvironmentSpec
 from rce.errors import StartFailed
 
@@ -46,6 +47,44 @@ class TestFakeEngine(EngineContract):
         engine = world.engine(Endings())
         await engine.open()
         assert world.there() == set()
+        await engine.close()
+
+
+class Inside:
+    """The endpoint of an environment that is no more than an entry in `present`."""
+
+    def __init__(self, name: str, present: set[str]) -> None:
+        self._name, self._present = name, present
+        present.add(name)
+
+    def close(self) -> None:
+        self._present.discard(self._name)
+
+
+class HollowWorld(FakeWorld):
+    def __init__(self) -> None:
+        super().__init__()
+        self.present: set[str] = set()
+
+    def engine(self, ended: Callable[[Ended], None]) -> Engine:
+        async def inhabit(spec: EnvironmentSpec) -> Inside:
+            return Inside(spec.name, self.present)
+
+        return HollowEngine(CAPACITY, FEATURES, ended, self.machine, inhabit)
+
+
+class TestHollowEngine(EngineContract):
+    @pytest.fixture
+    def world(self) -> World:
+        return HollowWorld()
+
+    async def test_an_endpoint_is_there_as_long_as_its_environment(self, world: HollowWorld) -> None:
+        engine = world.engine(Endings())
+        await engine.open()
+        await engine.start(spec())
+        assert world.present == {spec().name}
+        await engine.stop(spec().name)
+        assert world.present == set()
         await engine.close()
 
 

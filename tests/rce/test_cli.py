@@ -32,6 +32,20 @@ def test_what_is_not_installed_is_named_with_its_remedy(words: list[str], tmp_pa
     assert "pip install 'rce[server" in ended.stderr
 
 
+def test_a_list_starts_without_what_it_does_not_need() -> None:
+    """Each of these is a good part of the time that a list may take."""
+    heavy = ["asyncio", "prompt_toolkit", "rich", "statistics", "websockets"]
+    code = f"""
+import sys
+from rce import cli
+sys.argv = ["rce", "env", "list", "--help"]
+cli.main()
+print([name for name in {heavy} if name in sys.modules], file=sys.stderr)
+"""
+    ended = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, timeout=30)
+    assert ended.stderr.strip() == "[]"
+
+
 def test_an_unknown_command_is_named_with_those_that_exist() -> None:
     ended = subprocess.run([sys.executable, "-m", "rce.cli", "mapp"], capture_output=True, text=True, timeout=30)
     assert ended.returncode == 2
