@@ -37,7 +37,9 @@ WITH_EXTRA: dict[str, set[str]] = {
     "rce/control_tls.py": {"twisted"},
     "rce/mapping/": {"numpy", "numba", "scipy", "cv2", "rosbags"},
     "rce/console/interactive.py": {"prompt_toolkit"},
-    "rce/bench": {"numpy", "matplotlib", "twisted", "autobahn", "rosbags", "uvloop", "txaio"},
+    "rce/bench": {
+        *("numpy", "matplotlib", "twisted", "autobahn", "rosbags", "uvloop", "txaio", "playwright", "psutil"),
+    },
     "rce/commands/bench.py": {"numpy"},
     "rce/commands/map.py": {"numpy"},
     "rce/client/images.py": {"numpy", "PIL"},
