@@ -16,15 +16,19 @@ from typing import Any
 import pytest
 from real_platform import USER, RealPlatform, containers, until
 from test_map import DATA, SCANS, check_files, rce_map, relations
+from test_map_service import piece
 from twisted.internet.base import ReactorBase
 
 docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
 
+from containers.docker_networks import ENVIRONMENT
 from provisioning.image import BASE, MAPPING, Builder
 from rce import __version__
 from rce.calls.joining import Hello
+from rce.client.map_service import MapService
 from rce.control import Handlers, connect
 from rce.errors import TimedOut, Unauthorized
+from rce.map_jobs import Job
 
 STRING = "std_msgs/String"
 LARGEST_BASE = 450e6
@@ -77,6 +81,24 @@ async def test_a_real_building(contained: RealPlatform, tmp_path: Path) -> None:
     check_files(tmp_path / "map", SCANS)
     error = await relations(tmp_path / "map" / "trajectory.txt")
     assert error["trans_abs"][0] <= 0.15
+
+
+@pytest.mark.skipif(not (DATA / "mit-csail.clf.gz").exists(), reason=f"needs mit-csail.clf.gz in {DATA}, or RCE_DATA")
+async def test_a_job_of_the_map_service(contained: RealPlatform, images: Any, tmp_path: Path) -> None:
+    """It is done in a container of the user who submitted it, which is gone afterwards."""
+    service = MapService(contained.url, user=USER, password=USER)
+
+    def whole() -> tuple[Job, set[str]]:
+        job = service.submit([service.upload(piece(tmp_path / "piece.log", 100)).id])
+        seen = set()
+        for job in service.watch(job.id):
+            seen |= {each["Labels"][ENVIRONMENT] for each in containers(images, contained)}
+        return job, seen
+
+    job, seen = await asyncio.to_thread(whole)
+    assert (job.state, job.scans) == ("done", 100), job
+    assert seen == {f"{USER}/map_{job.id}_1"}
+    assert containers(images, contained) == []
 
 
 async def test_a_platform_of_its_own(images: Any, tmp_path: Path) -> None:
