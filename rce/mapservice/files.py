@@ -6,6 +6,7 @@ a file: an upload that has become shorter is resumed.
 
 from __future__ import annotations
 
+import errno
 import re
 import secrets
 import shutil
@@ -15,13 +16,24 @@ from typing import Generic, TypeVar
 import msgspec
 from twisted.logger import Logger
 
-from rce.errors import InvalidRequest
+from rce.errors import InvalidRequest, Unavailable
 
 T = TypeVar("T", bound=msgspec.Struct)
 RECORD = "record.json"
 FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
 
 log = Logger()
+
+
+class DiskFull(Unavailable):
+    """There is no room on the disk of the map service, though there was when the upload or the job was announced."""
+
+    @classmethod
+    def of(cls, error: BaseException) -> DiskFull | None:
+        """What a client is told of this error, if that is what it means."""
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return cls("the disk of the map service is full: what has come is kept, so go on when there is room again")
+        return None
 
 
 def new_id() -> str:

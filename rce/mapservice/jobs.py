@@ -7,6 +7,7 @@ by a process of its own, as a robot of its user, with a key that the Master lend
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import shutil
 import time
@@ -24,7 +25,7 @@ from rce.calls.services import LentKey
 from rce.errors import InvalidRequest, LimitExceeded, NoCapacity, NotFound, RceError, Unavailable
 from rce.map_jobs import OVER, File, Job, JobRequest
 from rce.mapservice.fairness import FairQueue
-from rce.mapservice.files import Shelf, new_id
+from rce.mapservice.files import DiskFull, Shelf, new_id
 from rce.mapservice.uploads import Uploads
 from rce.mapservice.work import Platform, Report, Task
 from rce.metrics import Family, gauge
@@ -100,7 +101,9 @@ class Jobs:
         for name, kept in sorted(self._kept.items(), key=lambda item: item[1].job.created):
             if kept.job.state == "cancelling":
                 self._do(self._cancel_again(name))
-            elif kept.job.state not in OVER:
+            elif kept.job.state in OVER:
+                self._remove_links(name)
+            else:
                 self._change(name, state="queued", stage="waiting", scans=0)
                 self._queue.push(kept.user, name)
         self._begin()
@@ -132,22 +135,20 @@ class Jobs:
         try:
             recording = self._collect(user, request.uploads, place / RECORDING)
             total = await self._workers.look(Task(str(recording), request.options))
+            called = request.name or (recording.name if recording.is_file() else f"{len(request.uploads)} files")
+            job = Job(
+                name, "queued", called, request.options, request.uploads, self._now(), stage="waiting", total=total
+            )
             grant = await self._rights.delegate(user, secret)
+            try:
+                self._shelf.put(name, Kept(user, job, grant))
+            except OSError:
+                self._do(self._end_grant(grant))
+                raise
         except BaseException:
             await asyncio.to_thread(shutil.rmtree, place, True)
             raise
-        job = Job(
-            name,
-            "queued",
-            request.name or (recording.name if recording.is_file() else f"{len(request.uploads)} files"),
-            request.options,
-            request.uploads,
-            self._now(),
-            stage="waiting",
-            total=total,
-        )
         self._kept[name] = Kept(user, job, grant)
-        self._shelf.put(name, self._kept[name])
         self._queue.push(user, name)
         self._begin()
         return self.get(user, name)
@@ -252,6 +253,10 @@ class Jobs:
             if self._kept[name].job.state == "cancelling":
                 self._over(name, "cancelled")
         except Exception as error:  # noqa: BLE001  # a defect; the others' jobs go on
+            full = DiskFull.of(error)
+            if full is not None:
+                self._wait(name, str(full))
+                return
             log.failure("defect in job {name}", name=name)
             self._over(name, "failed", RceError(f"a defect of the map service: {type(error).__name__}"))
         finally:
@@ -327,15 +332,19 @@ class Jobs:
         waited = (job.started or now) - job.created
         times = {"waiting": round(waited, 3), **job.times, "total": round(now - job.created, 3)}
         results = place / RESULTS
-        results.mkdir(exist_ok=True, mode=0o700)
-        (results / TIMES).write_bytes(msgspec.json.format(msgspec.json.encode(times)) + b"\n")
-        files = [File(path.name, path.stat().st_size) for path in sorted(results.iterdir()) if path.name[0] != "."]
-        shutil.rmtree(place / RECORDING, ignore_errors=True)  # links: the upload itself stays
+        with contextlib.suppress(OSError):  # a full disk; what is there is told all the same
+            results.mkdir(exist_ok=True, mode=0o700)
+            (results / TIMES).write_bytes(msgspec.json.format(msgspec.json.encode(times)) + b"\n")
+        files = [File(path.name, path.stat().st_size) for path in sorted(results.glob("[!.]*"))]
         expires = now + self._limits.keep
         stage = "" if error is None else job.stage
         info = error.info if error else None
-        self._change(name, state=state, stage=stage, ended=now, expires=expires, times=times, files=files, error=info)
-        self._do(self._end_grant(self._kept[name].grant))
+        noted = self._change(
+            name, state=state, stage=stage, ended=now, expires=expires, times=times, files=files, error=info
+        )
+        if noted:
+            self._remove_links(name)
+            self._do(self._end_grant(self._kept[name].grant))
 
     async def _end_grant(self, grant: str) -> None:
         try:
@@ -343,11 +352,24 @@ class Jobs:
         except RceError as error:  # its key expires by itself
             log.warn("a grant could not be ended: {error}", error=str(error))
 
-    def _change(self, name: str, **fields: Any) -> None:
+    def _remove_links(self, name: str) -> None:
+        """The recording of a job that is over; the uploads themselves stay."""
+        shutil.rmtree(self._shelf.place(name) / RECORDING, ignore_errors=True)
+
+    def _change(self, name: str, **fields: Any) -> bool:
+        """Whether it is on disk too. Where that takes nothing, the job goes on all the same; if the service ends then,
+        it begins anew.
+        """
         kept = self._kept[name]
         self._kept[name] = replace(kept, job=replace(kept.job, **fields))
-        self._shelf.put(name, self._kept[name])
+        noted = True
+        try:
+            self._shelf.put(name, self._kept[name])
+        except OSError as error:
+            log.error("the state of job {name} is not on disk: {error}", name=name, error=str(error))
+            noted = False
         self._tell(name)
+        return noted
 
     def _tell(self, name: str) -> None:
         event = self._changes.pop(name, None)

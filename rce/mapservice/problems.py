@@ -12,6 +12,7 @@ from twisted.logger import Logger
 
 from rce.errors import InternalError, InvalidRequest, NotFound, RceError
 from rce.map_jobs import Problem
+from rce.mapservice.files import DiskFull
 from rce.metrics import errors
 
 TYPE = "application/problem+json"
@@ -73,9 +74,18 @@ async def problems(request: web.Request, handler: Handler) -> web.StreamResponse
         return answer(Refused(error.status, error.text or error.reason))
     except ConnectionError:
         raise  # nobody is there to hear it
-    except Exception:  # noqa: BLE001  # the client hears of a defect; the traceback stays in the log
-        log.failure("defect at {method} {path}", method=request.method, path=request.path)
-        return answer(InternalError("a defect of the map service; its log has the traceback"))
+    except Exception as error:  # noqa: BLE001  # the client hears of a defect; the traceback stays in the log
+        return answer(unexpected(error, f"{request.method} {request.path}"))
+
+
+def unexpected(error: Exception, where: str) -> RceError:
+    """What the client hears of an error that nobody raised on purpose; called where that is handled."""
+    full = DiskFull.of(error)
+    if full is not None:
+        log.error("{where}: {error}", where=where, error=str(error))
+        return full
+    log.failure("defect at {where}", where=where)
+    return InternalError("a defect of the map service; its log has the traceback")
 
 
 def decode(body: bytes, kind: type[T], *, strict: bool = True) -> T:

@@ -12,13 +12,13 @@ from aiohttp import web
 from lxml import etree
 from twisted.logger import Logger
 
-from rce.errors import InternalError, InvalidRequest, LimitExceeded, RceError
+from rce.errors import InvalidRequest, LimitExceeded, RceError
 from rce.map_jobs import PREFIX, Job, JobRequest
 from rce.mapservice.access import Access, Client
 from rce.mapservice.envelope import Envelopes, Request, answer, fault, own, texts
 from rce.mapservice.jobs import Jobs
 from rce.mapservice.noting import ACTION, CLIENT, FAILED
-from rce.mapservice.problems import convert
+from rce.mapservice.problems import convert, unexpected
 from rce.mapservice.uploads import Uploads
 
 INLINE_MOST = 6 * 1024 * 1024  # bytes of a recording that comes along; libxml2 takes 10 MB of base64
@@ -61,9 +61,8 @@ class Soap:
                 raise
             except web.HTTPRequestEntityTooLarge:
                 raise LimitExceeded("the request is too large: upload the recording, and submit its id") from None
-            except Exception:  # noqa: BLE001  # the client hears of a defect; the traceback stays in the log
-                log.failure("defect in SOAP")
-                raise InternalError("a defect of the map service; its log has the traceback") from None
+            except Exception as error:  # noqa: BLE001  # the client hears of a defect; the traceback stays in the log
+                raise unexpected(error, "SOAP") from None
         except RceError as error:  # SOAP 1.1 wants 500 for every fault
             request[FAILED] = error.info.code
             return web.Response(status=500, body=fault(error), content_type=XML, charset="utf-8")

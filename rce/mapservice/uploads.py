@@ -81,11 +81,16 @@ class Uploads:
         free = shutil.disk_usage(self._shelf.directory).free - sum(self._missing(each) for each in self._stored)
         if length > free - self._limits.spare:
             raise _exceeded("the disk of the map service has room for", max(0, free - self._limits.spare), length)
-        upload = new_id()
-        self._stored[upload] = Stored(user, name, length, self._now(), fingerprint[:128])
-        self._shelf.place(upload).mkdir(mode=0o700)
-        self.path(upload).touch(mode=0o600)
-        self._shelf.put(upload, self._stored[upload])
+        upload, stored = new_id(), Stored(user, name, length, self._now(), fingerprint[:128])
+        place = self._shelf.place(upload)
+        try:
+            place.mkdir(mode=0o700)
+            (place / name).touch(mode=0o600)
+            self._shelf.put(upload, stored)
+        except OSError:
+            shutil.rmtree(place, ignore_errors=True)
+            raise
+        self._stored[upload] = stored
         return self.get(user, upload)
 
     def check_quota(self, user: str) -> None:

@@ -8,6 +8,7 @@ error. SIGTERM ends it after it has taken its environment away; so does the end 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import ctypes
 import itertools
 import os
@@ -23,6 +24,7 @@ from msgspec import Struct
 
 from rce.errors import ErrorInfo, InvalidRequest, NotFound, RceError
 from rce.map_jobs import MapOptions
+from rce.mapservice.files import DiskFull
 
 PR_SET_PDEATHSIG = 1
 MEMORY = 3 * 1024**3  # bytes; the indices of a recording of 10 GB take some hundred MB
@@ -167,7 +169,8 @@ def trusting(certificate: str) -> ssl.SSLContext | None:
 
 
 def log(text: str) -> None:
-    print(f"{time.strftime('%Y-%m-%dT%H:%M:%SZ', time.gmtime())} {text}", file=sys.stderr, flush=True)
+    with contextlib.suppress(OSError):  # the disk is full: no reason to end
+        print(f"{time.strftime('%Y-%m-%dT%H:%M:%SZ', time.gmtime())} {text}", file=sys.stderr, flush=True)
 
 
 async def run(task: Task) -> None:
@@ -199,6 +202,13 @@ def main() -> int:
     except RceError as error:
         log(f"{error.info.code}: {error}")
         say(Report("failed", clean=True, error=error.info))
+        return 1
+    except OSError as error:
+        full = DiskFull.of(error)
+        if full is None:
+            raise
+        log(str(full))
+        say(Report("failed", clean=True, error=full.info))
         return 1
     except MemoryError:
         text = "the recording needs more memory than a job may have: it is damaged, or made to do so"

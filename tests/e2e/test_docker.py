@@ -89,11 +89,9 @@ async def test_a_job_of_the_map_service(contained: RealPlatform, images: Any, tm
     service = MapService(contained.url, user=USER, password=USER)
 
     def whole() -> tuple[Job, set[str]]:
-        job = service.submit([service.upload(piece(tmp_path / "piece.log", 100)).id])
-        seen = set()
-        for job in service.watch(job.id):
-            seen |= {each["Labels"][ENVIRONMENT] for each in containers(images, contained)}
-        return job, seen
+        name = service.submit([service.upload(piece(tmp_path / "piece.log", 100)).id]).id
+        seen = [each["Labels"][ENVIRONMENT] for _ in service.watch(name) for each in containers(images, contained)]
+        return service.job(name), set(seen)
 
     job, seen = await asyncio.to_thread(whole)
     assert (job.state, job.scans) == ("done", 100), job

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import itertools
 from collections.abc import Iterator
 from pathlib import Path
@@ -292,3 +293,32 @@ def test_the_secret_of_a_user_is_not_kept(bench: Bench) -> None:
     kept = b"".join(path.read_bytes() for path in bench.directory.rglob("*") if path.is_file())
     assert b"secret" not in kept
     assert b"rce_lent" not in kept
+
+
+def full(*_: object) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_disk_that_is_full_when_a_job_begins_is_waited_for(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = bench.submit("ann"), bench.submit("ann")
+    monkeypatch.setattr(bench.jobs._shelf, "put", full)
+    bench.finish(first)
+    assert bench.job(first).state == "done"
+    assert bench.job(second).state == "queued"
+    assert "disk" in bench.job(second).stage
+    monkeypatch.undo()
+    bench.loop.turn(100)
+    assert running(bench) == [second.id]
+
+
+def test_a_job_whose_end_did_not_get_to_the_disk_begins_anew(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    job = bench.submit("ann")
+    monkeypatch.setattr(bench.jobs._shelf, "put", full)
+    bench.finish(job)
+    bench.die()
+    monkeypatch.undo()
+    bench.begin()
+    assert bench.job(job).state == "running"
+    assert Path(bench.workers.task(job.id).recording).exists()
+    bench.finish(job)
+    assert bench.job(job).state == "done"

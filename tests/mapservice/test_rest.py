@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import errno
 import json
 from typing import Any
 
@@ -13,6 +14,8 @@ from openapi_spec_validator import OpenAPIV31SpecValidator
 
 from rce.calls.services import NoteDone
 from rce.errors import InvalidRequest, Unauthorized, Unavailable
+from rce.mapservice import uploads
+from rce.mapservice.files import Shelf
 from rce.mapservice.work import Report
 
 PIECE = {"Content-Type": "application/offset+octet-stream"}
@@ -128,6 +131,35 @@ async def test_a_recording_that_is_none_is_refused_by_its_first_bytes(service: S
     assert answer.status == 400
     assert "1.2" in (await answer.json())["detail"]
     assert await (await service.ask("GET", "/uploads")).json() == []
+
+
+def full(*_: object) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+async def test_a_full_disk_is_said_and_what_came_is_kept(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    headers = {"Content-Type": "application/offset+octet-stream", "Upload-Offset": "0"}
+    announced = await service.ask("POST", "/uploads", headers={"Upload-Length": str(len(LOG))} | metadata("a.log"))
+    place = announced.headers["Location"]
+    monkeypatch.setattr(uploads, "_write_all", full)
+    refused = await service.ask("PATCH", place, data=LOG, headers=headers)
+    assert refused.status == 503
+    assert (await refused.json())["code"] == "unavailable"
+    assert "disk" in (await refused.json())["detail"]
+    monkeypatch.undo()
+    assert (await service.ask("PATCH", place, data=LOG, headers=headers)).status == 204
+
+
+async def test_what_cannot_be_stored_is_no_job_and_no_upload(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    upload = await service.upload()
+    monkeypatch.setattr(Shelf, "put", full)
+    announced = await service.ask("POST", "/uploads", headers={"Upload-Length": "9"} | metadata("b.log"))
+    submitted = await service.ask("POST", "/jobs", json={"uploads": [upload]})
+    assert [announced.status, submitted.status] == [503, 503]
+    assert [each["id"] for each in await (await service.ask("GET", "/uploads")).json()] == [upload]
+    assert await (await service.ask("GET", "/jobs")).json() == []
+    assert service.master.grants == {}, "the right to act for the user"
+    assert not list((service.directory / "jobs").iterdir())
 
 
 async def test_events_end_when_the_key_is_void(service: Service) -> None:
