@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rce.mapping.geometry import Points, Pose
+from rce.mapping.geometry import ORIGIN, Points, Pose
 from rce.mapping.graph import TURN_LENGTH
 from rce.mapping.local_map import AROUND, WAY, LocalMap
 from rce.mapping.matching import Match
@@ -40,6 +40,7 @@ class LaserOdometry:
         self._count = 0
         self._way = 0.0
         self._looked: Pose | None = None  # where it was last asked whether to keep a scan
+        self.rolled = ORIGIN  # the pose, had the robot gone as far as the wheels say in each direction that it took
 
     @property
     def pose(self) -> Pose:
@@ -50,7 +51,11 @@ class LaserOdometry:
         None too if the pose is that of the wheels or the last motion alone."""
         predictions = self._motion.predict(scan)
         found = self._local.match(points, predictions, self._motion.spread(scan)) if points is not None else None
-        self._motion.follow(scan, found.pose if found else predictions[0])
+        before, predicted = self.pose, predictions[0]
+        pose = found.pose if found else predicted
+        length = before.to(pose if scan.odometry is None else predicted)
+        self.rolled = self.rolled @ length._replace(theta=before.to(pose).theta)
+        self._motion.follow(scan, pose)
         if points is not None:
             self._keep(points)
         return found
@@ -78,6 +83,7 @@ class LaserOdometry:
             "count": np.array(self._count, np.int64),
             "way": np.array(self._way),
             "looked": optional(self._looked),
+            "rolled": optional(self.rolled),
         }
 
     def restore(self, saved: Reader) -> None:
@@ -93,6 +99,7 @@ class LaserOdometry:
             raise saved.wrong("points", f"are of {len(points)} scans, not {len(poses)}")
         self._kept = deque(_Kept(*each) for each in zip(numbers, ways, poses, points, strict=True))
         self._way, self._looked = saved.number("way"), saved.optional("looked")
+        self.rolled = saved.optional("rolled") or ORIGIN
 
     def _keep(self, points: Points) -> None:
         """Keep the scan if nothing near by looks the same way; forget what is too long ago."""

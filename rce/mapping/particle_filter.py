@@ -79,12 +79,14 @@ class ParticleFilter:
         except (ValueError, TypeError, KeyError, OverflowError) as error:
             raise saved.wrong("random", f"is no state of the random numbers ({error})") from None
 
-    def move(self, motion: Pose, covariance: Array, points: Points | None) -> None:
+    def move(self, motion: Pose, covariance: Array, points: Points | None, other: Pose | None = None) -> None:
         """Go on by a motion, known with a covariance (3, 3) in the frame after it, and see the points (n, 2), metres,
-        frame of the robot; None if there are too few to match."""
+        frame of the robot; None if there are too few to match. Where the motion may be an `other` one as well, every
+        second particle takes that."""
+        motions = (motion, other or motion)
         spread = np.linalg.cholesky(covariance)
         starting, sampling = self.random.standard_normal((2, self.count, 3))
-        expected = np.array([Pose(*pose) @ motion for pose in self.poses.tolist()])
+        expected = np.array([Pose(*pose) @ motions[i % 2] for i, pose in enumerate(self.poses.tolist())])
         turns = _turns(expected[:, 2])
         prior = turns @ covariance @ turns.swapaxes(1, 2)
         starts = expected + np.einsum("nij,jk,nk->ni", turns, spread, starting)

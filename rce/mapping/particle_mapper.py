@@ -21,6 +21,9 @@ MOVE, TURN = 0.5, 0.25  # metres, radians between two steps of the filter
 DRAW_MOVE, DRAW_TURN = 0.4, 0.2  # metres, radians between scans that are drawn in the grid; less than the above
 SPREAD = np.diag(np.square([0.03, 0.03, math.radians(0.5)]))  # covariance of a motion between two steps, at least
 LOST = np.diag(np.square([0.5, 0.5, math.radians(15)]))  # of one of which the walls say nothing
+# Metres, and share of the way by the wheels, by which these and the laser differ where one must be wrong: wheels slip,
+# and in a corridor a scan may fit best where the last one was.
+DOUBT, DOUBT_SHARE = 0.3, 0.3
 DEPENDENT = 4.0  # see particle_filter.DEPENDENT
 
 
@@ -38,6 +41,7 @@ class ParticleMapper:
         self._history = History()
         self._stamp = -math.inf
         self._then: Pose | None = None  # of the laser odometry at the last step
+        self._rolled = ORIGIN  # of its wheels then
         self._kept = 0  # scans that it had kept then
         self._lost = False  # since the last step
         self._sweeps: dict[int, Sweep] = {}  # by step, frame of the robot
@@ -76,7 +80,7 @@ class ParticleMapper:
         """The robot was carried to a pose (map frame) while nothing was recorded."""
         self._filter.relocate(pose)
         self._odometry = LaserOdometry(self.settings.max_range)
-        self._then, self._kept, self._lost = None, 0, False
+        self._then, self._rolled, self._kept, self._lost = None, ORIGIN, 0, False
 
     def state(self) -> State:
         return {
@@ -85,6 +89,7 @@ class ParticleMapper:
             "history": self._history.state(),
             "stamp": np.array([self._stamp] if math.isfinite(self._stamp) else [], np.float64),
             "then": optional(self._then),
+            "rolled": optional(self._rolled),
             "seen": np.array(self._kept, np.int64),
             "lost": np.array(self._lost),
             "steps": np.array(list(self._sweeps), np.int64),
@@ -103,6 +108,7 @@ class ParticleMapper:
         mapper._history.restore(saved.part("history"), count)
         mapper._stamp = max(saved.array("stamp", np.float64, None).tolist(), default=-math.inf)
         mapper._then, mapper._lost = saved.optional("then"), bool(saved.array("lost", np.bool_))
+        mapper._rolled = saved.optional("rolled") or ORIGIN
         mapper._kept = saved.whole("seen", mapper._odometry.count + 1)
         points = saved.unpack("points", np.float32)
         steps = saved.indices("steps", count, len(points)).tolist()
@@ -126,18 +132,21 @@ class ParticleMapper:
 
     def _step(self, points: Points | None, covariance: NDArray[np.float64]) -> None:
         """A step of the filter, if the robot has moved enough for one."""
-        motion = self._since()
-        if self._then is not None and not motion.moved(MOVE, TURN):
+        motion, rolled = self._since(), self._rolled.to(self._odometry.rolled)
+        if self._then is not None and not motion.moved(MOVE, TURN) and not rolled.moved(MOVE, TURN):
             return
-        seen = None if points is None else np.concatenate([points, self._odometry.seen(self._kept)])
+        doubted = math.dist(motion[:2], rolled[:2]) > max(DOUBT, DOUBT_SHARE * math.hypot(*rolled[:2]))
+        since = self._odometry.count if doubted else self._kept  # what was seen on a doubtful way is not believed
+        seen = None if points is None else np.concatenate([points, self._odometry.seen(since)])
         if self._then is None:
             self._filter.paths.append(self._filter.poses)
         else:
-            self._filter.move(motion, self._spread(covariance), seen)
+            self._filter.move(motion, self._spread(covariance), seen, rolled if doubted else None)
         if points is not None and seen is not None:
             self._filter.learn(seen)
             self._keep(points)
-        self._then, self._kept, self._lost = self._odometry.pose, self._odometry.count, False
+        self._then, self._rolled = self._odometry.pose, self._odometry.rolled
+        self._kept, self._lost = self._odometry.count, False
         self._filter.resample()
 
     def _spread(self, covariance: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -14,12 +14,13 @@ import pytest
 
 from rce.errors import InvalidRequest
 from rce.mapping.graph_mapper import GraphMapper
-from rce.mapping.mapper import Mapper
+from rce.mapping.mapper import Mapper, MapperSettings
 from rce.mapping.outputs import trajectory_text
 from rce.mapping.particle_mapper import ParticleMapper
 from rce.mapping.recordings import open_recording
 from rce.mapping.simulation.evaluation import alignment
 from rce.mapping.trials import Odometry, error_of, read_relations, with_odometry
+from rce.mapping.trials.endless import to_and_fro
 
 
 def test_the_log_and_the_bag_of_a_run_give_the_same_scans(data: Path) -> None:
@@ -126,3 +127,23 @@ def test_of_two_lidars_one_is_taken(data: Path) -> None:
 def test_bags_that_cannot_be_mapped_are_refused(data: Path, name: str, reason: str) -> None:
     with pytest.raises(InvalidRequest, match=reason):
         open_recording(data / "bags" / name)
+
+
+def test_a_corridor_driven_back_is_not_mapped_a_second_time(data: Path) -> None:
+    """Backwards, whose end it does not see, the scans fit best where the last ones were: without the wheels the robot
+    would seem to stand. What is kept is what was kept on the way there."""
+    there = list(open_recording(data / "mit-csail.clf.gz"))[990:1130]
+    mapper = ParticleMapper(MapperSettings(particles=10))
+    kept = []
+    for number, scan in enumerate(to_and_fro(there, 2 * len(there) - 1), start=1):
+        mapper.add(scan)
+        if number in (len(there), 2 * len(there) - 1):
+            tables = mapper._filter.maps.tables
+            kept.append((int((tables[mapper._filter.best] >= 0).sum()), len(mapper._sweeps)))
+    places = mapper.trajectory()[:, 1:3]
+    off = np.hypot(*(places[len(there) - 1 :] - places[len(there) - 1 :: -1]).T)
+    assert off.mean() < 0.1
+    assert off.max() < 1.0
+    (tiles, sweeps), (tiles_later, sweeps_later) = kept
+    assert tiles_later <= 1.05 * tiles
+    assert sweeps_later <= 1.1 * sweeps

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rce.mapping.geometry import ORIGIN
+from rce.mapping.geometry import ORIGIN, Pose
 from rce.mapping.particle_filter import ParticleFilter
 from rce.mapping.paths import Paths
 from rce.mapping.tiles import TileMaps
@@ -73,6 +73,14 @@ def test_paths_keep_what_they_share_once() -> None:
     paths.resample(np.array([1, 1, 1]))
     assert (len(paths.stem), paths.open.shape[1], len(paths)) == (5, 0, 5)
     np.testing.assert_array_equal(paths.of(2)[:, 0], [0.0, 10.0, 20.0, 30.0, 3.0])
+
+
+def test_particles_follow_both_motions_of_a_doubtful_one() -> None:
+    found = filter_of(4)
+    there = CORNER - np.array([0.8, 0.0])
+    found.move(ORIGIN, np.diag([1e-4, 1e-4, 1e-5]), there, other=Pose(0.8, 0.0, 0.0))
+    np.testing.assert_allclose(found.poses[1::2], np.tile([0.8, 0.0, 0.0], (2, 1)), atol=0.1)
+    assert found.log_weights[::2].max() < -5.0 < found.log_weights[1::2].min()
 
 
 def test_particles_that_explain_the_scan_replace_those_that_do_not() -> None:
