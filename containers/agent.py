@@ -38,6 +38,7 @@ from rce.calls.joining import Hello, Welcome
 from rce.calls.watching import MeasureUsage, Usage
 from rce.control import Handlers, MasterLink
 from rce.errors import RceError, StartFailed, Unavailable
+from rce.metrics import Family, gauge
 from rce.settings import load_or_exit
 from rce.tls import load
 
@@ -95,6 +96,7 @@ class Agent:
         handlers.on(MeasureUsage, self._measure)
         handlers.on(KnowGroup, self._know_group)
         handlers.on(HaveImage, self._have_image)
+        handlers.tell_metrics(ROLE, self._data_relay.families, self._families)
         self._link = MasterLink(reactor, settings.task_set, self._hello, handlers, self._welcomed, self._tls)
         fetcher = Fetcher(self._link, settings.master, settings.entry, self._tls)
         self._furnisher = Furnisher(self._docker, self._labels, self._networks, fetcher)
@@ -241,6 +243,10 @@ class Agent:
 
     async def _measure(self, _: MeasureUsage) -> Usage:
         return Usage(await self._docker.usage())
+
+    def _families(self) -> list[Family]:
+        here: dict[tuple[str, ...], float] = {("served",): len(self._served), ("furnished",): len(self._furnishing)}
+        return [gauge("rce_environments_here", "Environments of this node, by how far they are", ["state"], here)]
 
     async def _have_image(self, call: HaveImage) -> Nothing:
         await self._docker.pull(call)

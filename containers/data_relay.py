@@ -19,6 +19,7 @@ from typing import cast
 
 from twisted.logger import Logger
 
+from rce import metrics
 from rce.errors import InvalidRequest
 from rce.passage import LONGEST, Passage, Reason, refusal
 from rce.sockets import advertised, bound, reaching, split, tune
@@ -32,6 +33,10 @@ PATIENCE = 5.0  # seconds for the first line, and for the way on; less than the 
 EARLY = 1_000_000  # bytes
 _space = memoryview(bytearray(256 * 1024))  # for all connections: what is read into it is taken at once
 HIGH_WATER = 512 * 1024  # bytes that wait for one side before the other is asked to pause
+
+
+_passed = metrics.Counter("rce_relay_bytes", "Bytes of data links that passed this relay")
+_refusals = metrics.Counter("rce_relay_refusals", "Callers of this relay that were not taken on", "reason")
 
 
 class _Refused(Exception):
@@ -63,6 +68,7 @@ class _Side(asyncio.BufferedProtocol):
 
     def received(self, data: bytes) -> None:
         if self._other is not None:
+            _passed.add(by=len(data))
             self._other.transport.write(data)
         elif len(self.early) + len(data) <= EARLY:
             self.early += data
@@ -84,6 +90,7 @@ class _Side(asyncio.BufferedProtocol):
     def lead_to(self, other: _Side) -> None:
         self._other = other
         self.transport.resume_reading()
+        _passed.add(by=len(self.early))
         other.transport.write(self.early)
         self.early = b""
 
@@ -117,6 +124,7 @@ class _Visitor(_Side):
         self._relay.left(self)
 
     def refuse(self, reason: Reason) -> None:
+        _refusals.add(reason)
         self.transport.write(refusal(reason))
         self.transport.close()
 
@@ -185,6 +193,10 @@ class DataRelay:
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    def families(self) -> list[metrics.Family]:
+        states: dict[tuple[str, ...], float] = {("asking",): len(self._strangers), ("taken",): len(self._guests)}
+        return [metrics.gauge("rce_relay_connections", "Data links that pass this relay, or ask to", ["state"], states)]
 
     # --- for visitors -------------------------------------------------------------------------------------------------
 

@@ -19,6 +19,7 @@ from twisted.logger import Logger
 from rce.calls.environments import EnvironmentSpec, Ticket
 from rce.calls.watching import Used
 from rce.errors import InvalidRequest, NoCapacity, NotFound, RceError, StartFailed, Unavailable
+from rce.metrics import Family
 from rce.names import check_tag
 
 log = Logger()
@@ -145,6 +146,10 @@ class Engine(ABC):
     def relays(self) -> list[str]:
         """The data relays of its machines, relay:HOST:PORT, where it has some of its own."""
         return []
+
+    async def metrics(self) -> dict[str, list[Family]]:
+        """What the processes of its machines count of themselves, by the machine, where it has some of its own."""
+        return {}
 
     def know(self, relays: Collection[str]) -> None:
         """The data relays of other machines, HOST:PORT, for relays of its own."""

@@ -34,6 +34,7 @@ from rce.calls.environments import EnvironmentSpec, FetchPackage
 from rce.calls.watching import Used
 from rce.control import Handlers
 from rce.errors import RceError, StartFailed, TimedOut
+from rce.metrics import Family
 from rce.tls import Tls
 
 log = Logger()
@@ -185,6 +186,9 @@ class SwarmEngine(Engine):
     async def usage(self) -> dict[str, Used]:
         found = await self._fleet.agents.usage()
         return {name: found[name] for name in self.running() if name in found}
+
+    async def metrics(self) -> dict[str, list[Family]]:
+        return await self._fleet.agents.metrics()
 
     async def release(self) -> None:
         self._manager.close()

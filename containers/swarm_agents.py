@@ -23,13 +23,15 @@ from rce.calls.agents import ClearRun, HaveImage, KnowGroup, NodeReport
 from rce.calls.call import Call, Nothing
 from rce.calls.environments import Group, KnowRelays
 from rce.calls.joining import Hello, Welcome
-from rce.calls.watching import MeasureUsage, Used
+from rce.calls.watching import MeasureUsage, ReadMetrics, Used
 from rce.control import Control, Handlers
 from rce.errors import Lost, RceError, Unauthorized
+from rce.metrics import Family
 from rce.tls import Tls
 
 log = Logger()
 ROLE = "agent"
+PATIENCE = 3.0  # seconds for an agent's metrics; the Master has more with the task set
 
 
 class Kept(Struct, frozen=True):
@@ -163,6 +165,12 @@ class Agents:
                 found |= answer.environments
         return found
 
+    async def metrics(self) -> dict[str, list[Family]]:
+        """What the agents count of themselves, by the ids of their nodes; one that does not answer is left out."""
+        joined = [agent for agent in self._agents.values() if agent.control is not None]
+        answers = await asyncio.gather(*(_metrics(agent.control) for agent in joined if agent.control is not None))
+        return {agent.node: told for agent, told in zip(joined, answers, strict=True) if told}
+
     def know(self, relays: Collection[str]) -> None:
         """Tell the agents of the data relays of other machines; those of each other they learn here too."""
         self._others = list(relays)
@@ -227,6 +235,14 @@ class Agents:
                 task = asyncio.create_task(_tell(agent.control, KnowRelays(relays)))
                 self._telling.add(task)
                 task.add_done_callback(self._telling.discard)
+
+
+async def _metrics(agent: Control) -> list[Family]:
+    try:
+        return (await asyncio.wait_for(agent.call(ReadMetrics()), PATIENCE)).families
+    except (RceError, TimeoutError) as error:  # its node is away, or busy
+        log.info("an agent did not tell its metrics: {error}", error=str(error))
+        return []
 
 
 async def _tell(agent: Control, call: Call[Nothing]) -> None:

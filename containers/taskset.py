@@ -151,7 +151,9 @@ class TaskSet:
         return Usage(await self._engine.usage())
 
     async def _read_metrics(self, _: ReadMetrics) -> Metrics:
-        return Metrics([*metrics.families("container"), *self._families(await self._engine.usage())])
+        used, parts = await asyncio.gather(self._engine.usage(), self._engine.metrics())
+        own = metrics.families("container", self._relay.families, lambda: self._families(used))
+        return Metrics(metrics.with_parts(own, "node", parts) if parts else own)
 
     def _families(self, used: dict[str, Used]) -> list[metrics.Family]:
         slots = sum(life.size for life in self._engine.running().values())

@@ -12,6 +12,7 @@ from master.effects import Plan, Send, Settle
 from rce.calls.call import Call
 from rce.control import Control
 from rce.errors import RceError, TimedOut, Unavailable
+from rce.metrics import Family, gauge
 
 log = Logger()
 R = TypeVar("R")
@@ -168,6 +169,13 @@ class Carrier:
             return await asyncio.wait_for(control.call(call), seconds)
         except TimeoutError:
             raise TimedOut(f"{process} did not answer within {seconds:g} s") from None
+
+    def families(self) -> list[Family]:
+        waiting = sum(map(len, self._waiting.values()))
+        return [
+            gauge("rce_plans", "Commands whose effects are under way at processes", [], {(): len(self._tasks)}),
+            gauge("rce_waiting", "Commands that wait for something to become real", [], {(): waiting}),
+        ]
 
     async def close(self) -> None:
         for task in list(self._tasks):

@@ -190,6 +190,10 @@ class Master:
             raise Unavailable(f"environment {environment.name} is away at present")
         return await control.call(call)
 
+    def own_metrics(self) -> list[metrics.Family]:
+        """What the Master counts of itself."""
+        return metrics.families("master", lambda: inventory.families(self.shown), self._carrier.families)
+
     async def metrics_of(self, process: str) -> list[metrics.Family]:
         """What a process counts of itself. Unavailable, TimedOut."""
         return (await self._carrier.ask(process, ReadMetrics(), ASK_TIMEOUT)).families

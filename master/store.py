@@ -7,6 +7,7 @@ changed while a write is under way go together in the next one.
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
@@ -18,9 +19,11 @@ from twisted.logger import Logger
 
 from master.migration import bring_up_to_date
 from master.records import State
+from rce import metrics
 from rce.errors import InvalidRequest
 
 log = Logger()
+_transactions = metrics.Timing("rce_database_seconds", "Time of a transaction, with waiting for the one before")
 PATIENCE = 5.0  # seconds
 R = TypeVar("R")
 tables = sa.MetaData()
@@ -134,7 +137,11 @@ class Store:
             with self._engine.begin() as connection:
                 return work(connection)
 
-        return await self._do(transact)
+        began = time.perf_counter()
+        try:
+            return await self._do(transact)
+        finally:
+            _transactions.of().since(began)
 
     async def _do(self, work: Callable[[], R]) -> R:
         return await asyncio.get_running_loop().run_in_executor(self._thread, work)

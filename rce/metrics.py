@@ -117,6 +117,22 @@ def gauge(name: str, help: str, labels: Iterable[str], values: Mapping[tuple[str
     return Family(name, help, "gauge", list(labels), [Sample(list(key), value) for key, value in values.items()])
 
 
+def with_parts(own: Iterable[Family], label: str, parts: Mapping[str, Iterable[Family]]) -> list[Family]:
+    """The families of a process and of its parts in one list: one more label says which part a sample is of.
+
+    Of the process itself it is empty, which Prometheus takes for none. What a part of another version tells in another
+    form is left out.
+    """
+    found: dict[str, Family] = {}
+    for part, told in {"": own, **parts}.items():
+        for each in told:
+            empty = Family(each.name, each.help, each.kind, [*each.labels, label], [], each.bounds)
+            known = found.setdefault(each.name, empty)
+            if (known.kind, known.labels, known.bounds) == (empty.kind, empty.labels, empty.bounds):
+                known.samples.extend(Sample([*one.labels, part], one.value, one.counts) for one in each.samples)
+    return list(found.values())
+
+
 def families(role: str, *sources: Source) -> list[Family]:
     """All that this process tells: of itself as a process, of its modules, and of these sources."""
     return [

@@ -9,7 +9,7 @@ from urllib.parse import quote
 
 from msgspec import Struct
 
-from master import exposition, inventory
+from master import exposition
 from master.api.acting import platform
 from master.api.calls import Answer, Call
 from master.api.router import Api, Route
@@ -59,7 +59,7 @@ class Monitoring:
 
     async def own(self, call: Call) -> Answer:
         platform(call, "metrics.read")
-        return _text(metrics.families("master", lambda: inventory.families(self._master.shown)))
+        return _text(self._master.own_metrics())
 
     async def of_process(self, call: Call) -> Answer:
         return await self._of(call, call.path["process"])

@@ -12,6 +12,7 @@ import pytest
 from containers import data_relay as module
 from containers.data_relay import GATE, DataRelay
 from rce.errors import InvalidRequest
+from rce.metrics import Counter, Sample
 from rce.passage import Passage, refused
 from rce.sockets import bound, reaching
 
@@ -115,6 +116,21 @@ async def test_from_another_machine_to_an_environment(west: Machine) -> None:
         writer.write(large)
         assert await said(reader) == b"ann/brain: " + large
         writer.close()
+
+
+async def test_what_passes_is_counted(west: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_passed", Counter("rce_relay_bytes", ""))
+    monkeypatch.setattr(module, "_refusals", Counter("rce_relay_refusals", "", "reason"))
+    reader, writer = await west.call(Passage("ann/brain"))
+    writer.write(b"hello\n")
+    assert await reader.readline() == b"ann/brain: hello\n"
+    (family,) = west.relay.families()
+    assert {tuple(each.labels): each.value for each in family.samples} == {("asking",): 0, ("taken",): 1}
+    assert module._passed.family().samples == [Sample([], len("hello\n") + len("ann/brain: hello\n"))]
+    refused_reader, _ = await west.call(Passage("ann/nobody"))
+    await refused_reader.read()
+    assert module._refusals.family().samples == [Sample(["not here"], 1)]
+    writer.close()
 
 
 async def test_a_line_that_comes_in_parts(west: Machine) -> None:

@@ -8,20 +8,23 @@ from pathlib import Path
 
 import pytest
 from engine_contract import spec
+from prometheus_client.parser import text_string_to_metric_families
 from twisted.internet.base import ReactorBase
 from twisted.internet.interfaces import IListeningPort
 
 from containers.engine import Life
 from containers.fake import FailingEngine, FakeEngine, FakeMachine
 from containers.taskset import TaskSet
+from master.exposition import text
 from rce.calls.call import Nothing, Ping
 from rce.calls.endpoints import StopNode
 from rce.calls.environments import EnvironmentDied, KeepEnvironments, LimitReached, StartEnvironment, StopEnvironment
 from rce.calls.joining import Hello, Welcome
-from rce.calls.watching import MeasureUsage, Usage, Used
+from rce.calls.watching import MeasureUsage, ReadMetrics, Usage, Used
 from rce.control import Control, Handlers, listen
 from rce.credential import Credential
 from rce.errors import InvalidRequest, StartFailed, Unauthorized
+from rce.metrics import Family, gauge
 
 
 class FakeMaster:
@@ -131,6 +134,30 @@ async def test_tells_what_its_environments_use(master: FakeMaster, tmp_path: Pat
         await control.call(StartEnvironment(spec("ann/a", 1)))
         running.machine.used["ann/a"] = Used(1.5, 2000)
         assert await control.call(MeasureUsage()) == Usage({"ann/a": Used(1.5, 2000)})
+
+
+class OnNodes(FakeEngine):
+    """On a machine with processes of its own."""
+
+    async def metrics(self) -> dict[str, list[Family]]:
+        return {"n1": [gauge("rce_info", "", ["role", "version"], {("agent", "1"): 1})]}
+
+
+@pytest.mark.parametrize(("engine", "nodes"), [(FakeEngine, [None]), (OnNodes, ["", "n1"])])
+async def test_tells_its_metrics_and_those_of_its_agents(
+    master: FakeMaster, tmp_path: Path, engine: type[FakeEngine], nodes: list[str | None]
+) -> None:
+    async with Running(master, tmp_path, engine) as running:
+        control = await joined(master)
+        await control.call(StartEnvironment(spec("ann/a", 1)))
+        running.machine.used["ann/a"] = Used(1.5, 2000)
+        told = (await control.call(ReadMetrics())).families
+    samples = [sample for family in text_string_to_metric_families(text(told).decode()) for sample in family.samples]
+    assert [each.labels.get("node") for each in samples if each.name == "rce_info"] == nodes
+    values = {(each.name, each.labels.get("state")): each.value for each in samples}
+    assert values["rce_slots", "used"] == 1
+    assert values["rce_environment_cpu_seconds_total", None] == 1.5
+    assert values["rce_relay_connections", "taken"] == 0
 
 
 async def test_a_failed_start_comes_with_its_reason(master: FakeMaster, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from hand_turned import HandTurnedLoop
 
 from master.exposition import text
 from rce import metrics
-from rce.metrics import Counter, Observed, Timing, watch_loop
+from rce.metrics import Counter, Family, Observed, Sample, Timing, counted, gauge, watch_loop, with_parts
 
 
 @pytest.fixture(autouse=True)
@@ -42,6 +42,21 @@ def test_an_observation_is_in_the_first_bucket_that_takes_it() -> None:
         'rce_y_seconds_count{hop="there"} 4.0',
         'rce_y_seconds_sum{hop="there"} 7.65',
     ]
+
+
+def test_parts_are_told_apart_by_a_label() -> None:
+    links = [gauge("rce_links", "Links", ["state"], {("up",): count}) for count in (1, 2)]
+    other = counted("rce_links", "Links", ["kind"], {("tcp",): 3})
+    timing = [Family("rce_x", "", "histogram", [], [Sample([], 1.0, [1, 2])], [bound]) for bound in (0.1, 0.2)]
+    found = with_parts([links[0], timing[0]], "node", {"n1": [links[1], timing[1]], "n2": [other]})
+    lines = [line for line in text(found).decode().splitlines() if not line.startswith("#")]
+    assert lines[:2] == ['rce_links{node="",state="up"} 1.0', 'rce_links{node="n1",state="up"} 2.0']
+    assert [line.partition(" ")[0] for line in lines[2:]] == [
+        'rce_x_bucket{le="0.1",node=""}',
+        'rce_x_bucket{le="+Inf",node=""}',
+        'rce_x_count{node=""}',
+        'rce_x_sum{node=""}',
+    ], "what another version tells in another form"
 
 
 def test_the_lag_of_the_loop_is_what_it_was_late(monkeypatch: pytest.MonkeyPatch) -> None:
