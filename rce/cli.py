@@ -7,6 +7,7 @@ names a Master's files they work on those, whether that Master runs or not.
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Sequence
 
@@ -144,6 +145,9 @@ def _run(command: Callable[[list[str]], int], arguments: list[str]) -> int:
             raise
         extras = "console" if error.name.partition(".")[0] in ("rich", "prompt_toolkit") else "server,mapping,ros,bench"
         print(f"rce: this needs {error.name}: pip install 'rce[{extras}]'", file=sys.stderr)
+        return 1
+    except BrokenPipeError:  # who read this has seen enough: `rce map status | head`
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115  # so that the interpreter's last flush goes well
         return 1
     except KeyboardInterrupt:
         return 130

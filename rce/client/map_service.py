@@ -127,14 +127,15 @@ class MapService:
 
     # --- uploads -----------------------------------------------------------------------------------------------------
 
-    def upload(self, path: Path, told: Told = lambda _: None) -> Upload:
-        """Send a file, or what of it is not there yet; `told` hears how many bytes are there.
+    def upload(self, path: Path, told: Told = lambda _: None, name: str = "") -> Upload:
+        """Send a file, or what of it is not there yet; `told` hears how many bytes are there. `name` instead of the
+        file's own: letters, digits, '.', '_' and '-'.
 
         Raises InvalidRequest as soon as the service sees that it is no recording, and Unavailable or TimedOut when
         nothing goes on for as long as the patience lasts.
         """
-        upload = self._retry(lambda: self._begin(path))
-        name = upload.id
+        upload = self._retry(lambda: self._begin(path, name or path.name))
+        place = f"/uploads/{upload.id}"
         told(upload.offset)
         deadline, pause = time.monotonic() + self._patience, PAUSE_FIRST
         while upload.offset < upload.length:
@@ -147,7 +148,7 @@ class MapService:
             except RceError as refused:
                 if refused.info.code != OFFSET_MISMATCH:
                     raise
-            upload = self._retry(lambda: self._value(self._ask("GET", f"/uploads/{name}"), Upload))
+            upload = self._retry(lambda: self._value(self._ask("GET", place), Upload))
             if upload.offset > before:
                 deadline, pause = time.monotonic() + self._patience, PAUSE_FIRST
             elif error is not None:
@@ -155,13 +156,13 @@ class MapService:
                 pause = min(2 * pause, PAUSE_MOST)
         return upload
 
-    def _begin(self, path: Path) -> Upload:
+    def _begin(self, path: Path, name: str) -> Upload:
         """What is there of the file already, or a new upload."""
         length, mark = path.stat().st_size, fingerprint(path)
         for known in self._value(self._ask("GET", "/uploads"), list[Upload]):
-            if (known.name, known.length, known.fingerprint) == (path.name, length, mark):
+            if (known.name, known.length, known.fingerprint) == (name, length, mark):
                 return known
-        pairs = {"filename": path.name, "fingerprint": mark}
+        pairs = {"filename": name, "fingerprint": mark}
         metadata = ",".join(f"{key} {base64.b64encode(value.encode()).decode()}" for key, value in pairs.items())
         headers = {"Tus-Resumable": "1.0.0", "Upload-Length": str(length), "Upload-Metadata": metadata}
         return self._value(self._ask("POST", "/uploads", None, headers), Upload)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 import time
 from pathlib import Path
@@ -17,6 +18,7 @@ from rce.map_jobs import MAPPERS, OVER, Job, MapOptions
 NAMES = ("submit", "status", "fetch", "cancel")
 TICK, LINE_EVERY = 0.2, 5.0  # seconds between signs of progress on a terminal, and elsewhere
 MEGABYTE = 1e6
+MOST_LETTERS = 200  # of the name of an upload
 
 
 def parser() -> argparse.ArgumentParser:
@@ -68,7 +70,8 @@ def submit(service: MapService, words: argparse.Namespace) -> int:
     files = [files_of(recording) for recording in words.recordings]
     jobs = []
     for recording, parts in zip(words.recordings, files, strict=True):
-        uploads = [send(service, part) for part in parts]
+        alone = recording.is_file()  # the files of a bag are known to each other by their names
+        uploads = [send(service, part, safe(part.name) if alone else part.name) for part in parts]
         jobs.append(service.submit(uploads, options, recording.name))
         print(f"{recording}: job {jobs[-1].id}", file=sys.stderr)
     if not words.wait:
@@ -88,6 +91,8 @@ def options_of(words: argparse.Namespace) -> MapOptions:
     except msgspec.ValidationError as error:
         reason, _, field = str(error).partition(" - at `$.")
         option = field.rstrip("`").replace("_", "-")
+        if "regex" in reason:
+            reason = "a topic begins with / and has letters, digits, _ and / only"
         raise InvalidRequest(f"rce map submit: --{option}: {reason}", field=option) from None
 
 
@@ -103,7 +108,13 @@ def files_of(recording: Path) -> list[Path]:
     return found
 
 
-def send(service: MapService, path: Path) -> str:
+def safe(name: str) -> str:
+    """A name as the service takes it."""
+    return re.sub(r"[^A-Za-z0-9._-]", "_", name).lstrip("._-")[-MOST_LETTERS:]
+
+
+def send(service: MapService, path: Path, name: str) -> str:
+    """Send a file under this name; the id of the upload."""
     progress = Progress(f"sending {path.name}")
     size = path.stat().st_size or 1
     began, first = time.monotonic(), -1
@@ -114,7 +125,7 @@ def send(service: MapService, path: Path) -> str:
         speed = (there - first) / MEGABYTE / max(time.monotonic() - began, 1e-3)
         progress.show(f"{100 * there // size} % of {size / MEGABYTE:.1f} MB, {speed:.0f} MB/s", last=there == size)
 
-    return service.upload(path, told).id
+    return service.upload(path, told, name).id
 
 
 def finish(service: MapService, name: str, directory: Path) -> int:
@@ -128,7 +139,8 @@ def finish(service: MapService, name: str, directory: Path) -> int:
         service.fetch(name, file.name, directory / file.name)
     if job.error is not None:
         raise RceError.from_info(job.error)
-    print(f"{job.scans} scans mapped; in {directory}: {', '.join(file.name for file in job.files)}")
+    what = f"{job.scans} scans mapped" if job.state == "done" else job.state
+    print(f"{what}; in {directory}: {', '.join(file.name for file in job.files)}")
     return 0 if job.state == "done" else 1
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import ssl
 from collections.abc import Callable
 from pathlib import Path
@@ -73,7 +74,11 @@ class MapService:
         try:
             await web.TCPSite(self._runner, host, port, ssl_context=tls).start()
         except OSError as error:
-            raise InvalidRequest(f"the map service cannot have port {port} of {host}: {error.strerror}") from None
+            reason = os.strerror(error.errno) if error.errno else str(error)
+            raise InvalidRequest(
+                f"the map service cannot have port {port} of {host}: {reason}; take another with --port, or with "
+                "--maps-port of `rce up`"
+            ) from None
         self._sweeper = asyncio.create_task(self._sweep())
         found: int = self._runner.addresses[0][1]
         log.info("maps are made at {host}:{port}{prefix}/", host=host, port=found, prefix=PREFIX)

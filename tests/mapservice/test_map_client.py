@@ -139,6 +139,13 @@ async def test_a_job_is_watched_and_fetched(service: Service, tmp_path: Path) ->
         await off(maps.job, job.id)
 
 
+async def test_a_cancelled_job_is_not_told_as_a_map(service: Service, tmp_path: Path, capsys: Any) -> None:
+    job = await service.submit()
+    await service.ask("POST", f"/jobs/{job}/cancel")
+    assert await off(map_jobs.finish, client(service.url), job, tmp_path / "map") == 1
+    assert capsys.readouterr().out.startswith("cancelled; in ")
+
+
 async def test_errors_say_what_is_wrong(service: Service, tmp_path: Path) -> None:
     with pytest.raises(Unauthorized):
         await off(client(service.url, key="rce_nobody").jobs)
@@ -164,6 +171,13 @@ def test_options_that_are_wrong_are_named(words: tuple[str, ...], reason: str) -
     given: argparse.Namespace = map_jobs.parser().parse_args(["submit", "a.log", *words])
     with pytest.raises(InvalidRequest, match=reason):
         map_jobs.options_of(given)
+
+
+@pytest.mark.parametrize(
+    ("name", "sent"), [("my log.log", "my_log.log"), (".a-1.bag", "a-1.bag"), ("käse/2.bag", "k_se_2.bag")]
+)
+def test_names_that_the_service_takes(name: str, sent: str) -> None:
+    assert map_jobs.safe(name) == sent
 
 
 def test_the_files_of_a_recording(tmp_path: Path) -> None:

@@ -46,6 +46,22 @@ print([name for name in {heavy} if name in sys.modules], file=sys.stderr)
     assert ended.stderr.strip() == "[]"
 
 
+def test_who_stops_reading_gets_no_traceback() -> None:
+    """`rce map status | head -1`."""
+    reads, writes = os.pipe()
+    os.close(reads)
+    code = """
+import sys
+from rce import cli
+cli.COMMANDS["map"] = ("", lambda _: print("x" * 100_000))
+sys.exit(cli.main())
+"""
+    words = [sys.executable, "-P", "-c", code, "map", "status"]
+    ended = subprocess.run(words, stdout=writes, stderr=subprocess.PIPE, text=True, timeout=30)
+    os.close(writes)
+    assert (ended.returncode, ended.stderr) == (1, "")
+
+
 def test_an_unknown_command_is_named_with_those_that_exist() -> None:
     ended = subprocess.run([sys.executable, "-m", "rce.cli", "mapp"], capture_output=True, text=True, timeout=30)
     assert ended.returncode == 2

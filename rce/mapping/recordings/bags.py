@@ -32,6 +32,10 @@ if TYPE_CHECKING:
 SCAN_TYPE = "sensor_msgs/msg/LaserScan"
 ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
+UNSAID: dict[type[Exception], str] = {  # what `rosbags` does not say when it stops there
+    AssertionError: "its records are not as its index says",
+    MemoryError: "a record says that it is larger than the memory",
+}
 PATIENCE = 1000  # scans that may wait for odometry, so that a bag whose odometry ends early does not fill the memory
 
 
@@ -80,7 +84,7 @@ class Bag:
         except RceError:
             raise
         except Exception as error:  # rosbags lets asserts, struct, sqlite, index and codec errors of damaged files pass
-            reason = str(error) or type(error).__name__
+            reason = str(error) or UNSAID.get(type(error), type(error).__name__)
             raise InvalidRequest(
                 f"{self.name} cannot be read as a bag: it is truncated, damaged or not indexed ({reason}). "
                 "`rosbag reindex` or `ros2 bag reindex` may mend it.",
