@@ -14,7 +14,7 @@ from twisted.internet.base import ReactorBase
 from containers.data_relay import DataRelay
 from containers.engine import Ended, Engine
 from containers.process import ProcessEngine
-from containers.settings import Settings, check_isolation
+from containers.settings import NAMESERVERS, Settings, check_isolation
 from containers.taskset import TaskSet
 from rce import loop
 from rce.credential import Credential
@@ -80,25 +80,30 @@ def make_engine(
             packages=directory / "packages",
         )
     try:
-        from containers.docker import NAMESERVERS, DockerEngine
+        from containers.docker import DockerEngine
+        from containers.docker_setup import Setup
         from containers.swarm import SwarmEngine
         from containers.swarm_spec import AgentService
     except ModuleNotFoundError as error:
         raise StartFailed(
             f"the {settings.engine} engine needs docker-py ({error}): pip install 'rce[docker]'"
         ) from None
-    read_only = [path for path in (*packages, settings.typesupport, *settings.mounts) if path]
+    setup = Setup(
+        reactor=reactor,
+        platform=settings.own_name,
+        directory=directory,
+        master=settings.master,
+        image=settings.image,
+        settings=surroundings,
+        tls=tls,
+        read_only=[path for path in (*packages, settings.typesupport, *settings.mounts) if path],
+    )
     if settings.engine == "swarm":
         return SwarmEngine(
             settings.size,
             settings.features,
             ended,
-            reactor=reactor,
-            platform=settings.own_name,
-            directory=directory,
-            master=settings.master,
-            image=settings.image,
-            settings=surroundings,
+            setup,
             agent=AgentService(
                 settings.agent_image,
                 settings.agent_address,
@@ -108,27 +113,18 @@ def make_engine(
                 settings.nameservers or NAMESERVERS,
                 settings.mounts,
             ),
-            tls=tls,
             stay=not settings.stop_environments,
-            read_only=read_only,
         )
     return DockerEngine(
         settings.size,
         settings.features,
         ended,
-        reactor=reactor,
-        platform=settings.own_name,
-        directory=directory,
-        master=settings.master,
-        image=settings.image,
-        egress_pool=settings.egress_pool,
-        nameservers=settings.nameservers or NAMESERVERS,
-        settings=surroundings,
-        tls=tls,
+        setup,
+        gpus=settings.gpus,
         relay=relay,
         host=settings.host,
-        gpus=settings.gpus,
-        read_only=read_only,
+        egress_pool=settings.egress_pool,
+        nameservers=settings.nameservers or NAMESERVERS,
     )
 
 

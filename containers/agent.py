@@ -27,6 +27,7 @@ from containers.fetching import Fetcher
 from containers.furnishing import Furnisher
 from containers.logfile import LONGEST_LINE
 from containers.relay import Relay
+from containers.settings import EGRESS_POOL
 from containers.swarm_agents import ROLE
 from containers.swarm_node import NodeDaemon, Task
 from containers.swarm_spec import Names
@@ -60,7 +61,7 @@ class Settings(Struct, frozen=True):
     data_port: Annotated[int, Meta(description="port for data links; 0 takes a free one")] = 0
     entry: Annotated[str, Meta(description="URL of the Master's HTTP entry; empty: on the host of `master`")] = ""
     egress_pool: Annotated[str, Meta(description="network of which environments that reach out get a /30")] = (
-        "10.127.0.0/16"
+        EGRESS_POOL
     )
     nameservers: Annotated[list[str], Meta(description="whom such environments ask for names")] = []
 

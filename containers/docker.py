@@ -13,12 +13,11 @@ from __future__ import annotations
 import asyncio
 import os
 import shutil
-from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Collection, Coroutine, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from twisted.internet.base import ReactorBase
 from twisted.logger import Logger
 
 from containers import docker_disks, shaping
@@ -26,21 +25,20 @@ from containers.data_relay import GATE, DataRelay
 from containers.docker_daemon import RUN, Daemon, Found, describe
 from containers.docker_events import Event
 from containers.docker_networks import Networks
-from containers.docker_options import CONTROL, Machine, Places, Size, limits, owner, reference, variables, walls
+from containers.docker_options import CONTROL, Machine, Places, owner, reference, variables, walls
+from containers.docker_setup import Setup
 from containers.engine import LAST_LINES, Ended, Engine, Life
+from containers.limits import Size, limits
 from containers.logfile import LONGEST_LINE
 from containers.packages import package_path, places
 from containers.relay import Relay
+from containers.settings import EGRESS_POOL, NAMESERVERS
 from rce.calls.environments import EnvironmentSpec
 from rce.calls.watching import Used
 from rce.errors import NoCapacity, StartFailed, Unavailable
 from rce.host import host_identity
-from rce.tls import Tls
 
 log = Logger()
-EGRESS_POOL = "10.127.0.0/16"
-NAMESERVERS = ("1.1.1.1", "9.9.9.9")
-COMMAND: Sequence[str] = ("python3", "-P", "-m", "endpoints.environment")
 
 
 @dataclass
@@ -54,50 +52,32 @@ class _Environment:
 
 
 class DockerEngine(Engine):
-    """Environments as containers of `image`; `settings` are those of every Environment endpoint (`RCE_…`).
-
-    The task set must be the only one with this `directory`. `read_only` are directories of the host that every
-    environment sees at the same path.
-    """
+    """Environments as containers. The task set must be the only one with its directory."""
 
     def __init__(
         self,
         capacity: int,
         features: Collection[str],
         ended: Callable[[Ended], None],
+        setup: Setup,
         *,
-        reactor: ReactorBase,
-        platform: str,
-        directory: Path,
-        master: str,
-        image: str,
-        settings: Mapping[str, str],
         gpus: int = 0,
-        read_only: Sequence[str] = (),
         relay: DataRelay | None = None,
         host: str = "",
-        tls: Tls | None = None,
-        command: Sequence[str] = COMMAND,
         egress_pool: str = EGRESS_POOL,
         nameservers: Sequence[str] = NAMESERVERS,
     ) -> None:
         super().__init__(capacity, features, ended)
         self.gpus = gpus
-        self._reactor = reactor
-        self._root = directory / "environments"
-        self._sockets = directory / "sockets"
-        self._packages = directory / "packages"
-        self._master = master
-        self._image = image
-        self._settings = {**settings, "relay": f"{CONTROL}/{GATE}"}
+        self._setup = setup
+        self._root = setup.directory / "environments"
+        self._sockets = setup.directory / "sockets"
+        self._packages = setup.directory / "packages"
+        self._settings = {**setup.settings, "relay": f"{CONTROL}/{GATE}"}
         self._data_relay = relay or DataRelay()
         self._host = host or host_identity()
-        self._tls = tls
-        self._read_only = read_only
-        self._command = command
-        labels = {"rce.platform": platform, "rce.directory": str(directory)}
-        self._daemon = Daemon(labels)
-        self._networks = Networks(self._daemon.ask, labels, egress_pool, nameservers)
+        self._daemon = Daemon(setup.labels)
+        self._networks = Networks(self._daemon.ask, setup.labels, egress_pool, nameservers)
         self._environments: dict[str, _Environment] = {}
         self._looking: set[asyncio.Task[None]] = set()
         self._following = asyncio.Event()
@@ -112,6 +92,7 @@ class DockerEngine(Engine):
             shaping.check()
         packages = places(self._packages, spec.packages)
         with_packages = package_path(packages, self._settings)
+        read_only = [*self._setup.read_only, *packages]
         try:
             environment = await self._furnish(spec.name, spec.run, gpus)
             networks = await self._networks.join(spec)
@@ -119,10 +100,10 @@ class DockerEngine(Engine):
             try:
                 await self._daemon.start(
                     Found("", spec.name, spec.run, spec.options.size, running=False, gpus=gpus),
-                    reference(spec.options.image) if spec.options.image else self._image,
-                    self._command,
+                    reference(spec.options.image) if spec.options.image else self._setup.image,
+                    self._setup.command,
                     variables(spec, environment.places, self._host, self._settings | with_packages),
-                    walls(granted, environment.places, [*self._read_only, *packages], networks, disk, self._machine),
+                    walls(granted, environment.places, read_only, networks, disk, self._machine),
                 )
                 await self._shape(spec, len(networks.networks))
             finally:
@@ -214,7 +195,7 @@ class DockerEngine(Engine):
     async def _furnish(self, name: str, run: str, gpus: Sequence[str]) -> _Environment:
         """Make the directories of an environment, unless they are there, and open its way to the Master."""
         places = self._places(name, run)
-        environment = _Environment(run, places, Relay(self._reactor, self._master, self._tls), gpus)
+        environment = _Environment(run, places, Relay(self._setup.reactor, self._setup.master, self._setup.tls), gpus)
         self._environments[name] = environment  # from now on nobody sweeps the directory of its user
         places.control.mkdir(parents=True, exist_ok=True)
         sockets = places.socket.parent

@@ -13,9 +13,9 @@ from msgspec import Struct
 
 from containers.docker_disks import Disk
 from containers.docker_networks import Attachments
-from rce import __version__, slots
+from containers.limits import Limits
+from rce import __version__
 from rce.calls.environments import EnvironmentSpec, Group
-from rce.errors import LimitExceeded
 from rce.messages import Rates
 from rce.slots import MB
 
@@ -27,16 +27,6 @@ LOG_SIZE = "2m"
 USER = 10000  # the user of the images; a task set that is not root has its own, as it cannot give files away
 CONTROL = "/run/rce"  # where the container sees its control directory
 HOME = "/home/rce"
-
-
-class Limits(Struct, frozen=True):
-    """What one environment may use: memory in bytes, cores, processes and threads, bytes a second, GPUs."""
-
-    memory: int
-    cpu: float
-    pids: int
-    io: Rates = Rates()
-    gpus: list[str] = []  # their numbers
 
 
 class Machine(Struct, frozen=True):
@@ -63,37 +53,6 @@ class Walls(Struct, frozen=True):
     user: str
     host_config: dict[str, Any]
     networks: Attachments
-
-
-class Size(Struct, frozen=True):
-    """How large a machine is."""
-
-    cores: float
-    memory: int
-
-    @staticmethod
-    def here() -> Size:
-        return Size(float(os.cpu_count() or 1), os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-
-
-def limits(spec: EnvironmentSpec, gpus: list[str], most: Size) -> Limits:
-    """The limits that an environment asks for, or those of its slots. LimitExceeded."""
-    options = spec.options
-    for field, asked, limit in (("cpu", options.cpu, most.cores), ("memory", options.memory, most.memory)):
-        if asked > limit:
-            raise LimitExceeded(
-                f"environment {spec.name} asks for {field} {asked:g}, this machine has {limit:g}",
-                field=f"containerData.{field}",
-                asked=asked,
-                limit=limit,
-            )
-    return Limits(
-        int(options.memory) or min(slots.MEMORY * options.size, most.memory),
-        options.cpu or min(slots.CORES * options.size, most.cores),
-        options.pids or slots.PIDS * options.size,
-        options.io,
-        gpus,
-    )
 
 
 def reference(image: str) -> str:

@@ -1,29 +1,42 @@
-"""Which options of an environment the process engine takes.
-
-It enforces none of those that bound what an environment uses: they are taken with a warning, so that what runs in
-containers elsewhere runs here too. What changes what an environment is, an image or a network group, is refused.
-RLIMIT_AS would break Fast DDS, whose shared memory counts as address space.
-"""
+"""How large a machine is, and what one environment of it may use."""
 
 from __future__ import annotations
 
 import os
 
-from twisted.logger import Logger
+from msgspec import Struct
 
+from rce import slots
 from rce.calls.environments import EnvironmentSpec
-from rce.errors import InvalidRequest, LimitExceeded
-from rce.messages import ContainerData, Rates
-
-log = Logger()
+from rce.errors import LimitExceeded
+from rce.messages import Rates
 
 
-def check_limits(spec: EnvironmentSpec) -> None:
-    """LimitExceeded for more than the machine has, InvalidRequest for what this engine does not have at all."""
-    options: ContainerData = spec.options
-    machine = {"cpu": float(os.cpu_count() or 1), "memory": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")}
-    for field, limit in machine.items():
-        asked = getattr(options, field)
+class Size(Struct, frozen=True):
+    """How large a machine is."""
+
+    cores: float
+    memory: int
+
+    @staticmethod
+    def here() -> Size:
+        return Size(float(os.cpu_count() or 1), os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+
+
+class Limits(Struct, frozen=True):
+    """What one environment may use: memory in bytes, cores, processes and threads, bytes a second, GPUs."""
+
+    memory: int
+    cpu: float
+    pids: int
+    io: Rates = Rates()
+    gpus: list[str] = []  # their numbers
+
+
+def check(spec: EnvironmentSpec, most: Size) -> None:
+    """LimitExceeded if an environment asks for more than that."""
+    options = spec.options
+    for field, asked, limit in (("cpu", options.cpu, most.cores), ("memory", options.memory, most.memory)):
         if asked > limit:
             raise LimitExceeded(
                 f"environment {spec.name} asks for {field} {asked:g}, this machine has {limit:g}",
@@ -31,13 +44,16 @@ def check_limits(spec: EnvironmentSpec) -> None:
                 asked=asked,
                 limit=limit,
             )
-    for field in ("image", "gpus"):
-        if getattr(options, field):
-            raise InvalidRequest(
-                f"environment {spec.name}: the process engine has no {field}; use docker or swarm",
-                field=f"containerData.{field}",
-            )
-    ignored = [name for name in ("cpu", "memory", "pids", "disk", "bandwidth") if getattr(options, name)]
-    ignored += ["io"] if options.io != Rates() else []
-    if ignored:
-        log.warn("{name}: the process engine does not enforce {options}", name=spec.name, options=", ".join(ignored))
+
+
+def limits(spec: EnvironmentSpec, gpus: list[str], most: Size) -> Limits:
+    """The limits that an environment asks for, or those of its slots. LimitExceeded."""
+    check(spec, most)
+    options = spec.options
+    return Limits(
+        int(options.memory) or min(slots.MEMORY * options.size, most.memory),
+        options.cpu or min(slots.CORES * options.size, most.cores),
+        options.pids or slots.PIDS * options.size,
+        options.io,
+        gpus,
+    )

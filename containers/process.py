@@ -1,7 +1,8 @@
 """The engine `process`: an environment is a process with its children, a directory and a ROS domain of its own.
 
 For development and for a single robot. What runs in an environment runs as this user: it can read what this user can
-read, no limit is enforced on it (limits.py), and if it wants to hide from its end (by a changed environment) it can.
+read, no limit is enforced on it (process_options.py), and if it wants to hide from its end (by a changed environment)
+it can.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ from containers import logfile, shared_memory
 from containers.data_relay import GATE, DataRelay
 from containers.domains import Domains
 from containers.engine import LAST_LINES, Ended, Engine, Life
-from containers.limits import check_limits
 from containers.packages import package_path, places
+from containers.process_options import check_options
 from containers.processes import KILL_TIMEOUT, MARKER, Watch, describe_end, has_marker, kill_marked
 from containers.processes_used import used_below
 from rce.calls.environments import EnvironmentSpec
@@ -96,7 +97,7 @@ class ProcessEngine(Engine):
         self._trimmer: asyncio.Task[None] | None = None
 
     async def launch(self, spec: EnvironmentSpec) -> None:
-        check_limits(spec)
+        check_options(spec)
         try:
             domain, lock = self._domain(spec)
             state = self._start_process(spec, domain, lock)

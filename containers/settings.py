@@ -14,6 +14,8 @@ from rce import __version__
 from rce.errors import InvalidRequest
 
 _HOST = re.compile(r"(?:tcp|ssl|tls):(?:host=)?((?:[^:\\]|\\.)*)")
+EGRESS_POOL = "10.127.0.0/16"
+NAMESERVERS = ("1.1.1.1", "9.9.9.9")
 
 
 class Settings(Struct, frozen=True):
@@ -42,7 +44,7 @@ class Settings(Struct, frozen=True):
     ] = ""
     egress_pool: Annotated[
         str, Meta(description="docker and swarm: network of which each environment that may reach out gets a /30")
-    ] = "10.127.0.0/16"
+    ] = EGRESS_POOL
     nameservers: Annotated[
         list[str],
         Meta(description="docker and swarm: whom such environments ask for names; empty: 1.1.1.1 and 9.9.9.9"),

@@ -12,19 +12,19 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Collection, Coroutine, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
-from twisted.internet.base import ReactorBase
 from twisted.logger import Logger
 
 from containers.data_relay import GATE
 from containers.docker_daemon import RUN, SIZE
 from containers.docker_events import Event
 from containers.docker_networks import ENVIRONMENT, GROUP, group_network
-from containers.docker_options import CONTROL, limits, reference
+from containers.docker_options import CONTROL, reference
+from containers.docker_setup import Setup
 from containers.engine import Ended, Engine, Life
+from containers.limits import limits
 from containers.swarm_fleet import Fleet
 from containers.swarm_manager import Found, Manager, Network
 from containers.swarm_spec import AgentService, Names, check, environment_task, surroundings
@@ -35,10 +35,8 @@ from rce.calls.watching import Used
 from rce.control import Handlers
 from rce.errors import RceError, StartFailed, TimedOut
 from rce.metrics import Family
-from rce.tls import Tls
 
 log = Logger()
-COMMAND: Sequence[str] = ("python3", "-P", "-m", "endpoints.environment")
 START_TIMEOUT = 120.0  # seconds for a task to run
 END_TIMEOUT = 30.0  # for a task to end that was told to
 SECOND_LOOK = 3.0  # after this Swarm knows what an agent knew before
@@ -65,10 +63,10 @@ class _Place:
 
 
 class SwarmEngine(Engine):
-    """Environments as services of `image` on the swarm that DOCKER_HOST is a manager of.
+    """Environments as services on the swarm that DOCKER_HOST is a manager of.
 
-    `features` are those of every node; a node has more by its labels (rce.feature.NAME=true). `read_only` are
-    directories that every node has and every environment sees. With `stay` the agents outlive the engine.
+    `features` are those of every node; a node has more by its labels (rce.feature.NAME=true). With `stay` the agents
+    outlive the engine.
     """
 
     fetches = True
@@ -78,31 +76,17 @@ class SwarmEngine(Engine):
         capacity: int,
         features: Collection[str],
         ended: Callable[[Ended], None],
+        setup: Setup,
         *,
-        reactor: ReactorBase,
-        platform: str,
-        directory: Path,
-        master: str,
-        image: str,
-        settings: Mapping[str, str],
         agent: AgentService,
-        tls: Tls | None = None,
         stay: bool = True,
-        read_only: Sequence[str] = (),
-        command: Sequence[str] = COMMAND,
     ) -> None:
         super().__init__(capacity, features, ended)
-        self._reactor = reactor
-        self._master = master
-        self._image = image
-        self._settings = settings
+        self._setup = setup
         self._stay = stay
-        self._read_only = read_only
-        self._command = command
-        self._labels = {"rce.platform": platform, "rce.directory": str(directory)}
         self._nameservers = agent.nameservers
-        self._manager = Manager(self._labels)
-        self._fleet = Fleet(self._manager, self._labels, features, directory / "swarm.json", agent, tls)
+        self._manager = Manager(setup.labels)
+        self._fleet = Fleet(self._manager, setup.labels, features, setup.directory / "swarm.json", agent, setup.tls)
         self._places: dict[str, _Place] = {}
         self._looking: set[asyncio.Task[object]] = set()
         self._tidying: set[asyncio.Task[object]] = set()  # what is removed while nobody waits for it
@@ -118,27 +102,27 @@ class SwarmEngine(Engine):
     async def launch(self, spec: EnvironmentSpec) -> None:
         check(spec)
         granted = limits(spec, [], self._fleet.largest)
-        image, constraints = await self._fleet.fit(spec, self._image)
-        names = Names.of(self._labels, spec.name, spec.run)
+        image, constraints = await self._fleet.fit(spec, self._setup.image)
+        names = Names.of(self._setup.labels, spec.name, spec.run)
         service = f"rce-{spec.run}-{secrets.token_hex(4)}"  # what is left of a service keeps its name for some seconds
         identity = {ENVIRONMENT: spec.name, RUN: spec.run, SIZE: str(spec.options.size)}
         labels = dict(identity)
         network = Network(service)
         if spec.group is not None:
-            network = Network(group_network(self._labels, spec.group.name), spec.group.subnet)
+            network = Network(group_network(self._setup.labels, spec.group.name), spec.group.subnet)
             labels[GROUP] = network.name
             await self._fleet.agents.introduce(spec.group)
-        values = surroundings(spec, names, {**self._settings, "relay": f"{CONTROL}/{GATE}"})
+        values = surroundings(spec, names, {**self._setup.settings, "relay": f"{CONTROL}/{GATE}"})
         task = environment_task(
             spec,
             granted,
             names,
             image,
-            self._command,
+            self._setup.command,
             values,
-            {**self._labels, **identity},
+            {**self._setup.labels, **identity},
             constraints,
-            self._read_only,
+            self._setup.read_only,
             network.name,
             self._nameservers,
         )
@@ -163,7 +147,7 @@ class SwarmEngine(Engine):
         await self._manager.connect(self._happened, self._taken_up)
         await self._following.wait()  # before the list is made, so that no end is missed
         await self._survey()
-        await self._fleet.open(self._reactor, self._master, self._reported, self._answer)
+        await self._fleet.open(self._setup.reactor, self._setup.master, self._reported, self._answer)
         lives: dict[str, Life] = {}
         wanted: set[str] = set()
         for found in await self._manager.present():
@@ -261,7 +245,7 @@ class SwarmEngine(Engine):
                 "/etc/docker/daemon.json",
                 node=self._fleet.nodes[node].name if node in self._fleet.nodes else node,
             )
-        self._look(self._fleet.spread(reference(self._image)))  # most environments need not wait for it then
+        self._look(self._fleet.spread(reference(self._setup.image)))  # most environments need not wait for it then
         for name, place in self._places.items():
             if place.run in report.runs:
                 place.settle()

@@ -10,7 +10,8 @@ from twisted.internet.base import ReactorBase
 from twisted.internet.error import CannotListenError
 from twisted.logger import Logger
 
-from containers.docker_options import Size, reference
+from containers.docker_options import reference
+from containers.limits import Size
 from containers.settings import is_local
 from containers.swarm_agents import Agents, Kept
 from containers.swarm_images import NAME, USER, ImageRegistry

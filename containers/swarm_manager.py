@@ -19,7 +19,7 @@ from containers.docker_api import Asked, said
 from containers.docker_daemon import RUN, SIZE, VERSION
 from containers.docker_events import Event, Events
 from containers.docker_networks import ENVIRONMENT, GROUP
-from containers.docker_options import Size
+from containers.limits import Size
 from containers.swarm_spec import AGENT, GPU, swarms_half
 from rce import __version__
 from rce.errors import InvalidRequest, NoCapacity, StartFailed, TimedOut, Unavailable

@@ -23,11 +23,12 @@ from containers.docker_options import (
     OPEN_FILES,
     TEMPORARY_SIZE,
     USER,
-    Limits,
     Places,
     variables,
 )
+from containers.limits import Limits
 from containers.packages import package_path, places
+from containers.settings import EGRESS_POOL, NAMESERVERS
 from rce.calls.environments import EnvironmentSpec
 from rce.errors import InvalidRequest
 from rce.messages import ContainerData
@@ -56,8 +57,8 @@ class AgentService(Struct, frozen=True):
     address: str = ""
     data_port: int = 0
     entry: str = ""
-    egress_pool: str = "10.127.0.0/16"
-    nameservers: Sequence[str] = ("1.1.1.1", "9.9.9.9")
+    egress_pool: str = EGRESS_POOL
+    nameservers: Sequence[str] = NAMESERVERS
     mounts: Sequence[str] = ()
     command: Sequence[str] = ("python3", "-P", "-m", "containers.agent")
 

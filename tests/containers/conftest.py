@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from engine_contract import Endings
+from engine_contract import Endings, World, opened
 from twisted.internet.base import ReactorBase
 
+from containers.engine import Engine
 from rce import __version__
 
 STAND_IN = "rce-test/stand-in:latest"
@@ -86,10 +87,27 @@ def swarm_world(
 
 @pytest.fixture
 async def swarm_engine(swarm_world: Any, endings: Endings) -> AsyncIterator[Any]:
-    engine = swarm_world.engine(endings)
-    await engine.open()
-    yield engine
-    await engine.keep([])
-    await engine.close()
-    assert swarm_world.there() == set()
+    async with opened(swarm_world, endings) as engine:
+        yield engine
     assert swarm_world.networks() == []
+
+
+@pytest.fixture
+def docker_world(tmp_path: Path, stand_in_image: str, reactor: ReactorBase) -> Iterator[Any]:
+    from docker_world import DockerWorld
+
+    world = DockerWorld(tmp_path, stand_in_image, reactor)
+    yield world
+    world.api.close()
+
+
+@pytest.fixture
+def endings() -> Endings:
+    return Endings()
+
+
+@pytest.fixture
+async def engine(world: World, endings: Endings) -> AsyncIterator[Engine]:
+    """Of the kind that the module's `world` has."""
+    async with opened(world, endings) as engine:
+        yield engine

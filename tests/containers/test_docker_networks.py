@@ -15,11 +15,12 @@ from twisted.internet.base import ReactorBase
 
 pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
 
-from test_engine_docker import DockerWorld
+from docker_world import DockerWorld
 
 from containers import firewall
-from containers.docker import NAMESERVERS, DockerEngine
+from containers.docker import DockerEngine
 from containers.docker_networks import identity
+from containers.settings import NAMESERVERS
 from rce.calls.environments import Egress, EnvironmentSpec, Group
 from rce.errors import StartFailed
 from rce.messages import ContainerData

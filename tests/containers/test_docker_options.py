@@ -5,16 +5,15 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from engine_contract import Endings, spec
-from twisted.internet.base import ReactorBase
 
 docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
 
-from test_engine_docker import DockerWorld, with_options
+from docker_world import DockerWorld
+from engine_contract import with_options
 
 from containers import docker_disks
 from containers.docker_options import reference
@@ -27,15 +26,8 @@ needs_disks = pytest.mark.skipif(os.geteuid() != 0, reason="disks of a fixed siz
 
 
 @pytest.fixture
-def world(tmp_path: Path, stand_in_image: str, reactor: ReactorBase) -> Iterator[DockerWorld]:
-    world = DockerWorld(tmp_path, stand_in_image, reactor)
-    yield world
-    world.api.close()
-
-
-@pytest.fixture
-def endings() -> Endings:
-    return Endings()
+def world(docker_world: DockerWorld) -> DockerWorld:
+    return docker_world
 
 
 def devices(world: DockerWorld) -> list[str]:

@@ -7,119 +7,30 @@ import asyncio
 import os
 import re
 import socket
-from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from engine_contract import CAPACITY, FEATURES, Endings, EngineContract, World, spec
-from twisted.internet.base import ReactorBase
+from engine_contract import Endings, EngineContract, spec, with_options
 
 docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
 
+from container_world import COMMAND
+from docker_world import DockerWorld
+
 from containers.docker import DockerEngine
-from containers.engine import Ended, Engine, Life
-from rce.calls.environments import EnvironmentSpec
+from containers.engine import Life
 from rce.errors import InvalidRequest, LimitExceeded, StartFailed, Unavailable
-from rce.messages import ContainerData
 from rce.slots import MB, PIDS
 
-COMMAND = ["/stand-in"]
-
-
-class DockerWorld(World):
-    def __init__(self, directory: Path, image: str, reactor: ReactorBase) -> None:
-        self.directory = directory
-        self.image = image
-        self.api = docker.APIClient(**docker.utils.kwargs_from_env(), version="auto")
-        self._reactor = reactor
-
-    def engine(
-        self,
-        ended: Callable[[Ended], None],
-        *behaviour: str,
-        image: str = "",
-        master: str = "tcp:127.0.0.1:1",
-        gpus: int = 0,
-    ) -> DockerEngine:
-        return DockerEngine(
-            CAPACITY,
-            FEATURES,
-            ended,
-            reactor=self._reactor,
-            platform="machine",
-            directory=self.directory,
-            master=master,
-            image=image or self.image,
-            settings={"typesupport": "/types"},
-            gpus=gpus,
-            command=[*COMMAND, *behaviour],
-        )
-
-    def break_start(self, engine: Engine) -> None:
-        assert isinstance(engine, DockerEngine)
-        engine._command = ["/nonexistent/program"]
-
-    async def end(self, name: str) -> None:
-        (container,) = [each["Id"] for each in self.containers() if each["Labels"]["rce.environment"] == name]
-        await asyncio.to_thread(self.api.kill, container, "SIGUSR1")
-        await asyncio.to_thread(self.api.wait, container)
-
-    def containers(self) -> list[dict[str, Any]]:
-        label = f"rce.directory={self.directory}"
-        found: list[dict[str, Any]] = self.api.containers(all=True, filters={"label": label})
-        return found
-
-    def there(self) -> set[str]:
-        """A socket's directory counts as its user's."""
-        root, sockets = self.directory / "environments", self.directory / "sockets"
-        tags = {str(path.relative_to(root)) for path in root.glob("*/*")}
-        users = {path.name for path in [*root.glob("*"), *sockets.glob("*")]}
-        named = {each["Labels"]["rce.environment"] for each in self.containers()}
-        return tags | named | (users - {tag.partition("/")[0] for tag in tags})
-
-    def alive(self) -> dict[str, str]:
-        labels = [each["Labels"] for each in self.containers() if each["State"] == "running"]
-        return {each["rce.environment"]: each["rce.run"] for each in labels}
-
-    def inspect(self, name: str) -> dict[str, Any]:
-        (container,) = [each["Id"] for each in self.containers() if each["Labels"]["rce.environment"] == name]
-        seen: dict[str, Any] = self.api.inspect_container(container)
-        return seen
-
 
 @pytest.fixture
-def world(tmp_path: Path, stand_in_image: str, reactor: ReactorBase) -> Iterator[DockerWorld]:
-    world = DockerWorld(tmp_path, stand_in_image, reactor)
-    yield world
-    world.api.close()
-
-
-@pytest.fixture
-def endings() -> Endings:
-    return Endings()
+def world(docker_world: DockerWorld) -> DockerWorld:
+    return docker_world
 
 
 class TestDockerEngine(EngineContract):
-    @pytest.fixture
-    def world(self, tmp_path: Path, stand_in_image: str, reactor: ReactorBase) -> Iterator[DockerWorld]:
-        world = DockerWorld(tmp_path, stand_in_image, reactor)
-        yield world
-        world.api.close()
-
-
-@pytest.fixture
-async def engine(world: DockerWorld, endings: Endings) -> AsyncIterator[DockerEngine]:
-    engine = world.engine(endings)
-    await engine.open()
-    yield engine
-    await engine.keep([])
-    await engine.close()
-    assert world.there() == set()
-
-
-def with_options(**options: Any) -> EnvironmentSpec:
-    return EnvironmentSpec("ann/map", spec().run, "token", ContainerData(**options))
+    pass
 
 
 async def test_the_walls_of_a_container(world: DockerWorld, engine: DockerEngine) -> None:

@@ -37,11 +37,12 @@ class FakeWorld(World):
         return {name: life.run for name, life in self.machine.running.items()}
 
 
-class TestFakeEngine(EngineContract):
-    @pytest.fixture
-    def world(self) -> World:
-        return FakeWorld()
+@pytest.fixture
+def world() -> World:
+    return FakeWorld()
 
+
+class TestFakeEngine(EngineContract):
     async def test_a_half_started_one_is_removed(self, world: FakeWorld) -> None:
         world.machine.leftovers["ann/map"] = spec().run
         engine = world.engine(Endings())

@@ -9,8 +9,9 @@ import pytest
 
 docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
 
-from engine_contract import Endings, EngineContract, spec
-from swarm_world import COMMAND, IMAGE, SwarmWorld, with_options
+from container_world import COMMAND, IMAGE
+from engine_contract import Endings, EngineContract, spec, with_options
+from swarm_world import SwarmWorld
 
 from containers.swarm import SwarmEngine
 from rce.errors import LimitExceeded, NoCapacity, StartFailed
@@ -18,19 +19,12 @@ from rce.slots import MB, PIDS
 
 
 class TestSwarmEngine(EngineContract):
-    @pytest.fixture
-    def world(self, swarm_world: SwarmWorld) -> SwarmWorld:
-        return swarm_world
+    pass
 
 
 @pytest.fixture
 def world(swarm_world: SwarmWorld) -> SwarmWorld:
     return swarm_world
-
-
-@pytest.fixture
-def endings() -> Endings:
-    return Endings()
 
 
 @pytest.fixture

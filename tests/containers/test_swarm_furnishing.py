@@ -19,8 +19,8 @@ from msgspec.structs import replace
 
 docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
 
-from engine_contract import Endings, spec
-from swarm_world import SwarmWorld, with_options
+from engine_contract import spec, with_options
+from swarm_world import SwarmWorld
 
 from containers.swarm import SwarmEngine
 from rce import archive
@@ -38,11 +38,6 @@ LISTEN = "import socket; s = socket.create_server(({address!r}, {port})); print(
 @pytest.fixture
 def world(swarm_world: SwarmWorld) -> SwarmWorld:
     return swarm_world
-
-
-@pytest.fixture
-def endings() -> Endings:
-    return Endings()
 
 
 @pytest.fixture
