@@ -32,26 +32,20 @@ def arguments() -> list[str]:
 @pytest.fixture(scope="session")
 async def platform(arguments: list[str], tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[RealPlatform]:
     """One for all tests that leave it as it is; the robots and environments of a test have names of their own."""
-    platform = RealPlatform(tmp_path_factory.mktemp("platform"), *arguments)
-    await platform.start()
-    yield platform
-    await platform.stop()
+    async with RealPlatform(tmp_path_factory.mktemp("platform"), *arguments) as platform:
+        yield platform
 
 
 @pytest.fixture
 async def fragile(arguments: list[str], tmp_path: Path) -> AsyncIterator[RealPlatform]:
     """A platform of the test's own, whose parts it may kill."""
-    platform = RealPlatform(tmp_path, *arguments)
-    await platform.start()
-    yield platform
-    await platform.stop()
+    async with RealPlatform(tmp_path, *arguments) as platform:
+        yield platform
 
 
 @pytest.fixture(scope="session")
 async def contained(images: Any, tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[RealPlatform]:
     """One with the engine `docker`, for all tests that leave it as it is."""
-    platform = RealPlatform(tmp_path_factory.mktemp("contained"), "--engine", "docker")
-    await platform.start()
-    yield platform
-    await platform.stop()
+    async with RealPlatform(tmp_path_factory.mktemp("contained"), "--engine", "docker") as platform:
+        yield platform
     assert containers(images, platform) == []

@@ -14,8 +14,9 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
-from real_platform import USER, processes_of
+from real_platform import USER, kill_processes
 
 from rce.client import Robot
 
@@ -78,7 +79,7 @@ class Program:
 
 
 class Machines:
-    """The platform; each machine has `size` slots. `arguments` are the task sets'."""
+    """The platform; each machine has `size` slots. `arguments` are the task sets'. `async with` starts and stops it."""
 
     def __init__(
         self,
@@ -106,6 +107,20 @@ class Machines:
             for name, token in self._tokens.items()
             for kind, _, host in [name.partition("-")]
         }
+
+    async def __aenter__(self) -> Self:
+        try:
+            await self.start()
+        except BaseException:
+            kill_processes(self.directory)
+            raise
+        return self
+
+    async def __aexit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            await self.stop()
+        else:
+            kill_processes(self.directory)
 
     async def start(self) -> None:
         host = self.master.host
@@ -150,9 +165,7 @@ class Machines:
         for kind in ("container", "robot"):
             await asyncio.gather(*(program.stop() for program in self.programs.values() if program.kind == kind))
         await self.master.stop()
-        left = processes_of(self.directory)
-        for pid in left:
-            os.kill(pid, signal.SIGKILL)
+        left = kill_processes(self.directory)
         assert not left, "processes are left"
 
     def robot(self, name: str, timeout: float = 40.0) -> Robot:

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from rce.client import Robot
 
@@ -33,7 +33,10 @@ async def until(condition: Callable[[], object], seconds: float = 20.0, what: st
 
 
 class RealPlatform:
-    """A platform in `directory`, by which all of its processes are found again. `segments` are those of Fast DDS."""
+    """A platform in `directory`, by which all of its processes are found again. `segments` are those of Fast DDS.
+
+    `async with` starts it and stops it, also if it comes up in part only or something fails while it is prepared.
+    """
 
     def __init__(self, directory: Path, *arguments: str, dev: bool = True) -> None:
         self._mode = ["--dev"] if dev else []
@@ -43,6 +46,22 @@ class RealPlatform:
         self.segments: set[Path] = set()
         self._arguments = arguments
         self._process: asyncio.subprocess.Process
+
+    async def __aenter__(self) -> Self:
+        try:
+            await self.start()
+        except BaseException:
+            await self._abandon()
+            raise
+        return self
+
+    async def __aexit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        await (self.stop() if kind is None else self._abandon())
+
+    async def _abandon(self) -> None:
+        with suppress(AssertionError):  # whatever is wrong with it, something went wrong before
+            await self.stop()
+        kill_processes(self.directory)
 
     @property
     def log(self) -> str:
@@ -86,7 +105,7 @@ class RealPlatform:
 
     def check_nothing_left(self) -> None:
         assert not self.processes(), "processes are left"
-        assert not list((self.directory / "data" / "container" / "environments").iterdir()), "directories are left"
+        assert not list((self.directory / "data" / "container" / "environments").glob("*")), "directories are left"
         end = time.monotonic() + 5
         while left := [path for path in self.segments if path.exists()]:  # another platform may be about to remove it
             assert time.monotonic() < end, f"segments of shared memory are left: {left}"
@@ -135,6 +154,15 @@ def processes_of(directory: Path) -> dict[int, str]:
         for pid in map(int, filter(str.isdigit, os.listdir("/proc")))
         if (words := _words(pid, str(directory))) is not None
     }
+
+
+def kill_processes(directory: Path) -> list[str]:
+    """Those that `processes_of` finds; returns their command lines."""
+    left = processes_of(directory)
+    for pid in left:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+    return list(left.values())
 
 
 def _words(pid: int, mark: str) -> str | None:

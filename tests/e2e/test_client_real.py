@@ -38,10 +38,8 @@ class RealWorld(Platform):
 
 @pytest.fixture(scope="module")
 async def running(arguments: list[str], tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[RealPlatform]:
-    platform = RealPlatform(tmp_path_factory.mktemp("client"), *arguments, "--grace", str(GRACE))
-    await platform.start()
-    yield platform
-    await platform.stop()
+    async with RealPlatform(tmp_path_factory.mktemp("client"), *arguments, "--grace", str(GRACE)) as platform:
+        yield platform
 
 
 class TestClientAtRealPlatform(ClientContract):

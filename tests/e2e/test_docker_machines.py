@@ -77,10 +77,8 @@ async def site(images: Any, tmp_path_factory: pytest.TempPathFactory) -> AsyncIt
         own = stack.enter_context(TemporaryDirectory(prefix="rce-dockers-", ignore_cleanup_errors=True))
         dockers = Dockers(stack, wires, Path(own), images)
         arguments = ["--engine=docker", f"--package-path={PACKAGES}"]
-        machines = made(wires, tmp_path_factory.mktemp("machines"), arguments, dockers=dockers.hosts)
-        await machines.start()
-        yield machines, wires, dockers
-        await machines.stop()
+        async with made(wires, tmp_path_factory.mktemp("machines"), arguments, dockers=dockers.hosts) as machines:
+            yield machines, wires, dockers
         for name in HOSTS:
             assert dockers.api(name).containers(all=True) == []
 

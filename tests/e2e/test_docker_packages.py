@@ -29,10 +29,9 @@ async def contained_bare(
     arguments: list[str], images: Any, tmp_path_factory: pytest.TempPathFactory
 ) -> AsyncIterator[RealPlatform]:
     """A platform with the engine `docker` that has no types of its own."""
-    platform = RealPlatform(tmp_path_factory.mktemp("contained"), "--engine", "docker", "--typesupport", "")
-    await platform.start()
-    yield platform
-    await platform.stop()
+    words = ["--engine", "docker", "--typesupport", ""]
+    async with RealPlatform(tmp_path_factory.mktemp("contained"), *words) as platform:
+        yield platform
     assert containers(images, platform) == []
 
 

@@ -111,10 +111,8 @@ async def next_event(events: Stream[Event], kind: type[E], wanted: str = "") -> 
 @pytest.fixture(scope="module")
 async def killed(arguments: list[str], tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[RealPlatform]:
     """The platform whose parts are killed here, one after the other: each time it must be whole again."""
-    platform = RealPlatform(tmp_path_factory.mktemp("killed"), *arguments, "--grace", str(GRACE))
-    await platform.start()
-    yield platform
-    await platform.stop()
+    async with RealPlatform(tmp_path_factory.mktemp("killed"), *arguments, "--grace", str(GRACE)) as platform:
+        yield platform
 
 
 @pytest.fixture(scope="module")

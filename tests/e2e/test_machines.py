@@ -64,10 +64,8 @@ async def machines(
     wires: Network | None, arguments: list[str], tmp_path_factory: pytest.TempPathFactory
 ) -> AsyncIterator[Machines]:
     words = [f"{option}={value}" for option, value in zip(arguments[::2], arguments[1::2], strict=True)]
-    machines = made(wires, tmp_path_factory.mktemp("machines"), ["--allow-unisolated", *words])
-    await machines.start()
-    yield machines
-    await machines.stop()
+    async with made(wires, tmp_path_factory.mktemp("machines"), ["--allow-unisolated", *words]) as machines:
+        yield machines
 
 
 def machine_of(machines: Machines, robot: Robot) -> str:

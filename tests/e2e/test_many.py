@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import subprocess
 from collections.abc import AsyncIterator, Callable
-from contextlib import AsyncExitStack, ExitStack, closing, suppress
+from contextlib import AsyncExitStack, closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -73,8 +73,7 @@ class Site:
 @pytest.fixture(scope="module", params=["process", "docker"])
 async def site(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Site]:
     arguments = ["--engine", request.param, "--size", str(MANY)]
-    platform = RealPlatform(tmp_path_factory.mktemp(request.param), *arguments)
-    with ExitStack() as stack:
+    async with AsyncExitStack() as stack:
         api = None
         if request.param == "docker":
             import docker
@@ -82,9 +81,8 @@ async def site(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPath
             island = request.getfixturevalue("island")
             stack.enter_context(island.inside())
             api = stack.enter_context(closing(docker.APIClient(island.host, version="auto", timeout=60)))
-        await platform.start()
-        yield Site(request.param, platform, api)
-        await platform.stop()
+        platform = RealPlatform(tmp_path_factory.mktemp(request.param), *arguments)
+        yield Site(request.param, await stack.enter_async_context(platform), api)
 
 
 async def test_many_environments_at_once(site: Site) -> None:

@@ -108,11 +108,9 @@ async def platform(inside: Any, tmp_path_factory: pytest.TempPathFactory) -> Asy
         if egress != "none":
             rce_user(directory, "limits", user, f"egress={egress}")
     rce_user(directory, "limits", "ann", f"images={MPI_IMAGE}")
-    packages = ["--package-path", str(PACKAGES)]
-    platform = RealPlatform(directory, "--engine", "docker", "--host", "0.0.0.0", "--size", "12", *packages, dev=False)
-    await platform.start()
-    yield platform
-    await platform.stop()
+    words = ["--engine", "docker", "--host", "0.0.0.0", "--size", "12", "--package-path", str(PACKAGES)]
+    async with RealPlatform(directory, *words, dev=False) as platform:
+        yield platform
     label = f"rce.directory={directory / 'data' / 'container'}"
     assert not inside.containers(all=True, filters={"label": label})
     assert not inside.networks(filters={"label": label})

@@ -37,12 +37,10 @@ async def rce(*words: str, given: str = "") -> str:
 @pytest.fixture(scope="module")
 async def bare(arguments: list[str], tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[RealPlatform]:
     """A platform without the package Test and its types; `arguments` has seen to it that these can be built."""
-    platform = RealPlatform(tmp_path_factory.mktemp("bare"), "--typesupport", "")
-    await platform.start()
-    master = platform.directory / "data" / "master"
-    await rce("user", "--data-dir", str(master), "add", OTHER, given=f"{PASSWORD}\n")
-    yield platform
-    await platform.stop()
+    async with RealPlatform(tmp_path_factory.mktemp("bare"), "--typesupport", "") as platform:
+        master = platform.directory / "data" / "master"
+        await rce("user", "--data-dir", str(master), "add", OTHER, given=f"{PASSWORD}\n")
+        yield platform
 
 
 def bob(platform: RealPlatform) -> Robot:

@@ -64,10 +64,8 @@ async def platform(
     words += ["--engine=swarm", f"--image={HOST_IMAGE}", f"--agent-image={HOST_IMAGE}"]
     words += [f"--agent-address={swarm.address}", f"--mounts={','.join(host_mounts())}"]
     master = Host("master", swarm.address)
-    made = Machines(tmp_path_factory.mktemp("platform"), master, [Host("here")], words, 10)
-    await made.start()
-    yield made
-    await made.stop()
+    async with Machines(tmp_path_factory.mktemp("platform"), master, [Host("here")], words, 10) as made:
+        yield made
     assert not containers(swarm), "containers are left"
 
 

@@ -9,8 +9,8 @@ import random
 import secrets
 import signal
 from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -22,21 +22,20 @@ IMAGE, STRING, SET_BOOL = "sensor_msgs/Image", "std_msgs/String", "std_srvs/SetB
 BLOB = "00112233445566778899aabbccddeeff"
 
 
-class Program(NamedTuple):
-    process: asyncio.subprocess.Process
-    ready: dict[str, str]
-
-    @staticmethod
-    async def start(name: str, *words: str, **environment: str) -> Program:
-        process = await asyncio.create_subprocess_exec(
-            RCE, name, *words, stdout=asyncio.subprocess.PIPE, env={**os.environ, **environment}
-        )
+@asynccontextmanager
+async def running(name: str, *words: str, **environment: str) -> AsyncIterator[dict[str, str]]:
+    """A program of the platform; what it says when it is ready."""
+    process = await asyncio.create_subprocess_exec(
+        RCE, name, *words, stdout=asyncio.subprocess.PIPE, env={**os.environ, **environment}
+    )
+    try:
         assert process.stdout is not None
-        return Program(process, json.loads(await asyncio.wait_for(process.stdout.readline(), 30)))
-
-    async def stop(self) -> None:
-        self.process.send_signal(signal.SIGTERM)
-        assert await asyncio.wait_for(self.process.wait(), 20) == 0
+        yield json.loads(await asyncio.wait_for(process.stdout.readline(), 30))
+        process.send_signal(signal.SIGTERM)
+        assert await asyncio.wait_for(process.wait(), 20) == 0
+    finally:
+        if process.returncode is None:
+            process.kill()
 
 
 @pytest.fixture(scope="module")
@@ -45,15 +44,11 @@ async def entry(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[str]:
     directory: Path = tmp_path_factory.mktemp("network")
     token = secrets.token_hex(32)
     listen = "tcp:0:interface=127.0.0.1"
-    master = await Program.start(
-        *("master", f"--data-dir={directory / 'master'}", f"--http={listen}", f"--control={listen}", "--dev"),
-        RCE_TOKENS=f"robot:robot-1:{token}",
-    )
-    where = f"--master={master.ready['control']}"
-    robot = await Program.start("robot", f"--data-dir={directory / 'robot'}", where, "--ws-port=0", RCE_TOKEN=token)
-    yield master.ready["url"]
-    await robot.stop()
-    await master.stop()
+    words = (f"--data-dir={directory / 'master'}", f"--http={listen}", f"--control={listen}", "--dev")
+    async with running("master", *words, RCE_TOKENS=f"robot:robot-1:{token}") as master:
+        words = (f"--data-dir={directory / 'robot'}", f"--master={master['control']}", "--ws-port=0")
+        async with running("robot", *words, RCE_TOKEN=token):
+            yield master["url"]
 
 
 @pytest.fixture

@@ -60,17 +60,16 @@ def password(platform: RealPlatform) -> str:
 async def test_the_guide(tmp_path: Path) -> None:
     steps = STEP.findall(GUIDE.read_text())
     assert len(steps) == len(re.findall(r"^\d+\. ", GUIDE.read_text(), re.MULTILINE)) > 30
-    async with chromium() as browser:
-        platform = RealPlatform(tmp_path, dev=False)
-        await platform.start()
-        try:
-            async with opened(browser) as (page, _), AsyncExitStack() as stack:
-                reader = Reader(page, platform, stack)
-                for number, step in enumerate(steps):
-                    try:
-                        await reader.do(*step)
-                    except Exception as error:
-                        error.add_note(f"step {number + 1}: {step}")
-                        raise
-        finally:
-            await platform.stop()
+    async with (
+        chromium() as browser,
+        RealPlatform(tmp_path, dev=False) as platform,
+        opened(browser) as (page, _),
+        AsyncExitStack() as stack,
+    ):
+        reader = Reader(page, platform, stack)
+        for number, step in enumerate(steps):
+            try:
+                await reader.do(*step)
+            except Exception as error:
+                error.add_note(f"step {number + 1}: {step}")
+                raise

@@ -14,17 +14,13 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "walkthrough-console.md"
 
 
 async def test_the_walk_by_the_console(tmp_path: Path) -> None:
-    platform = RealPlatform(tmp_path, dev=False)
-    await platform.start()
-    try:
+    async with RealPlatform(tmp_path, dev=False) as platform:
         found = re.search(r"'admin' with password '(\S+)'", platform.said)
         assert found, platform.said
         env = surroundings(tmp_path)
         env |= {"PATH": f"{Path(RCE).parent}:{env['PATH']}", "PS1": "<$?>", "PS2": "", "COLUMNS": "500"}
         replaced = {"http://127.0.0.1:9000/": platform.url, "ADMIN-PASSWORD": found[1]}
         await asyncio.to_thread(walk, env, replaced)
-    finally:
-        await platform.stop()
 
 
 def walk(env: dict[str, str], replaced: dict[str, str]) -> None:

@@ -17,9 +17,7 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "walkthrough-rest.md"
 @pytest.mark.skipif(shutil.which("curl") is None, reason="needs curl")
 async def test_the_walk_by_http(tmp_path: Path) -> None:
     script = "".join(re.findall(r"```sh\n(.*?)```", DOCUMENT.read_text(), re.S))
-    platform = RealPlatform(tmp_path, dev=False)
-    await platform.start()
-    try:
+    async with RealPlatform(tmp_path, dev=False) as platform:
         found = re.search(r"'admin' with password '(\S+)'", platform.said)
         assert found, platform.said
         path = f"{Path(sys.executable).parent}:/usr/local/bin:/usr/bin:/bin"
@@ -31,5 +29,3 @@ async def test_the_walk_by_http(tmp_path: Path) -> None:
         )
         output, _ = await asyncio.wait_for(bash.communicate(), 90)
         assert bash.returncode == 0, output.decode()[-4000:]
-    finally:
-        await platform.stop()

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator
 
 import pytest
-from environment_driver import FakeMaster, start
+from environment_driver import FakeMaster, driven
 from twisted.internet.base import ReactorBase
 
 from rce.calls.endpoints import NodeSpec, StartNode
@@ -16,9 +15,6 @@ from rce.calls.endpoints import NodeSpec, StartNode
 async def master(running_reactor: ReactorBase, tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[FakeMaster]:
     """With node `echo` of package `probe` running."""
     pytest.importorskip("rclpy", reason="needs ROS 2: pip install 'rce[ros]'")
-    master, process = await start(running_reactor, tmp_path_factory.mktemp("environment"))
-    await master.call(StartNode(NodeSpec("echo", "probe", "echo.py")))
-    yield master
-    process.terminate()
-    await asyncio.wait_for(process.wait(), 10)
-    await master.close()
+    async with driven(running_reactor, tmp_path_factory.mktemp("environment")) as (master, _):
+        await master.call(StartNode(NodeSpec("echo", "probe", "echo.py")))
+        yield master

@@ -6,7 +6,8 @@ import asyncio
 import os
 import secrets
 import sys
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -151,8 +152,11 @@ class FakeMaster:
         return await self.connect(await self.bind(kind, type, addr, qos))
 
 
-async def start(reactor: ReactorBase, directory: Path, **more: str) -> tuple[FakeMaster, asyncio.subprocess.Process]:
-    """A Master and an Environment endpoint that has joined it; the test ends the process."""
+@asynccontextmanager
+async def driven(
+    reactor: ReactorBase, directory: Path, **more: str
+) -> AsyncIterator[tuple[FakeMaster, asyncio.subprocess.Process]]:
+    """A Master and an Environment endpoint that has joined it, which is ended unless the test has done so."""
     master = FakeMaster(DataPort())
     master.listening = await control.listen(reactor, "tcp:0:interface=127.0.0.1", master)
     port = master.listening.getHost().port  # type: ignore[misc]  # zope declares it without self
@@ -177,5 +181,11 @@ async def start(reactor: ReactorBase, directory: Path, **more: str) -> tuple[Fak
         },
         cwd=directory,
     )
-    await asyncio.wait_for(asyncio.shield(master.joined), 20)
-    return master, process
+    try:
+        await asyncio.wait_for(asyncio.shield(master.joined), 20)
+        yield master, process
+    finally:
+        if process.returncode is None:
+            process.terminate()
+        await asyncio.wait_for(process.wait(), 10)
+        await master.close()
