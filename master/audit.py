@@ -54,9 +54,11 @@ class Wanted(Struct, frozen=True):
 
 
 class Noted(Struct):
-    """Who does it, once that is known."""
+    """Whose it is, and who does it, once that is known."""
 
+    owner: str
     who: Principal | None = None
+    quiet: bool = False  # noted only if it is refused or fails
 
 
 class Audit:
@@ -104,13 +106,14 @@ class Audit:
     @contextmanager
     def noting(self, action: str, owner: str, thing: str, origin: Origin) -> Iterator[Noted]:
         """Note how what is done within ends, by whoever is set as `who`."""
-        noted = Noted()
+        noted = Noted(owner)
         try:
             yield noted
         except BaseException as error:
-            self.note(noted.who, action, owner, thing, origin, error)
+            self.note(noted.who, action, noted.owner, thing, origin, error)
             raise
-        self.note(noted.who, action, owner, thing, origin)
+        if not noted.quiet:
+            self.note(noted.who, action, noted.owner, thing, origin)
 
     def _may_note_stranger(self) -> bool:
         minute = int(time.time() / 60)

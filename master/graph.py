@@ -30,7 +30,7 @@ from rce.calls.endpoints import (
 )
 from rce.calls.environments import EnvironmentSpec, StartEnvironment, StopEnvironment
 from rce.errors import AlreadyExists, InvalidRequest, NotConnectable, NotFound
-from rce.names import check_tag, parse_type, split_interface
+from rce.names import check_made, check_tag, parse_type, split_interface
 from rce.variables import check_variables
 
 KINDS = get_args(m.InterfaceType)
@@ -41,17 +41,28 @@ C = TypeVar("C")
 
 
 def execute(
-    state: State, user: str, command: m.Command, ids: Ids, again: bool = False, policy: Policy = UNLIMITED
+    state: State,
+    user: str,
+    command: m.Command,
+    ids: Ids,
+    again: bool = False,
+    policy: Policy = UNLIMITED,
+    guest: str = "",
 ) -> Outcome:
     """Apply one command of `user`. Raises the error that the user shall see; then nothing has changed.
 
-    What goes beyond the user's `policy` is refused with LimitExceeded.
+    What goes beyond the user's `policy` is refused with LimitExceeded. `guest` is the robotID by which it comes, if it
+    is a guest's: its own names are for it alone.
     """
     match command:
         case m.CreateContainer():
             return create_container(state, user, command, ids, again, policy)
         case m.Connect():
             return connect(state, user, command, ids, again, policy)
+        case m.AddNode():
+            return add_node(state, user, command, ids, again, guest)
+        case m.AddInterface():
+            return add_interface(state, user, command, ids, again, guest)
     return _actions[type(command)](state, user, command, ids, again)
 
 
@@ -113,9 +124,9 @@ def remove_environment(state: State, environment: Environment) -> Plan:
 # --- nodes and parameters ---------------------------------------------------------------------------------------------
 
 
-def add_node(state: State, user: str, command: m.AddNode, ids: Ids, again: bool) -> Outcome:
+def add_node(state: State, user: str, command: m.AddNode, ids: Ids, again: bool, guest: str = "") -> Outcome:
     owner = _environment(state, user, command.containerTag).name
-    check_tag(command.nodeTag, "nodeTag")
+    check_made(command.nodeTag, "nodeTag", guest)
     spec = NodeSpec(command.nodeTag, command.pkg, command.exe, command.args, command.name, command.namespace)
     node = Node(owner, spec)
     present = state.nodes.get(node.key)
@@ -129,12 +140,18 @@ def add_node(state: State, user: str, command: m.AddNode, ids: Ids, again: bool)
 
 def remove_node(state: State, user: str, command: m.RemoveNode, ids: Ids, again: bool) -> Outcome:
     owner = _environment(state, user, command.containerTag).name
-    node = state.nodes.drop(f"{owner}/{command.nodeTag}")
+    node = state.nodes.get(f"{owner}/{command.nodeTag}")
     if node is None:
         if again:
             return Outcome([])
         raise NotFound(f"{command.containerTag} has no node {command.nodeTag}", field="nodeTag")
-    return Outcome(_at_host(state, node, StopNode(command.nodeTag)))
+    return Outcome(drop_node(state, node))
+
+
+def drop_node(state: State, node: Node) -> Plan:
+    """Take a node out of the graph."""
+    state.nodes.drop(node.key)
+    return _at_host(state, node, StopNode(node.spec.tag))
 
 
 def set_parameter(state: State, user: str, command: m.SetParameter, ids: Ids, again: bool) -> Outcome:
@@ -169,7 +186,7 @@ def split_kind(kind: str) -> tuple[str, str]:
     raise InvalidRequest(f"interfaceType {kind[:80]!r} does not exist", field="interfaceType")
 
 
-def add_interface(state: State, user: str, command: m.AddInterface, ids: Ids, again: bool) -> Outcome:
+def add_interface(state: State, user: str, command: m.AddInterface, ids: Ids, again: bool, guest: str = "") -> Outcome:
     kind = m.ALIASES.get(command.interfaceType, command.interfaceType)
     if kind not in KINDS:
         raise InvalidRequest(
@@ -177,11 +194,12 @@ def add_interface(state: State, user: str, command: m.AddInterface, ids: Ids, ag
         )
     if split_kind(kind)[1] == "Interface":
         owner = _environment(state, user, command.endpointTag, "endpointTag").name
+        check_made(command.interfaceTag, "interfaceTag", guest)
     else:
         owner = f"{user}/{command.endpointTag}"
         if owner not in state.robots:
             raise NotFound(f"there is no robot {command.endpointTag[:80]!r} to take a {kind}", field="endpointTag")
-    check_tag(command.interfaceTag, "interfaceTag")
+        check_tag(command.interfaceTag, "interfaceTag")
     parse_type(command.className)
     spec = InterfaceSpec(
         ids(), owner, command.interfaceTag, kind, command.className, command.addr, command.qos, command.format
@@ -254,7 +272,8 @@ def connect(state: State, user: str, command: m.Connect, ids: Ids, again: bool, 
         raise AlreadyExists(f"{command.tagA} and {command.tagB} are connected already")
     if sender.spec.kind.startswith("ServiceProvider") and state.connections.by(sender.key):
         raise NotConnectable(f"{sender.key.partition('/')[2]} is a {sender.spec.kind}: it takes one connection only")
-    check_connections(state, user, policy)
+    if not any(state.visits(interface.spec.owner) for interface in (one, other)):
+        check_connections(state, user, policy)
     state.connections.put(connection)
     return Outcome(activate(state, connection, ids), [what(connection)])
 
@@ -322,8 +341,8 @@ def _take_back(state: State, awaited: str) -> Plan:
         plan = drop_interface(state, interface)
     elif kind == "Connection" and (connection := state.connections.get(key)):
         plan = _part(state, connection)
-    elif kind == "Node" and (node := state.nodes.drop(key)):
-        plan = _at_host(state, node, StopNode(node.spec.tag))
+    elif kind == "Node" and (node := state.nodes.get(key)):
+        plan = drop_node(state, node)
     elif kind == "Parameter" and (parameter := state.parameters.drop(key)):
         plan = _at_host(state, parameter, DropParameter(parameter.spec.key))
     return plan

@@ -104,7 +104,7 @@ def usage(state: State, user: str) -> UsageView:
         cores=_cores(options),
         total_memory=_memory(options),
         total_bandwidth=sum(each.bandwidth for each in options),
-        robots=len(state.robots.by(user)),
+        robots=state.robots_of_user(user),
         connections=state.connections_of_user(user),
         package_bytes=packages.usage(state, user),
     )
@@ -125,7 +125,7 @@ def _least(one: int, other: int) -> int:
 
 def check_robots(state: State, user: str, policy: Policy) -> None:
     """Refuse one more robot if the user has all that they may."""
-    _check_total("robots", len(state.robots.by(user)) + 1, policy.robots, "you", "robotID")
+    _check_total("robots", state.robots_of_user(user) + 1, policy.robots, "you", "robotID")
 
 
 def check_connections(state: State, user: str, policy: Policy) -> None:

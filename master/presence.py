@@ -6,6 +6,7 @@ from msgspec.structs import replace
 
 from master.effects import Outcome, Plan, Send
 from master.graph import remove_environment, remove_interfaces, start
+from master.guests import made_by
 from master.placement import place
 from master.policies import UNLIMITED, Policy, check_robots
 from master.records import Environment, Process, Robot, State, at, user_of
@@ -15,7 +16,7 @@ from rce.calls.environments import KeepEnvironments, KnowRelays
 from rce.calls.joining import Hello
 from rce.calls.robots import DropRobot
 from rce.errors import AlreadyExists, NoCapacity
-from rce.names import check_tag
+from rce.names import check_robot
 from rce.roles import Principal
 
 
@@ -174,13 +175,14 @@ def robot_arrived(
     Raises AlreadyExists if the robotID is in use: by an environment, or by a session that was not resumed;
     LimitExceeded if the user has all the robots that `policy` allows.
     """
-    check_tag(tag, "robotID")
+    check_robot(tag, "robotID")
     name = f"{user}/{tag}"
     if name in state.environments:
         raise AlreadyExists(f"robotID {tag} is in use by an environment of yours", field="robotID")
     present = state.robots.get(name)
     if present is None:
-        check_robots(state, user, policy)
+        if principal is None or principal.user == user:
+            check_robots(state, user, policy)
         state.robots.put(Robot(name, endpoint, session, principal, address))
         return Outcome([]), False
     if not resume or resume != present.session:
@@ -188,6 +190,7 @@ def robot_arrived(
             f"robotID {tag} is in use: by another socket, or until its grace time ends; a session token resumes it",
             field="robotID",
         )
+    socket_moved(state, name, True)
     moved = present.endpoint != endpoint
     plan = _leave_endpoint(state, present) if moved else []
     state.robots.put(Robot(name, endpoint, session, principal, address))
@@ -207,10 +210,13 @@ def _leave_endpoint(state: State, robot: Robot) -> Plan:
 
 
 def robot_left(state: State, name: str) -> Plan:
-    """A robot's grace time is over: its interfaces and connections go; its user's environments stay."""
+    """A robot's grace time is over: its interfaces and connections go, with a guest all that it made; its user's
+    environments stay.
+    """
     if name not in state.robots:
         return []
-    plan = remove_interfaces(state, name)
+    plan = remove_interfaces(state, name) + made_by(state, name)
+    state.away.discard(name)
     state.robots.drop(name)
     return plan
 
@@ -253,11 +259,20 @@ def _settle_robots(state: State, process: Process, hello: Hello) -> Plan:
     present = set(hello.robots)
     plan: Plan = []
     for robot in state.robots.by(at(process.name)):
+        socket_moved(state, robot.name, robot.name not in hello.away)
         if robot.name not in present:
             for connection in connections_of(state, robot.name):
                 plan += deactivate(state, connection)
             state.robots.put(replace(robot, endpoint=""))
     return plan
+
+
+def socket_moved(state: State, robot: str, connected: bool) -> None:
+    """A robot's socket is open, or lost."""
+    if connected:
+        state.away.discard(robot)
+    else:
+        state.away.add(robot)
 
 
 def stranded(state: State) -> list[Robot]:

@@ -50,7 +50,8 @@ class Environment(Struct, frozen=True):
 class Robot(Struct, frozen=True):
     """A robot with a session. `endpoint` is empty while it has lost its socket and its Robot endpoint too.
 
-    `principal` is who it proved to be when its socket opened; records of before this was kept have none.
+    `principal` is who it proved to be when its socket opened; records of before this was kept have none. That of a
+    guest (see `master.guests`) may be another than the user.
     """
 
     name: str  # user/robotID
@@ -290,6 +291,7 @@ class State:
         self.packages = Table(Package, lambda record: {user_of(record.name), *(f">{user}" for user in record.shared)})
         self.joined: set[str] = set()  # processes with a control connection
         self.expected: set[str] = set()  # those that lost it, while they have time to come back
+        self.away: set[str] = set()  # robots whose socket is lost while they have time to come back
 
     def tables(self) -> list[Table[Any]]:
         return [
@@ -304,9 +306,21 @@ class State:
             self.packages,
         ]
 
+    def robots_of_user(self, user: str) -> int:
+        """How many, without those that visit."""
+        return sum(not self.visits(robot.name) for robot in self.robots.by(user))
+
     def connections_of_user(self, user: str) -> int:
-        """How many."""
-        return len(self.connections.by(_all_of(user)))
+        """How many, without those of robots that visit."""
+        visitors = [robot.name for robot in self.robots.by(user) if self.visits(robot.name)]
+        interfaces = [interface.key for name in visitors for interface in self.interfaces.by(name)]
+        of_visitors = {connection.key for key in interfaces for connection in self.connections.by(key)}
+        return len(self.connections.by(_all_of(user))) - len(of_visitors)
+
+    def visits(self, owner: str) -> bool:
+        """Whether this is a guest of somebody else than the user: it counts in none of that user's limits."""
+        robot = self.robots.get(owner)
+        return robot is not None and robot.by.user != user_of(owner)
 
     def gone(self, process: str) -> bool:
         """Whether nobody waits for this process any more."""

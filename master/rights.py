@@ -57,6 +57,8 @@ connection.read     own    own    own    own    all      all
 connection.create   own    own    -      own    all      all
 connection.remove   own    own    -      own    all      all
 trace.read          own    own    own    own    all      all
+data.read           own    own    own    own    all      all
+data.write          own    own    -      own    all      all
 feed.read           own    own    own    own    all      all
 group.read          -      own    own    own    all      all
 package.read        own    own    own    own    all      all
@@ -112,7 +114,7 @@ def may(principal: Principal, operation: str, owner: str, *, robot: str = "", en
 
 def _check_tie(scopes: Scopes, operation: str, robot: str, environment: str) -> None:
     if robot and scopes.robot not in ("", robot):
-        if operation == "robot.connect":
+        if operation in ("robot.connect", "data.read"):
             raise Forbidden(f"this key is tied to robotID {scopes.robot}", field="robotID")
         raise NotFound(f"there is no robot {robot[:80]!r}", field="robotID")
     if environment and scopes.environments and environment not in scopes.environments:

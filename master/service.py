@@ -84,7 +84,6 @@ class Master:
         self._answers = Answers(self._rim, self._lives)
         self._links = Links(self._rim)
         self._lending = Lending(self.users, self.audit)
-        self.sessions = Sessions(self._rim, self.users, self.audit, self.limits, self.execute)
         self.shown = Shown(self.state, self._carrier.is_real)
         self.guard = Guard(self.users, self.state, self._rim.apply)
         self.gauges = Gauges(self.state, self._carrier, self.shown)
@@ -92,6 +91,7 @@ class Master:
         self.feed = Feed(Sight(self.shown, self._carrier), self.gauges.watch)
         self.events = Events(self.state)
         self._rim.listeners.append(self.events.told)
+        self.sessions = Sessions(self._rim, self.users, self.audit, self.limits, self.feed.sight, self.execute)
         self.attendance = Attendance(self._rim, self._lives, self.events, self.feed.sight, grace, machine_grace)
 
     async def start(self) -> None:
@@ -150,10 +150,10 @@ class Master:
 
     # --- what is asked of it ------------------------------------------------------------------------------------------
 
-    async def execute(self, user: str, command: Command, again: bool = False) -> Nothing:
+    async def execute(self, user: str, command: Command, again: bool = False, guest: str = "") -> Nothing:
         """Carry a user's command out to its completion; what did not become real is taken back."""
         began = time.perf_counter()
-        outcome = graph.execute(self.state, user, command, ids, again, self.limits.of(user))
+        outcome = graph.execute(self.state, user, command, ids, again, self.limits.of(user), guest)
         saved = self._rim.save(by_command=True)
         expected = {key: self._carrier.expect(key) for key in outcome.awaits}
         try:

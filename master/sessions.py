@@ -6,25 +6,27 @@ import asyncio
 import secrets
 from collections.abc import Awaitable, Callable
 
-from master import presence
-from master.audit import Audit, Origin, object_of
+from master import guests, presence
+from master.audit import Audit, Origin
 from master.grants import digest
 from master.limits import Limits
-from master.records import Process, user_of
-from master.rights import COMMANDS, check_command
+from master.records import Process
 from master.rim import Rim, ids
-from master.users import Users, must_drive
+from master.sight import Sight
+from master.users import Users
 from rce.calls.call import Nothing
-from rce.calls.robots import Execute, Leave, LoggedIn, Login
+from rce.calls.robots import Execute, Leave, LoggedIn, Login, SocketMoved
 from rce.control import Handlers
 from rce.errors import NotFound, RceError
 from rce.messages import Command
-from rce.names import check_tag
+from rce.names import check_tag, is_guest
 from rce.roles import Principal
 
 
 class Sessions:
-    """`execute` carries a user's command out; True: again, it was under way when the Master was lost."""
+    """`execute` carries a user's command out: again, if it was under way when the Master was lost; last comes the
+    robotID of the guest that commands it, empty if it is none.
+    """
 
     def __init__(
         self,
@@ -32,7 +34,8 @@ class Sessions:
         users: Users,
         audit: Audit,
         limits: Limits,
-        execute: Callable[[str, Command, bool], Awaitable[Nothing]],
+        sight: Sight,
+        execute: Callable[[str, Command, bool, str], Awaitable[Nothing]],
     ) -> None:
         self._rim = rim
         self._state = rim.state
@@ -40,36 +43,41 @@ class Sessions:
         self._users = users
         self._audit = audit
         self._limits = limits
+        self._sight = sight
         self._execute = execute
 
     def add_to(self, handlers: Handlers, process: Process) -> None:
         """What a Robot endpoint may ask."""
         handlers.on(Login, lambda call: self._login(process, call))
         handlers.on(Leave, lambda call: self._leave(process, call))
+        handlers.on(SocketMoved, lambda call: self._socket_moved(process, call))
         handlers.on(Execute, lambda call: self._command(process, call))
 
     async def _login(self, process: Process, call: Login) -> LoggedIn:
-        origin, robot = Origin("websocket", _host(call.address)), f"{call.user}/{call.robot}"
-        with self._audit.noting("robot.connect", call.user, robot, origin) as noted:
+        owner, origin = call.owner or call.user, Origin("websocket", _host(call.address))
+        action = "data.read" if is_guest(call.robot) else "robot.connect"
+        with self._audit.noting(action, call.user, f"{owner}/{call.robot}", origin) as noted:
             check_tag(call.user, "userID")
             noted.who = await self._users.check(call.user, call.secret, origin.address)
+            noted.owner = owner
+            await guests.check_login(self._users, noted.who, owner, call.robot)
             return await self._begin(process, call, noted.who, origin.address)
 
     async def _begin(self, process: Process, call: Login, principal: Principal, address: str) -> LoggedIn:
         """A session, or an earlier one again."""
-        must_drive(principal, call.robot)
+        owner = call.owner or call.user
         token = secrets.token_hex(32)
         resume = digest(call.resume) if call.resume else ""
         outcome, resumed = presence.robot_arrived(
             self._state,
-            *(call.user, call.robot, process.name, digest(token), resume, ids),
-            *(self._limits.of(call.user), principal, address),
+            *(owner, call.robot, process.name, digest(token), resume, ids),
+            *(self._limits.of(owner), principal, address),
         )
         saved = self._rim.save()
         try:
             await self._carrier.carry(outcome.plan)
         except RceError as error:  # the session stands without it: refused now, the robot could not come back
-            self._rim.tell(call.user, error=error.info)
+            self._rim.tell(owner, error=error.info)
         await saved
         return LoggedIn(token, resumed)
 
@@ -77,6 +85,13 @@ class Sessions:
         robot = self._state.robots.get(call.robot)
         if robot is not None and robot.endpoint == process.name:
             self._rim.apply(presence.robot_left(self._state, call.robot))
+        return Nothing()
+
+    async def _socket_moved(self, process: Process, call: SocketMoved) -> Nothing:
+        robot = self._state.robots.get(call.robot)
+        if robot is not None and robot.endpoint == process.name:
+            presence.socket_moved(self._state, call.robot, call.connected)
+            self._sight.mark("robots", call.robot)
         return Nothing()
 
     async def disconnect(self, robot: str, reason: str) -> None:
@@ -90,12 +105,13 @@ class Sessions:
         robot = self._state.robots.get(call.robot)
         if robot is None or robot.endpoint != process.name:
             raise NotFound(f"robot {call.robot} has no session at {process.name}")
-        user, command = user_of(call.robot), call.command
-        origin = Origin("websocket", robot.address)
-        with self._audit.noting(COMMANDS[type(command)], user, object_of(user, command), origin) as noted:
-            noted.who = robot.by
-            check_command(robot.by, self._state, user, command)
-            return await self._execute(user, command, call.again)
+        user, _, tag = call.robot.partition("/")
+        command, origin = call.command, Origin("websocket", robot.address)
+        about = guests.object_of(user, tag, command)
+        with self._audit.noting(guests.operation(tag, command), user, about, origin) as noted:
+            noted.who, noted.quiet = robot.by, guests.is_plumbing(tag, command)
+            guests.check_command(robot.by, self._state, user, tag, command)
+            return await self._execute(user, command, call.again, tag if is_guest(tag) else "")
 
 
 def _host(peer: str) -> str:

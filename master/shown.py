@@ -7,6 +7,7 @@ from collections.abc import Callable
 from master.groups import of_user
 from master.placement import free_gpus, free_slots
 from master.records import Connection, Environment, Interface, Node, Parameter, Process, Robot, State, at, what
+from rce.names import is_guest
 from rce.views import (
     ConnectionView,
     EnvironmentView,
@@ -38,9 +39,10 @@ class Shown:
         return RobotView(
             user,
             tag,
-            "connected" if record.endpoint in self.state.joined else "away",
+            "connected" if record.endpoint in self.state.joined and record.name not in self.state.away else "away",
             record.endpoint,
             len(self.state.interfaces.by(record.name)),
+            record.by.user if is_guest(tag) else "",
         )
 
     def environment(self, record: Environment) -> EnvironmentView:

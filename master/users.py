@@ -178,7 +178,9 @@ class Users:
 def must_drive(principal: Principal, robot: str = "") -> None:
     """Refuse those who may not connect as this robot."""
     if principal.role == "admin":
-        raise InvalidRequest("an administrator cannot connect as a robot: use a user of another role", field="userID")
+        raise InvalidRequest(
+            "an administrator cannot connect as a robot: use a user of another role, or be a guest", field="userID"
+        )
     check(principal, "robot.connect", principal.user, robot=robot)
 
 

@@ -1,4 +1,4 @@
-"""The naming rules of the wire: tags, message types, interface tags with their endpoint."""
+"""The naming rules of the wire: tags, names of guests, message types, interface tags with their endpoint."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from rce.errors import InvalidName, InvalidRequest
 TAG = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 TYPE = re.compile(r"([A-Za-z][A-Za-z0-9_]*)/(?:(msg|srv)/)?([A-Za-z][A-Za-z0-9_]*)", re.ASCII)
 MAX_TAG = 255  # the original has no cap; a tag is also a file name here, and those end at 255 bytes
+GUEST = "@"
+"""Begins the robotID of a guest (`@console`), and the names of what it makes (`@console.shell`): nobody else's may."""
 
 
 def check_tag(tag: str, what: str) -> str:
@@ -21,6 +23,34 @@ def check_tag(tag: str, what: str) -> str:
             field=what,
         )
     return tag
+
+
+def is_guest(tag: str) -> bool:
+    """Whether this is the robotID of a guest."""
+    return tag.startswith(GUEST)
+
+
+def check_robot(tag: str, what: str) -> str:
+    """As `check_tag`, for a robotID: that of a guest is a tag after its `@`."""
+    check_tag(tag.removeprefix(GUEST), what)
+    return tag
+
+
+def check_made(tag: str, what: str, guest: str = "") -> str:
+    """As `check_tag`, for the name of something new; `guest` is the robotID of who makes it, if that is a guest."""
+    check_tag(tag.removeprefix(f"{guest}.") if guest else tag, what)
+    return tag
+
+
+def _check_any(tag: str, what: str) -> None:
+    """A name of something that is there, whoever made it."""
+    if is_guest(tag):
+        guest, dot, rest = tag.partition(".")
+        check_tag(guest.removeprefix(GUEST), what)
+        if not dot:
+            return
+        tag = rest
+    check_tag(tag, what)
 
 
 class TypeName(NamedTuple):
@@ -54,6 +84,6 @@ def split_interface(text: str, what: str) -> tuple[str, str]:
     endpoint, slash, interface = text.partition("/")
     if not slash:
         raise InvalidRequest(f"{what} {text[:80]!r} is not of the form endpointTag/interfaceTag", field=what)
-    check_tag(endpoint, f"{what} (endpointTag)")
-    check_tag(interface, f"{what} (interfaceTag)")
+    _check_any(endpoint, f"{what} (endpointTag)")
+    _check_any(interface, f"{what} (interfaceTag)")
     return endpoint, interface

@@ -10,6 +10,7 @@ from pathlib import Path
 from endpoints.environment.packages import Packages
 from rce.calls.endpoints import NodeSpec
 from rce.errors import InvalidName, InvalidRequest
+from rce.names import GUEST
 
 _SUBSTITUTION = re.compile(r"\$\(\s*(\w+)\s+([^)\s]+)\s*\)")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
@@ -39,6 +40,11 @@ def split(text: str) -> list[str]:
         raise InvalidRequest(f"args {text[:80]!r}: {error}", field="args") from None
 
 
+def enclave(tag: str) -> str:
+    """Of the node with this tag; those of guests' nodes (`@guest.node`) are no names for ROS as they are."""
+    return "/" + tag.replace(GUEST, "_").replace(".", "_")
+
+
 def ros_arguments(spec: NodeSpec, given: list[str], parameters: Path) -> list[str]:
     """What ROS 2 must know of a node; InvalidName.
 
@@ -46,7 +52,7 @@ def ros_arguments(spec: NodeSpec, given: list[str], parameters: Path) -> list[st
     """
     arguments = ["--ros-args", "--disable-external-lib-logs", "--params-file", str(parameters)]
     if "--enclave" not in given and "-e" not in given:
-        arguments += ["--enclave", f"/{spec.tag}"]
+        arguments += ["--enclave", enclave(spec.tag)]
     if spec.name:
         arguments += ["-r", f"__node:={_checked(_NAME, spec.name, 'name')}"]
     if spec.namespace:

@@ -12,6 +12,7 @@ from rcl_interfaces.srv import GetParameterTypes, SetParameters
 from rclpy.serialization import deserialize_message, serialize_message
 from twisted.logger import Logger
 
+from endpoints.environment.arguments import enclave
 from endpoints.environment.ros import NODE, RosThread
 from endpoints.environment.ros_services import RawClient
 from rce.calls.endpoints import ParameterSpec
@@ -73,7 +74,7 @@ class LiveParameters:
     def __init__(self, ros: RosThread) -> None:
         self._ros = ros
         self._clients: dict[str, tuple[_Client, _Client]] = {}
-        self._tags: set[str] = set()  # of nodes that ROS knows
+        self._enclaves: set[str] = set()  # of nodes that ROS knows
         self._one = asyncio.Lock()
 
     async def put(self, spec: ParameterSpec, young: set[str]) -> None:
@@ -93,22 +94,22 @@ class LiveParameters:
         until = time.monotonic() + PATIENCE
         while True:
             nodes = await self._ros.run(lambda: self._find(tag))
-            if young <= self._tags or time.monotonic() > until:
+            if {enclave(each) for each in young} <= self._enclaves or time.monotonic() > until:
                 return nodes
             await asyncio.sleep(LOOK)
 
     def _find(self, tag: str) -> list[str]:
         """The ROS names of nodes, with clients for them. In the ROS thread."""
         there = [
-            (f"{namespace.rstrip('/')}/{name}", enclave)
-            for name, namespace, enclave in self._ros.node.get_node_names_and_namespaces_with_enclaves()
+            (f"{namespace.rstrip('/')}/{name}", place)
+            for name, namespace, place in self._ros.node.get_node_names_and_namespaces_with_enclaves()
             if name != NODE
         ]
-        self._tags = {enclave.lstrip("/") for _, enclave in there}
+        self._enclaves = {place for _, place in there}
         for gone in set(self._clients) - {name for name, _ in there}:
             for client in self._clients.pop(gone):
                 self._ros.unwatch(client.raw)
-        found = [name for name, enclave in there if not tag or enclave == f"/{tag}"]
+        found = [name for name, place in there if not tag or place == enclave(tag)]
         for name in set(found) - set(self._clients):
             self._clients[name] = (
                 _Client(self._ros, GetParameterTypes, f"{name}/get_parameter_types"),

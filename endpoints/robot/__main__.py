@@ -91,6 +91,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
             addresses,
             url,
             robots=list(endpoint.sessions),
+            away=endpoint.away(),
         )
 
     def welcomed(welcome: Welcome) -> None:

@@ -33,6 +33,9 @@ class Door(Protocol):
     def data(self, session: Session, message: DataMessage, blobs: dict[str, Buffer]) -> None:
         """Take a data message of the robot; raises what the robot shall hear."""
 
+    def connected(self, session: Session) -> None:
+        """The session has a socket, which is open."""
+
     def disconnected(self, session: Session) -> None:
         """The session has lost its socket: its grace time begins."""
 
@@ -50,6 +53,12 @@ class Greeting(Struct, frozen=True):
     resume: str
     compress: bool
     address: str
+    owner: str  # the user whose robot it is
+
+    @property
+    def name(self) -> str:
+        """`owner/robotID`, as everywhere behind the door."""
+        return f"{self.owner}/{self.robot}"
 
 
 class Admitted(Struct, frozen=True):

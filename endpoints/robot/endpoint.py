@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Coroutine
 from functools import partial
 
 from msgspec import Struct
@@ -18,7 +19,7 @@ from rce import logs
 from rce.blobs import Buffer
 from rce.calls.call import Nothing, Settled
 from rce.calls.endpoints import AddRoute, Bind, CloseLink, InterfaceSpec, LinkLost, OpenLink, RemoveRoute, Sync, Unbind
-from rce.calls.robots import Definitions, Describe, DropRobot, Leave, LoggedIn, Login, Tell
+from rce.calls.robots import Definitions, Describe, DropRobot, Leave, LoggedIn, Login, SocketMoved, Tell
 from rce.calls.watching import CountTraffic, FollowMessages
 from rce.control import Handlers, MasterLink
 from rce.errors import NotFound, RceError, Unavailable
@@ -84,7 +85,7 @@ class RobotEndpoint:
     # --- robots -------------------------------------------------------------------------------------------------------
 
     async def login(self, greeting: Greeting) -> Admitted:
-        name = f"{greeting.user}/{greeting.robot}"
+        name = greeting.name
         connection = logs.enter()
         if name in self._leaving:  # the Master must not end the session that it is about to give
             await asyncio.wait([self._leaving[name]])
@@ -116,6 +117,7 @@ class RobotEndpoint:
                 greeting.resume,
                 sorted(greeting.features),
                 greeting.address,
+                greeting.owner,
             ),
             wait=LOGIN_WAIT,
         )
@@ -125,13 +127,25 @@ class RobotEndpoint:
         if old is not None:
             old.end("the session is over")
         session = self.sessions[name] = Session(name, self.master)
-        self.disconnected(session)
+        self._grace_begins(session)
         return session
+
+    def away(self) -> list[str]:
+        """The robots that have a session and no socket."""
+        return [name for name, session in self.sessions.items() if session.socket is None]
+
+    def connected(self, session: Session) -> None:
+        """Its socket is open."""
+        self._later(self._report(SocketMoved(session.name, True)))
 
     def disconnected(self, session: Session) -> None:
         """Its grace time begins."""
         if self.sessions.get(session.name) is session:
-            self._expect(session, asyncio.get_running_loop().time() + self.grace)
+            self._later(self._report(SocketMoved(session.name, False)))
+            self._grace_begins(session)
+
+    def _grace_begins(self, session: Session) -> None:
+        self._expect(session, asyncio.get_running_loop().time() + self.grace)
 
     def _expect(self, session: Session, until: float) -> None:
         if session.name in self._away:
@@ -226,12 +240,15 @@ class RobotEndpoint:
         return Nothing()
 
     def _link_lost(self, link: str, reason: str) -> None:
-        task = asyncio.create_task(self._report_link(link, reason))
+        self._later(self._report(LinkLost(link, reason)))
+
+    def _later(self, work: Coroutine[None, None, None]) -> None:
+        task = asyncio.create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _report_link(self, link: str, reason: str) -> None:
+    async def _report(self, call: LinkLost | SocketMoved) -> None:
         try:
-            await self.master.call(LinkLost(link, reason))
-        except RceError as error:  # when it joins again, its Sync makes this endpoint report the link again
-            log.info("link {link} could not be reported: {error}", link=link, error=str(error))
+            await self.master.call(call)
+        except RceError as error:  # when this endpoint joins again, its Hello says who is away, and Sync finds links
+            log.info("{call} could not be reported: {error}", call=type(call).__name__, error=str(error))

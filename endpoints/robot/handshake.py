@@ -11,6 +11,7 @@ from rce.errors import (
     Forbidden,
     InternalError,
     InvalidRequest,
+    NotFound,
     RceError,
     TimedOut,
     TooManyAttempts,
@@ -34,14 +35,16 @@ def read_request(request: Request) -> Greeting:
     scheme, _, bearer = header.partition(" ")
     secret = bearer.strip() if scheme.lower() == "bearer" else _one(request, "password", "key")
     offered = _optional(request, "features").split(",")
+    user = _one(request, "userID")
     return Greeting(
-        user=_one(request, "userID"),
+        user=user,
         robot=_one(request, "robotID"),
         secret=secret,
         features=FEATURES & frozenset(offered),
         resume=_optional(request, "resume"),
         compress=_compress(_optional(request, "compress")),
         address=str(request.peer),
+        owner=_optional(request, "owner") or user,
     )
 
 
@@ -74,6 +77,8 @@ def refusal_status(error: RceError, features: frozenset[str]) -> int:
     """Clients of the original know 400 and 401; those with features can tell a robotID in use from a bad request."""
     if isinstance(error, AlreadyExists) and features:
         return 409
+    if isinstance(error, NotFound) and features:  # no such owner
+        return 404
     if isinstance(error, Unauthorized):
         return 401
     if isinstance(error, TooManyAttempts):

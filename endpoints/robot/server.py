@@ -116,6 +116,7 @@ class RobotSocket(WebSocketServerProtocol):
         if previous is not None:
             previous.end("the robot has another connection now")
         session.attach(self, self._admitted.token, self._admitted.resumed, self._door.grace)
+        self._door.connected(session)
 
     def onClose(self, wasClean: bool, code: int | None, reason: str | None) -> None:
         if self._timer is not None:

@@ -24,6 +24,7 @@ class Hello(Struct, frozen=True):
     gpus: int = 0  # task set: graphics processors of the machine
     robots: list[str] = []  # Robot endpoint: those with a session, connected or in their grace time
     environments: dict[str, str] = {}  # task set: run of each environment that really runs, by name
+    away: list[str] = []  # Robot endpoint: those of `robots` in their grace time
 
 
 class Welcome(Struct, frozen=True):

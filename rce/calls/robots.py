@@ -30,6 +30,14 @@ class Login(Call[LoggedIn], frozen=True):
     resume: str = ""  # token of the session to take over
     features: list[str] = []
     address: str = ""
+    owner: str = ""  # whose robot it is; empty: the user's
+
+
+class SocketMoved(Call[Nothing], frozen=True):
+    """A robot's socket is open, or lost while its session goes on."""
+
+    robot: str
+    connected: bool
 
 
 class Leave(Call[Nothing], frozen=True):

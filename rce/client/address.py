@@ -20,7 +20,7 @@ from websockets.exceptions import InvalidHandshake, InvalidStatus, InvalidURI
 
 from rce.assembler import Limits
 from rce.blobs import PART
-from rce.errors import AlreadyExists, Forbidden, InvalidRequest, RceError, Unauthorized, Unavailable
+from rce.errors import AlreadyExists, Forbidden, InvalidRequest, NotFound, RceError, Unauthorized, Unavailable
 from rce.messages import CURRENT_VERSION, FEATURES
 
 FEATURES_HEADER = "RCE-Features"
@@ -47,7 +47,8 @@ class Address:
     """Where the platform is and who wants in. `url` is that of the Master's entry (http or https).
 
     Give `password` (in clear; its SHA-256 is sent, as in the original) or `key` (an API key). `compress` asks for
-    deflated messages. `ssl` replaces the system's certificates for https and wss.
+    deflated messages. `ssl` replaces the system's certificates for https and wss. `owner` is whose guest the robot is,
+    empty for the user's own.
     """
 
     url: str
@@ -57,6 +58,7 @@ class Address:
     key: str | None = None
     compress: bool = False
     ssl: ssl.SSLContext | None = None
+    owner: str = ""
 
     def __post_init__(self) -> None:
         if urlsplit(self.url).scheme not in ("http", "https"):
@@ -100,6 +102,8 @@ class Address:
             query["compress"] = "deflate"
         if token:
             query["resume"] = token
+        if self.owner:
+            query["owner"] = self.owner
         parts = urlsplit(endpoint)
         uri = urlunsplit((parts.scheme, parts.netloc, parts.path or "/", urlencode(query), ""))
         try:
@@ -118,6 +122,8 @@ class Address:
         except InvalidStatus as error:
             answer = error.response
             body = bytes(answer.body or b"").decode(errors="replace")
+            if answer.status_code == 404 and body:
+                raise NotFound(body.strip()[:500], field="owner") from None
             raise _refusal(answer.status_code, body or answer.reason_phrase) from None
         except InvalidURI:
             raise Unavailable(f"the entry named {endpoint!r}, which is not a WebSocket address") from None

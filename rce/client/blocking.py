@@ -158,9 +158,10 @@ class BlockingRobot(Blocking[Robot]):
         key: str | None = None,
         timeout: float = 60.0,
         ssl: tls.SSLContext | None = None,
+        owner: str = "",
     ) -> None:
         """As `Robot`."""
-        inner = Robot(url, user=user, robot=robot, password=password, key=key, timeout=timeout, ssl=ssl)
+        inner = Robot(url, user=user, robot=robot, password=password, key=key, timeout=timeout, ssl=ssl, owner=owner)
         super().__init__(LoopThread(), inner)
 
     def __enter__(self) -> Self:

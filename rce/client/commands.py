@@ -22,6 +22,7 @@ from rce.messages import (
     RemoveInterface,
     RemoveNode,
 )
+from rce.names import is_guest
 
 LISTS = {kind: ("CN", name) for name, kind in CN_ITEMS.items()} | {
     kind: ("CX", name) for name, kind in CX_ITEMS.items()
@@ -67,11 +68,9 @@ class Declared:
 
     def note(self, command: Command) -> None:
         """Take account of a command that was carried out."""
-        if isinstance(command, AddInterface) and command.endpointTag == self.robot:
-            self.interfaces[command.interfaceTag] = command
+        if isinstance(command, AddInterface) and self._is_own(command.endpointTag, command.interfaceTag):
+            self.interfaces[f"{command.endpointTag}/{command.interfaceTag}"] = command
         elif isinstance(command, RemoveInterface):
-            if command.endpointTag == self.robot:
-                self.interfaces.pop(command.interfaceTag, None)
             self._forget(lambda tag: tag == f"{command.endpointTag}/{command.interfaceTag}")
         elif isinstance(command, DestroyContainer):
             self._forget(lambda tag: tag.startswith(f"{command.containerTag}/"))
@@ -82,6 +81,10 @@ class Declared:
         """What declares all of it again."""
         return [*self.interfaces.values(), *self.connections.values()]
 
+    def _is_own(self, endpoint: str, interface: str) -> bool:
+        """What ends with the robot: its own interfaces, and those that it made in environments as a guest."""
+        return endpoint == self.robot or (is_guest(self.robot) and interface.startswith(f"{self.robot}."))
+
     def _connection(self, command: Connect | Disconnect) -> None:
         tags = frozenset((command.tagA, command.tagB))
         if isinstance(command, Disconnect):
@@ -90,5 +93,7 @@ class Declared:
             self.connections[tags] = command
 
     def _forget(self, gone: Callable[[str], bool]) -> None:
+        for tag in [tag for tag in self.interfaces if gone(tag)]:
+            del self.interfaces[tag]
         for tags in [tags for tags in self.connections if any(gone(tag) for tag in tags)]:
             del self.connections[tags]

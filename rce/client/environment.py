@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from rce.errors import AlreadyExists
 from rce.messages import InterfaceType, ParameterValue, Qos
+from rce.names import is_guest
 
 if TYPE_CHECKING:  # the robot makes environments
     from rce.client.operations import EnvironmentOptions, Format
@@ -23,7 +24,7 @@ class Environment:
 
     `publisher` and its like wire a topic or service of the environment to the robot in one step. The interface in the
     environment gets a tag made from the topic's name; the robot's gets the same with the environment's name before it.
-    Several robots may use one topic: the interface in the environment is then shared.
+    Several robots may use one topic: the interface in the environment is then shared. A guest has its own.
     """
 
     def __init__(self, robot: Robot, tag: str, options: EnvironmentOptions) -> None:
@@ -67,7 +68,7 @@ class Environment:
     ) -> Publisher:
         """The robot publishes on a topic of the environment."""
         to = await self._interface(topic, "pub", "PublisherInterface", type_name, qos)
-        return await self.robot.publisher(to.replace("/", "_"), type_name, to=to, raw=raw, format=format, qos=qos)
+        return await self.robot.publisher(self._own_tag(to), type_name, to=to, raw=raw, format=format, qos=qos)
 
     async def subscriber(
         self,
@@ -83,26 +84,31 @@ class Environment:
         """The robot receives what is published on a topic of the environment."""
         to = await self._interface(topic, "sub", "SubscriberInterface", type_name, qos)
         return await self.robot.subscriber(
-            to.replace("/", "_"), type_name, to=to, callback=callback, depth=depth, raw=raw, format=format, qos=qos
+            self._own_tag(to), type_name, to=to, callback=callback, depth=depth, raw=raw, format=format, qos=qos
         )
 
     async def service_client(self, service: str, type_name: str, *, raw: bool = False) -> ServiceClient:
         """The robot calls a service of the environment."""
         to = await self._interface(service, "call", "ServiceClientInterface", type_name)
-        return await self.robot.service_client(to.replace("/", "_"), type_name, to=to, raw=raw)
+        return await self.robot.service_client(self._own_tag(to), type_name, to=to, raw=raw)
 
     async def service_provider(
         self, service: str, type_name: str, handler: Callable[[Any], Any], *, raw: bool = False
     ) -> ServiceProvider:
         """The robot offers a service to the nodes of the environment."""
         to = await self._interface(service, "serve", "ServiceProviderInterface", type_name)
-        return await self.robot.service_provider(to.replace("/", "_"), type_name, handler, to=to, raw=raw)
+        return await self.robot.service_provider(self._own_tag(to), type_name, handler, to=to, raw=raw)
 
     async def _interface(
         self, address: str, verb: str, interface_type: InterfaceType, type_name: str, qos: Qos | None = None
     ) -> str:
         """The `endpoint/interface` for an address of the environment, added unless it is there."""
-        tag = f"{verb}_{re.sub(r'[^A-Za-z0-9_]+', '_', address).strip('_')}"
+        begin = f"{self.robot.name}." if is_guest(self.robot.name) else ""
+        tag = f"{begin}{verb}_{re.sub(r'[^A-Za-z0-9_]+', '_', address).strip('_')}"
         with suppress(AlreadyExists):  # another robot's, or of an earlier run; of another type, connecting it fails
             await self.robot.add_interface(self.tag, tag, interface_type, type_name, addr=address, qos=qos)
         return f"{self.tag}/{tag}"
+
+    def _own_tag(self, to: str) -> str:
+        """The tag of the robot's end."""
+        return to.replace(f"{self.robot.name}.", "").replace("/", "_")

@@ -28,7 +28,7 @@ from rce.messages import (
     Qos,
     StatusData,
 )
-from rce.names import check_tag
+from rce.names import check_robot, check_tag
 
 EVENTS = 1000  # that one reader may leave unread
 
@@ -55,14 +55,16 @@ class Robot(Operations):
         timeout: float = 60.0,
         compress: bool = False,
         ssl: tls.SSLContext | None = None,
+        owner: str = "",
     ) -> None:
         """`password` in clear or an API `key`; `timeout` in seconds is for each command; `ssl` for own certificates.
 
-        `compress` deflates all messages both ways, for lines that are slower than that.
+        `compress` deflates all messages both ways, for lines that are slower than that. One whose name begins with `@`
+        is a guest, for as long as it is connected: it takes part in the data of `owner`, the user's own if empty.
         """
         check_tag(user, "user")
-        self.name = check_tag(robot, "robot")
-        session = Session(Address(url, user, robot, password, key, compress, ssl), self, timeout)
+        self.name = check_robot(robot, "robot")
+        session = Session(Address(url, user, robot, password, key, compress, ssl, owner), self, timeout)
         super().__init__(session, Declared(robot))
         self._interfaces: dict[str, Interface] = {}
         self._readers: set[Stream[Event]] = set()

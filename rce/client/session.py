@@ -22,7 +22,7 @@ from rce.client.address import Address
 from rce.client.commands import frame_of, repetition_done
 from rce.client.connection import Connection, Incoming, Message
 from rce.client.values import encode
-from rce.errors import Forbidden, InternalError, InvalidRequest, RceError, TimedOut, Unauthorized, Unavailable
+from rce.errors import Forbidden, InternalError, InvalidRequest, NotFound, RceError, TimedOut, Unauthorized, Unavailable
 from rce.messages import Ack, Command, Failure, FrameId, StatusData
 from rce.messages import Session as SessionStatus
 
@@ -172,12 +172,12 @@ class Session:
             raise
 
     async def _reconnect(self) -> Connection:
-        """A new connection, however long that takes. Raises Unauthorized and Forbidden: trying again will not help."""
+        """A new connection, however long that takes. Unauthorized, Forbidden, NotFound: trying again does not help."""
         for delay in delays():
             await asyncio.sleep(delay)
             try:
                 return await self._connect()
-            except (Unauthorized, Forbidden):
+            except (Unauthorized, Forbidden, NotFound):
                 raise
             except RceError as error:
                 log.info("%s: not connected yet: %s", self._address.robot, error)

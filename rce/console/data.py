@@ -55,7 +55,7 @@ def _attended(
         environment = place(words)
 
         async def act() -> int:
-            async with taking_part(session, environment) as part:
+            async with taking_part(session, environment, words.of) as part:
                 return await function(part, words)
 
         return attend(act)
@@ -74,7 +74,7 @@ def _on_topics(work: str) -> Callable[[Session, argparse.Namespace], int]:
     return _attended("rce.console.topics", work, _topic)
 
 
-RATE: tuple[Argument, ...] = (TOPIC, TYPE, WINDOW)
+RATE: tuple[Argument, ...] = (TOPIC, TYPE, WINDOW, OF)
 COMMANDS = (
     Command(
         "topic list",
@@ -95,8 +95,13 @@ COMMANDS = (
             argument("--no-arr", action="store_true", help="arrays as their lengths only"),
             argument("-f", "--full-length", action="store_true", help="long arrays and strings too"),
             argument("--json", action="store_true", help="a line of JSON each"),
+            OF,
         ),
-        ("topic echo brain/pose", "topic echo brain/scan --once --no-arr", "topic echo brain/odom --field pose.pose"),
+        (
+            "topic echo brain/pose",
+            "topic echo brain/scan --once --no-arr",
+            "topic echo --of ann brain/odom --field pose",
+        ),
     ),
     Command(
         "topic hz", "Rate of a topic's messages, as they arrive here.", _on_topics("hz"), RATE, ("topic hz brain/scan",)
@@ -113,6 +118,7 @@ COMMANDS = (
             argument("-1", "--once", action="store_true", help="one message"),
             argument("-t", "--times", type=int, default=0, metavar="N", help="N messages"),
             argument("-r", "--rate", type=float, default=1.0, metavar="HZ", help="a second (default: %(default)g)"),
+            OF,
         ),
         (
             "topic pub --once brain/say std_msgs/String '{data: hello}'",
@@ -136,6 +142,7 @@ COMMANDS = (
             argument("values", nargs="?", default="{}", metavar="YAML"),
             argument("--timeout", type=float, default=10.0, metavar="SECONDS", help="(default: %(default)g)"),
             argument("--json", action="store_true", help="print JSON"),
+            OF,
         ),
         ("service call brain/reset std_srvs/Empty", "service call brain/enable std_srvs/SetBool '{data: true}'"),
     ),
@@ -143,8 +150,8 @@ COMMANDS = (
         "env shell",
         "A terminal inside an environment; `~.` at the beginning of a line leaves it.",
         _attended("rce.console.terminal", "shell", lambda words: str(words.environment)),
-        (ENVIRONMENT, argument("command", nargs="...", metavar="COMMAND", help="instead of an interactive shell")),
-        ("env shell brain", "env shell brain ps aux"),
+        (OF, ENVIRONMENT, argument("command", nargs="...", metavar="COMMAND", help="instead of an interactive shell")),
+        ("env shell brain", "env shell brain ps aux", "env shell --of ann brain"),
     ),
 )
 

@@ -88,7 +88,12 @@ def events(session: Session, words: argparse.Namespace) -> None:
             continue
         told = msgspec.json.decode(event.data, type=views.Event)
         when = time.strftime("%H:%M:%S", time.localtime(told.time))
-        print("  ".join(filter(None, [when, f"{told.type:18}", told.object, told.text])), *told.lines, sep="\n    ")
+        print(
+            "  ".join(filter(None, [when, f"{told.type:18}", told.object, told.text])),
+            *told.lines,
+            sep="\n    ",
+            flush=True,
+        )
 
 
 def job_list(session: Session, words: argparse.Namespace) -> None:

@@ -48,7 +48,9 @@ def _unknown(words: Sequence[str], prog: str) -> int:
     word, rest = words[0], words[1:]
     known = table.below(word)
     if not known:
-        return _refuse(f"{prog or 'console'}: there is no command {word!r}; `{prog or ''} help` lists them", WRONG)
+        return _refuse(
+            f"{prog or 'console'}: there is no command {word!r}; `{f'{prog} help'.lstrip()}` lists them", WRONG
+        )
     text = table.usage_of(word, prog)
     if not rest or rest[0] in ("-h", "--help", "help"):
         print(text)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from rce import contexts
 from rce.api import Api
 from rce.contexts import Access
+from rce.names import GUEST
 
 if TYPE_CHECKING:  # a second that most commands can do without
     from rce.client import Robot
@@ -42,13 +43,13 @@ class Session:
 
         return self.access.user or self.api.get(Whoami, "whoami").user
 
-    def robot(self) -> Robot:
-        """A robot of its own, by which the console takes part in topics and services."""
+    def guest(self, owner: str) -> Robot:
+        """A guest of `owner` (empty: of who asks), by which the console takes part in topics and services."""
         from rce.client import Robot
 
         access = self.access
-        name = f"console_{secrets.token_hex(3)}"
-        return Robot(access.url, user=self.user, robot=name, password=access.password, key=access.key)
+        name = f"{GUEST}console_{secrets.token_hex(3)}"
+        return Robot(access.url, user=self.user, robot=name, password=access.password, key=access.key, owner=owner)
 
     def use(self, context: str) -> None:
         """From now on the platform of this context."""

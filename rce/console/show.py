@@ -43,11 +43,16 @@ def one(item: Any, as_json: bool = False) -> None:
     if as_json:
         print(text(item))
         return
-    whole = msgspec.to_builtins(item)
-    given = {name: value for name, value in whole.items() if value not in (None, "", [], {})}
+    given = _given(msgspec.to_builtins(item))
     width = max(map(len, given), default=0)
     for name, value in given.items():
         print(f"{name:{width}}  {said(value)}")
+
+
+def _given(fields: dict[str, Any]) -> dict[str, Any]:
+    """Those that have a value, themselves or in them."""
+    kept = {name: _given(value) if isinstance(value, dict) else value for name, value in fields.items()}
+    return {name: value for name, value in kept.items() if value not in (None, "", [], {})}
 
 
 def said(value: object) -> str:
@@ -64,7 +69,7 @@ def said(value: object) -> str:
         case list() | tuple():
             return ", ".join(map(said, value)) or "-"
         case dict():
-            return ", ".join(f"{name}={said(each)}" for name, each in value.items()) or "-"
+            return ", ".join(f"{name}={said(each)}" for name, each in _given(value).items()) or "-"
     return said(msgspec.to_builtins(value))
 
 

@@ -11,6 +11,8 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
+from msgspec.structs import replace
+
 from rce import contexts, views
 from rce.api import Api
 from rce.console import show
@@ -38,6 +40,12 @@ CONTEXTS: show.Columns[Row] = {
     "user": lambda each: each.context.user,
     "url": lambda each: each.context.url,
     "until": lambda each: show.when(each.context.expires, "never expires"),
+}
+
+
+RIGHTS: show.Columns[tuple[str, str]] = {
+    "operation": lambda each: each[0],
+    "on": lambda each: each[1],
 }
 
 
@@ -117,7 +125,11 @@ def context_remove(session: Session, words: argparse.Namespace) -> None:
 
 
 def whoami(session: Session, words: argparse.Namespace) -> None:
-    show.one(session.api.get(views.Whoami, "whoami"), words.json)
+    me = session.api.get(views.Whoami, "whoami")
+    if words.rights:
+        show.rows(me.rights.items(), RIGHTS)
+    else:
+        show.one(me if words.json else replace(me, rights={}), words.json)
 
 
 def console(session: Session, words: argparse.Namespace) -> int:
@@ -213,7 +225,18 @@ COMMANDS = (
         "context use", "Let commands go to this platform.", context_use, (NAME,), ("context use home",), remote=False
     ),
     Command("context remove", "Forget a platform, without revoking its key.", context_remove, (NAME,), remote=False),
-    Command("whoami", "Show who you are at the platform.", whoami, (JSON,)),
+    Command(
+        "whoami",
+        "Show who you are at the platform.",
+        whoami,
+        (
+            argument(
+                "--rights", action="store_true", help="what you may do, to what is yours (own) or everybody's (all)"
+            ),
+            JSON,
+        ),
+        ("whoami", "whoami --rights"),
+    ),
     Command(
         "console",
         "Commands one after the other: typed, or from a script.",

@@ -20,6 +20,7 @@ from rce.client.stream import Stream
 from rce.console.part import Part
 from rce.errors import Died, StartFailed
 from rce.messages import EnvironmentEvent, NodeEvent, Qos
+from rce.names import GUEST
 
 STDIN, STDOUT = 0, 1
 DEPTH = 1000
@@ -140,7 +141,7 @@ class Client:
 async def shell(part: Part, words: argparse.Namespace) -> int:
     """A terminal in the environment; the exit status of what ran there."""
     qos = Qos("reliable", "volatile", depth=DEPTH)
-    prefix = f"/rce_shell/{part.robot.name}"
+    prefix = f"/rce_shell/{part.robot.name.removeprefix(GUEST)}"
     events = part.robot.events()
     tag = await part.node("shell", "rce_shell", "shell", prefix)
     inside = await part.interface("input", "PublisherInterface", terminal.MESSAGE, f"{prefix}/input", qos)

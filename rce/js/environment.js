@@ -38,35 +38,45 @@ export class Environment {
   /** The robot publishes on a topic of the environment. */
   async publisher(topic, typeName, options = {}) {
     const to = await this.#interface(topic, "pub", "PublisherInterface", typeName, options.qos);
-    return this.robot.publisher(to.replace("/", "_"), typeName, { ...options, to });
+    return this.robot.publisher(this.#ownTag(to), typeName, { ...options, to });
   }
 
   /** The robot receives what is published on a topic of the environment. */
   async subscriber(topic, typeName, options = {}) {
     const to = await this.#interface(topic, "sub", "SubscriberInterface", typeName, options.qos);
-    return this.robot.subscriber(to.replace("/", "_"), typeName, { ...options, to });
+    return this.robot.subscriber(this.#ownTag(to), typeName, { ...options, to });
   }
 
   /** The robot calls a service of the environment. */
   async serviceClient(service, typeName, options = {}) {
     const to = await this.#interface(service, "call", "ServiceClientInterface", typeName);
-    return this.robot.serviceClient(to.replace("/", "_"), typeName, { ...options, to });
+    return this.robot.serviceClient(this.#ownTag(to), typeName, { ...options, to });
   }
 
   /** The robot offers a service to the nodes of the environment. */
   async serviceProvider(service, typeName, handler, options = {}) {
     const to = await this.#interface(service, "serve", "ServiceProviderInterface", typeName);
-    return this.robot.serviceProvider(to.replace("/", "_"), typeName, handler, { ...options, to });
+    return this.robot.serviceProvider(this.#ownTag(to), typeName, handler, { ...options, to });
   }
 
   /** The `endpoint/interface` for an address of the environment, added unless it is there. */
   async #interface(address, verb, interfaceType, typeName, qos) {
-    const tag = `${verb}_${address.replace(/[^A-Za-z0-9_]+/g, "_").replace(/^_+|_+$/g, "")}`;
+    const tag = `${this.#begin}${verb}_${address.replace(/[^A-Za-z0-9_]+/g, "_").replace(/^_+|_+$/g, "")}`;
     try {
       await this.robot.addInterface(this.tag, tag, interfaceType, typeName, { addr: address, qos });
     } catch (error) {
       if (!(error instanceof AlreadyExists)) throw error; // another robot's; of another type, connecting it fails
     }
     return `${this.tag}/${tag}`;
+  }
+
+  /** What a guest makes here has names that begin with its own. */
+  get #begin() {
+    return this.robot.isGuest ? `${this.robot.name}.` : "";
+  }
+
+  /** The tag of the robot's end. */
+  #ownTag(to) {
+    return to.replace(this.#begin, "").replace("/", "_");
   }
 }

@@ -47,8 +47,8 @@ const kinds = Object.fromEntries(
     .map((kind) => [kind.code, kind]));
 
 const byStatus = {
-  400: InvalidRequest, 401: Unauthorized, 403: Forbidden, 409: AlreadyExists, 410: InvalidRequest, 500: InternalError,
-  501: InvalidRequest,
+  400: InvalidRequest, 401: Unauthorized, 403: Forbidden, 404: NotFound, 409: AlreadyExists, 410: InvalidRequest,
+  500: InternalError, 501: InvalidRequest,
 };
 
 /** What an HTTP status at the door says. */

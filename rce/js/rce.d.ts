@@ -155,7 +155,10 @@ export type Command = [
 
 export interface RobotOptions {
   user: string;
+  /** One that begins with `@` is a guest's: what it makes goes with it. */
   robot: string;
+  /** Whose guest it is; the user's own if it is left out. */
+  owner?: string;
   /** An API key, or the password in clear (its SHA-256 is sent; needs a page from https or localhost). */
   key?: string;
   password?: string;
@@ -167,6 +170,7 @@ export interface RobotOptions {
 export class Robot {
   constructor(url: string, options: RobotOptions);
   readonly name: string;
+  readonly isGuest: boolean;
   readonly connected: boolean;
   readonly features: Set<string>;
   open(): Promise<void>;

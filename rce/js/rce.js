@@ -17,12 +17,13 @@ export class Robot {
   #declared = { interfaces: new Map(), connections: new Map() };
   #readers = new Set();
 
-  /** `url` is that of the Master's entry. `timeout` is for each command, in seconds, as all times. */
-  constructor(url, { user, robot, key = "", password = "", timeout = 60, WebSocket = globalThis.WebSocket }) {
+  /** `url` is that of the Master's entry. `timeout` is for each command, in seconds, as all times. One whose name begins
+   * with `@` is a guest: it takes part in the data of `owner`, and what it makes goes with it. */
+  constructor(url, { user, robot, owner = "", key = "", password = "", timeout = 60, WebSocket = globalThis.WebSocket }) {
     if (!key === !password) throw new InvalidRequest("give a password or a key, one of the two", { field: "password" });
     if (!WebSocket) throw new InvalidRequest("there is no WebSocket: use Node 22 or later, or give a class of your own");
     this.name = robot;
-    this.#session = new Session({ url, user, robot, key, password, timeout, WebSocket }, this);
+    this.#session = new Session({ url, user, robot, owner, key, password, timeout, WebSocket }, this);
   }
 
   /** Connect. Unauthorized, Forbidden, Unavailable, InvalidRequest, AlreadyExists (for a name in use). */
@@ -33,6 +34,10 @@ export class Robot {
   /** Send what is queued and leave. Environments stay until they are destroyed. */
   close() {
     return this.#session.close();
+  }
+
+  get isGuest() {
+    return this.name.startsWith("@");
   }
 
   /** null while the robot is not connected. */
@@ -211,14 +216,14 @@ export class Robot {
     const [list, item] = command;
     const { interfaces, connections } = this.#declared;
     const forget = (gone) => {
+      for (const tag of interfaces.keys()) if (gone(tag)) interfaces.delete(tag);
       for (const [pair, [, { tagA, tagB }]] of connections) if (gone(tagA) || gone(tagB)) connections.delete(pair);
     };
     const pair = () => [item.tagA, item.tagB].sort().join(" ");
-    if (list === "addInterfaces" && item.endpointTag === this.name) interfaces.set(item.interfaceTag, command);
-    else if (list === "removeInterfaces") {
-      if (item.endpointTag === this.name) interfaces.delete(item.interfaceTag);
-      forget((tag) => tag === `${item.endpointTag}/${item.interfaceTag}`);
-    } else if (list === "DC") forget((tag) => tag.startsWith(`${item.containerTag}/`));
+    const own = () => item.endpointTag === this.name || (this.isGuest && item.interfaceTag.startsWith(`${this.name}.`));
+    if (list === "addInterfaces" && own()) interfaces.set(`${item.endpointTag}/${item.interfaceTag}`, command);
+    else if (list === "removeInterfaces") forget((tag) => tag === `${item.endpointTag}/${item.interfaceTag}`);
+    else if (list === "DC") forget((tag) => tag.startsWith(`${item.containerTag}/`));
     else if (list === "disconnect") connections.delete(pair());
     else if (list === "connect" && [item.tagA, item.tagB].some((tag) => tag.startsWith(`${this.name}/`))) {
       connections.set(pair(), command);

@@ -27,7 +27,7 @@ export class Session {
   #state = "new"; // then "open", "ended"
   #error = new Unavailable("the robot is not connected");
 
-  /** `options`: url, user, robot, key or password, timeout, WebSocket. `listener` is the robot. */
+  /** `options`: url, user, robot, owner, key or password, timeout, WebSocket. `listener` is the robot. */
   constructor(options, listener) {
     this.#options = options;
     this.#listener = listener;
@@ -128,8 +128,9 @@ export class Session {
 
   /** The endpoint that may still hold the session, else the one that the entry names. */
   async #connect() {
-    const { WebSocket, user, robot } = this.#options;
-    const query = { userID: user, robotID: robot, ...(await this.#secret()), features: FEATURES, refuse: "close" };
+    const { WebSocket, user, robot, owner } = this.#options;
+    const query = { userID: user, robotID: robot, ...(owner && { owner }), ...(await this.#secret()), features: FEATURES,
+      refuse: "close" };
     if (this.#token) {
       try {
         return await Connection.open(WebSocket, this.#endpoint, { ...query, resume: this.#token }, this);

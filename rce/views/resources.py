@@ -26,13 +26,14 @@ class Rate(Struct, frozen=True):
 
 
 class RobotView(Struct, frozen=True):
-    """A robot with a session. `away`: its Robot endpoint is gone, and its time to appear at another one runs."""
+    """A robot with a session. `away`: its socket or its Robot endpoint is lost, and its time to come back runs."""
 
     user: str
     robotID: str
     state: Literal["connected", "away"]
     endpoint: str  # the Robot endpoint's name
     interfaces: int
+    guest: str = ""  # of whom it is a guest: the user who has opened it
 
 
 EnvironmentState = Literal["waiting", "starting", "ready", "away"]

@@ -13,8 +13,8 @@ import struct
 import subprocess
 import termios
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import AsyncIterator, Iterator, Mapping
+from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 
 from real_platform import RCE, USER
@@ -49,6 +49,39 @@ async def rce(*words: str, env: Mapping[str, str], given: str = "", status: int 
     told = f"rce {' '.join(words)}: {process.returncode}\n{out.decode()}\n{err.decode()}"
     assert status is None or process.returncode == status, told
     return out.decode() if status == 0 else told
+
+
+class Following:
+    """A command whose output goes on, read line by line by way of a pipe."""
+
+    def __init__(self, process: asyncio.subprocess.Process) -> None:
+        self._process = process
+
+    async def until(self, pattern: str) -> str:
+        """The next line that has this."""
+        assert self._process.stdout is not None
+        async with asyncio.timeout(PATIENCE):
+            while line := (await self._process.stdout.readline()).decode():
+                if re.search(pattern, line):
+                    return line
+        raise AssertionError(f"it ended without {pattern!r}")
+
+    async def interrupt(self) -> int:
+        """Its status after a Ctrl-C."""
+        self._process.send_signal(signal.SIGINT)
+        return await asyncio.wait_for(self._process.wait(), PATIENCE)
+
+
+@asynccontextmanager
+async def following(*words: str, env: Mapping[str, str]) -> AsyncIterator[Following]:
+    """A command of `rce`."""
+    process = await asyncio.create_subprocess_exec(RCE, *words, env=env, stdout=subprocess.PIPE)
+    try:
+        yield Following(process)
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
 
 
 class OnTerminal:

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import base64
+import http.client
+import itertools
+import json
 import shutil
 import subprocess
+import urllib.request
 from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from consoles import on_terminal, rce, surroundings
-from real_platform import RCE, RealPlatform
+from consoles import following, on_terminal, rce, surroundings
+from real_platform import RCE, USER, RealPlatform
 
 BRAIN = "console_brain"
 
@@ -36,7 +41,7 @@ async def test_topics_as_with_ros2(env: dict[str, str]) -> None:
     listed = await rce("topic", "list", BRAIN, env=env)
     assert "/heard" in listed
     assert "std_msgs/msg/String" in listed
-    assert "console_" not in await rce("interface", "list", BRAIN, env=env)
+    assert await nothing_left(env)
 
 
 async def test_a_service_is_called(env: dict[str, str]) -> None:
@@ -47,11 +52,65 @@ async def test_a_service_is_called(env: dict[str, str]) -> None:
     assert "there is no service /nowhere" in told
 
 
-async def test_logs_are_followed(env: dict[str, str]) -> None:
-    await rce("node", "start", BRAIN, "odd", "rce_demo", "echo", "--args", "--ros-args --log-level debug", env=env)
-    told = await rce("node", "logs", BRAIN, "odd", "-f", env=env, status=None, seconds=6)
-    assert "[DEBUG]" in told or "odd" in told
-    await rce("node", "stop", BRAIN, "odd", env=env)
+async def test_logs_and_events_are_followed(env: dict[str, str], platform: RealPlatform) -> None:
+    """By the console, and as server-sent events of the API; what is printed later comes later."""
+    loud, text = ("node", "start", BRAIN, "loud", "Relay", "loud.py"), "std_msgs/String"
+    async with following("events", env=env) as events:
+        await rce(*loud, env=env)
+        async with following("node", "logs", BRAIN, "loud", "-f", env=env) as log:
+            await log.until("^listening$")
+            stream = await asyncio.to_thread(_follow, f"{platform.url}api/v1/environments/{BRAIN}/nodes/loud/log")
+            for word in ("first", "second"):
+                await rce("topic", "pub", "--once", f"{BRAIN}/loud", text, f"{{data: {word}}}", env=env)
+                await log.until(f"^{word}$")
+            lines = await asyncio.to_thread(
+                lambda: list(itertools.islice((line for line in stream if b"data:" in line), 3))
+            )
+            assert [json.loads(line[5:])["lines"] for line in lines] == [["listening"], ["first"], ["second"]]
+            await asyncio.to_thread(stream.close)
+            assert await log.interrupt() == 130
+        assert f"{USER}/@console_" in await events.until("robot.came")
+        await rce("topic", "pub", "--once", f"{BRAIN}/loud", text, "{data: die}", env=env)
+        await events.until(f"node.died +{USER}/{BRAIN}/loud  ended with status 3")
+
+
+def _follow(url: str) -> http.client.HTTPResponse:
+    request = urllib.request.Request(f"{url}?follow=true")
+    request.add_header("Authorization", f"Basic {base64.b64encode(f'{USER}:{USER}'.encode()).decode()}")
+    stream: http.client.HTTPResponse = urllib.request.urlopen(request, timeout=60)
+    return stream
+
+
+async def test_others_take_part_as_far_as_they_may(env: dict[str, str], platform: RealPlatform, tmp_path: Path) -> None:
+    """An administrator in a user's environment; a viewer, who only looks."""
+    admin = surroundings(tmp_path, platform.url, "admin")
+    say, heard, text = f"{BRAIN}/say", f"{BRAIN}/heard", "std_msgs/String"
+    key = (await rce("key", "create", "--role", "viewer", env=env)).split()[-1]
+    viewer = surroundings(tmp_path) | {"RCE_URL": platform.url, "RCE_KEY": key}
+    async with (
+        following("topic", "echo", heard, text, env=viewer) as seen,
+        following("topic", "echo", "--of", USER, heard, text, env=admin) as watched,
+    ):
+        await rce("topic", "pub", "--of", USER, "-r", "5", "-t", "20", say, text, "{data: here}", env=admin)
+        await seen.until("data: here")
+        await watched.until("data: here")
+        robots = await rce("robot", "list", "--json", env=env)
+        assert {each["guest"] for each in json.loads(robots)} == {USER, "admin"}
+        assert "in brain 42" in await rce("env", "shell", "--of", USER, BRAIN, "echo in brain $((6*7))", env=admin)
+        for words in (("topic", "pub", "--once", say, text, "{data: no}"), ("env", "shell", BRAIN, "id")):
+            assert "the role viewer may not" in await rce(*words, env=viewer, status=1)
+        assert "there is no user admin" in await rce("topic", "echo", "--of", "admin", heard, env=viewer, status=1)
+    assert await nothing_left(env)
+    noted = await rce("audit", "--by", "admin", "--action", "data.read", env=env)
+    assert f"{USER}/{heard}" in noted
+
+
+async def nothing_left(env: dict[str, str]) -> bool:
+    """Guests leave a moment after their programs."""
+    async with asyncio.timeout(20):
+        while "@" in await rce("interface", "list", env=env):
+            pass
+    return True
 
 
 async def test_the_interactive_console(env: dict[str, str]) -> None:

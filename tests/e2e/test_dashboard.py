@@ -92,7 +92,7 @@ async def test_a_robot_maps_a_building_before_our_eyes(browser: Any, platform: R
         prepared(mapping),
         signed_in(browser, platform) as page,
     ):
-        await page.goto(f"{platform.url}ui/#/map/building")
+        await page.goto(f"{platform.url}ui/#/map/{USER}/building")
         canvas = page.locator("canvas.map")
         driving = asyncio.create_task(mapping.drive(recording, lambda _: None))
         await page.get_by_role("status").filter(has_text="cells of").wait_for()
@@ -108,7 +108,7 @@ async def test_a_robot_maps_a_building_before_our_eyes(browser: Any, platform: R
         await page.locator(".figure").filter(has_text="MB").wait_for()
         await driving
         await screenshot(page, "environment")
-        await page.goto(f"{platform.url}ui/#/map/building")
+        await page.goto(f"{platform.url}ui/#/map/{USER}/building")
         await trail(canvas, 10)
         await screenshot(page, "map")
         await page.goto(f"{platform.url}ui/#/environments/{USER}/building")
@@ -210,7 +210,7 @@ async def test_a_camera_is_seen_and_a_joystick_drives(browser: Any, platform: Re
         filming = asyncio.create_task(film())
         try:
             async with signed_in(browser, platform) as page:
-                await page.goto(f"{platform.url}ui/#/image/cockpit?topic=/out_Image")
+                await page.goto(f"{platform.url}ui/#/image/{USER}/cockpit?topic=/out_Image")
                 await page.get_by_text(re.compile("64 . 48, ")).wait_for()
                 await screenshot(page, "image")
                 key = await page.evaluate("sessionStorage.getItem('rce.key')")

@@ -19,6 +19,8 @@ WS = (
     "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
 )
 GOOD = f"userID={USER}&robotID=r&password={PASSWORD}"
+GOOD_GUEST = GOOD.replace("robotID=r", "robotID=%40r")
+ADMIN = f"userID=admin&password={hashlib.sha256(b'admin').hexdigest()}"
 
 
 async def knock(port: int, query: str, *headers: str) -> tuple[int, str]:
@@ -52,7 +54,17 @@ TABLE = [
     (f"userID={USER}&robotID=%FF&password={PASSWORD}", 400, "robotID"),
     (f"userID={USER}&robotID=r%0D%0AX-Evil%3A%201&password={PASSWORD}", 400, "robotID"),
     (f"userID={USER}&robotID={'r' * 5000}&password={PASSWORD}", 400, "robotID"),
-    (f"userID=admin&robotID=r&password={hashlib.sha256(b'admin').hexdigest()}", 400, ""),
+    (f"{ADMIN}&robotID=r", 400, "administrator"),
+    (f"{ADMIN}&robotID=r&owner={USER}", 400, "owner"),
+    (f"{ADMIN}&robotID=%40&owner={USER}", 400, "robotID"),
+    (f"{ADMIN}&robotID=%40r.x&owner={USER}", 400, "robotID"),
+    (f"{ADMIN}&robotID=%40r&owner={USER}&owner=x", 400, "owner"),
+    (f"{ADMIN}&robotID=%40r&owner=nobody", 400, "no user nobody"),
+    (f"{ADMIN}&robotID=%40r&owner=nobody&features=ack", 404, "no user nobody"),
+    (f"{GOOD_GUEST}&owner=admin&features=ack", 404, "no user admin"),
+    (f"{GOOD_GUEST}&owner={USER}", 101, ""),
+    (f"{ADMIN}&robotID=%40s&owner={USER}", 101, ""),
+    (f"{ADMIN}&robotID=%40s", 101, ""),
     (GOOD, 101, ""),
     (GOOD.replace("password", "key"), 101, ""),
     (GOOD + "&features=ack,unknown&more=1", 101, ""),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -13,6 +14,9 @@ from websockets.exceptions import InvalidStatus
 
 from endpoints.robot.door import Admitted, Greeting
 from endpoints.robot.session import Session
+from master import presence
+from master.rim import ids
+from rce.calls.joining import Hello
 
 
 async def arrive(platform: Any, tag: str, features: str = "resume", **more: Any) -> tuple[Robot, str, bool]:
@@ -63,6 +67,28 @@ async def test_what_waits_is_delivered_once_and_in_order_with_the_statuses(platf
     assert await b.take() == dm("in", {"data": "after"})
     with pytest.raises(InvalidStatus):
         await platform.robot("b", "resume", resume=token)
+
+
+async def test_it_is_told_who_is_away(platform: Platform) -> None:
+    """Within the grace time a robot without a socket is no connected one, also to a Master that is told of it later."""
+    first, token, _ = await arrive(platform, "a")
+    shown, state = platform.master.shown, platform.master.state
+
+    def is_state(wanted: str) -> Callable[[], bool]:
+        return lambda: shown.robot(state.robots[f"{USER}/a"]).state == wanted
+
+    assert is_state("connected")()
+    first.socket.transport.abort()
+    await eventually(is_state("away"))
+    assert platform.endpoint.away() == [f"{USER}/a"]
+    state.away.clear()
+    presence.joined(
+        state, state.processes["robot-1"], Hello("robot", "", "", "", robots=[f"{USER}/a"], away=[f"{USER}/a"]), ids
+    )
+    assert is_state("away")()
+    await arrive(platform, "a", resume=token)
+    await eventually(is_state("connected"))
+    assert platform.endpoint.away() == []
 
 
 async def test_a_second_socket_takes_over_while_the_first_is_open(platform: Platform) -> None:

@@ -36,8 +36,8 @@ class Fleet:
         )
         return presence.joined(self.state, process, said, self.ids)
 
-    def do(self, user: str, command: m.Command, again: bool = False) -> Outcome:
-        return graph.execute(self.state, user, command, self.ids, again, self.policy)
+    def do(self, user: str, command: m.Command, again: bool = False, guest: str = "") -> Outcome:
+        return graph.execute(self.state, user, command, self.ids, again, self.policy, guest)
 
     def robot(self, name: str, endpoint: str = "west", session: str = "s", resume: str = "") -> tuple[Outcome, bool]:
         user, _, tag = name.partition("/")

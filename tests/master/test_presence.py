@@ -101,6 +101,16 @@ def test_a_robot_resumes_where_it_was() -> None:
         fleet.robot("ann/r1", session="u", resume="s")  # each token is good once
 
 
+def test_a_robot_that_is_away_is_forgotten_or_comes_back() -> None:
+    fleet = wired()
+    presence.socket_moved(fleet.state, "ann/r1", False)
+    presence.socket_moved(fleet.state, "bob/r1", False)
+    fleet.robot("ann/r1", session="t", resume="s")
+    assert fleet.state.away == {"bob/r1"}
+    presence.robot_left(fleet.state, "bob/r1")
+    assert fleet.state.away == set()
+
+
 def test_a_robot_resumes_elsewhere_with_all_it_has() -> None:
     fleet = wired()
     fleet.join("east", "robot")

@@ -53,6 +53,7 @@ async def test_the_graph_is_shown(served: Served) -> None:
         "state": "connected",
         "endpoint": "west",
         "interfaces": 1,
+        "guest": "",
     }
     environment = (await served.ask("GET", "/environments/brain")).body
     assert environment["state"] == "ready"

@@ -30,10 +30,11 @@ from twisted.internet.base import ReactorBase
 
 from master.api.resources import make_api
 from master.depot import Depot
-from master.rights import COMMANDS, RIGHTS
+from master.rights import COLUMNS, COMMANDS, RIGHTS
 from rce import messages as m
 from rce.calls.call import Call
-from rce.calls.robots import Execute, Login
+from rce.calls.robots import Execute, Leave, Login
+from rce.roles import Scopes
 
 
 @pytest.fixture
@@ -199,3 +200,95 @@ async def test_everything_as_a_robot(world: World, name: str) -> None:
             assert "not_found" in said or "forbidden" in said
             same = of_missing.replace("r9", "r2").replace("annex", "attic")
             assert said == same
+
+
+# --- guests -----------------------------------------------------------------------------------------------------------
+
+GUEST = "@desk"
+LISTENS: list[m.Command] = [
+    m.AddInterface(GUEST, "ear", "PublisherConverter", STRING),
+    m.AddInterface("brain", f"{GUEST}.ear", "SubscriberInterface", STRING, "/said"),
+    m.Connect(f"brain/{GUEST}.ear", f"{GUEST}/ear"),
+    m.Disconnect(f"brain/{GUEST}.ear", f"{GUEST}/ear"),
+    m.RemoveInterface("brain", f"{GUEST}.ear"),
+    m.RemoveInterface(GUEST, "ear"),
+]
+SPEAKS: list[m.Command] = [
+    m.AddInterface(GUEST, f"new{number}", kind, STRING)
+    for number, kind in enumerate(
+        ("SubscriberConverter", "SubscriberForwarder", "ServiceClientConverter", "ServiceProviderForwarder")
+    )
+] + [
+    m.AddInterface("brain", f"{GUEST}.new{number}", kind, STRING, "/said")
+    for number, kind in enumerate(("PublisherInterface", "ServiceClientInterface", "ServiceProviderInterface"))
+]
+NOT_ITS_OWN: list[m.Command] = [
+    m.AddInterface("brain", "plain", "SubscriberInterface", STRING, "/said"),
+    m.AddInterface("r1", "plain", "PublisherConverter", STRING),
+    m.Connect("brain/@another.ear", f"{GUEST}/ear"),
+    m.Connect("r1/spare", "brain/spare"),
+    m.AddNode("brain", f"{GUEST}.shell", "p", "x"),
+]
+
+
+@pytest.mark.parametrize("owner", ["own", "bob"])
+@pytest.mark.parametrize("name", ACTORS)
+async def test_everything_as_a_guest(world: World, name: str, owner: str) -> None:
+    actor = ACTORS[name]
+    await world.begin(actor)
+    state = world.served.master.state
+    user = actor.user if owner == "own" else owner
+    column = actor.column if actor.column in COLUMNS else ""
+
+    def may(operation: str) -> bool:
+        reach = RIGHTS[operation][column] if column else "-"
+        return reach == "all" or (reach == "own" and user == actor.user)
+
+    login = Login(actor.user, GUEST, world.secret, owner=user)
+    if column == "tied":
+        assert ("tied to robotID r1" if owner == "own" else "not_found") in await outcome(world, login)
+        return
+    came = await outcome(world, login)
+    assert (came == "ok") == may("data.read"), (name, came)
+    if came != "ok":
+        nobody = await outcome(world, Login(actor.user, GUEST, world.secret, owner="eve"))
+        assert came.replace(user, "eve") == nobody  # of whom there is none
+        assert f"{user}/{GUEST}" not in state.robots
+        return
+    usage = (state.robots_of_user("bob"), state.connections_of_user("bob"))
+    tried = (("data.read", LISTENS), ("data.write", SPEAKS), ("", commands("r1", "brain")[:9]), ("", NOT_ITS_OWN[-2:]))
+    for operation, each in ((operation, each) for operation, all_of in tried for each in all_of):
+        said = await outcome(world, Execute.of(f"{user}/{GUEST}", each))
+        assert (said == "ok") == may(operation or COMMANDS[type(each)]), (name, each, said)
+        assert said == "ok" or "forbidden" in said
+        await world.furnish(user)
+    for listens in LISTENS[:3]:
+        assert await outcome(world, Execute.of(f"{user}/{GUEST}", listens)) == "ok"
+    if user != actor.user:
+        assert usage == (state.robots_of_user("bob"), state.connections_of_user("bob"))
+    await world.served.said("west", Leave(f"{user}/{GUEST}"))
+    left = [each.key for table in state.tables() for each in table if "@" in each.key]
+    assert left == []
+
+
+async def test_what_a_viewer_cannot_reach_by_a_guest(world: World) -> None:
+    """Names that begin with its own are its own in environments only: a robot would hear what it sends."""
+    await world.begin(ACTORS["viewer"])
+    assert await outcome(world, Login("ann", GUEST, world.secret)) == "ok"
+    for command in (*NOT_ITS_OWN, m.AddInterface("r1", f"{GUEST}.x", "PublisherConverter", STRING)):
+        assert "forbidden" in await outcome(world, Execute.of(f"ann/{GUEST}", command)), command
+    for command in (
+        m.AddInterface("r1", f"{GUEST}.x", "SubscriberInterface", STRING),
+        m.AddInterface("brain", "@another.x", "SubscriberInterface", STRING),
+    ):
+        assert await outcome(world, Execute.of(f"ann/{GUEST}", command)) != "ok", command
+
+
+async def test_a_guest_by_a_key_that_is_tied_to_environments(world: World) -> None:
+    await world.begin(ACTORS["user"])
+    secret, _ = await world.served.master.users.keys.add("ann", "robot", scopes=Scopes(environments=["brain"]))
+    assert await outcome(world, Login("ann", GUEST, secret)) == "ok"
+    for number, kind in enumerate(("SubscriberInterface", "PublisherInterface")):
+        for environment, expected in (("brain", "ok"), ("attic", "not_found"), ("annex", "not_found")):
+            command = m.AddInterface(environment, f"{GUEST}.x{number}", kind, STRING)
+            assert expected in await outcome(world, Execute.of(f"ann/{GUEST}", command))

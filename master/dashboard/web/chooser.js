@@ -3,14 +3,14 @@
 import { h, show } from "./dom.js";
 
 /** The types of the topics of an environment that interfaces make known, by topic. */
-export function topicsOf(app, environment) {
+export function topicsOf(app, owner, environment) {
   const of = [...app.live.interfaces.values()].filter((each) =>
-    each.user === app.me.user && each.endpointTag === environment && /^(Publisher|Subscriber)Interface$/.test(each.interfaceType));
+    each.user === owner && each.endpointTag === environment && /^(Publisher|Subscriber)Interface$/.test(each.interfaceType));
   return new Map(of.map((each) => [each.addr, each.className]));
 }
 
 /** A form for `fields` {name, label, type, value}; sent, it leads to `page` with what was chosen. */
-export function chooser(app, page, environment, fields) {
+export function chooser(app, page, owner, environment, fields) {
   const select = h("select", { name: "environment", required: true });
   const inputs = fields.map((each) => h("input", { name: each.name, value: each.value, list: `${each.name}-topics`, size: 16, autocomplete: "off" }));
   const lists = fields.map((each) => h("datalist", { id: `${each.name}-topics` }));
@@ -24,12 +24,13 @@ export function chooser(app, page, environment, fields) {
     else app.go(address);
   };
   const draw = () => {
-    const names = [...app.live.environments.values()].filter((each) => each.user === app.me.user).map((each) => each.containerTag);
-    const chosen = select.value || environment;
-    show(select, !names.includes(chosen) && h("option", { value: "" }, names.length ? "choose …" : "you have none"),
-      names.sort().map((name) => h("option", { value: name }, name)));
-    select.value = names.includes(chosen) ? chosen : "";
-    const topics = topicsOf(app, chosen);
+    const found = [...app.live.environments.values()].filter((each) => app.me.may("data.read", each.user));
+    const names = new Map(found.map((each) => [`${each.user}/${each.containerTag}`, app.named(each.user, each.containerTag)]).sort());
+    const chosen = select.value || (environment && `${owner}/${environment}`);
+    show(select, !names.has(chosen) && h("option", { value: "" }, names.size ? "choose …" : "there is none"),
+      [...names].map(([value, name]) => h("option", { value }, name)));
+    select.value = names.has(chosen) ? chosen : "";
+    const topics = topicsOf(app, ...chosen.split("/"));
     fields.forEach((each, index) => show(lists[index],
       [...topics].filter(([, type]) => type === each.type).map(([topic]) => h("option", { value: topic }))));
   };

@@ -6,6 +6,7 @@ import { confirm, newInterface, newNode, newParameter } from "./forms.js";
 import { LogView } from "./logview.js";
 
 export function environmentPage(main, app, user, tag, query) {
+  app.reveal(user);
   const key = `${user}/${tag}`;
   const path = `/environments/${tag}`;
   const who = app.acting(user);
@@ -80,7 +81,7 @@ function head(app, view) {
   const { containerData: data } = view;
   const facts = [view.machine && `on ${view.machine}`, data.memory && bytes(data.memory), data.cpu && `${data.cpu} cores`,
     data.group && `group ${data.group}`, view.address, data.image].filter(Boolean);
-  return h("div.head", h("h1", view.user === app.me.user ? view.containerTag : `${view.user}/${view.containerTag}`),
+  return h("div.head", h("h1", app.named(view.user, view.containerTag)),
     state(view.state), h("span.soft", facts.join(" · ")), h("span.grow"),
     app.me.may("environment.remove", view.user) && button("stop", "", "Stop environment", ".danger"));
 }
@@ -105,7 +106,7 @@ function parametersOf(app, user, parameters) {
 const VIEWS = { OccupancyGrid: "map", Image: "image", CompressedImage: "image" };
 
 function interfacesOf(app, user, tag, interfaces) {
-  const own = user === app.me.user && app.me.may("robot.connect");
+  const seen = app.me.may("data.read", user);
   return h("div", title("Interfaces", app.me.may("interface.create", user) && button("add", "", "Add interface")), table({
     Name: (each) => each.interfaceTag,
     Kind: (each) => each.interfaceType.replace("Interface", ""),
@@ -114,8 +115,8 @@ function interfacesOf(app, user, tag, interfaces) {
     "#Rate": (each) => rate(each.rate),
     "#Dropped": (each) => String(each.rate?.drops ?? 0),
     " ": (each) => {
-      const view = own && each.interfaceType === "SubscriberInterface" && VIEWS[short(each.className)];
-      return [view && h("a.button.small", { href: `#/${view}/${tag}?topic=${encodeURIComponent(each.addr)}` }, "View"),
+      const view = seen && each.interfaceType === "SubscriberInterface" && VIEWS[short(each.className)];
+      return [view && h("a.button.small", { href: `#/${view}/${user}/${tag}?topic=${encodeURIComponent(each.addr)}` }, "View"),
         app.me.may("interface.remove", user) && button("remove", each.interfaceTag, "Remove")];
     },
   }, interfaces, "It has no interfaces."));

@@ -119,8 +119,7 @@ class Graph {
   }
 
   #title(card) {
-    const own = card.view.user === this.#app.me.user ? "" : `${card.view.user}/`;
-    const name = own + card.name;
+    const name = this.#app.named(card.view.user, card.name) + (card.view.guest ? ` (${card.view.guest})` : "");
     return h("div.title", state(card.view.state),
       card.kind === "environment"
         ? h("a.name", { href: `#/environments/${card.view.user}/${card.name}`, title: name }, name)
@@ -174,7 +173,7 @@ class Graph {
     const actions = [
       isEnvironment && h("button", { onclick: then(() => this.#app.go(`/environments/${user}/${card.name}`)) }, "Open"),
       isEnvironment && me.may("node.create", user) && h("button", { onclick: then(() => newNode(this.#app, card.view)) }, "Start node"),
-      me.may("interface.create", user) && h("button", { onclick: then(() => newInterface(this.#app, card.view)) }, "Add interface"),
+      !card.view.guest && me.may("interface.create", user) && h("button", { onclick: then(() => newInterface(this.#app, card.view)) }, "Add interface"),
       me.may(stop[1], user) && h("button.danger", { onclick: then(() => confirm(`${stop[0]} ${card.name}?`, stop[3], stop[0],
         () => api.remove(stop[2], acting(user)))) }, stop[0]),
     ].filter(Boolean);

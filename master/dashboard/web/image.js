@@ -5,15 +5,16 @@ import { chooser, topicsOf } from "./chooser.js";
 import { Picture } from "./picture.js";
 import { Subscriptions } from "./robot.js";
 
-export function imagePage(main, app, environment, query) {
+export function imagePage(main, app, owner, environment, query) {
   const topic = query.get("topic") ?? "/image_raw";
-  const pick = chooser(app, "image", environment, [{ name: "topic", label: "Topic", type: "sensor_msgs/Image", value: topic }]);
-  main.append(h("div.head", h("h1", "Image"), h("span.soft", environment)), pick.element);
+  const pick = chooser(app, "image", owner, environment, [{ name: "topic", label: "Topic", type: "sensor_msgs/Image", value: topic }]);
+  main.append(h("div.head", h("h1", "Image"), h("span.soft", app.named(owner, environment))), pick.element);
   if (!environment) return pick.stop;
+  app.reveal(owner);
   const picture = new Picture();
   main.append(h("section.panel", picture.says, picture.element));
-  const subscriptions = new Subscriptions(app, environment);
-  const type = topicsOf(app, environment).get(topic) ?? "sensor_msgs/Image";
+  const subscriptions = new Subscriptions(app, owner, environment);
+  const type = topicsOf(app, owner, environment).get(topic) ?? "sensor_msgs/Image";
   subscriptions.add(topic, type, { format: "jpeg", depth: 1, qos: { depth: 1 }, callback: (message) => picture.take(message) })
     .catch((error) => { picture.says.textContent = error.message; });
   return () => { pick.stop(); subscriptions.close(); };

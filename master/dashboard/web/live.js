@@ -25,6 +25,7 @@ export class Live {
   /** Show the things of another user. */
   watch(user) {
     this.#greeting.user = user;
+    this.complete = false;
     this.#socket?.close();
   }
 

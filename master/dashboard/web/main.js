@@ -20,8 +20,8 @@ const [bar, main] = [document.getElementById("bar"), document.getElementById("ma
 const PAGES = [ // what the address says, the page, its place in the bar, and the operation that it takes
   [/^\/$/, graphPage, "Graph"],
   [/^\/environments\/(\w+)\/(\w+)$/, environmentPage],
-  [/^\/map(?:\/(\w+))?$/, mapPage, "Map", "robot.connect"],
-  [/^\/image(?:\/(\w+))?$/, imagePage, "Image", "robot.connect"],
+  [/^\/map(?:\/(\w+)\/(\w+))?$/, mapPage, "Map", "data.read"],
+  [/^\/image(?:\/(\w+)\/(\w+))?$/, imagePage, "Image", "data.read"],
   [/^\/machines$/, machinesPage, "Machines", "machine.read"],
   [/^\/users$/, usersPage, "Users", "user.create"],
   [/^\/users\/(\w+)$/, userPage],
@@ -42,6 +42,8 @@ async function start() {
     const ended = new AbortController();
     app = { api, me, live, ended, key: stored, go: (path) => { location.hash = path; } };
     app.acting = (user = live.user === "*" ? me.user : live.user) => (user === me.user ? {} : { user });
+    app.named = (user, tag) => (user === me.user ? tag : `${user}/${tag}`);
+    app.reveal = (user) => user !== me.user && live.user !== "*" && me.may("environment.read", "*") && live.watch("*");
     live.on(drawBar);
     followEvents(app, ended.signal);
     window.addEventListener("hashchange", route);
@@ -126,10 +128,9 @@ function forget(message = "") {
   leave = null;
   app?.live.close();
   app?.ended.abort();
-  app?.robot?.then((robot) => robot.close(), () => {});
   app = null;
   signInPage(message);
 }
 
-window.addEventListener("pagehide", () => app?.robot?.then((robot) => robot.connection?.close(), () => {}));
+window.addEventListener("pagehide", () => app?.guest?.connection?.close());
 start();

@@ -8,18 +8,19 @@ import { Subscriptions } from "./robot.js";
 
 const LATCHED = { reliability: "reliable", durability: "transient_local", depth: 1 };
 
-export function mapPage(main, app, environment, query) {
-  const pick = chooser(app, "map", environment, [
+export function mapPage(main, app, owner, environment, query) {
+  const pick = chooser(app, "map", owner, environment, [
     { name: "topic", label: "Map", type: "nav_msgs/OccupancyGrid", value: query.get("topic") ?? "/map" },
     { name: "pose", label: "Pose", type: "geometry_msgs/PoseWithCovarianceStamped", value: query.get("pose") ?? "/pose" },
     { name: "path", label: "Path", type: "nav_msgs/Path", value: query.get("path") ?? "/path" },
   ]);
-  main.append(h("div.head", h("h1", "Map"), h("span.soft", environment)), pick.element);
+  main.append(h("div.head", h("h1", "Map"), h("span.soft", app.named(owner, environment))), pick.element);
   if (!environment) return pick.stop;
+  app.reveal(owner);
   const picture = new MapPicture();
   const says = h("p.soft", { role: "status" }, "Waiting for a map …");
   main.append(h("section.panel", h("div.head", says, h("span.grow"), h("button", { onclick: () => picture.fit() }, "Whole map")), picture.element));
-  const subscriptions = new Subscriptions(app, environment);
+  const subscriptions = new Subscriptions(app, owner, environment);
   const { topic, pose, path } = pick.values();
   const all = { raw: true, depth: 1 };
   const take = (read, use) => ({ ...all, callback: (bytes) => use(read(bytes)) });
@@ -32,7 +33,7 @@ export function mapPage(main, app, environment, query) {
   // A node need not have these: then the map is shown without them.
   const optional = (promise) => promise.catch(() => {});
   optional(subscriptions.add(`${topic}_updates`, "map_msgs/OccupancyGridUpdate", { ...take(readUpdate, (update) => picture.update(update)), depth: 10 }));
-  if (pose) optional(subscriptions.add(pose, topicsOf(app, environment).get(pose) ?? "geometry_msgs/PoseWithCovarianceStamped", take(readPose, (at) => picture.pose(at))));
+  if (pose) optional(subscriptions.add(pose, topicsOf(app, owner, environment).get(pose) ?? "geometry_msgs/PoseWithCovarianceStamped", take(readPose, (at) => picture.pose(at))));
   if (path) optional(subscriptions.add(path, "nav_msgs/Path", { qos: LATCHED, ...take(readPath, (poses) => picture.path(poses)) }));
   return () => { pick.stop(); picture.stop(); subscriptions.close(); };
 }

@@ -1,0 +1,142 @@
+"""Guests: whose they are, what they leave, what they count, and what is noted of them."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fleet import furnished, interface
+from served import PASSWORD, Served, serve
+from twisted.internet.base import ReactorBase
+
+from master import presence
+from master.policies import Policy, usage
+from master.users import digest
+from rce import messages as m
+from rce.calls.robots import Execute, Login
+from rce.errors import AlreadyExists, InvalidName, LimitExceeded
+from rce.roles import Principal
+
+STRING = "std_msgs/String"
+
+
+@pytest.fixture
+async def served(reactor: ReactorBase, tmp_path: Path) -> AsyncIterator[Served]:
+    async with serve(reactor, tmp_path) as served:
+        await served.master.execute("ann", m.CreateContainer("brain"))
+        yield served
+
+
+def visit(user: str = "root", owner: str = "ann", robot: str = "@desk") -> Login:
+    return Login(user, robot, digest(PASSWORD), owner=owner)
+
+
+async def told(served: Served, *commands: m.Command, robot: str = "ann/@desk") -> None:
+    for command in commands:
+        await served.said("west", Execute.of(robot, command))
+
+
+LISTENING = (
+    m.AddInterface("@desk", "ear", "PublisherConverter", STRING),
+    m.AddInterface("brain", "@desk.ear", "SubscriberInterface", STRING, "/said"),
+    m.Connect("brain/@desk.ear", "@desk/ear"),
+)
+
+
+async def test_the_user_sees_who_is_there_and_may_send_them_away(served: Served) -> None:
+    await served.said("west", visit())
+    await told(served, *LISTENING)
+    (robot,) = (await served.ask("GET", "/robots")).body["items"]
+    assert (robot["robotID"], robot["guest"], robot["state"]) == ("@desk", "root", "connected")
+    assert (await served.ask("GET", "/robots/%40desk")).body == robot
+    assert len((await served.ask("GET", "/interfaces")).body["items"]) == 2
+    assert (await served.ask("DELETE", "/robots/%40desk")).status == 204
+    assert (await served.ask("GET", "/interfaces")).body["items"] == []
+
+
+async def test_a_visit_is_noted(served: Served) -> None:
+    await served.said("west", visit())
+    await told(served, *LISTENING, m.AddInterface("brain", "@desk.mouth", "PublisherInterface", STRING, "/say"))
+    for asker in ("ann", "root"):
+        entries = (await served.ask("GET", "/audit?user=root", asker)).body["items"]
+        found = [(each["action"], each["object"], each["result"]) for each in reversed(entries)]
+        assert found == [
+            ("data.read", "ann/@desk", "ok"),
+            ("data.read", "ann/brain/said", "ok"),
+            ("data.write", "ann/brain/say", "ok"),
+        ]
+
+
+async def test_it_is_cut_off_with_the_key_by_which_it_came(served: Served) -> None:
+    secret, key = await served.master.users.keys.add("olga", "operator")
+    await served.said("west", Login("olga", "@desk", secret, owner="ann"))
+    await told(served, *LISTENING)
+    await served.master.guard.revoke_key("olga", key.id)
+    assert not list(served.master.state.robots)
+    assert not list(served.master.state.interfaces)
+
+
+async def test_only_a_guest_may_have_another_owner(served: Served) -> None:
+    for login, code in (
+        (visit(robot="desk"), "invalid_request"),
+        (visit("olga", robot="desk"), "invalid_request"),
+        (visit("bob"), "not_found"),
+        (visit("vera"), "not_found"),
+        (visit(owner="nobody"), "not_found"),
+        (visit(owner="ann/brain"), "not_found"),
+    ):
+        with pytest.raises(AssertionError, match=code):
+            await served.said("west", login)
+    assert not list(served.master.state.robots)
+
+
+async def test_a_name_of_guests_is_nobody_elses(served: Served) -> None:
+    body: dict[str, Any] = {"endpointTag": "brain", "className": STRING, "interfaceType": "SubscriberInterface"}
+    for user in ("ann", "root"):
+        answer = await served.ask("POST", "/interfaces?user=ann", user, body | {"interfaceTag": "@desk.ear"})
+        assert (answer.status, answer.body["code"]) == (400, "invalid_name")
+        node = {"nodeTag": "@desk.shell", "pkg": "p", "exe": "x"}
+        assert (await served.ask("POST", "/environments/brain/nodes?user=ann", user, node)).status == 400
+
+
+def test_what_it_made_goes_with_it() -> None:
+    fleet = furnished()
+    fleet.policy = Policy(robots=1, connections=0)
+    root = Principal("root", "admin")
+    for guest in ("@desk", "@desk2"):
+        presence.robot_arrived(fleet.state, "ann", guest, "west", "s", "", fleet.ids, fleet.policy, root)
+    with pytest.raises(InvalidName):
+        fleet.do("ann", interface("brain", "@desk.x", "SubscriberInterface"))
+    for guest in ("@desk", "@desk2"):
+        fleet.do("ann", interface("brain", f"{guest}.x", "SubscriberInterface"), guest=guest)
+        fleet.do("ann", m.AddNode("brain", f"{guest}.shell", "p", "x"), guest=guest)
+    fleet.do("ann", interface("brain", "plain", "SubscriberInterface"), guest="@desk")
+    presence.robot_left(fleet.state, "ann/@desk")
+    assert {each.spec.tag for each in fleet.state.interfaces} == {"@desk2.x", "plain"}
+    assert {each.spec.tag for each in fleet.state.nodes} == {"@desk2.shell"}
+
+
+def test_a_visitor_counts_in_no_limit_and_a_guest_of_ones_own_does() -> None:
+    fleet = furnished()
+    fleet.policy = Policy(robots=1, connections=1)
+    root, ann = Principal("root", "admin"), Principal("ann", "user")
+
+    def come(guest: str, who: Principal) -> None:
+        presence.robot_arrived(fleet.state, "ann", guest, "west", "s", "", fleet.ids, fleet.policy, who)
+
+    def listen(owner: str, tag: str, guest: str = "") -> None:
+        fleet.do("ann", interface(owner, "ear", "PublisherConverter"), guest=guest)
+        fleet.do("ann", interface("brain", tag, "SubscriberInterface"), guest=guest)
+        fleet.do("ann", m.Connect(f"brain/{tag}", f"{owner}/ear"), guest=guest)
+
+    listen("r1", "out")
+    come("@desk", root)
+    listen("@desk", "@desk.out", "@desk")
+    used = usage(fleet.state, "ann")
+    assert (used.robots, used.connections) == (1, 1)
+    with pytest.raises(LimitExceeded, match="robots: 2"):
+        come("@mine", ann)
+    with pytest.raises(AlreadyExists):
+        come("@desk", root)
