@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 from twisted.internet.base import ReactorBase
@@ -18,8 +16,9 @@ from containers.settings import NAMESERVERS, Settings, check_isolation
 from containers.taskset import TaskSet
 from rce import loop
 from rce.credential import Credential
-from rce.errors import AlreadyExists, InvalidRequest, StartFailed
+from rce.errors import InvalidRequest, StartFailed
 from rce.settings import load_or_exit
+from rce.sole import sole_user
 from rce.tls import Tls, load
 
 PROGRAM = "rce container"
@@ -39,7 +38,7 @@ def main() -> int:
 async def serve(reactor: ReactorBase, settings: Settings) -> None:
     """Run the task set that `settings` describe."""
     directory = settings.data_dir.absolute()
-    with _sole_user(directory):
+    with sole_user(directory, "task set"):
         credential = Credential(directory / "container.credential", settings.token)
         tls = load(settings.tls)
         relay = DataRelay(tls)
@@ -86,7 +85,7 @@ def make_engine(
         from containers.swarm_spec import AgentService
     except ModuleNotFoundError as error:
         raise StartFailed(
-            f"the {settings.engine} engine needs docker-py ({error}): pip install 'rce[docker]'"
+            f"the {settings.engine} engine needs docker-py ({error}): pip install '.[docker]' in a checkout of RCE"
         ) from None
     setup = Setup(
         reactor=reactor,
@@ -131,20 +130,6 @@ def make_engine(
 def _files(tls: Path | None) -> dict[str, str]:
     """Processes of this user may read them in any case."""
     return {"tls": str(tls.absolute())} if tls else {}
-
-
-@contextmanager
-def _sole_user(directory: Path) -> Iterator[None]:
-    """Two task sets with one directory would take each other's environments for leftovers."""
-    directory.mkdir(parents=True, exist_ok=True, mode=0o700)
-    with (directory / "container.lock").open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise AlreadyExists(
-                f"another task set works in {directory}; give this one a directory of its own"
-            ) from None
-        yield
 
 
 if __name__ == "__main__":

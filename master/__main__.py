@@ -34,6 +34,7 @@ from rce import control, loop, settings
 from rce.certificates import Authority
 from rce.errors import InvalidRequest
 from rce.ready import Ready, announce
+from rce.sole import sole_user
 from rce.tls import CA, CERTIFICATE, KEY, PLAIN, exposed, interface, load
 
 log = Logger("master")
@@ -74,11 +75,15 @@ class Settings(Struct):
 
 async def serve(reactor: ReactorBase, options: Settings) -> None:
     """Run until cancelled."""
+    with sole_user(options.data_dir, "Master"):  # two would write over each other in one database
+        await _serve(reactor, options)
+
+
+async def _serve(reactor: ReactorBase, options: Settings) -> None:
     http = loopback_only(options.http) if options.dev else options.http
     tls = load(options.tls)
     if exposed(interface(options.control), tls):
         log.warn(PLAIN, what="control", host=interface(options.control) or "all addresses")
-    options.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
     store = Store(options.database or f"sqlite:///{options.data_dir / 'master.db'}")
     await store.open()
     depot = Depot(options.data_dir / "packages")

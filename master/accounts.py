@@ -27,10 +27,7 @@ ADD_IMAGE = "images+="
 
 def parser() -> argparse.ArgumentParser:
     whole = argparse.ArgumentParser(prog="rce user", description="Users and API keys of a Master on this machine.")
-    whole.add_argument(
-        "--data-dir", type=Path, default=Path("~/.local/share/rce/master"), help="the Master's data directory"
-    )
-    whole.add_argument("--database", default="", help="SQLAlchemy URL, if the Master does not use its data directory")
+    _add_place(whole, Path("~/.local/share/rce/master"), "")
     commands = whole.add_subparsers(dest="command", required=True)
     add = commands.add_parser("add", help="add a user; the password is asked for, or read from standard input")
     add.add_argument("user")
@@ -60,7 +57,14 @@ def parser() -> argparse.ArgumentParser:
     key_revoke = commands.add_parser("key-revoke", help="revoke an API key")
     key_revoke.add_argument("user")
     key_revoke.add_argument("key", help="its id, as `key-list` shows it")
+    for each in commands.choices.values():  # before the command or after it
+        _add_place(each, argparse.SUPPRESS, argparse.SUPPRESS)
     return whole
+
+
+def _add_place(to: argparse.ArgumentParser, directory: Path | str, database: str) -> None:
+    to.add_argument("--data-dir", type=Path, default=directory, help="the Master's data directory")
+    to.add_argument("--database", default=database, help="SQLAlchemy URL, if the Master's is not in its data directory")
 
 
 def _password() -> str:

@@ -39,6 +39,8 @@ def parser() -> argparse.ArgumentParser:
     remove.add_argument("name")
     listing = commands.add_parser("list", help="list the machines, whether they run or not")
     listing.add_argument("--json", action="store_true")
+    for each in commands.choices.values():  # before the command or after it
+        each.add_argument("--config", type=Path, default=argparse.SUPPRESS, help="the Master's settings")
     return whole
 
 

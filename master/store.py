@@ -128,7 +128,12 @@ class Store:
         try:
             await self._do(lambda: bring_up_to_date(self._engine, tables))
         except sa.exc.SQLAlchemyError as error:
-            raise InvalidRequest(f"database {self._engine.url!r} cannot be opened: {error}", field="database") from None
+            told = str(getattr(error, "orig", None) or error).partition("\n")[0]  # without SQLAlchemy's own advice
+            raise InvalidRequest(
+                f"database {self._engine.url!r} cannot be opened: {told}; see that its disk has room and that the file "
+                "may be written, or put a backup in its place (docs/operations.md)",
+                field="database",
+            ) from None
 
     async def run(self, work: Callable[[sa.Connection], R]) -> R:
         """`work` in a transaction of its own, in the database's thread."""

@@ -24,7 +24,7 @@ from rce.errors import AlreadyExists, InvalidName, InvalidRequest, NotFound, Unk
 try:
     from rosidl_adapter import parser
 except ModuleNotFoundError as error:
-    raise NotFound("ROS 2 is not installed in this Python: pip install 'rce[ros]'") from error
+    raise NotFound("ROS 2 is not installed in this Python: pip install '.[ros]' in a checkout of RCE") from error
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 # ROS 1 allowed capital letters in the names of packages and fields, and its messages are still on the wire

@@ -34,7 +34,9 @@ def required(package: str) -> Path:
     """The share directory of a package that type support cannot be built without; raises NotFound."""
     directory = share(package)
     if directory is None:
-        raise NotFound(f"ROS 2 package {package} is not installed in {sys.prefix}: pip install 'rce[ros]'")
+        raise NotFound(
+            f"ROS 2 package {package} is not installed in {sys.prefix}: pip install '.[ros]' in a checkout of RCE"
+        )
     return directory
 
 

@@ -7,25 +7,31 @@ names a Master's files they work on those, whether that Master runs or not.
 
 from __future__ import annotations
 
+import errno
+import io
 import os
+import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import rce
-from rce.errors import RceError
 
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+STOPPED, UNREAD = 128 + signal.SIGINT, 128 + signal.SIGPIPE  # as a shell says it of programs that a signal ended
 PROGRAMS = {
-    "master": "run a Master",
-    "robot": "run a Robot endpoint",
-    "container": "run a Container task set",
-    "environment": "run an Environment endpoint (the task set does this)",
-    "bridge": "carry topics of a robot that runs ROS 2 to an environment and back",
-    "map-service": "run the map service: recordings in, maps out",
-    "image": "images with your own ROS packages, on this machine's Docker",
+    "master": "Run a Master.",
+    "robot": "Run a Robot endpoint (`rce robot list` and so on are commands, see above).",
+    "container": "Run a Container task set: the environments of a machine.",
+    "environment": "Run an Environment endpoint (the task set does this).",
+    "map-service": "Run the map service: recordings in, maps out.",
+}
+TOOLS = {
+    "bridge": "Carry topics of a robot that runs ROS 2 to an environment and back.",
+    "image": "Build images with your own ROS packages, with this machine's Docker.",
 }
 ON_FILES = {
-    "user": (("--data-dir", "--database"), "users and API keys in the database of a Master on this machine"),
-    "machine": (("--config",), "machines that may join a Master on this machine"),
+    "user": (("--data-dir", "--database"), "users and API keys"),
+    "machine": (("--config",), "machines that may join"),
 }
 """Programs that work on a Master's files, by the options that say so."""
 
@@ -69,28 +75,74 @@ def bench(arguments: list[str]) -> int:
 
 
 COMMANDS: dict[str, tuple[str, Callable[[list[str]], int]]] = {
-    "up": ("run the whole platform on this machine", up),
-    "map": ("make a map of recorded laser scans", map_recordings),
-    "run": ("be a robot that a file describes", run_robot),
-    "package": ("your own ROS packages at a platform", package),
-    "bench": ("measure a platform", bench),
+    "up": ("Run the whole platform on this machine.", up),
+    "map": ("Make a map of recorded laser scans.", map_recordings),
+    "run": ("Be a robot that a file describes.", run_robot),
+    "package": ("Push, list, share and remove your own ROS packages at a platform.", package),
+    "bench": ("Measure a platform.", bench),
 }
 
 
 def usage() -> str:
     from rce.console import table
 
-    lines = ["usage: rce COMMAND …; rce COMMAND --help tells more", ""]
-    lines += [f"  {name:12} {text}" for name, (text, _) in COMMANDS.items()]
-    lines += [f"  {name:12} {text}" for name, text in PROGRAMS.items()]
-    for name, (options, text) in ON_FILES.items():
-        lines.append(f"  {name:12} with {' or '.join(options)}: {text}")
-    return "\n".join([*lines, "", "at a platform, also in `rce console`:", table.overview()])
+    def listed(of: Mapping[str, str]) -> list[str]:
+        return [f"  {name:12} {text}" for name, text in of.items()]
+
+    return "\n".join(
+        [
+            "usage: rce COMMAND …; rce COMMAND --help tells more",
+            *("", "to begin: `rce up --dev` runs a platform here; docs/console.md and README.md tell the rest", ""),
+            *listed({name: text for name, (text, _) in COMMANDS.items()} | TOOLS),
+            *("", "at a platform (`rce login URL` says which), also in `rce console`:"),
+            table.overview(),
+            *("", "the parts of a platform, one by one:", *listed(PROGRAMS)),
+            *("", "on the files of a Master of this machine, whether it runs or not:"),
+            *(f"  {name} {options[0]} …  {text}" for name, (options, text) in ON_FILES.items()),
+        ]
+    )
 
 
 def main() -> int:
-    """Status 0: done; 1: it failed, and the reason is on standard error; 2: the command line is wrong."""
-    match sys.argv[1:]:
+    """Status 0: done; 1: it failed, and the reason is on standard error; 2: the command line is wrong; 130: Ctrl-C;
+    141: who read the output has gone (`rce audit | head`)."""
+    _take_any_terminal()
+    try:
+        try:
+            return _dispatch(sys.argv[1:])
+        finally:
+            sys.stdout.flush()  # not left to the interpreter, which would say it in its own way
+    except KeyboardInterrupt:
+        return STOPPED
+    except BrokenPipeError:
+        _write_nothing_more()
+        return UNREAD
+    except OSError as error:
+        if error.filename is None and error.errno not in NO_ROOM:
+            raise
+        from rce.errors import reason
+
+        print(f"rce: {reason(error)}", file=sys.stderr)
+        _write_nothing_more()
+        return 1
+
+
+def _take_any_terminal() -> None:
+    """What the encoding of a terminal lacks is shown as `?`; a closed standard output is no defect."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+    if sys.stdout is None:
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115  # for as long as the process lives
+
+
+def _write_nothing_more() -> None:
+    """Else the interpreter tries once more at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _dispatch(words: list[str]) -> int:
+    match words:
         case [] | ["-h" | "--help"] | ["help"]:
             print(usage())
             return 0
@@ -111,7 +163,7 @@ def is_program(name: str, arguments: Sequence[str]) -> bool:
         return any(word.partition("=")[0] in ON_FILES[name][0] for word in arguments)
     if name in ("robot", "container"):
         return not arguments or arguments[0].startswith("-")
-    return name in PROGRAMS
+    return name in PROGRAMS or name in TOOLS
 
 
 def _become(name: str, arguments: list[str]) -> int:
@@ -135,6 +187,8 @@ def _console(words: list[str]) -> int:
 
 
 def _run(command: Callable[[list[str]], int], arguments: list[str]) -> int:
+    from rce.errors import RceError  # here, so that a Ctrl-C while it is imported is met by `main`
+
     try:
         return command(arguments)
     except RceError as error:
@@ -144,13 +198,8 @@ def _run(command: Callable[[list[str]], int], arguments: list[str]) -> int:
         if error.name is None or error.name.partition(".")[0] == "rce":
             raise
         extras = "console" if error.name.partition(".")[0] in ("rich", "prompt_toolkit") else "server,mapping,ros,bench"
-        print(f"rce: this needs {error.name}: pip install 'rce[{extras}]'", file=sys.stderr)
+        print(f"rce: this needs {error.name}: pip install '.[{extras}]' in a checkout of RCE", file=sys.stderr)
         return 1
-    except BrokenPipeError:  # who read this has seen enough: `rce map status | head`
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115  # so that the interpreter's last flush goes well
-        return 1
-    except KeyboardInterrupt:
-        return 130
 
 
 if __name__ == "__main__":

@@ -7,6 +7,8 @@ code that this version does not know comes out as plain `RceError` with the code
 
 from __future__ import annotations
 
+import errno
+import os
 from typing import ClassVar
 
 import msgspec
@@ -178,3 +180,18 @@ class InternalError(RceError):
     """A defect of RCE itself. The server's log has the traceback."""
 
     code = "internal"
+
+
+def reason(error: OSError) -> str:
+    """What the operating system refused, as people say it: `PATH: no such file or directory`."""
+    text = os.strerror(error.errno) if error.errno else error.strerror or str(error)
+    text = text[:1].lower() + text[1:]
+    return f"{os.fsdecode(error.filename)}: {text}" if isinstance(error.filename, str | bytes | os.PathLike) else text
+
+
+def no_port(host: str, port: int | str, error: OSError) -> Unavailable:
+    """Why nobody can be served there."""
+    where = f"port {port} of {host or 'all addresses'}"
+    if error.errno == errno.EADDRINUSE:
+        return Unavailable(f"{where} is in use: choose another port, or end what listens there")
+    return Unavailable(f"{where} cannot be had: {reason(error)}")

@@ -12,12 +12,13 @@ from collections.abc import Callable, Coroutine
 
 import uvloop
 from twisted.internet.base import ReactorBase
+from twisted.internet.error import CannotListenError
 from twisted.internet.main import installReactor
 from twisted.internet.protocol import Factory
 from twisted.logger import Logger
 
 from rce import logs, metrics
-from rce.errors import RceError
+from rce.errors import RceError, no_port, reason
 from rce.reactor import UvloopReactor
 
 log = Logger()
@@ -36,7 +37,8 @@ def run(main: Main) -> int:
 
     The first SIGINT or SIGTERM cancels `main`, which cleans up in its `finally`; later ones change nothing, because a
     terminal's Ctrl-C and the parent's SIGTERM often arrive both. 0 when `main` returned or was stopped by a signal, 1
-    when it raised: an RceError is logged as its sentence, anything else with its traceback.
+    when it raised: an RceError, a port that is taken and a file that cannot be used are logged as a
+    sentence, anything else with its traceback.
     """
     logs.begin()
     Factory.noisy = False
@@ -74,6 +76,16 @@ async def _status(task: asyncio.Task[None]) -> int:
         return 0
     except RceError as error:
         log.error("{error}", error=str(error), code=error.info.code)
+        return 1
+    except CannotListenError as error:
+        refused = no_port(str(error.interface or ""), error.port, error.socketError)
+        log.error("{error}", error=str(refused), code=refused.code)
+        return 1
+    except OSError as error:
+        if error.filename is None:  # nothing that a reader could look at
+            log.failure("the process ends by a defect")
+        else:
+            log.error("{error}", error=reason(error), code="unavailable")
         return 1
     except Exception:  # noqa: BLE001  # the last one who can tell: the process ends with status 1
         log.failure("the process ends by a defect")

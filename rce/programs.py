@@ -11,13 +11,16 @@ from typing import NoReturn
 from rce.errors import NotFound
 
 GROUP = "rce.programs"
+NEEDS = {"image": ("docker", "server,docker")}
+"""What a program cannot be started without, and the extra that brings it."""
 
 
 def command(name: str) -> list[str]:
     """The command line that starts a program. `-P` keeps the current directory off its import path."""
-    for entry in entry_points(group=GROUP, name=name) if find_spec("twisted") else ():
+    library, extra = NEEDS.get(name, ("twisted", "server"))
+    for entry in entry_points(group=GROUP, name=name) if find_spec(library) else ():
         return [sys.executable, "-P", "-m", entry.value.removesuffix(".__main__")]
-    raise NotFound(f"the program {name} is not installed: pip install 'rce[server]'")
+    raise NotFound(f"the program {name} is not installed: pip install '.[{extra}]' in a checkout of RCE")
 
 
 def installed(name: str, *needs: str) -> bool:

@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from rce.errors import InvalidRequest
+from rce.errors import InvalidRequest, reason
 from rce.structfile import path_hook
 
 S = TypeVar("S", bound=msgspec.Struct)
@@ -31,13 +31,13 @@ def load(kind: type[S], program: str, arguments: Sequence[str], environment: Map
     for field in msgspec.structs.fields(kind):
         option = "--" + field.name.replace("_", "-")
         sort, text = described[field.name]
-        text += "" if field.required else f" (default: {_default(field)})"
+        text += _default(field)
         if isinstance(sort, msgspec.inspect.BoolType):
             parser.add_argument(
                 option, action=argparse.BooleanOptionalAction, default=None, help=text.replace("%", "%%")
             )
         else:
-            parser.add_argument(option, metavar="VALUE", default=None, help=text.replace("%", "%%"))
+            parser.add_argument(option, metavar=_placeholder(sort), default=None, help=text.replace("%", "%%"))
     given = vars(parser.parse_args(arguments))
     config: Path | None = given.pop("config")
     values: dict[str, Any] = {}
@@ -61,10 +61,30 @@ def load_or_exit(kind: type[S], program: str, arguments: Sequence[str] | None = 
         raise SystemExit(2) from None
 
 
-def _default(field: msgspec.structs.FieldInfo) -> Any:
-    if field.default_factory is msgspec.NODEFAULT:
-        return field.default
-    return ",".join(field.default_factory())  # a list is the one kind of setting that has to be made anew
+def _default(field: msgspec.structs.FieldInfo) -> str:
+    """For the help; a setting that is empty if it is not given, or off, says so in its description or not at all."""
+    if field.required:
+        return " (required)"
+    # A list is the one kind of setting that has to be made anew.
+    fixed = field.default_factory is msgspec.NODEFAULT
+    value = field.default if fixed else ",".join(field.default_factory())
+    return "" if value is None or value is False or value == "" else f" (default: {value})"
+
+
+def _placeholder(sort: msgspec.inspect.Type) -> str:
+    """What the help shows for a value of this type."""
+    match sort:
+        case msgspec.inspect.LiteralType(values=values):
+            return "{" + ",".join(map(str, values)) + "}"
+        case msgspec.inspect.IntType() | msgspec.inspect.FloatType():
+            return "N"
+        case msgspec.inspect.CustomType():  # msgspec does not know paths
+            return "PATH"
+        case msgspec.inspect.UnionType(types=types):
+            return _placeholder(types[0])
+        case msgspec.inspect.ListType():
+            return "LIST"
+    return "VALUE"
 
 
 def _described(annotation: Any) -> tuple[msgspec.inspect.Type, str]:
@@ -80,8 +100,10 @@ def _described(annotation: Any) -> tuple[msgspec.inspect.Type, str]:
 def _read(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text())
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InvalidRequest(f"settings file {path}: {error}") from None
+    except OSError as error:
+        raise InvalidRequest(f"settings file {reason(error)}") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InvalidRequest(f"settings file {path} is not TOML: {error}") from None
 
 
 def _merge(kind: type[msgspec.Struct], into: dict[str, Any], values: Mapping[str, Any], source: str) -> None:
@@ -94,4 +116,8 @@ def _merge(kind: type[msgspec.Struct], into: dict[str, Any], values: Mapping[str
         try:
             into[key] = msgspec.convert(value, fields[key], strict=False, dec_hook=path_hook)
         except msgspec.ValidationError as error:
-            raise InvalidRequest(f"{source}: setting {key} = {value!r}: {error}", field=key) from None
+            sort = _described(fields[key])[0]
+            told = (
+                f"must be one of {_placeholder(sort)[1:-1]}" if isinstance(sort, msgspec.inspect.LiteralType) else error
+            )
+            raise InvalidRequest(f"{source}: setting {key} = {value!r}: {told}", field=key) from None

@@ -10,6 +10,7 @@ import msgspec
 import yaml
 from msgspec import Struct
 
+from rce import errors
 from rce.errors import InvalidRequest
 
 S = TypeVar("S", bound=Struct)
@@ -20,7 +21,11 @@ def read(path: Path, kind: type[S]) -> S:
     try:
         text = path.read_text(encoding="utf-8")
         content: Any = yaml.safe_load(text) if path.suffix in (".yaml", ".yml") else json.loads(text)
-    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
+    except OSError as error:
+        raise InvalidRequest(errors.reason(error)) from None
+    except json.JSONDecodeError as error:
+        raise InvalidRequest(f"{path} is not JSON ({error}); name it .yaml if it is YAML") from None
+    except (ValueError, RecursionError, yaml.YAMLError) as error:
         raise InvalidRequest(f"{path}: {error}") from None
     try:
         return msgspec.convert(content, kind, dec_hook=path_hook)

@@ -81,7 +81,7 @@ class Part:
         await asyncio.wait({announced, self._keeper}, timeout=START_TIMEOUT, return_when=asyncio.FIRST_COMPLETED)
         announced.cancel()
         if self.ready is None:
-            raise StartFailed(f"rce {self.name} did not start; its log says why")
+            raise StartFailed(f"rce {self.name} did not start: what it said above tells why")
         return self.ready
 
     @property
@@ -235,7 +235,11 @@ async def run(settings: Settings, started: Callable[[Ready], Awaitable[None]], l
         if programs.installed("map-service", "aiohttp", "lxml", "rosbags"):
             parts.append(maps)
         else:
-            print("rce up: no map service, since a part of rce[server] is not installed", file=log, flush=True)
+            print(
+                "rce up: no map service, since it is not installed whole: pip install '.[server]' in a checkout of RCE",
+                file=log,
+                flush=True,
+            )
         await asyncio.gather(*(part.start() for part in parts))
         await started(entry)
     finally:

@@ -18,7 +18,7 @@ from endpoints.robot.handshake import hears_by_closing, read_request, refusal_st
 from endpoints.robot.intake import Intake
 from endpoints.robot.session import Piece, Session
 from rce.blobs import BinaryFrame, Buffer
-from rce.errors import RceError
+from rce.errors import RceError, no_port
 from rce.sockets import tune
 
 txaio.use_asyncio()  # before Autobahn is imported: it asks once which of the two it runs on
@@ -275,7 +275,7 @@ class _Factory(WebSocketServerFactory):
 
 
 async def listen(door: Door, host: str, port: int, tls: Any) -> asyncio.Server:
-    """Take robots at `host:port`; `tls` is an SSLContext, or None for plain ws."""
+    """Take robots at `host:port`; `tls` is an SSLContext, or None for plain ws. Unavailable."""
     loop = asyncio.get_running_loop()
     txaio.config.loop = loop  # type: ignore[attr-defined]  # Autobahn's ping and handshake timers run on it
     factory = _Factory(door, loop)
@@ -287,4 +287,7 @@ async def listen(door: Door, host: str, port: int, tls: Any) -> asyncio.Server:
         failByDrop=False,  # a robot that breaks a rule is told which
         utf8validateIncoming=False,  # the decoders check it: the robot gets an error and keeps its socket
     )
-    return await loop.create_server(factory, host, port, ssl=tls)
+    try:
+        return await loop.create_server(factory, host, port, ssl=tls)
+    except OSError as error:
+        raise no_port(host, port, error) from None

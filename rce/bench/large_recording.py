@@ -150,7 +150,7 @@ def service_process() -> int:
                 parent = (place / "stat").read_text().rpartition(")")[2].split()[1]
                 if int(parent) == os.getpid():
                     return int(place.name)
-    raise NotFound("the platform runs without its map service: pip install 'rce[server]'")
+    raise NotFound("the platform runs without its map service: pip install '.[server]' in a checkout of RCE")
 
 
 def resident(process: int) -> int:

@@ -15,7 +15,9 @@ try:
     from numpy.typing import NDArray
     from PIL import Image
 except ImportError as error:
-    raise ImportError(f"rce.client.images needs numpy and Pillow: pip install 'rce[images]' ({error})") from None
+    raise ImportError(
+        f"rce.client.images needs numpy and Pillow: pip install '.[images]' in a checkout of RCE ({error})"
+    ) from None
 
 _ARRAYS = {"png": {("uint8", 1), ("uint8", 3), ("uint8", 4), ("uint16", 1)}, "jpeg": {("uint8", 1), ("uint8", 3)}}
 _MODES = ("L", "RGB", "RGBA")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import math
+import os
 import secrets
 import sys
 import time
@@ -39,7 +40,9 @@ def parser() -> argparse.ArgumentParser:
     )
     whole.add_argument("recordings", nargs="*", type=Path, metavar="FILE", help="CARMEN log, ROS 1 or ROS 2 bag")
     whole.add_argument("--simulate", action="store_true", help="a robot simulated in a floor plan instead")
-    whole.add_argument("--out", type=Path, default=Path("map"), metavar="DIR", help="(default: %(default)s)")
+    whole.add_argument(
+        "--out", type=Path, default=Path("map"), metavar="DIR", help="for the map's files (default: %(default)s)"
+    )
     whole.add_argument("--resolution", type=float, default=0.05, help="metres a cell (default: %(default)s)")
     whole.add_argument(
         "--mapper", choices=MAPPERS, default="graph", help="how the map is made (default: %(default)s); docs/mapping.md"
@@ -61,10 +64,13 @@ def main(arguments: list[str]) -> int:
         raise InvalidRequest("rce map: give recordings, or --simulate")
     if words.team and (len(words.recordings) < 2 or words.mapper != MAPPERS[0]):
         raise InvalidRequest(f"rce map: --team is for several recordings and the mapper {MAPPERS[0]}")
-    # Before anything is started: what cannot be read is said at once.
+    # Before anything is started: what cannot be read or written is said at once.
     sources: list[Source] = [
         open_recording(path, words.scan_topic, words.odometry_topic) for path in words.recordings
     ] or [simulate()]
+    words.out.mkdir(parents=True, exist_ok=True)
+    if not os.access(words.out, os.W_OK):
+        raise InvalidRequest(f"rce map: {words.out} may not be written: choose another directory with --out")
     asyncio.run(run(words, sources))
     return 0
 

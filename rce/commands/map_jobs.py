@@ -32,12 +32,16 @@ def parser() -> argparse.ArgumentParser:
     submit.add_argument("--scan-topic", default="", help="of a bag with several topics of laser scans")
     submit.add_argument("--odometry-topic", default="", help="of a bag with several topics of odometry")
     submit.add_argument("--wait", action="store_true", help="wait for the maps, and fetch them")
-    submit.add_argument("--out", type=Path, default=Path("map"), metavar="DIR", help="(default: %(default)s)")
+    submit.add_argument(
+        "--out", type=Path, default=Path("map"), metavar="DIR", help="for the map's files (default: %(default)s)"
+    )
     status = commands.add_parser("status", help="your jobs, or one of them")
     status.add_argument("job", nargs="?", metavar="JOB")
     fetch = commands.add_parser("fetch", help="wait for the end of a job and fetch its files")
     fetch.add_argument("job", metavar="JOB")
-    fetch.add_argument("--out", type=Path, default=Path("map"), metavar="DIR", help="(default: %(default)s)")
+    fetch.add_argument(
+        "--out", type=Path, default=Path("map"), metavar="DIR", help="for the map's files (default: %(default)s)"
+    )
     cancel = commands.add_parser("cancel", help="end a job")
     cancel.add_argument("job", metavar="JOB")
     for command in (submit, status, cancel):

@@ -108,8 +108,8 @@ def type_support(interfaces: list[Path]) -> list[Entry]:
         names = ", ".join(path.name for path in interfaces)
         raise StartFailed(
             f"the type support of {names} was not built: {done.stderr.strip().splitlines()[-1]}\n"
-            "It takes ROS 2 (pip install 'rce[ros]') and g++ on this machine; or push with --text-only where the "
-            "environment's image has it"
+            "It takes ROS 2 (pip install '.[ros]' in a checkout of RCE) and g++ on this machine; or push with "
+            "--text-only where the environment's image has it"
         )
     return layout.type_support(Path(done.stdout.strip()), interfaces)
 

@@ -9,7 +9,7 @@ from rce.console import table
 from rce.console.command import Usage, parser
 from rce.console.original import modern
 from rce.console.session import Session
-from rce.errors import RceError
+from rce.errors import RceError, reason
 
 DONE, FAILED, WRONG, STOPPED = 0, 1, 2, 130
 
@@ -26,9 +26,10 @@ def run(words: Sequence[str], session: Session | None = None) -> int:
         return _refuse(f"{prog}{error}", WRONG)
     except RceError as error:
         return _refuse(f"{prog.rstrip() or words[0]}: {error}", FAILED)
-    except BrokenPipeError:  # who read this has seen enough: `rce robot list | head`
-        sys.stdout = open("/dev/null", "w")  # noqa: SIM115  # so that the interpreter's last flush goes well
-        return FAILED
+    except OSError as error:
+        if error.filename is None:  # not a file that was named, but a pipe that nobody reads
+            raise
+        return _refuse(f"{prog.rstrip() or words[0]}: {reason(error)}", FAILED)
     except KeyboardInterrupt:
         return STOPPED
     except SystemExit as error:  # argparse, after --help

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import ssl
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +14,7 @@ from twisted.logger import Logger
 from rce.calls.call import Nothing
 from rce.calls.services import ForgetProofs
 from rce.control import Handlers
-from rce.errors import InvalidRequest
+from rce.errors import no_port
 from rce.map_jobs import PREFIX
 from rce.mapservice import health, openapi
 from rce.mapservice import jobs as jobs_module
@@ -74,11 +73,7 @@ class MapService:
         try:
             await web.TCPSite(self._runner, host, port, ssl_context=tls).start()
         except OSError as error:
-            reason = os.strerror(error.errno) if error.errno else str(error)
-            raise InvalidRequest(
-                f"the map service cannot have port {port} of {host}: {reason}; take another with --port, or with "
-                "--maps-port of `rce up`"
-            ) from None
+            raise no_port(host, port, error) from None
         self._sweeper = asyncio.create_task(self._sweep())
         found: int = self._runner.addresses[0][1]
         log.info("maps are made at {host}:{port}{prefix}/", host=host, port=found, prefix=PREFIX)

@@ -88,3 +88,9 @@ async def test_a_password_and_a_tied_key(command: Command, tmp_path: Path, capsy
     secret = capsys.readouterr().out.strip()
     assert (await users.check("ann", secret)).scopes == Scopes("r1", ["e1"])
     await store.close()
+
+
+def test_the_place_of_the_files_may_stand_anywhere() -> None:
+    for line in ("--data-dir d add ann", "add --data-dir d ann", "add ann --data-dir d"):
+        assert parser().parse_args(line.split()).data_dir == Path("d")
+    assert parser().parse_args(["list", "--database", "sqlite://"]).database == "sqlite://"

@@ -3,6 +3,7 @@
 import asyncio
 import json
 import signal
+import socket
 import subprocess
 import sys
 
@@ -117,3 +118,20 @@ def test_a_reset_is_heard_of_although_data_was_pending() -> None:
         timeout=30,
     )
     assert ended.returncode == 0, ended.stderr
+
+
+def test_a_port_that_is_taken_is_said_in_a_sentence() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        ended = run(
+            f"from twisted.internet.protocol import Factory;reactor.listenTCP({port}, Factory(), interface='127.0.0.1')"
+        )
+    event = json.loads(ended.stderr)
+    assert ended.returncode == 1
+    assert event["message"] == (f"port {port} of 127.0.0.1 is in use: choose another port, or end what listens there")
+
+
+def test_a_file_that_cannot_be_used_is_said_in_a_sentence() -> None:
+    ended = run("open('/dev/null/x')")
+    event = json.loads(ended.stderr)
+    assert (ended.returncode, event["message"], "traceback" in event) == (1, "/dev/null/x: not a directory", False)

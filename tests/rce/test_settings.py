@@ -115,3 +115,18 @@ def test_help_shows_all_and_a_program_ends_with_status_2(capsys: pytest.CaptureF
         settings.load_or_exit(Options, "rce test", ["--data-dir", "d", "--ws-port", "x"])
     assert refused.value.code == 2
     assert "ws_port" in capsys.readouterr().err
+
+
+def test_a_choice_that_there_is_not_is_answered_with_those_that_there_are() -> None:
+    with pytest.raises(InvalidRequest, match="mode = 'quick': must be one of fast,slow"):
+        load("--mode", "quick")
+
+
+def test_help_says_what_a_value_is_and_no_default_that_is_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        load("--help")
+    text = " ".join(capsys.readouterr().out.split())
+    for part in ("--ws-port N", "--data-dir PATH directory (required)", "--mode {fast,slow}", "--tokens LIST"):
+        assert part in text
+    assert "(default: )" not in text
+    assert "default: False" not in text
