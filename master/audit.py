@@ -89,9 +89,9 @@ class Audit:
             "time": time.time(),
             "user": who.user if who else "",
             "key": who.key if who else "",
-            "owner": owner[:MAX_TAG],
+            "owner": _text(owner, MAX_TAG),
             "action": action,
-            "object": thing[:LONGEST],
+            "object": _text(thing, LONGEST),
             "result": _result(error),
             "door": origin.door,
             "address": origin.address[:64],
@@ -181,6 +181,11 @@ class Audit:
 
 def _insert(entries: list[dict[str, Any]], connection: sa.Connection) -> None:
     connection.execute(db.audit.insert(), entries)
+
+
+def _text(said: str, longest: int) -> str:
+    """What anybody may have said, as every database takes it: PostgreSQL has no text with NUL."""
+    return said[:longest].replace("\0", "\ufffd")
 
 
 def _result(error: BaseException | None) -> str:

@@ -32,7 +32,7 @@ records = sa.Table(
     "records",
     tables,
     sa.Column("kind", sa.String(32), primary_key=True),
-    sa.Column("key", sa.String(1100), primary_key=True),
+    sa.Column("key", sa.String(1600), primary_key=True),  # of a connection: six names of 255
     sa.Column("value", sa.Text, nullable=False),
 )
 users = sa.Table(
@@ -136,7 +136,9 @@ class Store:
             ) from None
 
     async def run(self, work: Callable[[sa.Connection], R]) -> R:
-        """`work` in a transaction of its own, in the database's thread."""
+        """`work` in a transaction of its own, in the database's thread. InvalidRequest for values that it cannot hold:
+        in PostgreSQL, text with NUL.
+        """
 
         def transact() -> R:
             with self._engine.begin() as connection:
@@ -145,6 +147,8 @@ class Store:
         began = time.perf_counter()
         try:
             return await self._do(transact)
+        except sa.exc.DataError as error:
+            raise InvalidRequest(f"the database cannot hold this: {error.orig}") from None
         finally:
             _transactions.of().since(began)
 

@@ -56,7 +56,7 @@ class Counter:
 
     def __init__(self, name: str, help: str, *labels: str) -> None:
         self._about = (name, help, list(labels))
-        self._values: dict[tuple[str, ...], int] = {}
+        self._values: dict[tuple[str, ...], int] = {} if labels else {(): 0}
         _kept.append(self)
 
     def add(self, *labels: str, by: int = 1) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from prometheus_client.parser import text_string_to_metric_families
 
 docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
 
@@ -22,6 +23,7 @@ from swarm_nodes import HOST_IMAGE, Node, Swarm, host_mounts, load_host_image, s
 from test_map import rce_map
 
 from rce.client import Environment, Publisher, Subscriber
+from rce.http import Entry, basic
 
 STRING = "std_msgs/String"
 MOVE_TIMEOUT = 90.0
@@ -109,6 +111,14 @@ class Echo:
                     continue
 
 
+def relayed(url: str) -> dict[str, float]:
+    """The bytes that have passed the relays of the swarm's task set and its agents, by the node."""
+    with Entry(url, basic("admin", "admin")).open("GET", "metrics/container-here") as answer:
+        families = text_string_to_metric_families(answer.read().decode())
+    (family,) = (each for each in families if each.name == "rce_relay_bytes")
+    return {sample.labels["node"]: sample.value for sample in family.samples}
+
+
 async def test_a_machine_that_is_drained_gives_its_environments_away(swarm: Swarm, platform: Machines) -> None:
     """From the robot to a node in one environment, on to one in another on the next machine, and back, before and after
     both have to share a machine."""
@@ -126,6 +136,10 @@ async def test_a_machine_that_is_drained_gives_its_environments_away(swarm: Swar
         await chain.answers(30)
         before = containers(swarm)
         assert before["one"] is not before["two"], "Swarm spreads them"
+        told = await asyncio.to_thread(relayed, platform.master.ready["url"])
+        assert len(told) == 4, "the task set and an agent on each machine"
+        ids = [before[tag].api().info()["Swarm"]["NodeID"] for tag in ("one", "two")]
+        assert min(told[id] for id in ids) > 0
         label(swarm, before["two"], {"rce.feature.cloud": "true"}, "drain")
         await until(lambda: containers(swarm).get("two") is before["one"], MOVE_TIMEOUT)
         await chain.answers(MOVE_TIMEOUT)

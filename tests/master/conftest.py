@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+import sqlalchemy as sa
 from hand_turned import HandTurnedLoop
 from peers import LONG, Furnished, Platform
 from twisted.internet.base import ReactorBase
@@ -15,6 +17,11 @@ from twisted.internet.base import ReactorBase
 from master import attendance
 from master.store import Store
 from master.users import Users
+
+POSTGRES = os.environ.get("RCE_TEST_POSTGRES", "")
+needs_postgres = pytest.mark.skipif(
+    not POSTGRES, reason="set RCE_TEST_POSTGRES to the SQLAlchemy URL of a PostgreSQL database for tests"
+)
 
 
 @pytest.fixture
@@ -29,6 +36,20 @@ def hand() -> Iterator[HandTurnedLoop]:
     loop.settle()
     loop.close()
     assert not unhandled
+
+
+@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=needs_postgres)])
+def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """Of an empty database. In PostgreSQL each process of a test run has a schema of its own."""
+    if request.param == "sqlite":
+        return f"sqlite:///{tmp_path / 'master.db'}"
+    schema = os.environ.get("PYTEST_XDIST_WORKER", "alone")
+    engine = sa.create_engine(POSTGRES)
+    with engine.begin() as connection:
+        connection.execute(sa.text(f"DROP SCHEMA IF EXISTS {schema} CASCADE"))
+        connection.execute(sa.text(f"CREATE SCHEMA {schema}"))
+    engine.dispose()
+    return sa.make_url(POSTGRES).update_query_dict({"options": f"-csearch_path={schema}"}).render_as_string(False)
 
 
 @pytest.fixture

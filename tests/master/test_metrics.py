@@ -29,6 +29,10 @@ def test_counters_count_by_their_labels() -> None:
     ]
 
 
+def test_a_counter_without_labels_begins_with_nothing() -> None:
+    assert text([Counter("rce_x", "What it is").family()]).decode().splitlines()[-1] == "rce_x_total 0.0"
+
+
 def test_an_observation_is_in_the_first_bucket_that_takes_it() -> None:
     timing = Timing("rce_y_seconds", "How long", "hop", bounds=(0.1, 1.0))
     for seconds in (0.05, 0.1, 0.5, 7.0):

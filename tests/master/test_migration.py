@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 import sqlalchemy as sa
 
@@ -14,23 +12,22 @@ from master.users import Users
 from rce.errors import InvalidRequest
 
 
-def execute(path: Path, *statements: str) -> None:
-    engine = sa.create_engine(f"sqlite:///{path}")
+def execute(url: str, *statements: str) -> None:
+    engine = sa.create_engine(url)
     with engine.begin() as connection:
         for statement in statements:
             connection.execute(sa.text(statement))
     engine.dispose()
 
 
-async def test_columns_and_tables_that_are_new(tmp_path: Path) -> None:
+async def test_columns_and_tables_that_are_new(url: str) -> None:
     """Keys had no end once, and nobody had limits."""
-    url = f"sqlite:///{tmp_path / 'master.db'}"
     store = Store(url)
     await store.open()
     await Users(store).add("ann", "secret")
     secret, _ = await Users(store).add_key("ann")
     await store.close()
-    execute(tmp_path / "master.db", "ALTER TABLE api_keys DROP COLUMN expires", "DROP TABLE limits")
+    execute(url, "ALTER TABLE api_keys DROP COLUMN expires", "DROP TABLE limits")
     store = Store(url)
     await store.open()
     assert (await Users(store).check("ann", secret)).user == "ann"
@@ -39,19 +36,34 @@ async def test_columns_and_tables_that_are_new(tmp_path: Path) -> None:
     await store.close()
 
 
-def test_nothing_is_added_twice(tmp_path: Path) -> None:
-    engine = sa.create_engine(f"sqlite:///{tmp_path / 'master.db'}")
+def test_nothing_is_added_twice(url: str) -> None:
+    engine = sa.create_engine(url)
     db.tables.create_all(engine)
     with engine.begin() as connection:
-        connection.execute(sa.text("ALTER TABLE api_keys DROP COLUMN expires"))
-    assert bring_up_to_date(engine, db.tables) == ["api_keys.expires"]
+        for name in ("expires", "used", "scopes"):
+            connection.execute(sa.text(f"ALTER TABLE api_keys DROP COLUMN {name}"))
+    assert bring_up_to_date(engine, db.tables) == ["api_keys.expires", "api_keys.used", "api_keys.scopes"]
     assert bring_up_to_date(engine, db.tables) == []
     engine.dispose()
 
 
-async def test_a_database_that_is_too_different(tmp_path: Path) -> None:
-    execute(tmp_path / "master.db", "CREATE TABLE users (name TEXT PRIMARY KEY)")
-    store = Store(f"sqlite:///{tmp_path / 'master.db'}")
+def test_text_that_may_be_longer_now(url: str) -> None:
+    engine = sa.create_engine(url)
+    db.tables.create_all(engine)
+    if engine.dialect.name == "sqlite":
+        assert bring_up_to_date(engine, db.tables) == []
+    else:
+        with engine.begin() as connection:
+            connection.execute(sa.text("ALTER TABLE records ALTER COLUMN key TYPE VARCHAR(1100)"))
+            connection.execute(sa.text("ALTER TABLE limits ALTER COLUMN value TYPE VARCHAR(10)"))
+        assert bring_up_to_date(engine, db.tables) == ["limits.value", "records.key"]
+        assert bring_up_to_date(engine, db.tables) == []
+    engine.dispose()
+
+
+async def test_a_database_that_is_too_different(url: str) -> None:
+    execute(url, "CREATE TABLE users (name TEXT PRIMARY KEY)")
+    store = Store(url)
     with pytest.raises(InvalidRequest, match=r"no column users\.password"):
         await store.open()
     await store.close()

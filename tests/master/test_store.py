@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -14,25 +13,11 @@ from fleet import everything, wired
 
 from master import packages
 from master import store as db
-from master.records import Environment, State, Version
+from master.records import Connection, Environment, Parameter, State, Version
 from master.store import Store
 from rce import messages as m
+from rce.calls.endpoints import ParameterSpec
 from rce.errors import InvalidRequest
-
-POSTGRES = os.environ.get("RCE_TEST_POSTGRES", "")
-needs_postgres = pytest.mark.skipif(
-    not POSTGRES, reason="set RCE_TEST_POSTGRES to the SQLAlchemy URL of an empty PostgreSQL database"
-)
-
-
-@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=needs_postgres)])
-async def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
-    if request.param == "sqlite":
-        return f"sqlite:///{tmp_path / 'master.db'}"
-    engine = sa.create_engine(POSTGRES)
-    db.tables.drop_all(engine)
-    engine.dispose()
-    return POSTGRES
 
 
 @pytest.fixture
@@ -74,6 +59,15 @@ async def test_every_kind_of_record_comes_back(store: Store, url: str) -> None:
     assert not any(table.changed for table in (*back.tables(), *state.tables()))
     assert back.joined == set()
     assert [each.key for each in back.interfaces.by("ann/r1")] == ["ann/r1/pose"]
+
+
+async def test_the_longest_names(store: Store, url: str) -> None:
+    user, tag = "u" * 255, "t" * 255
+    state = State()
+    state.connections.put(Connection(f"{user}/{tag}/{tag}", f"{user}/{tag}/{tag}"))
+    state.parameters.put(Parameter(f"{user}/{tag}", ParameterSpec("\U0001f916" * 255, 1, tag)))
+    await store.save(state)
+    assert everything(await loaded(url)) == everything(state)
 
 
 async def test_changed_and_dropped_records(store: Store, url: str) -> None:
