@@ -22,7 +22,7 @@ _REFERENCE = re.compile(r"(?:([^/@]+)/)?([^/@]+)(?:@([0-9a-f]{8,64}))?", re.ASCI
 
 
 def visible(state: State, user: str) -> list[Package]:
-    """The packages that a user may name: own ones first, then those that others share."""
+    """The packages that a user may name: own ones, and those that others share."""
     found = {each.name: each for term in (user, f">{user}", f">{EVERYBODY}") for each in state.packages.by(term)}
     return list(found.values())
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from typing import BinaryIO
-from urllib.parse import quote
+from urllib.parse import quote, urlencode
 
 import msgspec
 from msgspec import Struct
@@ -14,8 +14,10 @@ from rce import archive
 from rce.archive import Contents, Entry
 from rce.http import Entry as HttpEntry
 from rce.http import bearer
+from rce.views.pages import Page
 
 PATH = "/api/v1/packages"
+PAGE = 1000  # the most that one answer lists
 
 
 class Version(Struct, frozen=True):
@@ -57,8 +59,15 @@ class Packages:
         self._entry = entry
 
     def list(self) -> list[Package]:
-        """Own packages, and those that others share."""
-        return msgspec.json.decode(self._entry.json("GET", PATH), type=list[Package])
+        """Own packages, and those that others share, by their names."""
+        found, after = [], ""
+        while True:
+            query = urlencode({"limit": PAGE, "after": after})
+            page = msgspec.json.decode(self._entry.json("GET", f"{PATH}?{query}"), type=Page[Package])
+            found += page.items
+            after = page.next
+            if not after:
+                return found
 
     def push(self, name: str, entries: Sequence[Entry]) -> Contents:
         """Make files the newest version of a package. What the platform has already is not sent again."""

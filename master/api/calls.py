@@ -41,7 +41,7 @@ class Paging(Struct, frozen=True, forbid_unknown_fields=True):
     """What may be said in the query of each list."""
 
     limit: Limit = 100
-    after: Annotated[str, Meta(max_length=1500, description="`next` of the page before")] = ""
+    after: Annotated[str, Meta(max_length=1600, description="`next` of the page before")] = ""
 
 
 class Listing(Paging, frozen=True, forbid_unknown_fields=True):

@@ -8,8 +8,8 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from master import packages
-from master.api.acting import acting
-from master.api.calls import Answer, Call
+from master.api.acting import acting, cut
+from master.api.calls import Answer, Call, Paging
 from master.api.router import Api, Route
 from master.depot import UPLOAD_PATH, Announced, Depot, Upload
 from master.records import Package, Version
@@ -17,6 +17,7 @@ from master.service import Master
 from rce.errors import NotFound, Unauthorized
 from rce.messages import Tag
 from rce.names import check_tag
+from rce.views import Page
 
 MOST_SHARES = 1000
 
@@ -59,7 +60,11 @@ class PackagesApi:
 
     def add_to(self, api: Api) -> None:
         api.add(
-            Route("GET", "/packages", self.list, "Packages: your own, and those shared with you", answer=list[Shown]),
+            Route(
+                *("GET", "/packages", self.list, "Packages: your own, and those shared with you"),
+                query=Paging,
+                answer=Page[Shown],
+            ),
             Route(
                 *("POST", "/packages", self.announce, "Announce an archive; its bytes go to `upload`"),
                 *(None, Announcement, Invitation, 202),
@@ -83,7 +88,8 @@ class PackagesApi:
 
     async def list(self, call: Call) -> Answer:
         acting(call, "package.read", "")
-        return Answer([_shown(each, call.user) for each in packages.visible(self._master.state, call.user)])
+        seen = packages.visible(self._master.state, call.user)
+        return cut(((each.key, _shown(each, call.user)) for each in seen), call.asked(Paging))
 
     async def announce(self, call: Call) -> Answer:
         acting(call, "package.push", "")

@@ -125,6 +125,19 @@ async def test_pushed_listed_shared_removed(platform: Platform) -> None:
     assert platform.stored() == set()
 
 
+async def test_lists_come_in_pages(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("c", "a", "b"):
+        await platform.do("ann", lambda packages, name=name: packages.push(name, platform.entries()))
+    await platform.do("bob", lambda packages: packages.push("d", platform.entries()))
+    await platform.do("bob", lambda packages: packages.share("d", ["*"]))
+    seen = (await platform.raw("GET", "/api/v1/packages?limit=2", **client.basic("ann", PASSWORD)))[1]
+    assert ([each["name"] for each in seen["items"]], seen["next"]) == (["ann/a", "ann/b"], "ann/b")
+    assert (await platform.raw("GET", "/api/v1/packages?size=2", **client.basic("ann", PASSWORD)))[0] == 400
+    monkeypatch.setattr("rce.packages.PAGE", 3)
+    found = await platform.do("ann", lambda packages: packages.list())
+    assert [each.name for each in found] == ["ann/a", "ann/b", "ann/c", "bob/d"]
+
+
 async def test_an_api_key_and_the_hash_of_the_password(platform: Platform) -> None:
     key, _ = await platform.master.users.add_key("ann", "user")
     await platform.do("ann", lambda packages: packages.push("tool", platform.entries()), key)
