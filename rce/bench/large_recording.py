@@ -31,7 +31,7 @@ PROGRAM = b"rce.mapservice\0"
 
 
 class Result(Struct, frozen=True):
-    """Sizes in bytes, times in seconds. `meanwhile`: the large job was still being mapped when the small one ended."""
+    """Sizes in bytes, times in seconds. `copy`: the mean of one copy before the upload and one after it. `meanwhile`: the large job was still being mapped when the small one ended."""
 
     size: int
     copy: float
@@ -86,14 +86,12 @@ async def _measure(large: Path, small: Path, ours: MapService, other: MapService
     for service in (ours, other):
         await asyncio.to_thread(service.jobs)  # what the first request loads is not the recording's
     idle = resident(process)
-    await asyncio.to_thread(os.sync)  # neither pays for what was written before
-    copy = await _timed(_copy, large, large.with_suffix(".copy"))
-    large.with_suffix(".copy").unlink()
-    await asyncio.to_thread(os.sync)
+    before = await _copied(large)
     async with watched(process) as peak:
         began = time.perf_counter()
         upload = await asyncio.to_thread(ours.upload, large)
         sent = time.perf_counter() - began
+        after = await _copied(large)
         began = time.perf_counter()
         job = await asyncio.to_thread(ours.submit, [upload.id])
         checked = time.perf_counter() - began
@@ -107,17 +105,21 @@ async def _measure(large: Path, small: Path, ours: MapService, other: MapService
         raise InternalError(f"the small job is {done.state}, and the large one, which was cancelled, {last.state}")
     await asyncio.to_thread(ours.remove, job.id)
     meanwhile = seen.state == "running" and seen.stage == "mapping"
-    return Result(upload.length, copy, sent, checked, idle, peak[0], needed, done.scans, meanwhile, seen.scans)
+    return Result(
+        upload.length, (before + after) / 2, sent, checked, idle, peak[0], needed, done.scans, meanwhile, seen.scans
+    )
 
 
-def _copy(source: Path, target: Path) -> None:
-    subprocess.run(["cp", str(source), str(target)], check=True)
-
-
-async def _timed(work: Any, *arguments: Any) -> float:
+async def _copied(file: Path) -> float:
+    """Seconds that `cp` takes on the same disk; neither it nor what comes next pays for what was written before."""
+    copy = file.with_suffix(".copy")
+    await asyncio.to_thread(os.sync)
     began = time.perf_counter()
-    await asyncio.to_thread(work, *arguments)
-    return time.perf_counter() - began
+    await asyncio.to_thread(subprocess.run, ["cp", str(file), str(copy)], check=True)
+    passed = time.perf_counter() - began
+    copy.unlink()
+    await asyncio.to_thread(os.sync)
+    return passed
 
 
 def _when_mapping(service: MapService, job: str) -> Job:

@@ -28,12 +28,14 @@ from rce.mapservice.fairness import FairQueue
 from rce.mapservice.files import DiskFull, Shelf, new_id
 from rce.mapservice.uploads import Uploads
 from rce.mapservice.work import Platform, Report, Task
-from rce.metrics import Family, gauge
+from rce.metrics import Family, Timing, gauge
 
 RETRY_FIRST, RETRY_MOST = 2.0, 60.0
 RECORDING, RESULTS, LOG, TIMES = "recording", "results", "log.txt", "times.json"
+LASTING = (1.0, 5.0, 10.0, 30.0, 60.0, 300.0, 900.0, 3600.0, 14400.0, 43200.0)  # seconds
 
 log = Logger()
+_lasted = Timing("rce_map_job_seconds", "From the submission of a job to its end", "state", bounds=LASTING)
 
 
 class Limits(Struct, frozen=True):
@@ -342,6 +344,7 @@ class Jobs:
         noted = self._change(
             name, state=state, stage=stage, ended=now, expires=expires, times=times, files=files, error=info
         )
+        _lasted.of(state).observe(now - job.created)
         if noted:
             self._remove_links(name)
             self._do(self._end_grant(self._kept[name].grant))

@@ -16,11 +16,14 @@ from rce.errors import InvalidRequest, LimitExceeded, NotFound
 from rce.map_jobs import Upload
 from rce.mapservice.files import Shelf, check_file_name, new_id
 from rce.mapservice.kinds import HEAD, check_head, suffix_of
+from rce.metrics import Counter
 
 PIECE = 4 * 1024 * 1024  # bytes that are written at once
 DAY = 86_400.0
 FILES_MOST = 1000  # of one user: also small ones take room
 UNFINISHED = DAY  # seconds that an upload may rest
+
+_received = Counter("rce_map_upload_bytes", "Bytes of recordings that have come")
 
 
 class Limits(Struct, frozen=True):
@@ -215,6 +218,7 @@ class _Writer:
             if len(self._head) >= HEAD:
                 check_head(self._name, bytes(self._head[:HEAD]))
                 self._head = None
+        _received.add(by=len(piece))
         self._pieces.append(piece)
         self._size += len(piece)
         if self._size >= PIECE:

@@ -17,6 +17,7 @@ from rce.errors import InvalidRequest, Unauthorized, Unavailable
 from rce.mapservice import uploads
 from rce.mapservice.files import Shelf
 from rce.mapservice.work import Report
+from rce.metrics import families
 
 PIECE = {"Content-Type": "application/offset+octet-stream"}
 TUS = {"Tus-Resumable": "1.0.0"}
@@ -348,3 +349,22 @@ async def test_what_is_changed_is_told_for_the_audit_log(service: Service) -> No
         ("bob", "job.cancel", f"bob/{job}", "not_found"),
     ]
     assert {call.address for call in noted} == {"127.0.0.1"}
+
+
+async def test_uploads_and_jobs_are_counted_for_metrics(service: Service) -> None:
+    before = told(service)
+    job = await service.submit()
+    await service.ask("POST", f"/jobs/{job}/cancel")
+    other = await service.submit("bob")
+    service.workers.finish(other)
+    await service.ask("GET", f"/jobs/{other}/events", "bob")  # until it is over
+    after = told(service)
+    assert after["rce_map_upload_bytes"][()] - before["rce_map_upload_bytes"].get((), 0) == 2 * len(LOG)
+    assert after["rce_map_jobs"][("done",)] == 1
+    assert after["rce_map_job_seconds"][("done",)] > before["rce_map_job_seconds"].get(("done",), 0)
+
+
+def told(service: Service) -> dict[str, dict[tuple[str, ...], float]]:
+    """What the service tells the Master, who tells Prometheus."""
+    found = families("service", service.service.jobs.families)
+    return {family.name: {tuple(each.labels): each.value for each in family.samples} for family in found}
