@@ -31,7 +31,8 @@ PROGRAM = b"rce.mapservice\0"
 
 
 class Result(Struct, frozen=True):
-    """Sizes in bytes, times in seconds. `copy`: the mean of one copy before the upload and one after it. `meanwhile`: the large job was still being mapped when the small one ended."""
+    """Sizes in bytes, times in seconds. `copy`: the mean of one before the upload and one after it. `meanwhile`: the
+    large job was still being mapped when the small one ended."""
 
     size: int
     copy: float
