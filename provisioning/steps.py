@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import os
 import shlex
+import shutil
 import subprocess
 import sys
 import time
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parent.parent  # the checkout
 LOG = ROOT / "build" / "provision.log"
+NAMED = 17  # columns of a step's name
 
 
 class Failed(Exception):
@@ -45,9 +47,19 @@ def perform(steps: Sequence[Step]) -> None:
         try:
             remark = step.action()
         except Failed:
+            glimpse("")
             print("failed", flush=True)
             raise
+        glimpse("")
         print(f"{remark or 'done'} ({time.monotonic() - start:.1f} s)", flush=True)
+
+
+def glimpse(line: str) -> None:
+    """On a terminal, what a step is at, behind its name; the next one takes its place."""
+    if sys.stdout.isatty():
+        room = shutil.get_terminal_size().columns - NAMED - 1
+        text = "".join(filter(str.isprintable, line))[: max(room, 0)]
+        print(f"\x1b[{NAMED + 1}G\x1b[K{text}", end="", flush=True)
 
 
 def show(steps: Sequence[Step], final: Sequence[str] = ()) -> None:
@@ -106,6 +118,7 @@ def run(*command: str | Path, environment: Mapping[str, str] | None = None, secr
             for line in program.stdout:
                 lines.append(line)
                 if secret is None:
+                    glimpse(line)
                     log.write(line)
                     log.flush()
     if program.returncode:

@@ -23,14 +23,14 @@ def rows(items: Iterable[T], columns: Columns[T], as_json: bool = False) -> None
     if as_json:
         print(text(list(items)))
         return
-    table = [[said(cell(item)) for cell in columns.values()] for item in items]
     titles = [title.upper() for title in columns]
-    if not table:
+    table = [titles, *([said(cell(item)) for cell in columns.values()] for item in items)]
+    if len(table) == 1:
         print("none", file=sys.stderr)
-    elif sys.stdout.isatty() and not _fits([titles, *table]) and find_spec("rich"):
-        _rich(titles, table)
+    elif not sys.stdout.isatty() or _fits(table):
+        _plain(table)
     else:
-        _plain([titles, *table])
+        _narrow(_told(table))
 
 
 def text(item: Any) -> str:
@@ -108,14 +108,29 @@ def _plain(table: list[list[str]]) -> None:
     print("\n".join([f"\x1b[1m{titles}\x1b[0m" if bold else titles, *rest]))
 
 
-def _rich(titles: list[str], table: list[list[str]]) -> None:
+def _told(table: list[list[str]]) -> list[list[str]]:
+    """Without the columns in which nothing stands."""
+    columns = [column for column in zip(*table, strict=True) if {*column[1:]} != {"-"}]
+    return [list(row) for row in zip(*columns, strict=True)]
+
+
+def _narrow(table: list[list[str]]) -> None:
+    """Broken within cells, but never within titles: where not even these fit, the terminal breaks the lines."""
+    titles_fit = sum(map(len, table[0])) + len(GAP) * (len(table[0]) - 1) <= get_terminal_size().columns
+    if _fits(table) or not titles_fit or not find_spec("rich"):
+        _plain(table)
+    else:
+        _rich(*table)
+
+
+def _rich(titles: list[str], *table: list[str]) -> None:
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     shown = Table(box=None, pad_edge=False, header_style="bold")
     for title in titles:
-        shown.add_column(title, overflow="fold")
+        shown.add_column(title, overflow="fold", min_width=len(title))
     for row in table:
         shown.add_row(*map(Text, row))  # a cell is text, never rich's markup
     Console().print(shown)

@@ -45,3 +45,16 @@ def test_what_does_not_or_is_not_plain_is_drawn_by_rich(cell: str, monkeypatch: 
 def test_elsewhere_all_is_plain(capsys: pytest.CaptureFixture[str]) -> None:
     show.rows([("a", "0123456789" * 20)], COLUMNS)
     assert capsys.readouterr().out.splitlines() == ["NAME  TEXT", "a     " + "0123456789" * 20]
+
+
+def test_a_narrow_terminal_loses_what_says_nothing_and_breaks_no_title(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = Terminal()
+    monkeypatch.setenv("COLUMNS", "30")
+    monkeypatch.setattr(sys, "stdout", terminal)
+    columns: show.Columns[str] = {"environment": str, "interfaces": lambda each: None, "machine": lambda each: "m" * 20}
+    show.rows(["brain"], columns)
+    assert "INTERFACES" not in terminal.getvalue()
+    titles, *lines = terminal.getvalue().splitlines()
+    assert "ENVIRONMENT" in titles
+    assert "MACHINE" in titles
+    assert max(map(len, lines)) <= 30

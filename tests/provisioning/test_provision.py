@@ -82,6 +82,17 @@ def test_steps_that_are_done_are_not_done_again(capsys: pytest.CaptureFixture[st
     assert second.startswith("second           with a remark (")
 
 
+def test_a_terminal_sees_what_a_step_is_at(
+    log: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "30")
+    steps.perform([steps.check_step("slow", "echo", "downloading a large file")])
+    shown = capsys.readouterr().out.split("\x1b[18G\x1b[K")
+    assert shown[:2] == ["slow             ", "downloading "]  # as much as there is room for
+    assert shown[-1].startswith("done (")
+
+
 def test_a_failed_step_shows_its_last_lines_and_the_log(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     program = "import sys; print(*range(1000), sep='\\n'); sys.exit(3)"
     doomed = [steps.check_step("doomed", sys.executable, "-c", program), steps.check_step("never", "true")]

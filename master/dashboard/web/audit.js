@@ -20,7 +20,7 @@ export function auditPage(main, app) {
       Time: (each) => time(each.time),
       User: (each) => each.user || h("span.soft", "nobody"),
       Action: (each) => each.action,
-      Object: (each) => each.object,
+      Object: (each) => h("span.any", each.object),
       Result: (each) => h(each.result === "ok" ? "span" : "span.bad", each.result),
       From: (each) => `${each.door} ${each.address}`,
     }, entries, "Nothing was done that fits."));
