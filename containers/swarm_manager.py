@@ -25,7 +25,6 @@ from rce import __version__
 from rce.errors import InvalidRequest, NoCapacity, StartFailed, TimedOut, Unavailable
 
 API = "1.41"  # of Docker 20.10: services without capabilities, with limits of processes and open files
-OUTSIDE = "host"
 LOOK_EVERY = 0.05  # seconds between looks at a task that starts or ends: Swarm has no events of tasks
 NETWORK_TRIES = 200
 

@@ -48,11 +48,6 @@ class Feed:
     def watched(self) -> bool:
         return bool(self._sent)
 
-    @property
-    def behind(self) -> bool:
-        """Whether somebody does not take what is sent."""
-        return bool(self._behind)
-
     def add(self, watcher: Watcher) -> None:
         """Begins with a snapshot."""
         if not self._sent:

@@ -17,8 +17,8 @@ from master.rights import check
 from master.throttle import Throttle
 from rce.errors import AlreadyExists, InvalidRequest, NotFound, Unauthorized
 from rce.names import check_tag
-from rce.roles import FREE, WITHIN, Principal, Scopes, UserRole
-from rce.views import KeyView, UserView
+from rce.roles import WITHIN, Principal, UserRole
+from rce.views import UserView
 
 
 class Standing(Struct, frozen=True):
@@ -160,19 +160,6 @@ class Users:
             return Standing(roles, set(connection.scalars(sa.select(keys.c.id).where(good))))
 
         return await self._store.run(read)
-
-    # --- API keys -----------------------------------------------------------------------------------------------------
-
-    async def add_key(
-        self,
-        user: str,
-        role: UserRole = "robot",
-        label: str = "",
-        expires: float | None = None,
-        scopes: Scopes = FREE,
-    ) -> tuple[str, KeyView]:
-        """See `Keys.add`."""
-        return await self.keys.add(user, role, label, expires, scopes)
 
 
 def must_drive(principal: Principal, robot: str = "") -> None:

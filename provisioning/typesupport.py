@@ -39,15 +39,11 @@ SERVICES_USE = ("service_msgs", "builtin_interfaces")
 class TypeSupport:
     """A prefix like those of installed ROS 2 packages; add it to `AMENT_PREFIX_PATH` to find definitions and nodes.
 
-    `python_path` is all that `PYTHONPATH` needs. `left_out` are files that are not supported: actions and IDL.
+    Its `python` is all that `PYTHONPATH` needs. `left_out` are files that are not supported: actions and IDL.
     """
 
     prefix: Path
     left_out: tuple[Path, ...] = ()
-
-    @property
-    def python_path(self) -> Path:
-        return self.prefix / "python"
 
 
 def shipped() -> list[Path]:

@@ -7,8 +7,6 @@ from collections import deque
 from dataclasses import dataclass
 from uuid import uuid4
 
-from twisted.logger import Logger
-
 from endpoints.environment.interfaces import RosInterface, Surroundings, raw
 from endpoints.environment.ros_services import Header, RawClient, RawService
 from endpoints.environment.ros_topics import SETTLING
@@ -22,8 +20,6 @@ from rce.errors import ConversionError, LimitExceeded, NotConnected, NotFound, R
 TIMEOUT = 30.0  # seconds that an answer may take
 APPEAR = 5.0  # seconds that a request waits for its service to appear
 IN_FLIGHT = 8  # ROS 2 servers keep 10 requests that they have not taken up; what comes beyond these is lost
-
-log = Logger()
 
 
 @dataclass

@@ -10,7 +10,6 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 from twisted.internet.base import ReactorBase
-from twisted.logger import Logger
 
 import rce
 from rce import loop, settings
@@ -27,8 +26,6 @@ from rce.tls import load, public
 GIGABYTE = 1024**3
 HOUR, DAY = 3600.0, 86_400.0
 NAME = "map-service"  # the Master redirects by it
-
-log = Logger("map-service")
 
 
 class Settings(Struct):

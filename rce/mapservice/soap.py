@@ -10,7 +10,6 @@ from pathlib import Path
 
 from aiohttp import web
 from lxml import etree
-from twisted.logger import Logger
 
 from rce.errors import InvalidRequest, LimitExceeded, RceError
 from rce.map_jobs import PREFIX, Job, JobRequest
@@ -28,7 +27,6 @@ PATH = PREFIX + "/soap"
 
 NOTED = {"SubmitMap": "job.submit", "CancelMap": "job.cancel"}
 Operation = Callable[[Client, etree._Element, str], Awaitable[etree._Element]]
-log = Logger()
 
 
 class Soap:

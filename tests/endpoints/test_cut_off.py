@@ -14,7 +14,7 @@ POLICY_VIOLATION = 1008
 
 
 async def test_a_revoked_key_closes_its_sockets_and_no_others(platform: Platform) -> None:
-    secret, key = await platform.master.users.add_key(USER)
+    secret, key = await platform.master.users.keys.add(USER)
     old = await platform.robot("old", key=secret)
     new = await platform.robot("new", "events,resume", key=secret)
     by_password = await platform.robot("other")
@@ -32,7 +32,7 @@ async def test_a_revoked_key_closes_its_sockets_and_no_others(platform: Platform
 
 
 async def test_a_changed_password_closes_what_was_opened_with_it(platform: Platform) -> None:
-    secret, _ = await platform.master.users.add_key(USER)
+    secret, _ = await platform.master.users.keys.add(USER)
     by_password, by_key = await platform.robot("a"), await platform.robot("b", key=secret)
     await platform.master.guard.change_password(USER, "another one")
     async with asyncio.timeout(SOON):
@@ -41,7 +41,7 @@ async def test_a_changed_password_closes_what_was_opened_with_it(platform: Platf
 
 
 async def test_a_tied_key_is_one_robot_and_sees_no_other(platform: Platform) -> None:
-    secret, _ = await platform.master.users.add_key(USER, scopes=Scopes("mine", ["home"]))
+    secret, _ = await platform.master.users.keys.add(USER, scopes=Scopes("mine", ["home"]))
     await platform.robot("theirs")
     mine = await platform.robot("mine", "ack,events", key=secret)
     await mine.take()

@@ -98,7 +98,7 @@ async def test_a_credential_in_the_header(platform: Platform) -> None:
 
 
 async def test_an_api_key(platform: Platform) -> None:
-    secret, _ = await platform.master.users.add_key(USER)
+    secret, _ = await platform.master.users.keys.add(USER)
     assert (await knock(platform.port, f"userID={USER}&robotID=a&key={secret}"))[0] == 101
     assert (await knock(platform.port, f"userID=admin&robotID=a&key={secret}"))[0] == 401
     assert (await knock(platform.port, f"userID=&robotID=b&key={secret}"))[0] == 400  # a robot has its user's name
@@ -127,7 +127,7 @@ async def test_a_request_without_end_is_cut_off(platform: Platform) -> None:
 
 async def test_guessing_is_slowed_down_and_says_how_long(platform: Platform) -> None:
     platform.master.users.throttle = Throttle(lambda: 0.0)
-    secret, _ = await platform.master.users.add_key(USER)
+    secret, _ = await platform.master.users.keys.add(USER)
     for user in (USER, "nobody"):
         wrong = f"userID={user}&robotID=r&password={'0' * 64}"
         said = [await knock(platform.port, wrong) for _ in range(6)]

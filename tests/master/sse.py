@@ -42,7 +42,7 @@ class Follower:
 
 async def follow(served: Served, path: str, user: str, scopes: Scopes | None = None, **headers: str) -> Follower:
     role: Any = "robot" if scopes else {"olga": "operator", "ann": "user", "bob": "user"}[user]
-    secret, _ = await served.master.users.add_key(user, role, scopes=scopes or Scopes())
+    secret, _ = await served.master.users.keys.add(user, role, scopes=scopes or Scopes())
     reader, writer = await asyncio.open_connection("127.0.0.1", served.port)
     lines = [f"GET /api/v1{path} HTTP/1.1", "Host: x", f"Authorization: Bearer {secret}"]
     lines += [f"{name.replace('_', '-')}: {value}" for name, value in headers.items()]

@@ -37,7 +37,7 @@ async def test_the_examples_do_what_they_say(reactor: ReactorBase, tmp_path: Pat
     script = re.findall(r"```sh\n(.*?)```", DOCUMENT.read_text(), re.S)[0]
     async with serve(reactor, tmp_path) as served:
         await served.robot("olga", "r1")
-        secret, _ = await served.master.users.add_key("olga", "operator")
+        secret, _ = await served.master.users.keys.add("olga", "operator")
         bash = await asyncio.create_subprocess_exec(
             *("bash", "-euo", "pipefail", "-c", script),
             env={"PATH": "/usr/bin:/bin", "URL": served.url, "KEY": secret},

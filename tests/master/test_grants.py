@@ -58,7 +58,7 @@ async def test_the_end_of_a_grant_is_that_of_its_key(users: Users) -> None:
 
 @pytest.mark.parametrize("gone", ["user", "key"])
 async def test_a_grant_ends_with_the_user_and_with_the_key_that_it_was_given_with(users: Users, gone: str) -> None:
-    _, key = await users.add_key("ann")
+    _, key = await users.keys.add("ann")
     grant = await users.grants.give("maps", "ann", key.id)
     lent = await users.grants.borrow("maps", grant, 60)
     await (users.remove("ann") if gone == "user" else users.keys.revoke("ann", key.id))
@@ -72,7 +72,7 @@ async def test_a_grant_ends_with_the_user_and_with_the_key_that_it_was_given_wit
 
 async def test_time_ends_a_lent_key_and_the_key_behind_it(users: Users, monkeypatch: pytest.MonkeyPatch) -> None:
     now = time.time()
-    _, key = await users.add_key("ann", expires=now + 1000)
+    _, key = await users.keys.add("ann", expires=now + 1000)
     grant = await users.grants.give("maps", "ann", key.id)
     lent = await users.grants.borrow("maps", grant, 100)
     longer = await users.grants.give("maps", "ann", key.id)
@@ -89,5 +89,5 @@ async def test_time_ends_a_lent_key_and_the_key_behind_it(users: Users, monkeypa
 
 
 async def test_a_key_knows_its_user(users: Users) -> None:
-    secret, _ = await users.add_key("ann", "user")
+    secret, _ = await users.keys.add("ann", "user")
     assert (await users.check("", secret)).user == "ann"

@@ -52,7 +52,7 @@ async def place() -> AsyncIterator[Place]:
     users.passwords.hasher = argon2.PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)
     await users.add("ann", "secret")
     await users.add("root", "secret", "admin")
-    (secret1, k1), (_, k2) = await users.add_key("ann"), await users.add_key("ann", "user")
+    (secret1, k1), (_, k2) = await users.keys.add("ann"), await users.keys.add("ann", "user")
     state, plans = State(), list[Plan]()
     for name, role in (("west", "robot"), ("maps", "service")):
         state.processes.put(Process(name, role, "1"))  # type: ignore[arg-type]
@@ -113,7 +113,7 @@ async def test_what_has_ended_by_itself_is_not_closed(place: Place) -> None:
 
 
 async def test_a_key_that_expires(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
-    _, key = await place.users.add_key("ann", expires=time.time() + 100)
+    _, key = await place.users.keys.add("ann", expires=time.time() + 100)
     place.state.robots.put(Robot("ann/short", "west", "", Principal("ann", "robot", key.id)))
     await place.guard.look_round()
     assert "short" in place.robots()
@@ -186,11 +186,11 @@ async def test_demotion_takes_the_keys_that_go_too_far(place: Place) -> None:
 async def test_keys_are_no_more_than_their_user(place: Place) -> None:
     for role in ("operator", "admin"):
         with pytest.raises(Forbidden):
-            await place.users.add_key("ann", role)
+            await place.users.keys.add("ann", role)
     for role, scopes in (("user", Scopes("r1")), ("robot", Scopes(metrics=True)), ("robot", Scopes("no/name"))):
         with pytest.raises(InvalidRequest):
-            await place.users.add_key("ann", role, scopes=scopes)  # type: ignore[arg-type]
-    secret, _ = await place.users.add_key("ann", scopes=Scopes("r1", ["e"]))
+            await place.users.keys.add("ann", role, scopes=scopes)  # type: ignore[arg-type]
+    secret, _ = await place.users.keys.add("ann", scopes=Scopes("r1", ["e"]))
     assert (await place.users.check("ann", secret)).scopes == Scopes("r1", ["e"])
 
 

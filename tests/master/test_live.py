@@ -63,7 +63,7 @@ async def served(reactor: ReactorBase, tmp_path: Path) -> AsyncIterator[Served]:
 
 
 async def watch(served: Served, by: str, **greeting: Any) -> Watch:
-    secret, _ = await served.master.users.add_key(by, "operator" if by == "olga" else "user")
+    secret, _ = await served.master.users.keys.add(by, "operator" if by == "olga" else "user")
     socket = await connect(f"ws://127.0.0.1:{served.port}/api/v1/live")
     await socket.send(json.dumps({"key": secret} | greeting))
     watcher = Watch(socket)
@@ -151,14 +151,14 @@ async def test_one_who_does_not_read_gets_a_snapshot_later(served: Served) -> No
     feed = served.master.feed
     for number in range(1000):
         await served.master.execute("ann", m.SetParameter("brain", "p", f"{number}" + 500_000 * "x"))
-        if feed.behind:
+        if feed._behind:
             break
         await asyncio.sleep(0.1)
-    assert feed.behind
+    assert feed._behind
     await served.master.execute("ann", m.SetParameter("brain", "p", "last"))
     watcher.socket.transport.resume_reading()
     await watcher.until("parameters", "ann/brain/:p", "value", value="last")
-    assert not feed.behind
+    assert not feed._behind
     await watcher.socket.close()
 
 
@@ -196,7 +196,7 @@ async def test_a_tied_key_watches_what_it_is_tied_to(served: Served) -> None:
     for tag in ("brain", "second"):
         await run("ann", m.CreateContainer(tag))
     scopes = Scopes(robot="r1", environments=["brain"])
-    secret, _ = await served.master.users.add_key("ann", "robot", scopes=scopes)
+    secret, _ = await served.master.users.keys.add("ann", "robot", scopes=scopes)
     socket = await connect(f"ws://127.0.0.1:{served.port}/api/v1/live")
     await socket.send(json.dumps({"key": secret}))
     watcher = Watch(socket)
@@ -211,7 +211,7 @@ async def test_a_tied_key_watches_what_it_is_tied_to(served: Served) -> None:
 
 
 async def test_another_users_things_are_not_there_to_watch(served: Served) -> None:
-    secret, _ = await served.master.users.add_key("bob", "user")
+    secret, _ = await served.master.users.keys.add("bob", "user")
     async with connect(f"ws://127.0.0.1:{served.port}/api/v1/live") as socket:
         await socket.send(json.dumps({"key": secret, "user": "ann"}))
         with pytest.raises(ConnectionClosed):
@@ -236,7 +236,7 @@ async def test_it_is_watched_over_tls_too(reactor: ReactorBase, tmp_path: Path) 
     keys = certify(tmp_path / "tls", authority, ["localhost"])
     description = f"ssl:0:interface=127.0.0.1:privateKey={keys / KEY}:certKey={keys / CERTIFICATE}"
     async with serve(reactor, tmp_path, at=description) as served:
-        secret, _ = await served.master.users.add_key("ann", "user")
+        secret, _ = await served.master.users.keys.add("ann", "user")
         trust = ssl.create_default_context(cafile=str(keys / CA))
         async with connect(f"wss://localhost:{served.port}/api/v1/live", ssl=trust) as socket:
             await socket.send(json.dumps({"key": secret}))

@@ -25,7 +25,7 @@ async def test_columns_and_tables_that_are_new(url: str) -> None:
     store = Store(url)
     await store.open()
     await Users(store).add("ann", "secret")
-    secret, _ = await Users(store).add_key("ann")
+    secret, _ = await Users(store).keys.add("ann")
     await store.close()
     execute(url, "ALTER TABLE api_keys DROP COLUMN expires", "DROP TABLE limits")
     store = Store(url)

@@ -50,7 +50,7 @@ async def test_random_requests_get_what_the_document_says(
     """schemathesis with a seed: good and bad requests to each operation, as an operator who has a robot."""
     monkeypatch.setattr(served.master.users.throttle, "check", lambda name, address: None)  # it tries bad passwords
     await served.robot("olga", "r1")
-    secret, _ = await served.master.users.add_key("olga", "operator")
+    secret, _ = await served.master.users.keys.add("olga", "operator")
     words = [
         *(str(Path(sys.executable).with_name("st")), "run", f"{served.url}/api/v1/openapi.json"),
         *("--header", f"Authorization: Bearer {secret}", "--seed", "1", "--max-examples", "1", "--no-color"),

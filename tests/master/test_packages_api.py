@@ -139,7 +139,7 @@ async def test_lists_come_in_pages(platform: Platform, monkeypatch: pytest.Monke
 
 
 async def test_an_api_key_and_the_hash_of_the_password(platform: Platform) -> None:
-    key, _ = await platform.master.users.add_key("ann", "user")
+    key, _ = await platform.master.users.keys.add("ann", "user")
     await platform.do("ann", lambda packages: packages.push("tool", platform.entries()), key)
     hashed = hashlib.sha256(PASSWORD.encode()).hexdigest()
     assert len(await platform.do("ann", lambda packages: packages.list(), hashed)) == 1
@@ -151,7 +151,7 @@ async def test_an_api_key_and_the_hash_of_the_password(platform: Platform) -> No
 
 @pytest.mark.parametrize("role", ["robot", "viewer"])
 async def test_roles_that_only_look(platform: Platform, role: Any) -> None:
-    key, _ = await platform.master.users.add_key("ann", role)
+    key, _ = await platform.master.users.keys.add("ann", role)
     assert await platform.do("ann", lambda packages: packages.list(), key) == []
     for action in (
         lambda packages: packages.push("tool", platform.entries()),

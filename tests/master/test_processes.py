@@ -70,7 +70,7 @@ async def test_a_service_acts_for_a_user_as_a_robot_of_theirs(platform: Platform
 async def test_a_service_acts_for_those_only_who_prove_themselves_and_may_use_robots(platform: Platform) -> None:
     maps = await platform.process("service", "map-service")
     await platform.master.users.add("root", "secret", "admin")
-    key, _ = await platform.master.users.add_key("ann", "viewer")
+    key, _ = await platform.master.users.keys.add("ann", "viewer")
     for call, error in (
         (Delegate("ann", digest("wrong")), Unauthorized),
         (Delegate("root", digest("secret")), Forbidden),

@@ -78,7 +78,7 @@ async def test_an_environment_that_was_removed_may_not_join(furnished: Furnished
 
 async def test_a_key_that_is_revoked_while_the_master_is_away_closes_its_sockets(platform: Platform) -> None:
     west = await platform.endpoint()
-    secret, key = await platform.master.users.add_key("ann")
+    secret, key = await platform.master.users.keys.add("ann")
     await west.call(Login("ann", "by_key", secret))
     await login(west, "ann/by_password")
     await platform.stop()

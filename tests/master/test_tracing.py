@@ -106,6 +106,6 @@ async def test_others_interfaces_are_not_there(served: Served) -> None:
 
 
 async def test_a_key_that_is_tied_sees_its_own_side(served: Served) -> None:
-    secret, _ = await served.master.users.add_key("ann", scopes=Scopes(robot="r2", environments=["brain"]))
+    secret, _ = await served.master.users.keys.add("ann", scopes=Scopes(robot="r2", environments=["brain"]))
     answer = await served.ask("GET", PATH + "?messages=1", secret=secret)
     assert {hop["interface"] for hop in answer.body["messages"][0]["hops"]} == {"brain/out"}

@@ -58,7 +58,7 @@ async def test_all_else_is_not(users: Users, name: str, secret: str) -> None:
 
 
 async def test_no_secret_stands_in_the_database(users: Users, store: Store, processes: Processes) -> None:
-    key, _ = await users.add_key("ann")
+    key, _ = await users.keys.add("ann")
     await processes.allow("west", "robot", "join token")
     credential = await processes.admit("west", "robot", "join token")
     kept = await contents(store)
@@ -79,7 +79,7 @@ async def test_names_of_users(users: Users) -> None:
 
 
 async def test_a_removed_user_and_its_keys_are_out(users: Users, store: Store) -> None:
-    key, _ = await users.add_key("ann")
+    key, _ = await users.keys.add("ann")
     await users.remove("ann")
     for secret in (digest("secret"), key):
         with pytest.raises(Unauthorized):
@@ -91,7 +91,7 @@ async def test_a_removed_user_and_its_keys_are_out(users: Users, store: Store) -
 
 
 async def test_a_key_is_let_in_with_its_role_until_it_is_revoked(users: Users) -> None:
-    secret, key = await users.add_key("ann", "viewer", "dashboard")
+    secret, key = await users.keys.add("ann", "viewer", "dashboard")
     assert await users.check("ann", secret) == Principal("ann", "viewer", key.id)
     (seen,) = await users.keys.of("ann")
     assert seen == replace(key, used=seen.used)
@@ -105,19 +105,19 @@ async def test_a_key_is_let_in_with_its_role_until_it_is_revoked(users: Users) -
 
 async def test_a_key_is_of_one_user(users: Users) -> None:
     await users.add("bob", "x")
-    secret, key = await users.add_key("ann")
+    secret, key = await users.keys.add("ann")
     with pytest.raises(Unauthorized):
         await users.check("bob", secret)
     with pytest.raises(NotFound):
         await users.keys.revoke("bob", key.id)
     with pytest.raises(NotFound):
-        await users.add_key("nobody")
+        await users.keys.add("nobody")
 
 
 async def test_a_key_expires(users: Users, monkeypatch: pytest.MonkeyPatch) -> None:
     now = 1000.0
     monkeypatch.setattr(module.time, "time", lambda: now)
-    secret, _ = await users.add_key("ann", expires=1060)
+    secret, _ = await users.keys.add("ann", expires=1060)
     now = 1059.9
     assert (await users.check("ann", secret)).role == "robot"
     now = 1060.1

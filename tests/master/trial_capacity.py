@@ -133,7 +133,7 @@ async def trial(reactor: ReactorBase) -> None:
         users = Users(store)
         for number in range(USERS):
             await users.add(f"u{number}", "secret")
-        keys = [(await users.add_key(f"u{number}"))[0] for number in range(USERS)]
+        keys = [(await users.keys.add(f"u{number}"))[0] for number in range(USERS)]
         await store.close()
         async with master(directory, "robot:west:t1,container:m1:t2") as (process, ready):
             around = Around(reactor, ready.control)

@@ -29,7 +29,7 @@ PARAMETERS = ("int:=99", "str:=hello", "float:=2.5", "bool:=true", "list:=[1, 2,
 def environment(support: TypeSupport) -> dict[str, str]:
     """PYTHONPATH is all that a program needs; the rest keeps these programs among themselves."""
     own = {"ROS_DOMAIN_ID": str(domain("types")), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    return {**os.environ, **own, "PYTHONPATH": str(support.python_path)}
+    return {**os.environ, **own, "PYTHONPATH": str(support.prefix / "python")}
 
 
 @contextmanager
