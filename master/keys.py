@@ -27,7 +27,7 @@ class Keys:
         self._used: dict[str, float] = {}  # since the last `note_use`, by id
 
     async def add(
-        self, user: str, role: UserRole, label: str = "", expires: float | None = None, scopes: Scopes = FREE
+        self, user: str, role: UserRole = "robot", label: str = "", expires: float | None = None, scopes: Scopes = FREE
     ) -> tuple[str, KeyView]:
         """A new key: the secret, shown this once, and what is kept. NotFound, Forbidden, InvalidRequest."""
         _check_scopes(role, scopes)

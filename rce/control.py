@@ -65,6 +65,17 @@ class Handlers:
     def on(self, kind: type[Call[R]], handler: Callable[[Any], Awaitable[R]]) -> None:
         self._handlers[kind.__name__] = kind, cast(Callable[[Any], Awaitable[Struct]], handler)
 
+    def do(self, kind: type[Call[Nothing]], action: Callable[[Any], Awaitable[None] | None]) -> None:
+        """For a call that only does something."""
+
+        async def handler(call: Call[Nothing]) -> Nothing:
+            done = action(call)
+            if done is not None:
+                await done
+            return Nothing()
+
+        self.on(kind, handler)
+
     async def answer(self, name: str, pages: Pages, request: str = "") -> tuple[bool, Pages]:
         """Whether it went well, and the result or the ErrorInfo. `request`: on whose behalf, for the log."""
         if request:

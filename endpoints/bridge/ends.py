@@ -9,12 +9,11 @@ from pathlib import Path
 
 from twisted.logger import Logger
 
-from endpoints.data_port import DataPort
 from endpoints.environment.definitions import InstalledTypes
 from endpoints.environment.interfaces import RosInterface, Surroundings
 from endpoints.environment.ros import RosThread
 from endpoints.frames import Message
-from endpoints.switchboard import Switchboard
+from endpoints.hops import Watch
 from rce.calls.endpoints import InterfaceSpec
 from rce.errors import RceError
 from rce.messages import Qos
@@ -60,8 +59,7 @@ class LocalRos:
 
     def __init__(self, ros: RosThread, prefixes: Sequence[Path]) -> None:
         self._definitions = InstalledTypes(prefixes)
-        switchboard = Switchboard(DataPort(), lambda link, reason: None)
-        self._around = Surroundings(ros, switchboard, self._definitions, self._report)
+        self._around = Surroundings(ros, Watch(), self._definitions, self._report)
         self._interfaces: set[RosInterface] = set()
         self._ticker = asyncio.create_task(self._tick())
 

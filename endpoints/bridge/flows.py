@@ -18,7 +18,7 @@ from endpoints.environment.interfaces import RosInterface
 from endpoints.environment.services import TIMEOUT, ServiceClientInterface, ServiceProviderInterface
 from endpoints.environment.topics import PublisherInterface, SubscriberInterface
 from endpoints.frames import Message
-from endpoints.switchboard import error_of
+from endpoints.interface import error_of
 from rce.blobs import Buffer
 from rce.client import Environment
 from rce.errors import ConversionError, RceError

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable
-from typing import TypeVar
+from collections.abc import Callable
 
 from twisted.logger import Logger
 
@@ -23,28 +22,23 @@ from endpoints.environment.services import ServiceClientInterface, ServiceProvid
 from endpoints.environment.settings import Settings
 from endpoints.environment.surroundings import for_nodes, prefixes
 from endpoints.environment.topics import PublisherInterface, SubscriberInterface
-from endpoints.switchboard import Interface, Switchboard
+from endpoints.interface import Interface
+from endpoints.switchboard import Switchboard
 from rce.calls.call import Call, Nothing, Settled
 from rce.calls.endpoints import (
-    AddRoute,
-    Bind,
-    CloseLink,
     DropParameter,
     InterfaceSpec,
     LinkLost,
     NodeSpec,
-    OpenLink,
     ParameterSpec,
     PutParameter,
-    RemoveRoute,
     Report,
     StartNode,
     StopNode,
     Sync,
-    Unbind,
 )
 from rce.calls.robots import Definitions, Describe
-from rce.calls.watching import CountTraffic, FollowMessages, Log, ReadGraph, ReadLog, RosGraph
+from rce.calls.watching import Log, ReadGraph, ReadLog, RosGraph
 from rce.control import Handlers
 from rce.errors import ErrorInfo, InvalidRequest, RceError
 from rce.metrics import Family, gauge
@@ -59,7 +53,6 @@ TICK = 1.0
 
 log = Logger()
 Tell = Callable[[Call[Nothing]], None]
-C = TypeVar("C")
 
 
 class Environment:
@@ -78,28 +71,21 @@ class Environment:
         self._live = LiveParameters(ros)
         self._nodes = Nodes(settings.data_dir, packages, self._parameters, for_nodes(settings), tell)
         self._switchboard = Switchboard(port, lambda link, reason: tell(LinkLost(link, reason)))
-        self._around = Surroundings(ros, self._switchboard, self._definitions, self._report)
+        self._around = Surroundings(ros, self._switchboard.watch, self._definitions, self._report)
         self._drops: dict[str, int] = {}
 
     def handlers(self) -> Handlers:
         """What this process answers to the Master."""
         handlers, board, nodes = Handlers(), self._switchboard, self._nodes
         handlers.on(Sync, self._sync)
-        handlers.on(Bind, _awaited(lambda call: board.bind(call.interface, self._make)))
-        handlers.on(Unbind, _called(lambda call: board.unbind(call.interface)))
-        handlers.on(OpenLink, _called(lambda call: board.open_link(call.link)))
-        handlers.on(CloseLink, _called(lambda call: board.close_link(call.link)))
-        handlers.on(AddRoute, _awaited(lambda call: board.add_route(call.route)))
-        handlers.on(RemoveRoute, _called(lambda call: board.remove_route(call.interface, call.peer)))
-        handlers.on(StartNode, _awaited(lambda call: nodes.start(call.node)))
-        handlers.on(StopNode, _awaited(lambda call: nodes.stop(call.node)))
-        handlers.on(PutParameter, _awaited(lambda call: self._put(call.parameter)))
-        handlers.on(DropParameter, _called(lambda call: self._parameters.drop(call.key)))
+        board.add_to(handlers, self._make)
+        handlers.do(StartNode, lambda call: nodes.start(call.node))
+        handlers.do(StopNode, lambda call: nodes.stop(call.node))
+        handlers.do(PutParameter, lambda call: self._put(call.parameter))
+        handlers.do(DropParameter, lambda call: self._parameters.drop(call.key))
         handlers.on(ReadLog, self._read_log)
         handlers.on(Describe, self._describe)
         handlers.on(ReadGraph, self._read_graph)
-        handlers.on(CountTraffic, board.traffic)
-        handlers.on(FollowMessages, board.watch.follow)
         handlers.tell_metrics("environment", board.families, self._families)
         return handlers
 
@@ -198,19 +184,3 @@ class Environment:
                 self._tell(Report(interface.spec.owner, interface.spec.tag, drops=interface.dropped))
         present = {interface.spec.id for interface in self._switchboard.interfaces.values()}
         self._drops = {id: count for id, count in self._drops.items() if id in present}
-
-
-def _awaited(action: Callable[[C], Awaitable[None]]) -> Callable[[C], Awaitable[Nothing]]:
-    async def handler(call: C) -> Nothing:
-        await action(call)
-        return Nothing()
-
-    return handler
-
-
-def _called(action: Callable[[C], None]) -> Callable[[C], Awaitable[Nothing]]:
-    async def handler(call: C) -> Nothing:
-        action(call)
-        return Nothing()
-
-    return handler

@@ -12,7 +12,8 @@ from twisted.logger import Logger
 
 from endpoints.environment.definitions import InstalledTypes
 from endpoints.environment.ros import RosThread, Waited
-from endpoints.switchboard import Interface, Switchboard
+from endpoints.hops import Watch
+from endpoints.interface import Interface
 from rce.calls.endpoints import InterfaceSpec
 from rce.errors import InvalidRequest, RceError
 
@@ -25,7 +26,7 @@ class Surroundings:
     """What an interface needs of its endpoint; `report` tells its owner of a failure."""
 
     ros: RosThread
-    switchboard: Switchboard
+    watch: Watch
     definitions: InstalledTypes
     report: Callable[[InterfaceSpec, RceError], None]
 
@@ -34,7 +35,7 @@ class RosInterface(Interface):
     """An interface with an entity of ROS, which `open` makes."""
 
     def __init__(self, spec: InterfaceSpec, around: Surroundings) -> None:
-        super().__init__(spec, around.switchboard)
+        super().__init__(spec, around.watch)
         self._ros = around.ros
         self._around = around
         self._complaints: set[str] = set()

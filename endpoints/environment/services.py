@@ -12,8 +12,8 @@ from endpoints.environment.ros_services import Header, RawClient, RawService
 from endpoints.environment.ros_topics import SETTLING
 from endpoints.environment.ros_types import service_class
 from endpoints.frames import Message
+from endpoints.interface import MAX_REQUESTS, error_of
 from endpoints.link import Link
-from endpoints.switchboard import MAX_REQUESTS, error_of
 from rce.calls.endpoints import InterfaceSpec
 from rce.errors import ConversionError, LimitExceeded, NotConnected, NotFound, RceError, TimedOut
 
@@ -79,7 +79,7 @@ class ServiceClientInterface(RosInterface):
             request = self._waiting.popleft()
             try:
                 self._asked[self._client.ask(raw(request.message.payload))] = request
-                self.switchboard.watch.ended(self.id, request.message)
+                self.watch.ended(self.id, request.message)
             except ConversionError as error:
                 self._fail(request, error)
 
@@ -185,7 +185,7 @@ class ServiceProviderInterface(RosInterface):
         """In the ROS thread."""
         try:
             self._service.answer(header, raw(message.payload))
-            self.switchboard.watch.ended(self.id, message)
+            self.watch.ended(self.id, message)
         except ConversionError as error:
             self._complain_from_ros(ConversionError, str(error))
 

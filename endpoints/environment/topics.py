@@ -63,7 +63,7 @@ class PublisherInterface(RosInterface):
         """In the ROS thread."""
         self._publisher.flush()
         if not self._publisher.waiting:
-            self.switchboard.watch.ended(self.id, message)
+            self.watch.ended(self.id, message)
 
     def _forget_oldest(self, waiting: deque[Buffer], keep: int) -> None:
         while len(waiting) > keep:

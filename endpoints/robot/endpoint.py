@@ -10,17 +10,17 @@ from msgspec import Struct
 from twisted.logger import Logger
 
 from endpoints.data_port import DataPort
+from endpoints.interface import Interface
 from endpoints.robot.door import Admitted, Greeting, ServerLimits
 from endpoints.robot.interfaces import make
 from endpoints.robot.session import Session
 from endpoints.robot.types import UserTypes
-from endpoints.switchboard import Interface, Switchboard
+from endpoints.switchboard import Switchboard
 from rce import logs
 from rce.blobs import Buffer
-from rce.calls.call import Nothing, Settled
-from rce.calls.endpoints import AddRoute, Bind, CloseLink, InterfaceSpec, LinkLost, OpenLink, RemoveRoute, Sync, Unbind
+from rce.calls.call import Settled
+from rce.calls.endpoints import InterfaceSpec, LinkLost, Sync
 from rce.calls.robots import Definitions, Describe, DropRobot, Leave, LoggedIn, Login, SocketMoved, Tell
-from rce.calls.watching import CountTraffic, FollowMessages
 from rce.control import Handlers, MasterLink
 from rce.errors import NotFound, RceError, Unavailable
 from rce.messages import DataMessage
@@ -59,16 +59,9 @@ class RobotEndpoint:
     def handlers(self) -> Handlers:
         handlers = Handlers()
         handlers.on(Sync, self._sync)
-        handlers.on(Bind, self._bind)
-        handlers.on(Unbind, self._unbind)
-        handlers.on(OpenLink, self._open_link)
-        handlers.on(CloseLink, self._close_link)
-        handlers.on(AddRoute, self._add_route)
-        handlers.on(RemoveRoute, self._remove_route)
-        handlers.on(Tell, self._tell)
-        handlers.on(DropRobot, self._drop_robot)
-        handlers.on(CountTraffic, self.switchboard.traffic)
-        handlers.on(FollowMessages, self.switchboard.watch.follow)
+        self.switchboard.add_to(handlers, self._make)
+        handlers.do(Tell, self._tell)
+        handlers.do(DropRobot, self._drop_robot)
         handlers.tell_metrics("robot", self.switchboard.families, self._families)
         return handlers
 
@@ -188,56 +181,30 @@ class RobotEndpoint:
             self.sessions.pop(name).end("the session is over")
         return Settled(await self.switchboard.sync(call, self._make))
 
-    async def _bind(self, call: Bind) -> Nothing:
-        await self.switchboard.bind(call.interface, self._make)
-        return Nothing()
-
     async def _make(self, spec: InterfaceSpec) -> Interface:
         # Without a session the robot's login is under way: the Master binds what it has before it answers.
         session = self.sessions.get(spec.owner) or self._begin(spec.owner)
         user = spec.owner.partition("/")[0]
         types = self._types.setdefault(user, UserTypes(partial(self._describe, user)))
-        return make(spec, self.switchboard, session, await types.of(spec), self._timeout)
+        return make(spec, self.switchboard.watch, session, await types.of(spec), self._timeout)
 
     async def _describe(self, user: str, name: str, service: bool) -> Definitions:
         return await self.master.call(Describe(user, name, service))
 
-    async def _unbind(self, call: Unbind) -> Nothing:
-        self.switchboard.unbind(call.interface)
-        return Nothing()
-
-    async def _open_link(self, call: OpenLink) -> Nothing:
-        self.switchboard.open_link(call.link)
-        return Nothing()
-
-    async def _close_link(self, call: CloseLink) -> Nothing:
-        self.switchboard.close_link(call.link)
-        return Nothing()
-
-    async def _add_route(self, call: AddRoute) -> Nothing:
-        await self.switchboard.add_route(call.route)
-        return Nothing()
-
-    async def _remove_route(self, call: RemoveRoute) -> Nothing:
-        self.switchboard.remove_route(call.interface, call.peer)
-        return Nothing()
-
-    async def _tell(self, call: Tell) -> Nothing:
+    def _tell(self, call: Tell) -> None:
         session = self.sessions.get(call.robot)
         if session is not None:
             if call.status is not None:
                 session.status(call.status)
             if call.error is not None and "events" in session.features:
                 session.error(RceError.from_info(call.error))
-        return Nothing()
 
-    async def _drop_robot(self, call: DropRobot) -> Nothing:
+    def _drop_robot(self, call: DropRobot) -> None:
         session = self.sessions.pop(call.robot, None)
         if session is not None:
             session.end(call.reason)
             for interface in list(session.interfaces.values()):
                 self.switchboard.unbind(interface.spec.id)
-        return Nothing()
 
     def _link_lost(self, link: str, reason: str) -> None:
         self._later(self._report(LinkLost(link, reason)))

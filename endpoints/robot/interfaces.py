@@ -19,9 +19,10 @@ from msgspec import UNSET
 from converters.types import TypeRegistry
 from converters.wire import Wire
 from endpoints.frames import Message
+from endpoints.hops import Watch
+from endpoints.interface import Interface, error_of
 from endpoints.link import Link
 from endpoints.robot.session import Piece, Session
-from endpoints.switchboard import Interface, Switchboard, error_of
 from rce.blobs import Buffer, binary_frames
 from rce.calls.endpoints import InterfaceSpec
 from rce.errors import InvalidRequest, LimitExceeded, NotConnected, RceError, TimedOut
@@ -57,8 +58,8 @@ class Untouched:
 class RobotInterface(Interface):
     """What the four kinds share: the robot's session and the form of its data messages."""
 
-    def __init__(self, spec: InterfaceSpec, switchboard: Switchboard, session: Session) -> None:
-        super().__init__(spec, switchboard)
+    def __init__(self, spec: InterfaceSpec, watch: Watch, session: Session) -> None:
+        super().__init__(spec, watch)
         self.session = session
         self._type = parse_type(spec.type)
         quoted = msgspec.json.encode({"iTag": spec.tag, "type": spec.type})[:-1]
@@ -114,7 +115,7 @@ class RobotInterface(Interface):
             yield from ([frame] for frame in frames)
         else:  # one after the other, as old clients expect
             yield [text, *frames]
-        self.switchboard.watch.ended(self.id, message)
+        self.watch.ended(self.id, message)
 
     def count_drops(self) -> None:
         """Tell the robot if the link dropped messages of this interface since last time."""
@@ -125,8 +126,8 @@ class RobotInterface(Interface):
 class Publisher(RobotInterface):
     """Messages of a topic to the robot."""
 
-    def __init__(self, spec: InterfaceSpec, switchboard: Switchboard, session: Session, codec: Codec) -> None:
-        super().__init__(spec, switchboard, session)
+    def __init__(self, spec: InterfaceSpec, watch: Watch, session: Session, codec: Codec) -> None:
+        super().__init__(spec, watch, session)
         self._codec = codec
 
     def receive(self, message: Message, link: Link) -> None:
@@ -143,8 +144,8 @@ class Publisher(RobotInterface):
 class Subscriber(RobotInterface):
     """Messages of a topic from the robot."""
 
-    def __init__(self, spec: InterfaceSpec, switchboard: Switchboard, session: Session, codec: Codec) -> None:
-        super().__init__(spec, switchboard, session)
+    def __init__(self, spec: InterfaceSpec, watch: Watch, session: Session, codec: Codec) -> None:
+        super().__init__(spec, watch, session)
         self._codec = codec
 
     def receive(self, message: Message, link: Link) -> None:
@@ -172,13 +173,13 @@ class ServiceInterface(RobotInterface):
     def __init__(
         self,
         spec: InterfaceSpec,
-        switchboard: Switchboard,
+        watch: Watch,
         session: Session,
         request: Codec,
         response: Codec,
         timeout: float,
     ) -> None:
-        super().__init__(spec, switchboard, session)
+        super().__init__(spec, watch, session)
         self._request = request
         self._response = response
         self._timeout = timeout
@@ -289,9 +290,7 @@ class ServiceProvider(ServiceInterface):
         self.session.call_failed(self.spec.tag, call.msg_id, error)
 
 
-def make(
-    spec: InterfaceSpec, switchboard: Switchboard, session: Session, types: TypeRegistry, timeout: float
-) -> RobotInterface:
+def make(spec: InterfaceSpec, watch: Watch, session: Session, types: TypeRegistry, timeout: float) -> RobotInterface:
     """The interface of this kind. UnknownType if a Converter's type is not known."""
     prefix = spec.kind.removesuffix("Converter").removesuffix("Forwarder")
     forward = spec.kind.endswith("Forwarder")
@@ -299,7 +298,7 @@ def make(
     if prefix in ("Publisher", "Subscriber"):
         image = cast(Literal["png", "jpeg", "json"], spec.format)
         codec: Codec = Untouched() if forward else types.message(name, image)
-        return (Publisher if prefix == "Publisher" else Subscriber)(spec, switchboard, session, codec)
+        return (Publisher if prefix == "Publisher" else Subscriber)(spec, watch, session, codec)
     request, response = itertools.repeat(Untouched(), 2) if forward else types.service(name)
     kind = ServiceClient if prefix == "ServiceClient" else ServiceProvider
-    return kind(spec, switchboard, session, request, response, timeout)
+    return kind(spec, watch, session, request, response, timeout)

@@ -10,8 +10,10 @@ from twisted.logger import LogEvent
 
 from endpoints.data_port import DataPort
 from endpoints.frames import Message
+from endpoints.hops import Watch
+from endpoints.interface import Interface, error_of
 from endpoints.link import Link
-from endpoints.switchboard import Interface, Switchboard, error_of
+from endpoints.switchboard import Switchboard
 from rce.calls.endpoints import InterfaceSpec, LinkSpec, Route, Sync
 from rce.calls.watching import Counts, CountTraffic, InterfaceTraffic
 from rce.errors import NotConnected, NotFound, TimedOut, Unavailable
@@ -21,8 +23,8 @@ from rce.messages import Qos
 class Recorder(Interface):
     """Writes down what happens to it; `broken` makes it a defective one."""
 
-    def __init__(self, spec: InterfaceSpec, switchboard: Switchboard) -> None:
-        super().__init__(spec, switchboard)
+    def __init__(self, spec: InterfaceSpec, watch: Watch) -> None:
+        super().__init__(spec, watch)
         self.events: list[str] = []
         self.got: list[Message] = []
         self.broken = False
@@ -58,7 +60,7 @@ class Board(Switchboard):
         super().__init__(DataPort(), lambda link, reason: self.lost.append(link))
 
     async def make(self, spec: InterfaceSpec) -> Interface:
-        return Recorder(spec, self)
+        return Recorder(spec, self.watch)
 
     async def ready(self, count: int) -> list[Recorder]:
         self.open_link(LinkSpec("l", ""))

@@ -17,8 +17,10 @@ from twisted.internet.interfaces import IListeningPort
 
 from endpoints.data_port import DataPort
 from endpoints.frames import Message
+from endpoints.hops import Watch
+from endpoints.interface import Interface, error_of
 from endpoints.link import Link
-from endpoints.switchboard import Interface, Switchboard, error_of
+from endpoints.switchboard import Switchboard
 from rce import control
 from rce.calls.call import Call, Nothing
 from rce.calls.endpoints import AddRoute, Bind, InterfaceSpec, LinkLost, LinkSpec, NodeDied, OpenLink, Report, Route
@@ -35,8 +37,8 @@ R = TypeVar("R")
 class Robot(Interface):
     """One side of connections that collects what it gets."""
 
-    def __init__(self, spec: InterfaceSpec, switchboard: Switchboard) -> None:
-        super().__init__(spec, switchboard)
+    def __init__(self, spec: InterfaceSpec, watch: Watch) -> None:
+        super().__init__(spec, watch)
         self.got: asyncio.Queue[Message] = asyncio.Queue()
         self.answer: Callable[[Message], Message] | None = None
 
@@ -113,7 +115,7 @@ class FakeMaster:
         robots: list[Robot] = []
 
         async def make(spec: InterfaceSpec) -> Robot:
-            robots.append(Robot(spec, self.board))
+            robots.append(Robot(spec, self.board.watch))
             return robots[0]
 
         here = InterfaceSpec(secrets.token_hex(16), "user/robot", there.tag, "Converter", there.type, qos=there.qos)

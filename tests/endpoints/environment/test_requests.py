@@ -11,15 +11,15 @@ import pytest
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install 'rce[ros]'")
 
 
-from endpoints.data_port import DataPort
 from endpoints.environment.definitions import InstalledTypes
 from endpoints.environment.interfaces import Surroundings
 from endpoints.environment.ros import RosThread
 from endpoints.environment.ros_services import RawClient
 from endpoints.environment.services import IN_FLIGHT, TIMEOUT, ServiceClientInterface
 from endpoints.frames import Message
+from endpoints.hops import Watch
+from endpoints.interface import MAX_REQUESTS, error_of
 from endpoints.link import LoopLink
-from endpoints.switchboard import MAX_REQUESTS, Switchboard, error_of
 from rce.calls.endpoints import InterfaceSpec
 from rce.errors import RceError
 
@@ -70,11 +70,11 @@ class Robot:
 async def parts() -> tuple[ServiceClientInterface, Service, Robot]:
     service, robot = Service(), Robot()
     spec = InterfaceSpec("11" * 16, "user/env", "tag", "ServiceClientInterface", "a/B", "/name")
-    board = Switchboard(DataPort(), lambda link, reason: None)
-    around = Surroundings(cast(RosThread, service), board, InstalledTypes([]), lambda spec, error: None)
+    watch = Watch()
+    around = Surroundings(cast(RosThread, service), watch, InstalledTypes([]), lambda spec, error: None)
     interface = ServiceClientInterface(spec, around)
     interface._client = cast(RawClient, service)
-    interface.peers[PEER] = LoopLink("loop", lambda message, _: robot.heard.append(message), board.watch.left)
+    interface.peers[PEER] = LoopLink("loop", lambda message, _: robot.heard.append(message), watch.left)
     return interface, service, robot
 
 
