@@ -8,7 +8,7 @@ send `Expect: 100-continue`, as curl does, have sent nothing by then.
 from __future__ import annotations
 
 import io
-from typing import Any
+from typing import Any, AnyStr
 
 from twisted.web.server import Request, Site
 
@@ -20,6 +20,13 @@ BODY_MOST = 65_536  # bytes; nothing that the entry itself answers has a body
 
 class EntryRequest(Request):
     """A request whose body is not waited for where it is too large to be for the Master itself."""
+
+    def getHeader(self, key: AnyStr) -> AnyStr | None:
+        """Twisted's fails, and hangs up, where a value is not UTF-8."""
+        if isinstance(key, bytes):
+            return super().getHeader(key)
+        value = super().getHeader(key.encode())
+        return None if value is None else value.decode("utf-8", "replace")
 
     def gotLength(self, length: int | None) -> None:
         if length is not None and length <= BODY_MOST:

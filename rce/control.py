@@ -25,6 +25,7 @@ from twisted.python.failure import Failure
 from twisted.spread import pb
 
 from rce import logs, metrics
+from rce.broker import Broker
 from rce.calls.call import Call, Nothing, Ping, result_type
 from rce.calls.joining import Hello, Welcome
 from rce.calls.watching import Metrics, ReadMetrics
@@ -187,9 +188,9 @@ class _Root(pb.Root):
 
     def __init__(self, joiner: Joiner) -> None:
         self.joiner = joiner
-        self.broker: pb.Broker | None = None
+        self.broker: Broker | None = None
 
-    def rootObject(self, broker: pb.Broker) -> _Root:
+    def rootObject(self, broker: Broker) -> _Root:
         entrance = _Root(self.joiner)  # one a connection: it knows who is calling
         entrance.broker = broker
         return entrance
@@ -212,6 +213,8 @@ class _Root(pb.Root):
             welcome, handlers, joined = await self.joiner.join(hello, address)
         except RceError as error:
             return False, _pages(error.info), None
+        if self.broker is not None:
+            self.broker.joined = True
         # After the answer is on its way, so that the other side knows its door before the first call comes in.
         asyncio.get_running_loop().call_soon(lambda: joined(Control(door, address)))
         return True, _pages(welcome), _Door(handlers)
@@ -221,6 +224,7 @@ async def listen(reactor: ReactorBase, description: str, joiner: Joiner, tls: Tl
     """Take control connections at a Twisted server endpoint (`tcp:8080:interface=127.0.0.1`)."""
     endpoint = endpoints.serverFromString(reactor, description)
     factory = pb.PBServerFactory(_Root(joiner))
+    factory.protocol = Broker
     port: IListeningPort = await endpoint.listen(_taking(tls, factory)).asFuture(asyncio.get_running_loop())
     return port
 

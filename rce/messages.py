@@ -51,6 +51,7 @@ class Rates(Struct, frozen=True, omit_defaults=True):
 
 
 Name = Annotated[str, Meta(min_length=1, max_length=255)]
+Short = Annotated[str, Meta(max_length=255)]
 VariableName = Annotated[str, Meta(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=255)]
 VariableValue = Annotated[str, Meta(pattern=r"^[^\x00]*$", max_length=32_768)]
 
@@ -71,12 +72,12 @@ class ContainerData(Struct, frozen=True, omit_defaults=True):
     bandwidth: Amount = 0
     io: Rates = Rates()
     gpus: Annotated[int, Meta(ge=0, le=1000)] = 0
-    specialFeatures: list[str] = []
+    specialFeatures: Annotated[list[Name], Meta(max_length=100)] = []
     env: Annotated[dict[VariableName, VariableValue], Meta(max_length=100)] = {}
     packages: Annotated[list[Name], Meta(max_length=100)] = []
-    group: str = ""
-    groupIP: str = ""
-    groupIp: str = ""
+    group: Short = ""
+    groupIP: Short = ""
+    groupIp: Short = ""
     restart: Literal["always", "no"] = "always"
 
 
@@ -101,11 +102,11 @@ class AddNode(Struct, frozen=True):
 
     containerTag: str
     nodeTag: str
-    pkg: Text
-    exe: Text
-    args: str = ""
-    name: str = ""
-    namespace: str = ""
+    pkg: Name
+    exe: Name
+    args: Annotated[str, Meta(max_length=32_768)] = ""
+    name: Short = ""
+    namespace: Short = ""
 
 
 class RemoveNode(Struct, frozen=True):
@@ -155,8 +156,8 @@ class AddInterface(Struct, frozen=True):
     endpointTag: str
     interfaceTag: str
     interfaceType: str
-    className: str
-    addr: str = ""
+    className: Short
+    addr: Short = ""
     qos: Qos = Qos()
     format: Literal["png", "jpeg", "json"] = "png"
 

@@ -27,6 +27,7 @@ BASE = {"rce", "msgspec", "websockets", "yaml"} | set(sys.stdlib_module_names)
 # Parts of `rce` for installations with an extra: what they may import besides, and nothing of the base may import them.
 WITH_EXTRA: dict[str, set[str]] = {
     "rce/certificates.py": {"cryptography"},
+    "rce/broker.py": {"twisted"},
     "rce/control.py": {"twisted"},
     "rce/credential.py": {"twisted"},
     "rce/loop.py": {"twisted", "uvloop"},

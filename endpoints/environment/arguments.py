@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 
 from endpoints.environment.packages import Packages
@@ -12,6 +13,7 @@ from rce.calls.endpoints import NodeSpec
 from rce.errors import InvalidName, InvalidRequest
 from rce.names import GUEST
 
+LONGEST = 100_000  # characters after substitution; Linux takes 128 KiB of one argument
 _SUBSTITUTION = re.compile(r"\$\(\s*(\w+)\s+([^)\s]+)\s*\)")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 _NAMESPACE = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*|/", re.ASCII)
@@ -19,17 +21,21 @@ _NAMESPACE = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*|/
 
 def substitute(text: str, packages: Packages, environment: Mapping[str, str], field: str = "args") -> str:
     """`$(find PKG)` is the directory of a package, `$(env VAR)` a variable. InvalidRequest, NotFound."""
+    share = cache(packages.share)
 
     def value(match: re.Match[str]) -> str:
         kind, name = match.groups()
         if kind == "find":
-            return str(packages.share(name))
+            return str(share(name))
         if kind == "env" and name in environment:
             return environment[name]
         reason = f"the environment has no variable {name}" if kind == "env" else "known are $(find PKG) and $(env VAR)"
         raise InvalidRequest(f"{match[0]}: {reason}", field=field)
 
-    return _SUBSTITUTION.sub(value, text)
+    found = _SUBSTITUTION.sub(value, text)
+    if len(found) > max(LONGEST, len(text)):
+        raise InvalidRequest(f"{field}: {len(found)} characters after substitution; {LONGEST} at most", field=field)
+    return found
 
 
 def split(text: str) -> list[str]:

@@ -29,6 +29,7 @@ from autobahn.websocket.types import ConnectionDeny, ConnectionRequest  # noqa: 
 
 HIGH_WATER = 256 * 1024  # bytes in the transport at which the outbox keeps what follows, where it can be overtaken
 MAX_REQUEST = 64 * 1024  # bytes before a robot is let in
+PIECE = 64 * 1024  # bytes: smaller pieces of a message are put together as they come
 SLICE = 0.0005  # seconds for which one robot's frames may be worked on at a stretch
 TICK = 10.0  # seconds: a robot from which nothing came for so long is pinged, and given up after as long again
 NORMAL = 1000  # the close code of a peer that has done all it wanted
@@ -77,6 +78,7 @@ class RobotSocket(WebSocketServerProtocol):
         self._heard = False  # since the last tick
         self._silent = 0  # ticks
         self._left = 0  # bytes that waited to leave at the last tick
+        self._pinged: bytes | None = None  # by what, while there is no room for the answer
 
     # --- handshake ----------------------------------------------------------------------------------------------------
 
@@ -151,6 +153,25 @@ class RobotSocket(WebSocketServerProtocol):
         except Exception:  # noqa: BLE001  # as its adapter does: a defect closes this socket and no other
             log.failure("defect while reading from {peer}", peer=self.peer)
             self.dropConnection(abort=True)
+
+    def onMessageFrameData(self, payload: bytes) -> None:
+        """Autobahn keeps each piece by itself until the message ends: of one byte, or none, there may be millions."""
+        if self.failedByMe or not payload:
+            return
+        pieces: list[Any] = self.message_data
+        if len(payload) >= PIECE or not pieces or len(pieces[-1]) >= PIECE:
+            pieces.append(payload)
+        elif isinstance(pieces[-1], bytearray):
+            pieces[-1] += payload
+        else:
+            pieces[-1] = bytearray(pieces[-1]) + payload
+
+    def onPing(self, payload: bytes) -> None:
+        """Of several pings that wait for an answer the last has it (RFC 6455, section 5.5.3)."""
+        if self._full:
+            self._pinged = payload
+        else:
+            super().onPing(payload)
 
     def onMessage(self, payload: bytes, isBinary: bool) -> None:
         if self._session is None or self._reason:
@@ -259,6 +280,9 @@ class RobotSocket(WebSocketServerProtocol):
 
     def resume_writing(self) -> None:
         self._full = False
+        if self._pinged is not None:
+            pinged, self._pinged = self._pinged, None
+            self.onPing(pinged)
         if self._session is not None and self._session.socket is self and self.state == self.STATE_OPEN:
             self._session.outbox.resume()
 

@@ -96,10 +96,13 @@ class Socket(TwistedProtocol):
         self._listener.closed()
 
     def pauseProducing(self) -> None:
+        """Nothing is read either: each ping would be answered, and the answers would wait here."""
         self.full = True
+        self._transport.pauseProducing()
 
     def resumeProducing(self) -> None:
         self.full = False
+        self._transport.resumeProducing()
         self._listener.room()
 
     def stopProducing(self) -> None:

@@ -6,6 +6,7 @@ import asyncio
 import json
 import ssl
 import struct
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -333,6 +334,41 @@ async def test_a_robot_that_does_not_take_its_errors_is_not_listened_to(make_pla
     assert session.outbox.backlog(b"") < 50
     flooding.cancel()
     a.socket.transport.abort()
+
+
+async def test_of_pings_that_find_no_room_the_last_is_answered(platform: Platform) -> None:
+    """A robot that does not read could have any number of answers wait for it."""
+    a = await platform.robot("a")
+    session = platform.endpoint.sessions[f"{USER}/a"]
+    socket: Any = session.socket
+    socket.pause_writing()
+    answers: list[Any] = [await a.socket.ping() for _ in range(5)]
+    await a.send("?")
+    await eventually(lambda: session.outbox.backlog(b"") == 1)  # so they were heard
+    sent: Any = await a.socket.ping()
+    await eventually(lambda: socket._pinged not in (None, b""))
+    assert not any(answer.done() for answer in [*answers, sent])
+    socket.resume_writing()
+    async with asyncio.timeout(20):
+        await sent
+    assert (await a.take())["type"] == "ER"
+
+
+async def test_a_message_in_many_pieces_is_kept_in_few(platform: Platform) -> None:
+    a, b = await pair(platform)
+    socket: Any = platform.endpoint.sessions[f"{USER}/a"].socket
+    frame = json.dumps({"type": "DM", "data": dm("out", {"data": "x" * 3000})["data"]})
+
+    async def pieces() -> AsyncIterator[str]:
+        for letter in frame[:-1]:
+            yield letter
+            yield ""
+        await eventually(lambda: b"".join(socket.message_data or ()) == frame[:-1].encode())
+        assert len(socket.message_data) < 3
+        yield frame[-1]
+
+    await a.socket.send(pieces())
+    assert await b.take() == dm("in", {"data": "x" * 3000})
 
 
 async def test_a_robot_without_a_sign_of_life_is_given_up(make_platform: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -128,6 +128,23 @@ async def test_what_is_too_deep_or_too_large(service: Service) -> None:
     assert fault(answer)[:2] == ("soap:Client", "limit_exceeded")
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        envelope("<a/>" * 5000),
+        envelope("<r:GetStatus " + " ".join(f'a{number}=""' for number in range(5000)) + "/>"),
+        envelope("<r:GetStatus><r:job>" + "&amp;" * 5000 + "</r:job></r:GetStatus>"),
+        b'<?xml version="1.0" encoding="utf-7"?>' + b"+ADw-a/+AD4-",
+    ],
+    ids=["elements", "attributes", "references", "hidden"],
+)
+async def test_what_would_be_long_to_parse_is_refused_before(service: Service, text: str | bytes) -> None:
+    """Who asks is in the request itself, so anybody can have it parsed."""
+    _, answer = await ask(service, text)
+    assert fault(answer)[1] == "invalid_request"
+    assert any(reason in answer.findtext(".//faultstring", "") for reason in ("more than", "not XML"))
+
+
 def token(password: str, kind: str = "") -> str:
     kind = f' Type="x#{kind}"' if kind else ""
     return (

@@ -165,7 +165,8 @@ async def test_roles_that_only_look(platform: Platform, role: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "header", ["", "Basic", "Basic !", "Basic YW5u", "Basic YW5uOndyb25n", "Bearer x", "Bearer rce_x", "Digest a"]
+    "header",
+    ["", "Basic", "Basic !", "Basic YW5u", "Basic YW5uOndyb25n", "Bearer x", "Bearer rce_x", "Digest a", "Basic \xff"],
 )
 async def test_who_is_not_let_in(platform: Platform, header: str) -> None:
     for method, path in (("GET", "/api/v1/packages"), ("POST", "/api/v1/packages"), ("DELETE", "/api/v1/packages/p")):

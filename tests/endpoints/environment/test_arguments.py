@@ -26,6 +26,24 @@ def test_what_cannot_be_substituted_is_said(text: str, error: type[Exception]) -
         substitute(text, PACKAGES, {})
 
 
+def test_what_becomes_too_long() -> None:
+    with pytest.raises(InvalidRequest, match="at most"):
+        substitute("$(env BIG)" * 4, PACKAGES, {"BIG": "x" * 30_000})
+
+
+def test_a_package_is_looked_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+    packages = Packages([], [])
+
+    def share(name: str) -> Path:
+        asked.append(name)
+        return Path("/p")
+
+    monkeypatch.setattr(packages, "share", share)
+    assert substitute("$(find probe)" * 3, packages, {}) == "/p/p/p"
+    assert asked == ["probe"]
+
+
 def test_split_as_a_shell_but_without_one() -> None:
     assert split("a 'b c' \"d\" ; $(x) | > e") == ["a", "b c", "d", ";", "$(x)", "|", ">", "e"]
 
