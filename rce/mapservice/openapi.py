@@ -12,7 +12,7 @@ from aiohttp.typedefs import Handler
 from rce import openapi
 from rce.errors import RceError
 from rce.map_jobs import PREFIX, Job, JobRequest, Upload
-from rce.mapservice.problems import answer
+from rce.mapservice.problems import answer, check_headers
 from rce.mapservice.rest import PIECE_TYPE, Rest
 
 OFFSET, LENGTH, METADATA = "Upload-Offset", "Upload-Length", "Upload-Metadata"
@@ -107,6 +107,7 @@ def add(application: web.Application, table: list[Route], asked: Callable[[web.R
 
     async def expect(request: web.Request) -> web.StreamResponse | None:
         try:
+            check_headers(request)
             await asked(request)
         except RceError as error:
             return answer(error)

@@ -65,6 +65,7 @@ def answer(error: RceError) -> web.Response:
 async def problems(request: web.Request, handler: Handler) -> web.StreamResponse:
     """Whatever goes wrong is answered in one form."""
     try:
+        check_headers(request)
         return await handler(request)
     except RceError as error:
         return answer(error)
@@ -76,6 +77,16 @@ async def problems(request: web.Request, handler: Handler) -> web.StreamResponse
         raise  # nobody is there to hear it
     except Exception as error:  # noqa: BLE001  # the client hears of a defect; the traceback stays in the log
         return answer(unexpected(error, f"{request.method} {request.path}"))
+
+
+def check_headers(request: web.Request) -> None:
+    """InvalidRequest for those that cannot be read: aiohttp keeps them as they are, and fails where they are used."""
+    try:
+        request.url.origin()
+        for value in request.headers.values():
+            value.encode()
+    except ValueError:  # of which what is raised for no UTF-8 is one
+        raise InvalidRequest("headers must be in UTF-8, and Host must name a host", field="Host") from None
 
 
 def unexpected(error: Exception, where: str) -> RceError:

@@ -7,6 +7,7 @@ import base64
 import errno
 import json
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 from maps_in_memory import LOG, Service
@@ -283,6 +284,17 @@ async def test_credentials(service: Service, query: str, header: str, status: in
         answer = await service.session.get(service.url + path + query, headers=headers)
         assert answer.status == status
         assert ("WWW-Authenticate" in answer.headers) == (status == 401)
+
+
+@pytest.mark.parametrize("header", [b"Authorization: Bearer \xff", b"Host: a b:c", b"Host: \xff"])
+async def test_headers_that_cannot_be_read(service: Service, header: bytes) -> None:
+    url = urlsplit(service.url)
+    for more in (b"", b"Expect: 100-continue\r\n"):
+        reader, writer = await asyncio.open_connection(url.hostname, url.port)
+        host = b"" if header.startswith(b"Host") else b"Host: a\r\n"
+        writer.write(b"POST /map-service/jobs HTTP/1.1\r\nContent-Length: 0\r\n" + host + more + header + b"\r\n\r\n")
+        assert b" 400 " in await asyncio.wait_for(reader.readline(), 20)
+        writer.close()
 
 
 async def test_a_proof_is_remembered_for_a_while(service: Service) -> None:
