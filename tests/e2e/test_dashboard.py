@@ -111,10 +111,28 @@ async def test_a_robot_maps_a_building_before_our_eyes(browser: Any, platform: R
         await page.goto(f"{platform.url}ui/#/map/{USER}/building")
         await trail(canvas, 10)
         await screenshot(page, "map")
+        await looks_in(browser, platform)
         await page.goto(f"{platform.url}ui/#/environments/{USER}/building")
         platform.kill(platform.pid("rce_mapping/mapper"))
         await page.locator("#notices").get_by_text("Node building/mapper ended").wait_for()
         await screenshot(page, "node-died")
+
+
+async def looks_in(browser: Any, platform: RealPlatform) -> None:
+    """An administrator sees the user's map, and is seen to."""
+    async with signed_in(browser, platform, user="admin") as page:
+        await page.get_by_label("everybody's").check()
+        await page.get_by_role("link", name="Map").click()
+        await page.get_by_label("Environment").select_option(f"{USER}/building")
+        await page.get_by_role("button", name="Show").click()
+        await trail(page.locator("canvas.map"), 10)
+        await page.reload()  # the address alone says whose it is
+        await trail(page.locator("canvas.map"), 10)
+        await page.get_by_role("link", name="Graph").click()
+        await page.get_by_label("everybody's").check()
+        await page.get_by_text(re.compile(rf"{USER}/@browser_\w+ \({USER}\)")).first.wait_for()
+        await page.goto(f"{platform.url}ui/#/environments/{USER}/building")
+        await page.get_by_role("cell", name="rce_mapping mapper").wait_for()
 
 
 async def test_interfaces_are_connected_and_disconnected_by_click_and_by_key(

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from consoles import on_terminal, rce, surroundings
 from real_platform import USER, RealPlatform, containers, until
 from test_map import DATA, SCANS, check_files, rce_map, relations
 from test_map_service import piece
@@ -160,6 +161,32 @@ async def test_what_a_hostile_node_can_reach(contained: RealPlatform, images: An
         "users": [USER],
         "mount": "Operation not permitted",
     }
+
+
+async def test_a_terminal_in_a_container(contained: RealPlatform, tmp_path: Path) -> None:
+    env = surroundings(tmp_path, contained.url)
+    await rce("env", "create", "lit", env=env)
+    await asyncio.to_thread(_converse, env)
+    admin = surroundings(tmp_path, contained.url, "admin")
+    assert "status 3" in await rce("env", "shell", "--of", USER, "lit", "echo status 3; exit 3", env=admin, status=3)
+    await rce("env", "delete", "lit", env=env)
+
+
+def _converse(env: dict[str, str]) -> None:
+    with on_terminal("env", "shell", "lit", env=env) as shell:
+        shell.until("[#$] ")
+        shell.type("PS1=ready_; echo $((40 + 2)) $(id -u) $HOME\r")
+        shell.until("42 [1-9][0-9]* /home/rce")
+        shell.type("tty; stty size\r")
+        shell.until("/dev/pts/0")
+        shell.until("24 80")
+        shell.type("sleep 1000\r")
+        shell.until("sleep 1000")
+        shell.type("\x03")
+        shell.until("ready_")
+        shell.type("python3 -c 'import rclpy; print(rclpy.__name__)'; exit 7\r")
+        shell.until("\nrclpy")
+        assert shell.wait() == 7
 
 
 async def test_nobody_joins_the_master_without_a_credential(
