@@ -54,6 +54,7 @@ def user_show(session: Session, words: argparse.Namespace) -> None:
 
 
 def user_add(session: Session, words: argparse.Namespace) -> None:
+    session.access  # noqa: B018  # who is not signed in need not think of a password
     password = words.password or secret(f"Password for {words.name}: ", again=True)
     session.api.post(views.UserView, "users", body=views.NewUser(words.name, password, words.role))
 
@@ -78,7 +79,8 @@ def user_limits(session: Session, words: argparse.Namespace) -> None:
     if words.changes:
         present = session.api.get(dict[str, Any], *path)
         session.api.patch(Any, *path, body=dict(_change(each, present) for each in words.changes))
-    show.one(session.api.get(Any, *path), words.json)
+    limits = session.api.get(dict[str, Any], *path)
+    show.one(limits if words.json else {name: value or "-" for name, value in limits.items()}, words.json)
 
 
 def _change(text: str, present: dict[str, Any]) -> tuple[str, Any]:
@@ -166,7 +168,7 @@ COMMANDS = (
     ),
     Command(
         "user limits",
-        "Show or change what a user may have.",
+        "Show or change what a user may have; `-` is no limit.",
         user_limits,
         (
             MAYBE,

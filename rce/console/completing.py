@@ -4,16 +4,27 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
+from itertools import pairwise
+from typing import NamedTuple
 
 from rce import contexts, views
 from rce.console import table
 from rce.console.command import Argument, Command, Live, arguments_of
-from rce.console.session import Session
+from rce.console.session import Session, whose
 from rce.errors import RceError
 
 PLATFORM_FLAGS = ("--url", "--user", "--context")
 FRESH = 3.0  # seconds for which names are not asked for again
 MOST = 1000  # names that are offered
+
+
+class Within(NamedTuple):
+    """Where names are looked for: in this environment, if it is complete, among the things of this user (empty: one's
+    own, `*`: everybody's).
+    """
+
+    environment: str = ""
+    owner: str = ""
 
 
 class Names:
@@ -22,78 +33,86 @@ class Names:
     def __init__(self, session: Session, clock: Callable[[], float] = time.monotonic) -> None:
         self._session = session
         self._clock = clock
-        self._known: dict[tuple[str, str], tuple[float, list[str]]] = {}
+        self._known: dict[tuple[Live, Within], tuple[float, list[str]]] = {}
 
     def of(self, live: Live, words: Sequence[str] = ()) -> list[str]:
-        """Those of a kind; of topics and services, in the environment that `words` end with."""
+        """Those of a kind, of the user whom `--of` names; of topics and services, in the environment that `words` end
+        with.
+        """
         begun = words[-1].partition("/")[0] if words and live in ("topic", "service") else ""
-        key, now = (live, begun), self._clock()
+        owner = next((whose(value) for flag, value in pairwise(words[:-1]) if flag == "--of"), "")
+        key, now = (live, Within(begun, owner)), self._clock()
         if key not in self._known or now > self._known[key][0] + FRESH:
-            self._known[key] = now, self._ask(live, begun)
+            self._known[key] = now, self._ask(*key)
         return self._known[key][1]
 
-    def _ask(self, live: Live, environment: str) -> list[str]:
+    def _ask(self, live: Live, within: Within) -> list[str]:
         try:
-            return sorted(set(SOURCES[live](self._session, environment))) if live in SOURCES else []
+            return sorted(set(SOURCES[live](self._session, within))) if live in SOURCES else []
         except RceError:
             return []
 
 
-def _environments(session: Session, _: str) -> Iterable[str]:
-    return (each.containerTag for each in session.api.items(views.EnvironmentView, "environments", limit=MOST))
+def _environments(session: Session, within: Within) -> Iterable[str]:
+    return (
+        each.containerTag
+        for each in session.api.items(views.EnvironmentView, "environments", limit=MOST, user=within.owner)
+    )
 
 
-def _robots(session: Session, _: str) -> Iterable[str]:
-    return (each.robotID for each in session.api.items(views.RobotView, "robots", limit=MOST))
+def _robots(session: Session, within: Within) -> Iterable[str]:
+    return (each.robotID for each in session.api.items(views.RobotView, "robots", limit=MOST, user=within.owner))
 
 
-def _endpoints(session: Session, _: str) -> Iterable[str]:
-    return [*_environments(session, ""), *_robots(session, "")]
+def _endpoints(session: Session, within: Within) -> Iterable[str]:
+    return [*_environments(session, within), *_robots(session, within)]
 
 
-def _interfaces(session: Session, _: str) -> Iterable[str]:
-    found = session.api.items(views.InterfaceView, "interfaces", limit=MOST)
+def _interfaces(session: Session, within: Within) -> Iterable[str]:
+    found = session.api.items(views.InterfaceView, "interfaces", limit=MOST, user=within.owner)
     return (f"{each.endpointTag}/{each.interfaceTag}" for each in found)
 
 
-def _types(session: Session, _: str) -> Iterable[str]:
-    return (each.className for each in session.api.items(views.InterfaceView, "interfaces", limit=MOST))
+def _types(session: Session, within: Within) -> Iterable[str]:
+    return (
+        each.className for each in session.api.items(views.InterfaceView, "interfaces", limit=MOST, user=within.owner)
+    )
 
 
-def _groups(session: Session, _: str) -> Iterable[str]:
-    return (each.group for each in session.api.items(views.GroupView, "groups", limit=MOST))
+def _groups(session: Session, within: Within) -> Iterable[str]:
+    return (each.group for each in session.api.items(views.GroupView, "groups", limit=MOST, user=within.owner))
 
 
-def _machines(session: Session, _: str) -> Iterable[str]:
+def _machines(session: Session, _: Within) -> Iterable[str]:
     return (each.name for each in session.api.items(views.MachineView, "machines", limit=MOST))
 
 
-def _users(session: Session, _: str) -> Iterable[str]:
+def _users(session: Session, _: Within) -> Iterable[str]:
     return (each.name for each in session.api.items(views.UserView, "users", limit=MOST))
 
 
-def _keys(session: Session, _: str) -> Iterable[str]:
-    return (each.id for each in session.api.items(views.KeyView, "keys", limit=MOST))
+def _keys(session: Session, within: Within) -> Iterable[str]:
+    return (each.id for each in session.api.items(views.KeyView, "keys", limit=MOST, user=within.owner))
 
 
-def _topics(session: Session, environment: str) -> Iterable[str]:
-    return _within(session, environment, "topics")
+def _topics(session: Session, within: Within) -> Iterable[str]:
+    return _in_environment(session, within, "topics")
 
 
-def _services(session: Session, environment: str) -> Iterable[str]:
-    return _within(session, environment, "services")
+def _services(session: Session, within: Within) -> Iterable[str]:
+    return _in_environment(session, within, "services")
 
 
-def _within(session: Session, environment: str, kind: str) -> Iterable[str]:
+def _in_environment(session: Session, within: Within, kind: str) -> Iterable[str]:
     """`ENV/` for each environment, and all of one when its name is complete."""
-    known = list(_environments(session, ""))
-    if environment not in known:
+    known = list(_environments(session, within))
+    if within.environment not in known:
         return [f"{each}/" for each in known]
-    found = session.api.items(views.RosName, "environments", environment, kind)
-    return [f"{environment}{each.name}" for each in found]
+    found = session.api.items(views.RosName, "environments", within.environment, kind, user=within.owner)
+    return [f"{within.environment}{each.name}" for each in found]
 
 
-SOURCES: dict[Live, Callable[[Session, str], Iterable[str]]] = {
+SOURCES: dict[Live, Callable[[Session, Within], Iterable[str]]] = {
     "context": lambda _, __: contexts.load().contexts,
     "endpoint": _endpoints,
     "environment": _environments,

@@ -14,6 +14,8 @@ import msgspec
 
 GAP = "  "
 T = TypeVar("T")
+TIMES = frozenset({"created", "expires", "used"})  # names of fields that are seconds since 1970
+AMOUNTS = frozenset({"memory", "disk", "bandwidth", "io", "read", "write", "package_bytes"})  # of bytes, or in a second
 Columns = Mapping[str, Callable[[T], object]]
 """What stands in each column, by its title."""
 
@@ -46,13 +48,22 @@ def one(item: Any, as_json: bool = False) -> None:
     given = _given(msgspec.to_builtins(item))
     width = max(map(len, given), default=0)
     for name, value in given.items():
-        print(f"{name:{width}}  {said(value)}")
+        print(f"{name:{width}}  {_field(name, value)}")
 
 
 def _given(fields: dict[str, Any]) -> dict[str, Any]:
     """Those that have a value, themselves or in them."""
     kept = {name: _given(value) if isinstance(value, dict) else value for name, value in fields.items()}
     return {name: value for name, value in kept.items() if value not in (None, "", [], {})}
+
+
+def _field(name: str, value: Any) -> str:
+    """A value as its field's name says that it is meant: a time, an amount, or as it is."""
+    if name in TIMES:
+        return when(value)
+    if name.removeprefix("default_").removeprefix("total_") in AMOUNTS and isinstance(value, int):
+        return amount(value)
+    return said(value)
 
 
 def said(value: object) -> str:
@@ -69,7 +80,7 @@ def said(value: object) -> str:
         case list() | tuple():
             return ", ".join(map(said, value)) or "-"
         case dict():
-            return ", ".join(f"{name}={said(each)}" for name, each in _given(value).items()) or "-"
+            return ", ".join(f"{name}={_field(name, each)}" for name, each in _given(value).items()) or "-"
     return said(msgspec.to_builtins(value))
 
 

@@ -16,6 +16,7 @@ from rce import contexts
 from rce import messages as m
 from rce.api import Api, ServerEvent, read_events
 from rce.commands import package
+from rce.console.completing import Names, candidates
 from rce.console.run import DONE, FAILED, WRONG, run
 from rce.console.script import run_script
 from rce.console.session import Session
@@ -93,6 +94,34 @@ async def test_other_commands_go_there_too(
 async def test_an_address_on_the_command_line_needs_no_context(served: Served) -> None:
     assert await rce("env", "list", "--url", served.url, "--user", "ann") == DONE
     assert await rce("env", "list", "--url", served.url) == FAILED
+
+
+async def test_names_of_whom_it_is_about_are_offered(served: Served) -> None:
+    for user in ("ann", "bob"):
+        await served.master.execute(user, m.CreateContainer(f"{user}s"))
+    await login(served, "olga", "home")
+
+    def offered(line: str) -> set[str]:
+        return set(candidates(line.split(" "), Names(Session())))
+
+    for line, expected in (
+        ("env show ", set()),
+        ("env show --of bob ", {"bobs"}),
+        ("env list --of all --machine ", set()),
+        ("topic echo --of ann ", {"anns/"}),
+        ("interface list --of all ", {"anns", "bobs"}),
+    ):
+        assert await asyncio.to_thread(offered, line) == expected, line
+
+
+async def test_what_one_may_do_is_said_when_it_is_asked_for(served: Served, capsys: pytest.CaptureFixture[str]) -> None:
+    await login(served, "vera", "home")
+    assert await rce("whoami") == DONE
+    assert "rights" not in capsys.readouterr().out
+    assert await rce("whoami", "--rights") == DONE
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["data.read", "own"] in lines
+    assert ["data.write", "-"] in lines
 
 
 async def test_lists_are_read_page_by_page(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:

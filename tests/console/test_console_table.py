@@ -8,12 +8,13 @@ from collections.abc import Sequence
 
 import pytest
 
-from rce.console import table
+from rce.console import show, table
 from rce.console.command import Live, Usage, parser
 from rce.console.completing import Names, candidates
 from rce.console.original import modern
 from rce.console.run import WRONG, run
 from rce.console.session import Session
+from rce.messages import ContainerData, Rates
 
 ALL = list(table.COMMANDS.values())
 
@@ -126,7 +127,7 @@ def test_options_that_name_the_platform_are_no_part_of_a_console_s_lines() -> No
         ("env made", "there is no command `env made`"),
         ("env show", "required: ENV"),
         ("env show a --jsn", "unrecognized arguments: --jsn"),
-        ("nonsense", "no command 'nonsense'"),
+        ("nonsense", "no command 'nonsense'; `rce help`"),
     ],
 )
 def test_wrong_words_are_answered_with_the_right_ones(line: str, text: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -138,3 +139,16 @@ def test_wrong_words_are_answered_with_the_right_ones(line: str, text: str, caps
 def test_usage_says_how_the_line_should_be() -> None:
     with pytest.raises(Usage, match="usage: rce env show"):
         parser(table.COMMANDS["env show"]).parse_args([])
+
+
+def test_one_thing_is_shown_with_times_and_amounts(capsys: pytest.CaptureFixture[str]) -> None:
+    data = ContainerData(memory=2**30, io=Rates(read=2**20))
+    show.one({"created": 86400.0 * 365, "containerData": data, "total_memory": 3 * 2**30, "robots": 0, "empty": ""})
+    assert capsys.readouterr().out.splitlines() == [
+        f"created        {show.when(86400.0 * 365)}",
+        "containerData  memory=1 GiB, io=read=1 MiB",
+        "total_memory   3 GiB",
+        "robots         0",
+    ]
+    show.one({"containerData": ContainerData()})
+    assert capsys.readouterr().out == "", "what has nothing in it has no value"
