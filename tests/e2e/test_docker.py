@@ -185,7 +185,7 @@ def _converse(env: dict[str, str]) -> None:
         shell.type("\x03")
         shell.until("ready_")
         shell.type("python3 -c 'import rclpy; print(rclpy.__name__)'; exit 7\r")
-        shell.until("\nrclpy")
+        shell.until("rclpy\r")  # as it prints it; what was typed goes on behind it
         assert shell.wait() == 7
 
 
