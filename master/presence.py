@@ -17,7 +17,6 @@ from rce.calls.joining import Hello
 from rce.calls.robots import DropRobot
 from rce.errors import AlreadyExists, NoCapacity
 from rce.names import check_robot
-from rce.roles import Principal
 
 
 def joined(state: State, process: Process, hello: Hello, ids: Ids) -> Plan:
@@ -157,33 +156,23 @@ def resettle(state: State, ids: Ids) -> Plan:
 
 
 def robot_arrived(
-    state: State,
-    user: str,
-    tag: str,
-    endpoint: str,
-    session: str,
-    resume: str,
-    ids: Ids,
-    policy: Policy = UNLIMITED,
-    principal: Principal | None = None,
-    address: str = "",
+    state: State, robot: Robot, resume: str, ids: Ids, policy: Policy = UNLIMITED
 ) -> tuple[Outcome, bool]:
-    """A robot's socket at `endpoint`, from `address`; `session` and `resume` are digests of its new and its presented
-    token, `principal` is who it has proved to be.
+    """A robot's socket is at its endpoint; `resume` is the digest of the token that it presents.
 
     Returns what to do before the robot may go on, and whether it took its earlier session over.
     Raises AlreadyExists if the robotID is in use: by an environment, or by a session that was not resumed;
     LimitExceeded if the user has all the robots that `policy` allows.
     """
+    name, (user, _, tag) = robot.name, robot.name.partition("/")
     check_robot(tag, "robotID")
-    name = f"{user}/{tag}"
     if name in state.environments:
         raise AlreadyExists(f"robotID {tag} is in use by an environment of yours", field="robotID")
     present = state.robots.get(name)
     if present is None:
-        if principal is None or principal.user == user:
+        if robot.by.user == user:
             check_robots(state, user, policy)
-        state.robots.put(Robot(name, endpoint, session, principal, address))
+        state.robots.put(robot)
         return Outcome([]), False
     if not resume or resume != present.session:
         raise AlreadyExists(
@@ -191,11 +180,12 @@ def robot_arrived(
             field="robotID",
         )
     socket_moved(state, name, True)
-    moved = present.endpoint != endpoint
+    moved = present.endpoint != robot.endpoint
     plan = _leave_endpoint(state, present) if moved else []
-    state.robots.put(Robot(name, endpoint, session, principal, address))
+    state.robots.put(robot)
     if moved:
-        plan += [[Send(endpoint, Bind(interface.spec), interface.spec.id)] for interface in state.interfaces.by(name)]
+        bound = [each.spec for each in state.interfaces.by(name)]
+        plan += [[Send(robot.endpoint, Bind(spec), spec.id)] for spec in bound]
         plan += bring_up(state, [name], ids)
     return Outcome(plan), True
 

@@ -10,7 +10,7 @@ from master import guests, presence
 from master.audit import Audit, Origin
 from master.grants import digest
 from master.limits import Limits
-from master.records import Process
+from master.records import Process, Robot
 from master.rim import Rim, ids
 from master.sight import Sight
 from master.users import Users
@@ -68,11 +68,8 @@ class Sessions:
         owner = call.owner or call.user
         token = secrets.token_hex(32)
         resume = digest(call.resume) if call.resume else ""
-        outcome, resumed = presence.robot_arrived(
-            self._state,
-            *(owner, call.robot, process.name, digest(token), resume, ids),
-            *(self._limits.of(owner), principal, address),
-        )
+        robot = Robot(f"{owner}/{call.robot}", process.name, digest(token), principal, address)
+        outcome, resumed = presence.robot_arrived(self._state, robot, resume, ids, self._limits.of(owner))
         saved = self._rim.save()
         try:
             await self._carrier.carry(outcome.plan)

@@ -11,18 +11,9 @@ from pathlib import Path
 
 from twisted.internet.base import ReactorBase
 
-from endpoints.bridge.config import (
-    Action,
-    BridgeConfig,
-    BuildMap,
-    EndRecording,
-    Record,
-    StartOffloading,
-    StopOffloading,
-    read,
-)
+from endpoints.bridge.config import BridgeConfig, read
 from rce import loop
-from rce.errors import InvalidRequest, NotFound
+from rce.errors import InvalidRequest
 from rce.up import default_typesupport
 
 PROGRAM = "rce bridge"
@@ -49,66 +40,25 @@ def parser() -> argparse.ArgumentParser:
 
 async def serve(config: BridgeConfig, typesupport: list[Path]) -> None:
     """Until cancelled, or until the platform refuses what the file wants."""
-    from endpoints.bridge.bridge import Offloading  # they load ROS 2
+    from endpoints.bridge.actions import Actions  # they load ROS 2
     from endpoints.bridge.ends import LocalRos
-    from endpoints.bridge.mapping import MapMaker
-    from endpoints.bridge.recorder import Recording
     from endpoints.bridge.requests import Desk
     from endpoints.environment.ros import RosThread
 
     ros = RosThread(asyncio.get_running_loop(), NODE)
     await ros.start()
     local = LocalRos(ros, [*typesupport, *_system_prefixes(), Path(sys.prefix)])
-    offloading = Offloading(config, local)
-    maps = MapMaker(config, local)
-    recording: Recording | None = None
-    recorded: Path | None = None
-
-    def end_recording() -> str:
-        nonlocal recording, recorded
-        if recording is None:
-            raise NotFound("no recording runs")
-        ended, recording = recording, None
-        ended.end()
-        recorded = ended.path
-        return f"{ended.messages} messages recorded in {ended.path}"
-
-    async def perform(action: Action) -> str:
-        nonlocal recording
-        match action:
-            case StartOffloading():
-                await offloading.start()
-                return f"offloading to {config.environment.tag}"
-            case StopOffloading():
-                await offloading.stop()
-                return "offloading is off"
-            case Record(topics, directory):
-                if recording is not None:
-                    raise InvalidRequest(f"a recording runs already: {recording.path}")
-                recording = await Recording.begin(local, topics, directory)
-                return f"recording into {recording.path}"
-            case EndRecording():
-                return end_recording()
-            case BuildMap():
-                if recording is not None:
-                    end_recording()
-                if recorded is None:
-                    raise NotFound("nothing has been recorded yet")
-                return await maps.make(recorded, action)
-        raise AssertionError("every action is one of these")
-
-    desk = Desk(config.requests, perform)
+    actions = Actions(config, local)
+    desk = Desk(config.requests, actions.perform)
     try:
         if config.requests:
             await desk.open(local)
         if config.offload:
-            await offloading.start()
-        await offloading.failed
+            await actions.offloading.start()
+        await actions.offloading.failed
     finally:
         desk.close()
-        if recording is not None:
-            recording.end()
-        await offloading.stop()
+        await actions.close()
         local.close()
         await ros.stop()
 

@@ -9,7 +9,7 @@ from typing import Any
 from master import graph, presence
 from master.effects import Outcome, Plan, Send
 from master.policies import UNLIMITED
-from master.records import Process, Role, State
+from master.records import Process, Robot, Role, State
 from rce import messages as m
 from rce.calls.call import Call
 from rce.calls.joining import Hello
@@ -40,8 +40,7 @@ class Fleet:
         return graph.execute(self.state, user, command, self.ids, again, self.policy, guest)
 
     def robot(self, name: str, endpoint: str = "west", session: str = "s", resume: str = "") -> tuple[Outcome, bool]:
-        user, _, tag = name.partition("/")
-        return presence.robot_arrived(self.state, user, tag, endpoint, session, resume, self.ids, self.policy)
+        return presence.robot_arrived(self.state, Robot(name, endpoint, session), resume, self.ids, self.policy)
 
 
 def furnished() -> Fleet:

@@ -13,6 +13,7 @@ from twisted.internet.base import ReactorBase
 
 from master import presence
 from master.policies import Policy, usage
+from master.records import Robot
 from master.users import digest
 from rce import messages as m
 from rce.calls.robots import Execute, Login
@@ -106,7 +107,7 @@ def test_what_it_made_goes_with_it() -> None:
     fleet.policy = Policy(robots=1, connections=0)
     root = Principal("root", "admin")
     for guest in ("@desk", "@desk2"):
-        presence.robot_arrived(fleet.state, "ann", guest, "west", "s", "", fleet.ids, fleet.policy, root)
+        presence.robot_arrived(fleet.state, Robot(f"ann/{guest}", "west", "s", root), "", fleet.ids, fleet.policy)
     with pytest.raises(InvalidName):
         fleet.do("ann", interface("brain", "@desk.x", "SubscriberInterface"))
     for guest in ("@desk", "@desk2"):
@@ -124,7 +125,7 @@ def test_a_visitor_counts_in_no_limit_and_a_guest_of_ones_own_does() -> None:
     root, ann = Principal("root", "admin"), Principal("ann", "user")
 
     def come(guest: str, who: Principal) -> None:
-        presence.robot_arrived(fleet.state, "ann", guest, "west", "s", "", fleet.ids, fleet.policy, who)
+        presence.robot_arrived(fleet.state, Robot(f"ann/{guest}", "west", "s", who), "", fleet.ids, fleet.policy)
 
     def listen(owner: str, tag: str, guest: str = "") -> None:
         fleet.do("ann", interface(owner, "ear", "PublisherConverter"), guest=guest)
