@@ -157,11 +157,22 @@ class BlockingRobot(Blocking[Robot]):
         password: str | None = None,
         key: str | None = None,
         timeout: float = 60.0,
+        compress: bool = False,
         ssl: tls.SSLContext | None = None,
         owner: str = "",
     ) -> None:
         """As `Robot`."""
-        inner = Robot(url, user=user, robot=robot, password=password, key=key, timeout=timeout, ssl=ssl, owner=owner)
+        inner = Robot(
+            url,
+            user=user,
+            robot=robot,
+            password=password,
+            key=key,
+            timeout=timeout,
+            compress=compress,
+            ssl=ssl,
+            owner=owner,
+        )
         super().__init__(LoopThread(), inner)
 
     def __enter__(self) -> Self:

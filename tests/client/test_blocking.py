@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import inspect
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -12,7 +13,7 @@ import pytest
 from client_contract import SET_BOOL, STRING
 from fake_platform import FakePlatform
 
-from rce.client import BlockingRobot, Reconnected
+from rce.client import BlockingRobot, Reconnected, Robot
 from rce.errors import NotFound, RceError, TimedOut, Unauthorized, Unavailable
 
 T = TypeVar("T")
@@ -25,6 +26,10 @@ async def script(function: Callable[..., T], *arguments: Any) -> T:
 
 def robot(url: str, name: str = "a", password: str = "testUser") -> BlockingRobot:
     return BlockingRobot(url, user="testUser", robot=name, password=password, timeout=10)
+
+
+def test_it_takes_what_a_robot_takes() -> None:
+    assert inspect.signature(BlockingRobot).parameters.keys() == inspect.signature(Robot).parameters.keys()
 
 
 async def test_a_script_talks_to_itself(fake: FakePlatform) -> None:
