@@ -16,15 +16,25 @@ from rce.errors import InvalidRequest
 S = TypeVar("S", bound=Struct)
 
 
+class _Loader(yaml.SafeLoader):
+    """Keys are strings, as in JSON: YAML takes the key `on` for true."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.tag != "tag:yaml.org,2002:merge":
+                key.tag = "tag:yaml.org,2002:str"
+        return super().construct_mapping(node, deep)
+
+
 def read(path: Path, kind: type[S]) -> S:
     """The content of a file: YAML if its name ends in `.yaml` or `.yml`, else JSON. InvalidRequest."""
     try:
         text = path.read_text(encoding="utf-8")
-        content: Any = yaml.safe_load(text) if path.suffix in (".yaml", ".yml") else json.loads(text)
+        content: Any = yaml.load(text, _Loader) if path.suffix in (".yaml", ".yml") else json.loads(text)
     except OSError as error:
         raise InvalidRequest(errors.reason(error)) from None
     except json.JSONDecodeError as error:
-        raise InvalidRequest(f"{path} is not JSON ({error}); name it .yaml if it is YAML") from None
+        raise InvalidRequest(f"{path}: no JSON (name it .yaml if it is YAML): {error}") from None
     except (ValueError, RecursionError, yaml.YAMLError) as error:
         raise InvalidRequest(f"{path}: {error}") from None
     try:

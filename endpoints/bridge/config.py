@@ -147,7 +147,7 @@ def read(path: Path, environment: dict[str, str] | None = None) -> BridgeConfig:
         key = variables.get("RCE_KEY")
         config = msgspec.structs.replace(config, key=key, password=None if key else variables.get("RCE_PASSWORD"))
     if (config.key is None) == (config.password is None):
-        raise InvalidRequest(f"{path}: give a key or a password, or set RCE_KEY", field="key")
+        raise InvalidRequest(f"{path}: give a key or a password, or set RCE_KEY or RCE_PASSWORD", field="key")
     return config
 
 

@@ -20,7 +20,7 @@ from rce.bench.routes import ROUTES, USUAL
 from rce.bench.run import take
 from rce.client import Robot
 from rce.client.map_service import MapService
-from rce.commands.platform import DEV_USER, ENGINES, add_arguments, own_platform, platform, programs_log
+from rce.commands.platform import DEV_USER, ENGINES, add_arguments, add_command, own_platform, platform, programs_log
 from rce.errors import InvalidRequest
 from rce.map_jobs import MAPPERS
 
@@ -33,7 +33,7 @@ QUICK_SIZES, QUICK_SAMPLES = 4, 3
 def parser() -> argparse.ArgumentParser:
     whole = argparse.ArgumentParser(prog="rce bench", description="Measure a platform.")
     kinds = whole.add_subparsers(dest="kind", required=True)
-    rtt = kinds.add_parser("rtt", help="round trips of messages of all sizes, beside those between two nodes")
+    rtt = add_command(kinds, "rtt", "round trips of messages of all sizes, beside those between two nodes")
     usual = ",".join(USUAL)
     rtt.add_argument("--routes", default=usual, help=f"comma list of {', '.join(ROUTES)} (default: {usual})")
     rtt.add_argument("--features", default="", help="route c2c2: two special features, each of one machine only")
@@ -42,24 +42,22 @@ def parser() -> argparse.ArgumentParser:
     rtt.add_argument("--quick", action="store_true", help=f"{QUICK_SIZES} sizes, {QUICK_SAMPLES} samples")
     rtt.add_argument("--json", action="store_true", help="print every sample as JSON instead of a table")
     rtt.add_argument("--plot", type=Path, metavar="FILE", help="draw it, as .svg or .png")
-    over = kinds.add_parser("overtake", help="velocity commands of a robot that sends 10 MB images meanwhile")
+    over = add_command(kinds, "overtake", "velocity commands of a robot that sends 10 MB images meanwhile")
     over.add_argument("--samples", type=int, default=300, help="(default: %(default)s)")
     over.add_argument("--json", action="store_true", help="print every sample as JSON instead of a table")
-    begin = kinds.add_parser("start", help="from CC to an environment that is ready, beside a bare container")
+    begin = add_command(kinds, "start", "from the command to an environment that is ready, beside a bare container")
     begin.add_argument("--engines", default="process,docker", help="comma list (default: %(default)s)")
     begin.add_argument("--samples", type=int, default=10, help="of each (default: %(default)s)")
     begin.add_argument("--image", default=f"rce/mapping:{__version__}", help="of the bare one (default: %(default)s)")
     begin.add_argument("--json", action="store_true", help="print every sample as JSON instead of a table")
-    maps = kinds.add_parser(
-        "map-service", help="a large recording by the map service, and another user's job meanwhile"
-    )
+    maps = add_command(kinds, "map-service", "a large recording by the map service, and another user's job meanwhile")
     maps.add_argument("--size", type=int, default=4000, help="of the recording, MB (default: %(default)s)")
     maps.add_argument(
         "--dir", type=Path, default=Path(tempfile.gettempdir()), help="on which disk (default: %(default)s)"
     )
     maps.add_argument("--engine", choices=ENGINES, default="process", help="(default: %(default)s)")
     maps.add_argument("--json", action="store_true", help="print the figures as JSON")
-    page = kinds.add_parser("dashboard", help="dashboard and lists of a Master with many robots and environments")
+    page = add_command(kinds, "dashboard", "dashboard and lists of a Master with many robots and environments")
     page.add_argument("--robots", type=int, default=200, help="with an environment each (default: %(default)s)")
     page.add_argument("--interfaces", type=int, default=5, help="of each of both (default: %(default)s)")
     page.add_argument("--seconds", type=float, default=20, help="for shares of a core (default: %(default)s)")
@@ -72,14 +70,14 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _add_maps(kinds: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    recordings = kinds.add_parser(
-        "map", help="recordings by the map service, what each mapper needs, and how good its maps are"
+    recordings = add_command(
+        kinds, "map", "recordings by the map service, what each mapper needs, and how good its maps are"
     )
     recordings.add_argument("--odometry", default="", help="comma list of recorded, noisy, worse, none")
     recordings.add_argument("--no-service", action="store_true", help="the mappers alone, without a platform")
     recordings.add_argument("--out", type=Path, metavar="DIR", help="for the maps")
     recordings.add_argument("--engine", choices=ENGINES, default="process", help="(default: %(default)s)")
-    endless = kinds.add_parser("endless", help="a recording forward, back, forward, …: memory, and time a scan")
+    endless = add_command(kinds, "endless", "a recording forward, back, forward, …: memory, and time a scan")
     endless.add_argument("--scans", type=int, default=36_000, help="(default: %(default)s, an hour at 10 Hz)")
     for each in (recordings, endless):
         each.add_argument("recordings", nargs="+", type=Path, metavar="FILE", help="CARMEN log, ROS 1 or ROS 2 bag")

@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 
 from rce.client.map_service import MapService
-from rce.commands.platform import access, add_entry
+from rce.commands.platform import access, add_command, add_entry
 from rce.errors import InvalidRequest, NotFound, RceError
 from rce.map_jobs import MAPPERS, OVER, Job, MapOptions
 
@@ -24,7 +24,7 @@ MOST_LETTERS = 200  # of the name of an upload
 def parser() -> argparse.ArgumentParser:
     whole = argparse.ArgumentParser(prog="rce map", description="Maps by the map service of a running platform.")
     commands = whole.add_subparsers(dest="command", required=True)
-    submit = commands.add_parser("submit", help="send recordings and have maps made of them")
+    submit = add_command(commands, "submit", "send recordings and have maps made of them")
     submit.add_argument("recordings", nargs="+", type=Path, metavar="FILE", help="CARMEN log, ROS 1 or ROS 2 bag")
     submit.add_argument("--mapper", choices=MAPPERS, default=MAPPERS[0], help="(default: %(default)s)")
     submit.add_argument("--resolution", type=float, default=0.05, help="metres a cell (default: %(default)s)")
@@ -35,14 +35,14 @@ def parser() -> argparse.ArgumentParser:
     submit.add_argument(
         "--out", type=Path, default=Path("map"), metavar="DIR", help="for the map's files (default: %(default)s)"
     )
-    status = commands.add_parser("status", help="your jobs, or one of them")
+    status = add_command(commands, "status", "your jobs, or one of them")
     status.add_argument("job", nargs="?", metavar="JOB")
-    fetch = commands.add_parser("fetch", help="wait for the end of a job and fetch its files")
+    fetch = add_command(commands, "fetch", "wait for the end of a job and fetch its files")
     fetch.add_argument("job", metavar="JOB")
     fetch.add_argument(
         "--out", type=Path, default=Path("map"), metavar="DIR", help="for the map's files (default: %(default)s)"
     )
-    cancel = commands.add_parser("cancel", help="end a job")
+    cancel = add_command(commands, "cancel", "end a job")
     cancel.add_argument("job", metavar="JOB")
     for command in (submit, status, cancel):
         command.add_argument("--json", action="store_true", help="print jobs as JSON")

@@ -15,7 +15,7 @@ import msgspec
 
 from rce import layout
 from rce.archive import Entry
-from rce.commands.platform import access, add_entry
+from rce.commands.platform import access, add_command, add_entry
 from rce.errors import InvalidRequest, StartFailed
 from rce.http import Entry as HttpEntry
 from rce.http import basic
@@ -44,13 +44,13 @@ def parser() -> argparse.ArgumentParser:
     push.add_argument("--share", action="append", default=[], metavar="USER|all", help="let others use it too")
     push.add_argument("--as-is", action="store_true", help="also what looks as if it had to be built first")
     push.add_argument("--text-only", action="store_true", help="no type support: the environment's image has it")
-    listing = commands.add_parser("list", help="the packages that you may use")
+    listing = add_command(commands, "list", "the packages that you may use")
     listing.add_argument("--json", action="store_true")
     for name, text in (("share", "let others use a package"), ("unshare", "let them use it no more")):
-        sharing = commands.add_parser(name, help=text)
+        sharing = add_command(commands, name, text)
         sharing.add_argument("name", metavar="NAME")
         sharing.add_argument("users", nargs="+" if name == "share" else "*", metavar="USER|all")
-    remove = commands.add_parser("remove", help="remove a package, or one version; what runs with it goes on")
+    remove = add_command(commands, "remove", "remove a package, or one version; what runs with it goes on")
     remove.add_argument("name", metavar="NAME[@VERSION]")
     for each in commands.choices.values():
         group = each.add_argument_group("platform")

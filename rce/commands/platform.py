@@ -11,17 +11,25 @@ import tempfile
 from collections import deque
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
-from typing import IO
+from typing import IO, TYPE_CHECKING
 
 from rce import contexts, up
 from rce.contexts import Access as Access
 from rce.errors import InternalError, StartFailed
 from rce.ready import Ready
 
+if TYPE_CHECKING:
+    Commands = argparse._SubParsersAction[argparse.ArgumentParser]
+
 DEV_USER = "testUser"
 LOCAL = "http://127.0.0.1:9000/"
 LOG_LINES = 20
 ENGINES = ("process", "docker", "swarm")
+
+
+def add_command(commands: Commands, name: str, text: str) -> argparse.ArgumentParser:
+    """A subcommand; `text` stands in the list of commands, and as a sentence in its own help."""
+    return commands.add_parser(name, help=text, description=f"{text[:1].upper()}{text[1:]}.")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

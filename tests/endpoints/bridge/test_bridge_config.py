@@ -53,3 +53,10 @@ def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, rest: str, where: 
     with pytest.raises(InvalidRequest, match=where) as caught:
         read(config(tmp_path, rest), {})
     assert str(tmp_path / "bridge.yaml") in str(caught.value)
+
+
+def test_the_file_of_the_docs_is_right(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[3] / "docs" / "bridge.md").read_text()
+    file = tmp_path / "bridge.yaml"
+    file.write_text(text.partition("```yaml\n")[2].partition("```")[0])
+    assert list(read(file, {"RCE_KEY": "k"}).requests) == ["on", "off", "record", "enough", "map"]
