@@ -38,7 +38,7 @@ from rce.sole import sole_user
 from rce.tls import CA, CERTIFICATE, KEY, PLAIN, exposed, interface, load
 
 log = Logger("master")
-DEFAULT_LIMITS = ["package_bytes=2Gi"]
+DEFAULT_LIMITS = ["package_bytes=2Gi", "connections=20000"]
 
 
 class Settings(Struct):

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TypeVar, get_args
 
-from master import groups
+from master import ceilings, groups
 from master.effects import Outcome, Plan, Send, Settle
 from master.packages import resolve_all
 from master.placement import place
@@ -134,6 +134,7 @@ def add_node(state: State, user: str, command: m.AddNode, ids: Ids, again: bool,
         if again and present == node:
             return Outcome([], [what(node)])
         raise AlreadyExists(f"nodeTag {command.nodeTag} is in use in {command.containerTag}", field="nodeTag")
+    ceilings.check_count(state.nodes, owner, ceilings.NODES, "nodeTag")
     state.nodes.put(node)
     return Outcome(_at_host(state, node, StartNode(spec)), [what(node)])
 
@@ -159,6 +160,7 @@ def set_parameter(state: State, user: str, command: m.SetParameter, ids: Ids, ag
     if command.nodeTag:
         check_tag(command.nodeTag, "nodeTag")
     parameter = Parameter(owner, ParameterSpec(command.name, command.value, command.nodeTag))
+    ceilings.check_parameter(state, parameter)
     before = state.parameters.get(parameter.key)
     state.parameters.put(parameter)
     return Outcome(_at_host(state, parameter, PutParameter(parameter.spec)), [what(parameter)], before)
@@ -212,6 +214,7 @@ def add_interface(state: State, user: str, command: m.AddInterface, ids: Ids, ag
         raise AlreadyExists(
             f"interfaceTag {command.interfaceTag} is in use at {command.endpointTag}", field="interfaceTag"
         )
+    ceilings.check_count(state.interfaces, owner, ceilings.INTERFACES, "interfaceTag")
     state.interfaces.put(interface)
     host = state.host(owner)
     plan: Plan = [[Send(host, Bind(spec), spec.id), Settle(what(interface))]] if host else []

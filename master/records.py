@@ -218,6 +218,10 @@ class Table(Generic[T]):
         """The records that have this term: their owner, user, side or process."""
         return [self._records[key] for key in self._index.get(term, ())]
 
+    def count(self, term: str) -> int:
+        """How many `by` would give."""
+        return len(self._index.get(term, ()))
+
     def put(self, record: T) -> None:
         before = self._records.get(record.key)
         self.load(record)

@@ -7,9 +7,12 @@ changed while a write is under way go together in the next one.
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
@@ -117,6 +120,8 @@ class Store:
         except (sa.exc.ArgumentError, sa.exc.NoSuchModuleError, ModuleNotFoundError) as error:
             raise InvalidRequest(f"database {url!r} cannot be used: {error}", field="database") from None
         if parsed.get_backend_name() == "sqlite":
+            if not memory and not str(parsed.database).startswith("file:"):  # a URI of SQLite's own is for who knows it
+                _make_private(Path(str(parsed.database)))
             sa.event.listen(self._engine, "connect", _tune_sqlite)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="store")
         self._waiting: dict[tuple[str, str], str | None] = {}
@@ -209,6 +214,14 @@ def _put(connection: sa.Connection, rows: dict[tuple[str, str], str | None]) -> 
     fresh = [{"kind": kind, "key": key, "value": value} for (kind, key), value in rows.items() if value is not None]
     if fresh:
         connection.execute(records.insert(), fresh)
+
+
+def _make_private(file: Path) -> None:
+    """It has hashes of passwords, and its directory may be open to others. SQLite's other files get the same mode."""
+    with contextlib.suppress(OSError):  # that it cannot be made is told when it is opened
+        file.touch(mode=0o600)
+        if file.stat().st_uid == os.geteuid():
+            file.chmod(0o600)
 
 
 def _tune_sqlite(connection: Any, _: object) -> None:

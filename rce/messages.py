@@ -104,7 +104,7 @@ class AddNode(Struct, frozen=True):
     nodeTag: str
     pkg: Name
     exe: Name
-    args: Annotated[str, Meta(max_length=32_768)] = ""
+    args: VariableValue = ""
     name: Short = ""
     namespace: Short = ""
 

@@ -143,3 +143,16 @@ async def test_a_database_in_memory(tmp_path: Path) -> None:
     await store.load(back)
     assert everything(back) == everything(state)
     await store.close()
+
+
+async def test_nobody_else_reads_the_file(tmp_path: Path) -> None:
+    """It has hashes of passwords, and its directory may be an administrator's of any mode."""
+    for name in ("new.db", "old.db"):
+        file = tmp_path / name
+        if name == "old.db":
+            file.touch(mode=0o644)
+        store = Store(f"sqlite:///{file}")
+        await store.open()
+        modes = [(tmp_path / f"{name}{more}").stat().st_mode & 0o777 for more in ("", "-wal", "-shm")]
+        assert modes == [0o600] * 3
+        await store.close()

@@ -152,6 +152,8 @@ def test_what_pythons_json_writes_is_taken(value: object) -> None:
         (m.CreateContainer, '{"containerTag":"a","containerData":{"specialFeatures":[1]}}', "containerData.specialFeatures[0]"),
         (m.CreateContainer, '{"containerTag":"a","containerData":{"restart":"maybe"}}', "containerData.restart"),
         (m.AddNode, '{"containerTag":"a","nodeTag":"b","pkg":"","exe":"d"}', "pkg"),
+        (m.AddNode, '{"containerTag":"a","nodeTag":"b","pkg":"c","exe":"d","args":"x\\u0000"}', "args"),
+        (m.AddNode, json.dumps({"containerTag": "a", "nodeTag": "b", "pkg": "c", "exe": "d", "args": "x" * 32_769}), "args"),
         (m.AddInterface, '{"endpointTag":"a","interfaceTag":"b","interfaceType":"c","className":"d","qos":{"depth":0}}', "qos.depth"),
         (m.SetParameter, '{"containerTag":"a","name":"","value":1}', "name"),
         (m.SetParameter, '{"containerTag":"a","name":"a\\u0000b","value":1}', "name"),
