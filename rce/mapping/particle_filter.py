@@ -23,6 +23,9 @@ APART, MOST = 0.1, 180  # metres between the points that are matched, and their 
 DEPENDENT = 4.0  # so many points say as much as one: those of a scan share their errors
 ITERATIONS = 12
 JUMP = 6.0  # logarithm of how much likelier a pose must be that the motion does not explain
+# Points, for each particle, that say as much as one when particles are weighed: the gain (`ogain`) of GMapping. Without
+# it all particles have one ancestor some 15 m ago, and none is right where a loop closes.
+SMOOTHING = 3.0
 ENOUGH = 0.5  # resample when fewer than this share of the particles counts
 FLOOR = np.diag(np.square([0.007, 0.007, np.radians(0.15)]))  # covariance that a proposal has at least
 
@@ -34,8 +37,8 @@ class ParticleFilter:
 
     The measurement is approximated by a Gaussian around the pose at which the scan fits the map of the particle best.
     Its product with the Gaussian of the motion is the proposal, and its integral the weight, both in closed form, where
-    the paper samples poses around the best one. Random numbers are drawn beforehand: the result does not depend on how
-    many cores do the work.
+    the paper samples poses around the best one. Weights are smoothed, lest particles die of chance. Random numbers are
+    drawn beforehand: the result does not depend on how many cores do the work.
     """
 
     def __init__(self, count: int, seed: int, cores: int = 0) -> None:
@@ -127,7 +130,8 @@ class ParticleFilter:
         mean = matched + (covariance @ towards)[..., 0]
         apart = np.einsum("ni,nij,njk,nkl,nl->n", off, precision, covariance, np.linalg.inv(prior), off)
         shrink = np.linalg.slogdet(prior @ both)[1]
-        self.log_weights += likelihood - 0.5 * (apart + shrink) - JUMP * jumped
+        evidence = likelihood - 0.5 * (apart + shrink) - JUMP * jumped
+        self.log_weights += evidence / max(1.0, SMOOTHING * self.count / DEPENDENT)
         self.log_weights -= self.log_weights.max()
         self.poses = mean + np.einsum("nij,nj->ni", np.linalg.cholesky(covariance + FLOOR), noise)
         self.poses[:, 2] = (self.poses[:, 2] + np.pi) % (2 * np.pi) - np.pi

@@ -80,7 +80,7 @@ def test_particles_follow_both_motions_of_a_doubtful_one() -> None:
     there = CORNER - np.array([0.8, 0.0])
     found.move(ORIGIN, np.diag([1e-4, 1e-4, 1e-5]), there, other=Pose(0.8, 0.0, 0.0))
     np.testing.assert_allclose(found.poses[1::2], np.tile([0.8, 0.0, 0.0], (2, 1)), atol=0.1)
-    assert found.log_weights[::2].max() < -5.0 < found.log_weights[1::2].min()
+    assert found.log_weights[::2].max() < -2.0 < found.log_weights[1::2].min()
 
 
 def test_particles_that_explain_the_scan_replace_those_that_do_not() -> None:
@@ -88,7 +88,19 @@ def test_particles_that_explain_the_scan_replace_those_that_do_not() -> None:
     found.poses = np.array([[0.6, 0.6, 0.3], [0.0, 0.0, 0.0], [0.5, -0.6, -0.3], [-0.6, 0.6, 0.3]])
     found.move(ORIGIN, np.diag([1e-4, 1e-4, 1e-5]), CORNER)
     assert found.best == 1
-    assert np.sort(found.log_weights)[-2] < -5.0
+    assert np.sort(found.log_weights)[-2] < -3.0
     found.resample()
     assert np.hypot(*found.poses[:, :2].T).max() < 0.1
     assert (found.log_weights == 0.0).all()
+
+
+def test_particles_that_explain_the_scan_equally_well_do_not_die_of_chance() -> None:
+    """Else they have one ancestor a few steps ago, and all are wrong in the same way where a loop closes."""
+    found = filter_of(30)
+    for _ in range(40):
+        found.move(ORIGIN, np.diag([1e-3, 1e-3, 1e-4]), CORNER)
+        found.learn(CORNER)
+        found.resample()
+    ancestors = {tuple(pose) for pose in found.paths.open[:, 0].tolist()}
+    assert not len(found.paths.stem)
+    assert len(ancestors) > 10
