@@ -15,7 +15,7 @@ from master.records import State
 from master.users import Users, must_drive
 from rce import messages as m
 from rce.errors import InvalidRequest
-from rce.names import is_guest
+from rce.names import check_tag, is_guest
 from rce.roles import Principal
 
 LISTENING = frozenset({"SubscriberInterface", "PublisherConverter", "PublisherForwarder"})
@@ -24,6 +24,7 @@ LISTENING = frozenset({"SubscriberInterface", "PublisherConverter", "PublisherFo
 
 async def check_login(users: Users, principal: Principal, owner: str, robot: str) -> None:
     """Refuse who may not be this robot of `owner`'s. Forbidden, NotFound, InvalidRequest."""
+    check_tag(owner, "owner")
     if is_guest(robot):
         rights.check(principal, "data.read", owner, robot=robot)
         await users.get(owner)

@@ -86,7 +86,8 @@ async def test_only_a_guest_may_have_another_owner(served: Served) -> None:
         (visit("bob"), "not_found"),
         (visit("vera"), "not_found"),
         (visit(owner="nobody"), "not_found"),
-        (visit(owner="ann/brain"), "not_found"),
+        (visit(owner="ann/brain"), "invalid_name"),
+        (visit(owner="ann\0"), "invalid_name"),
     ):
         with pytest.raises(AssertionError, match=code):
             await served.said("west", login)
