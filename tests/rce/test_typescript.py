@@ -1,0 +1,70 @@
+"""The declarations of the JavaScript client: for users of TypeScript, and as the client and the protocol are."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+from msgspec.structs import fields
+
+from rce.messages import ContainerData
+
+ROOT = Path(__file__).parents[2]
+DECLARATIONS = (ROOT / "rce" / "js" / "rce.d.ts").read_text()
+NETWORK = 120.0  # seconds
+
+
+@pytest.fixture(scope="module")
+def compiler(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """TypeScript's, from PATH or npm."""
+    present = shutil.which("tsc")
+    if present:
+        return present
+    npm = shutil.which("npm")
+    if npm is None:
+        pytest.skip("no TypeScript: install npm, or tsc, to run this")
+    place = tmp_path_factory.mktemp("typescript")
+    words = [npm, "install", "--no-audit", "--no-fund", "--prefix", str(place), "typescript"]
+    try:
+        done = subprocess.run(words, capture_output=True, text=True, timeout=NETWORK)
+    except subprocess.TimeoutExpired:
+        pytest.skip("npm's registry does not answer")
+    if done.returncode:
+        pytest.skip(f"npm cannot install TypeScript: {done.stderr[-200:]}")
+    return str(place / "node_modules" / ".bin" / "tsc")
+
+
+def test_users_of_typescript(compiler: str) -> None:
+    words = ["--strict", "--noEmit", "--target", "es2022", "--lib", "es2022,dom", "--module", "nodenext"]
+    example = str(ROOT / "tests" / "js" / "example.ts")
+    done = subprocess.run([compiler, *words, example], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stdout
+
+
+def test_what_is_declared_is_there() -> None:
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("no Node.js: install nodejs to run this")
+    words = [node, str(ROOT / "tests" / "js" / "members.mjs")]
+    found = json.loads(subprocess.run(words, capture_output=True, text=True, timeout=60, check=True).stdout)
+    assert set(found["errors"]) == set(re.findall(r"export class (\w+) extends (?!Error)", DECLARATIONS))
+    for kind, present in found["members"].items():
+        declared = set(_members("class", kind))
+        assert declared, kind
+        assert declared <= set(present), kind
+
+
+def test_options_of_environments_are_the_protocols() -> None:
+    known = {each.encode_name for each in fields(ContainerData)} - {"groupIp"}  # another spelling
+    assert set(_members("interface", "EnvironmentOptions")) == known
+
+
+def _members(what: str, name: str) -> list[Any]:
+    match = re.search(rf"^export {what} {name}\b[^\n]*{{\n(.*?)^}}", DECLARATIONS, re.S | re.M)
+    assert match
+    return [each for each in re.findall(r"^  (?:readonly )?(\w+)[?]?[<(:]", match[1], re.M) if each != "constructor"]
