@@ -18,7 +18,11 @@ from rce.messages import decode_as
 from rce.names import TAG
 
 MOST = 1000  # items of a page
+LONGEST = 255  # characters of a header of ours
 T = TypeVar("T")
+After = Annotated[  # a line of HTTP has 16 KiB, in which a character beyond ASCII takes up to 12 bytes
+    str, Meta(pattern=r"^([ -~]{0,1600}|[^\x00]{0,1100})$", description="`next` of the page before")
+]
 Limit = Annotated[int, Meta(ge=1, le=MOST, description="items of a page")]
 NAME = f"({TAG.pattern})?"
 Whose = Annotated[
@@ -41,7 +45,7 @@ class Paging(Struct, frozen=True, forbid_unknown_fields=True):
     """What may be said in the query of each list."""
 
     limit: Limit = 100
-    after: Annotated[str, Meta(max_length=1600, description="`next` of the page before")] = ""
+    after: After = ""
 
 
 class Listing(Paging, frozen=True, forbid_unknown_fields=True):
@@ -75,6 +79,13 @@ class Call(NamedTuple):
         found = decode_as(kind, self.content.read(), "body")
         self.trail.names = names_of(found)
         return found
+
+    def header(self, name: str) -> str | None:
+        """InvalidRequest if it is empty or longer than any of ours."""
+        text = self.request.getHeader(name)
+        if text is not None and not 0 < len(text) <= LONGEST:
+            raise InvalidRequest(f"{name}: 1 to {LONGEST} characters", field=name)
+        return text
 
     def asked(self, kind: type[T]) -> T:
         """The query. InvalidRequest with the parameter's name."""

@@ -42,7 +42,7 @@ class EventsApi:
     async def follow(self, call: Call) -> Answer:
         asked = call.asked(Followed)
         user = listing(call, "feed.read", asked.user)
-        position = self._master.events.position(call.request.getHeader(LAST) or asked.after)
+        position = self._master.events.position(call.header(LAST) or asked.after)
         pieces = self._pieces(principal(call), user, asked.type, position)
         return Answer(self._streams.stream(principal(call), pieces))
 

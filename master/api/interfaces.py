@@ -15,7 +15,7 @@ from master.records import Connection
 from master.service import Master
 from rce import messages as m
 from rce.errors import NotFound
-from rce.names import parse_type
+from rce.names import TYPE, parse_type
 from rce.views import ConnectionView, InterfaceView, NewConnection, NewInterface, Page
 
 
@@ -23,7 +23,13 @@ class Interfaces(Listing, frozen=True, forbid_unknown_fields=True):
     """Which interfaces."""
 
     owner: Annotated[str, Meta(description="those of this robot or environment")] = ""
-    type: Annotated[str, Meta(description="those of this ROS type, in either spelling")] = ""
+    type: Annotated[
+        str,
+        Meta(
+            description="those of this ROS type, in either spelling",
+            extra_json_schema={"pattern": f"^({TYPE.pattern})?$"},
+        ),
+    ] = ""
     kind: Annotated[str, Meta(description="those of this interfaceType")] = ""
 
 

@@ -54,7 +54,7 @@ class LogsApi:
         asked, tag = call.asked(Lines), call.path["environment"]
         user = acting(call, operation, asked.user, environment=tag)
         name = f"{user}/{tag}"
-        log = await self._ask(name, ReadLog(node, asked.lines, call.request.getHeader(LAST) or asked.after))
+        log = await self._ask(name, ReadLog(node, asked.lines, call.header(LAST) or asked.after))
         if not asked.follow:
             return Answer(LogLines(log.lines, log.next))
         return Answer(self._streams.stream(principal(call), self._follow(name, node, log)))

@@ -7,9 +7,9 @@ from typing import Any
 import msgspec
 
 from master.api import live
-from master.api.calls import Answer, Call
+from master.api.calls import LONGEST, Answer, Call
 from master.api.events import LAST
-from master.api.repeats import HEADER, LONGEST
+from master.api.repeats import HEADER
 from master.api.router import PREFIX, Api, Route
 from rce import openapi
 from rce.messages import Tag

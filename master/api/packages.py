@@ -14,6 +14,7 @@ from master.api.router import Api, Route
 from master.depot import UPLOAD_PATH, Announced, Depot, Upload
 from master.records import Package, Version
 from master.service import Master
+from rce.archive import MAX_BYTES
 from rce.errors import NotFound, Unauthorized
 from rce.messages import Tag
 from rce.names import check_tag
@@ -27,7 +28,7 @@ class Announcement(Struct, frozen=True, forbid_unknown_fields=True):
 
     name: Tag
     digest: Annotated[str, Meta(extra_json_schema={"pattern": "^[0-9a-f]{64}$"})]
-    size: Annotated[int, Meta(extra_json_schema={"minimum": 1})]
+    size: Annotated[int, Meta(extra_json_schema={"minimum": 1, "maximum": MAX_BYTES})]
 
 
 class Invitation(Struct, frozen=True):

@@ -12,10 +12,9 @@ from typing import NamedTuple
 
 from master.api.calls import Answer, Call, Handler
 from master.api.problems import KeyReused, status_of
-from rce.errors import InvalidRequest, RceError
+from rce.errors import RceError
 
 HEADER = "Idempotency-Key"
-LONGEST = 255  # characters of a key
 KEPT = 6 * 3600.0  # seconds
 MOST = 500  # of one credential; the oldest goes first
 
@@ -34,11 +33,9 @@ class Repeats:
 
     async def answer(self, call: Call, handler: Handler) -> Answer:
         """What the handler answers, now or at the first time. Once begun it goes on, also when nobody waits for it."""
-        key = call.request.getHeader(HEADER)
+        key = call.header(HEADER)
         if key is None or call.principal is None:
             return await handler(call)
-        if not 0 < len(key) <= LONGEST:
-            raise InvalidRequest(f"{HEADER}: 1 to {LONGEST} characters", field=HEADER)
         return await asyncio.shield(self._find(call, key, handler))
 
     def _find(self, call: Call, key: str, handler: Handler) -> asyncio.Task[Answer]:

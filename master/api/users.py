@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta
 
 from master import policies
 from master.api.acting import acting, cut, listing, platform, principal
@@ -18,6 +20,9 @@ from rce.errors import Forbidden, Unauthorized
 from rce.views import NewPassword, NewUser, Page, UsageView, UserChanges, UserView, Whoami
 
 ONE = "/users/{name}"
+
+
+Limits = Annotated[dict[str, Any], Meta(extra_json_schema={"propertyNames": {"enum": [*Policy.__struct_fields__]}})]
 
 
 class UsersApi:
@@ -39,7 +44,7 @@ class UsersApi:
             Route("GET", ONE + "/limits", self.limits, "What a user may have", answer=Policy),
             Route(
                 *("PATCH", ONE + "/limits", self.limit, "Change some limits: numbers or amounts as 2GiB, null to undo"),
-                body=dict[str, Any],
+                body=Limits,
                 answer=Policy,
             ),
             Route("GET", ONE + "/usage", self.usage, "What a user has of that which limits count", answer=UsageView),

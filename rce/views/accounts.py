@@ -9,6 +9,7 @@ from msgspec import Meta, Struct
 from rce.messages import Tag
 from rce.roles import FREE, Scopes, UserRole
 
+Password = Annotated[str, Meta(extra_json_schema={"minLength": 10, "maxLength": 1000})]  # its rules are the Master's
 Label = Annotated[str, Meta(max_length=200)]
 Expiry = Annotated[float, Meta(gt=0, lt=1e11)] | None
 
@@ -67,7 +68,7 @@ class NewUser(Struct, frozen=True, forbid_unknown_fields=True):
     """A user to make."""
 
     name: Tag
-    password: str
+    password: Password
     role: UserRole = "user"
 
 
@@ -80,7 +81,7 @@ class UserChanges(Struct, frozen=True, forbid_unknown_fields=True):
 class NewPassword(Struct, frozen=True, forbid_unknown_fields=True):
     """A password to have from now on. The `old` one is needed, unless an administrator changes another user's."""
 
-    new: str
+    new: Password
     old: str = ""
 
 

@@ -97,3 +97,10 @@ async def test_void_credentials_end_it(served: Served) -> None:
     await served.master.guard.revoke_key("ann", key.id)
     assert await follower.next() is None
     await follower.close()
+
+
+@pytest.mark.parametrize("path", ["/events", "/environments/brain/log"])
+async def test_a_last_event_that_is_too_long(served: Served, path: str) -> None:
+    await served.master.execute("ann", m.CreateContainer("brain"))
+    answer = await served.ask("GET", path, "ann", **{"Last-Event-ID": "1" * 256})
+    assert (answer.status, answer.body["field"]) == (400, "Last-Event-ID")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from pathlib import Path
+from urllib.parse import quote
 
 import pytest
 from served import Served, serve
@@ -122,6 +123,13 @@ async def test_pages_show_each_once_while_others_come_and_go(served: Served) -> 
         page = (await served.ask("GET", f"{path}&after={page['next'].replace('/', '%2F')}")).body
         seen += [each["name"] for each in page["items"]]
     assert seen == ["arm/gain", "p0", "p1", "p2", "p3", "p4"]
+
+
+async def test_what_follows_the_longest_names(served: Served) -> None:
+    pair = quote(" ".join(["u" * 255 + "/" + "t" * 255 + "/" + "t" * 255] * 2))
+    assert (await served.ask("GET", f"/connections?after={pair}")).status == 200
+    assert (await served.ask("GET", f"/connections?after={quote('ü' * 1100)}")).status == 200
+    assert (await served.ask("GET", f"/connections?after={quote('ü' * 1101)}")).body["field"] == "after"
 
 
 @pytest.mark.parametrize(
