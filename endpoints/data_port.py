@@ -18,6 +18,7 @@ from twisted.logger import Logger
 from endpoints.link import StreamLink
 from rce import passage
 from rce.errors import Unavailable
+from rce.logs import Sparing
 from rce.passage import Passage
 from rce.sockets import bound, reaching, split
 from rce.tls import PLAIN, Tls, exposed
@@ -28,6 +29,7 @@ OPEN_TIMEOUT = 10.0
 EXPECT_TIMEOUT = 30.0  # the other side may have several addresses to try
 
 log = Logger()
+strangers = Sparing(log)
 
 
 def answer_to(key: bytes) -> bytes:
@@ -80,7 +82,7 @@ class _Doorman(_Greeter):
         magic, key = greeting[: len(MAGIC)], greeting[len(MAGIC) :]
         link = self._expected.pop(key, None) if magic == MAGIC else None
         if link is None:
-            log.warn("a connection to the data port presented no key that is expected: closed")
+            strangers.warn("a connection to the data port presented no key that is expected: closed")
             transport.abort()
             return
         transport.write(MAGIC + answer_to(key))

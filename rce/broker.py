@@ -14,6 +14,8 @@ from twisted.logger import Logger
 from twisted.python.failure import Failure
 from twisted.spread import pb
 
+from rce.logs import Sparing
+
 HELLO_MOST = 4 * 1024 * 1024  # bytes until one has joined: a Robot endpoint names all of its robots
 HELLO_ITEMS = 100  # strings, numbers and lists until then; a page of a Hello is one
 HELLO_SLICE = 4096  # bytes that are decoded at a stretch until then
@@ -22,6 +24,7 @@ DEPTH = 32  # lists in lists
 JOIN_WITHIN = 20.0  # seconds
 
 log = Logger()
+strangers = Sparing(log)
 
 
 class Broker(pb.Broker):
@@ -80,5 +83,6 @@ class Broker(pb.Broker):
         transport: Any = self.transport
         peer = transport.getPeer()
         address = f"{getattr(peer, 'host', 'local')}:{getattr(peer, 'port', 0)}"
-        log.warn("the control connection from {address} is closed: {reason}", address=address, reason=reason)
+        refused = log if self.joined else strangers
+        refused.warn("the control connection from {address} is closed: {reason}", address=address, reason=reason)
         transport.abortConnection()

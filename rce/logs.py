@@ -13,6 +13,7 @@ import logging
 import re
 import secrets
 import sys
+import time
 from collections.abc import Callable
 from contextvars import ContextVar
 from datetime import datetime
@@ -62,10 +63,33 @@ def also(write: Callable[[str], None]) -> None:
 
 def _from_info(observer: Any) -> Any:  # mypy does not see that classes provide zope interfaces
     level = LogLevelFilterPredicate(LogLevel.info)
-    # Ports that open and close, a line for each HTTP request; Autobahn would log bad requests with their credentials.
-    for chatty in ("log_legacy", "twisted.python.log", "autobahn"):
-        level.setLogLevelForNamespace(chatty, LogLevel.warn)
+    # Ports that open and close, a line for each HTTP request. Autobahn warns of bad requests with their credentials.
+    for chatty, least in (
+        ("log_legacy", LogLevel.warn),
+        ("twisted.python.log", LogLevel.warn),
+        ("autobahn", LogLevel.error),
+    ):
+        level.setLogLevelForNamespace(chatty, least)
     return FilteringLogObserver(observer, [level])  # type: ignore[list-item]
+
+
+class Sparing:
+    """Warns at most once in `pause` seconds, and of how many more there were: of what strangers can do at will."""
+
+    def __init__(self, log: Logger, pause: float = 10.0, now: Callable[[], float] = time.monotonic) -> None:
+        self._log = log
+        self._pause = pause
+        self._now = now
+        self._next = 0.0
+        self._left_out = 0
+
+    def warn(self, format: str, **fields: object) -> None:
+        if self._now() < self._next:
+            self._left_out += 1
+            return
+        more = " (and {left_out} like it before)" if self._left_out else ""
+        self._log.warn(format + more, left_out=self._left_out, **fields)
+        self._next, self._left_out = self._now() + self._pause, 0
 
 
 class _FromLogging(logging.Handler):
@@ -80,8 +104,8 @@ class _FromLogging(logging.Handler):
 
 
 def _for_people(event: LogEvent) -> str:
-    time = datetime.fromtimestamp(event["log_time"]).strftime("%H:%M:%S.%f")[:-3]
-    line = f"{time} {event['log_level'].name:5} {event.get('log_namespace', '-')}: {formatEvent(event)}"
+    clock = datetime.fromtimestamp(event["log_time"]).strftime("%H:%M:%S.%f")[:-3]
+    line = f"{clock} {event['log_level'].name:5} {event.get('log_namespace', '-')}: {formatEvent(event)}"
     line += f" [{id}]" if (id := request.get()) else ""
     return f"{line}\n{_traceback(event)}\n" if "log_failure" in event else line + "\n"
 

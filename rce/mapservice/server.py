@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import ssl
 from collections.abc import Callable
 from pathlib import Path
 
 from aiohttp import web
+from aiohttp.http_exceptions import HttpProcessingError
 from msgspec import Struct
 from twisted.logger import Logger
 
@@ -33,6 +35,15 @@ SWEEP = 600.0  # seconds
 SHUTDOWN = 5.0
 
 log = Logger()
+
+
+def _is_readable(record: logging.LogRecord) -> bool:
+    """Not of a request that is no HTTP: aiohttp would log its line, with the credentials in it."""
+    error = record.exc_info[1] if record.exc_info else None
+    return not isinstance(error, HttpProcessingError)
+
+
+logging.getLogger("aiohttp.server").addFilter(_is_readable)
 
 
 class Limits(Struct, frozen=True):

@@ -297,6 +297,16 @@ async def test_headers_that_cannot_be_read(service: Service, header: bytes) -> N
         writer.close()
 
 
+async def test_a_request_that_is_no_http_is_not_logged(service: Service, caplog: pytest.LogCaptureFixture) -> None:
+    """Its line may have a key in it."""
+    url = urlsplit(service.url)
+    reader, writer = await asyncio.open_connection(url.hostname, url.port)
+    writer.write(b"GET /map-service/jobs?key=rce_ann with spaces HTTP/1.1\r\n\r\n")
+    assert b" 400 " in await asyncio.wait_for(reader.readline(), 20)
+    writer.close()
+    assert "rce_ann" not in caplog.text
+
+
 async def test_a_proof_is_remembered_for_a_while(service: Service) -> None:
     for _ in range(3):
         assert (await service.ask("GET", "/jobs")).status == 200

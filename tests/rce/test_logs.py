@@ -9,7 +9,7 @@ from collections.abc import Callable
 import msgspec
 import pytest
 from twisted.internet.base import ReactorBase
-from twisted.logger import Logger, LogLevel
+from twisted.logger import Logger, LogLevel, formatEvent
 
 from rce import logs
 from rce.calls.call import Nothing
@@ -120,3 +120,25 @@ async def test_the_id_goes_along_with_calls(reactor: ReactorBase, monkeypatch: p
     there.close()
     await here.lost
     await port.stopListening().asFuture(asyncio.get_running_loop())  # type: ignore[misc,union-attr]
+
+
+@pytest.mark.parametrize("level", [LogLevel.info, LogLevel.warn])
+def test_what_autobahn_says_of_a_bad_request_is_left_out(level: LogLevel) -> None:
+    """It has the whole line, with the key of a robot whose id has a space, say."""
+    seen = _Event()
+    log = Logger(namespace="autobahn.asyncio.websocket", observer=logs._from_info(seen))
+    log.emit(level, "dropping connection: Bad HTTP request status line")  # type: ignore[arg-type]  # constantly's
+    assert seen.events == []
+    log.error("defect")
+    assert len(seen.events) == 1
+
+
+def test_what_strangers_can_do_at_will_is_said_now_and_then() -> None:
+    seen, now = _Event(), 100.0
+    strangers = logs.Sparing(Logger(namespace="test", observer=seen), 10.0, lambda: now)  # type: ignore[arg-type]
+    for _ in range(3):
+        strangers.warn("no key from {address}", address="a")
+    now += 10
+    strangers.warn("no key from {address}", address="b")
+    said = [formatEvent(event) for event in seen.events]  # type: ignore[arg-type]
+    assert said == ["no key from a", "no key from b (and 2 like it before)"]
