@@ -239,3 +239,13 @@ def test_files_that_are_no_bags_are_refused(tmp_path: Path, content: bytes, reas
 def test_a_directory_that_is_no_bag_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidRequest, match=r"no metadata\.yaml"):
         open_recording(tmp_path)
+
+
+def test_a_line_without_end_is_not_read_to_its_end(tmp_path: Path) -> None:
+    """A megabyte of gzip may be a gigabyte without a line break."""
+    path = tmp_path / "long.clf.gz"
+    with gzip.open(path, "wb") as file:
+        for _ in range(8):
+            file.write(bytes(1024 * 1024))
+    with pytest.raises(InvalidRequest, match="line 1 is longer"):
+        open_recording(path)

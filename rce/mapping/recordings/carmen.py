@@ -18,6 +18,7 @@ from rce.mapping.scans import Scan
 # millimetre mode, 32.76 and 51.1 m on older models, 81.83 m and more in centimetre mode.
 NO_RETURN = ((8.18, 8.2), (32.75, 32.78), (51.1, 51.3))
 RANGE_MAX = 80.0
+LONGEST_LINE = 4 * 1024 * 1024  # bytes
 SNIFFED = 200  # scans that are read to find out which of these it is
 COUNTED_BYTES = 256_000_000  # a larger file is not read twice to know its length
 SCAN_LINES = (b"FLASER ", b"ROBOTLASER1 ")
@@ -65,7 +66,9 @@ class CarmenLog:
         """The lines that are scans, with their numbers."""
         try:
             with gzip.open(self._path) if self._path.suffix == ".gz" else self._path.open("rb") as file:
-                for number, line in enumerate(file, 1):
+                for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), b""), 1):
+                    if len(line) == LONGEST_LINE:  # what gzip makes small may have no end
+                        raise InvalidRequest(f"{self.name}, line {number} is longer than any scan", field="path")
                     if line.startswith(SCAN_LINES):
                         yield number, line
         except (gzip.BadGzipFile, zlib.error, EOFError) as error:
