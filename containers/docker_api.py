@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
@@ -55,7 +56,14 @@ class Asked:
 
 
 def _connect() -> docker.APIClient:
-    return docker.APIClient(**docker.utils.kwargs_from_env(), version="auto", timeout=ANSWER_TIMEOUT)
+    try:
+        return docker.APIClient(**docker.utils.kwargs_from_env(), version="auto", timeout=ANSWER_TIMEOUT)
+    except DockerException as error:
+        host = os.environ.get("DOCKER_HOST") or "unix:///var/run/docker.sock"
+        raise Unavailable(
+            f"no Docker answers at {host}: start it, or name another by DOCKER_HOST, or see to the rights of this user "
+            f"(group docker); {said(error)}"
+        ) from None
 
 
 def said(error: Exception) -> str:

@@ -81,6 +81,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
 
 async def _serve(reactor: ReactorBase, options: Settings) -> None:
     http = loopback_only(options.http) if options.dev else options.http
+    endpoint = control.server_endpoint(reactor, http)
     tls = load(options.tls)
     if exposed(interface(options.control), tls):
         log.warn(PLAIN, what="control", host=interface(options.control) or "all addresses")
@@ -97,7 +98,6 @@ async def _serve(reactor: ReactorBase, options: Settings) -> None:
     tidying = asyncio.create_task(master.audit.tidy(options.audit_days))
     ports = [await control.listen(reactor, options.control, master, tls)]
     try:
-        endpoint = endpoints.serverFromString(reactor, http)
         inviter = Inviter.of(master.processes, options.machines, options.tls, options.address)
         api = make_api(master, depot, inviter)
         site = ApiSite(Entry(master.state), api, depot)
@@ -135,7 +135,7 @@ async def _registry(reactor: ReactorBase, options: Settings, processes: Processe
         raise InvalidRequest(f"setting source: {error}", field="source") from None
     key, certificate = (endpoints.quoteStringArgument(str(options.tls / name)) for name in (KEY, CERTIFICATE))
     description = f"ssl:{options.machines.partition(':')[2]}:privateKey={key}:certKey={certificate}"
-    endpoint = endpoints.serverFromString(reactor, description)
+    endpoint = control.server_endpoint(reactor, description)
     port: IListeningPort = await endpoint.listen(Site(registry, requestFactory=SmallRequest)).asFuture(
         asyncio.get_running_loop()
     )

@@ -220,9 +220,19 @@ class _Root(pb.Root):
         return True, _pages(welcome), _Door(handlers)
 
 
+def server_endpoint(reactor: ReactorBase, description: str) -> Any:  # zope declares its methods without self
+    """What a setting describes, an IStreamServerEndpoint of Twisted's. InvalidRequest."""
+    try:
+        return endpoints.serverFromString(reactor, description)
+    except (ValueError, TypeError) as error:
+        raise InvalidRequest(
+            f"{description!r} is no Twisted server endpoint such as tcp:9000 or tcp:9000:interface=127.0.0.1: {error}"
+        ) from None
+
+
 async def listen(reactor: ReactorBase, description: str, joiner: Joiner, tls: Tls | None = None) -> IListeningPort:
-    """Take control connections at a Twisted server endpoint (`tcp:8080:interface=127.0.0.1`)."""
-    endpoint = endpoints.serverFromString(reactor, description)
+    """Take control connections at a Twisted server endpoint (`tcp:8080:interface=127.0.0.1`). InvalidRequest."""
+    endpoint = server_endpoint(reactor, description)
     factory = pb.PBServerFactory(_Root(joiner))
     factory.protocol = Broker
     port: IListeningPort = await endpoint.listen(_taking(tls, factory)).asFuture(asyncio.get_running_loop())

@@ -46,6 +46,10 @@ def load(kind: type[S], program: str, arguments: Sequence[str], environment: Map
     from_environment = {field: environment.get(PREFIX + field.upper()) for field in described}
     _merge(kind, values, {key: value for key, value in from_environment.items() if value is not None}, "environment")
     _merge(kind, values, {key: value for key, value in given.items() if value is not None}, "command line")
+    for field in msgspec.structs.fields(kind):
+        if field.required and field.name not in values:
+            option, variable = field.name.replace("_", "-"), PREFIX + field.name.upper()
+            raise InvalidRequest(f"give --{option} (or {variable}, or {field.name} in the file of --config)")
     try:
         return msgspec.convert(values, kind, strict=False, dec_hook=path_hook)
     except msgspec.ValidationError as error:

@@ -10,9 +10,11 @@ from pathlib import Path
 from rce.sole import sole_user
 
 
-def refusal(directory: Path) -> str:
+def refusal(directory: Path, *more: str) -> str:
     words = [sys.executable, "-P", "-m", "master", f"--data-dir={directory}", "--http=tcp:0:interface=127.0.0.1"]
-    ended = subprocess.run([*words, "--control=tcp:0:interface=127.0.0.1"], capture_output=True, text=True, timeout=60)
+    ended = subprocess.run(
+        [*words, "--control=tcp:0:interface=127.0.0.1", *more], capture_output=True, text=True, timeout=60
+    )
     event = json.loads(ended.stderr)
     assert (ended.returncode, event["level"], "traceback" in event) == (1, "error", False)
     return str(event["message"])
@@ -34,3 +36,8 @@ def test_a_damaged_database_is_named_with_what_to_do(tmp_path: Path) -> None:
     assert f"{tmp_path}/master.db" in told
     assert "file is not a database; see that" in told
     assert "sqlalche.me" not in told
+
+
+def test_an_address_that_is_none_is_shown_with_one_that_is(tmp_path: Path) -> None:
+    assert refusal(tmp_path, "--http=9000").startswith("'9000' is no Twisted server endpoint such as tcp:9000 or")
+    assert not (tmp_path / "master.db").exists()  # no password was made that nobody has seen
