@@ -234,12 +234,19 @@ class RawSubscription(_Topic):
         self._flow = False
 
     def add(self, wait_set: _rclpy.WaitSet) -> None:
-        super().add(wait_set)
-        self._index = wait_set.add_subscription(self._subscription.handle) if self._flow else None
+        """While it rests its events wait too: to Fast DDS they are one condition with the messages that are left there,
+        which would wake the thread again and again.
+        """
+        self._index = None
+        if self._flow:
+            super().add(wait_set)
+            self._index = wait_set.add_subscription(self._subscription.handle)
 
     def take(self, wait_set: _rclpy.WaitSet) -> None:
+        if self._index is None:
+            return
         super().take(wait_set)  # first who speaks, then what was said: only so it is known what to keep
-        if self._index is not None and wait_set.is_ready("subscription", self._index):
+        if wait_set.is_ready("subscription", self._index):
             self._drain(AT_ONCE)
 
     def _drain(self, most: int = -1) -> None:
