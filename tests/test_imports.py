@@ -127,3 +127,9 @@ def test_the_files_were_found_and_read() -> None:
     assert {relative(path).split("/")[0] for path in FILES} == set(MAY_IMPORT)
     seen = {name for path in FILES for name, _ in imported(path)}
     assert {"rce.errors", "twisted.logger", "msgspec"} <= seen
+
+
+def test_names_of_test_modules_are_unique() -> None:
+    """Folders of tests are no packages: pytest refuses two modules of one name, and then no test runs at all."""
+    names = [path.name for path in (ROOT / "tests").rglob("test_*.py")]
+    assert sorted(names) == sorted(set(names))
