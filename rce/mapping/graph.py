@@ -17,6 +17,9 @@ from rce.mapping.state import Reader, State, pack
 Matrix = NDArray[np.float64]
 TURN_LENGTH = 0.3  # metres of way for which a turn of one radian counts
 SHORTEST = 0.1  # metres; of an edge
+DRIFT, TURN_DRIFT = 0.05, math.radians(0.2)  # metres and radians a metre of way by which an estimate may be off
+UNSURE, UNSURE_TURN = 0.5, math.radians(5)  # standard deviations from which on an edge is in doubt
+DOUBT = 15.0  # metres of way, at most, for which such an edge counts: loops are searched across it
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,9 +126,18 @@ class PoseGraph:
 
     def _connect(self, edge: Edge) -> None:
         motion = edge.motion
-        length = max(math.hypot(motion.x, motion.y) + TURN_LENGTH * abs(motion.theta), SHORTEST)
+        way = math.hypot(motion.x, motion.y) + TURN_LENGTH * abs(motion.theta)
+        length = max(way, _doubt(edge.information), SHORTEST)
         for a, b in ((edge.first, edge.second), (edge.second, edge.first)):
             self._lengths[a][b] = min(length, self._lengths[a].get(b, math.inf))
+
+
+def _doubt(information: Matrix) -> float:
+    """Metres of way for which an edge counts that is in doubt, since as much may be wrong on them; 0 for all others."""
+    variances = np.linalg.inv(information).diagonal()
+    metres, radians = math.sqrt(variances[:2].max()), math.sqrt(variances[2])
+    way = max(metres / DRIFT if metres > UNSURE else 0.0, radians / TURN_DRIFT if radians > UNSURE_TURN else 0.0)
+    return min(way, DOUBT)
 
 
 def edges_state(edges: Sequence[Edge]) -> State:

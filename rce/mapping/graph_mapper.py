@@ -59,10 +59,11 @@ class GraphMapper:
         predictions = self._motion.predict(scan)
         usable = len(points) >= FEWEST_POINTS
         found = self._local.match(points, predictions, self._motion.spread(scan)) if usable else None
+        sure = found is None or found.sure
         pose = found.pose if found else predictions[0]
         covariance = found.covariance if found else UNCERTAIN
-        self._motion.follow(scan, pose)
-        closed = self._keep(pose, points, covariance) if usable else None
+        self._motion.follow(scan, pose, sure)
+        closed = self._keep(pose, points, covariance, sure) if usable else None
         reference = self._graph.nodes[self._reference].pose
         self._history.append(scan.stamp, self._reference, reference.to(pose))
         if closed is not None:
@@ -146,21 +147,26 @@ class GraphMapper:
         node, relative = self._history.at(scan.stamp)
         return Estimate(scan.stamp, self._graph.nodes[node].pose @ relative, UNCERTAIN, matched=False, taken=False)
 
-    def _around(self, pose: Pose) -> Iterator[tuple[int, Points]]:
+    def _around(self, pose: Pose) -> Iterator[tuple[int, Points, Points]]:
         """The nodes near a pose and near the robot along the edges: what was passed lately, and what was passed long
         ago where a loop is closed."""
         for number in sorted(self._graph.distances(self._reference, WAY)):
             node = self._graph.nodes[number]
             if math.dist(node.pose[:2], pose[:2]) < AROUND:
-                yield number, node.points()
+                for sweep in node.sweeps:
+                    points = node.pose.transform(sweep.points.astype(np.float64))
+                    yield number, node.pose.transform(sweep.sensor), points
 
-    def _keep(self, pose: Pose, points: Points, covariance: NDArray[np.float64]) -> int | None:
+    def _keep(self, pose: Pose, points: Points, covariance: NDArray[np.float64], sure: bool) -> int | None:
         """Keep the scan if it shows something new. Returns a node that is complete thereby, if one is."""
         relative = self._graph.nodes[self._reference].pose.to(pose)
-        if self._kept is not None and not self._kept.to(relative).moved(MOVE, TURN):
+        if sure and self._kept is not None and not self._kept.to(relative).moved(MOVE, TURN):
             return None
         before = self._open
-        self._choose_node(pose, relative, covariance)
+        if sure:
+            self._choose_node(pose, relative, covariance)
+        else:
+            self._reference = self._open = self._add_node(pose, relative, covariance)
         if self._open is not None:
             self._enter(self._open, pose, points)
         self._kept = self._graph.nodes[self._reference].pose.to(pose)
@@ -177,11 +183,17 @@ class GraphMapper:
             if not nodes[number].pose.to(pose).moved(NODE_MOVE, NODE_TURN):
                 self._reference, self._open = number, None
                 return
-        new = self._graph.add_node(pose)
-        theta = nodes[self._reference].pose.theta
-        self._graph.add_edges([Edge(self._reference, new, relative, information_of(covariance, theta, FLOOR, SCALE))])
+        new = self._add_node(pose, relative, covariance)
         self._link(new, pose, covariance)
         self._reference = self._open = new
+
+    def _add_node(self, pose: Pose, relative: Pose, covariance: NDArray[np.float64]) -> int:
+        """A node tied to the reference. The edge of one whose pose is in doubt is weak and counts as a long way: loops
+        are searched with what was before it, and what is wrong is put right there."""
+        new = self._graph.add_node(pose)
+        theta = self._graph.nodes[self._reference].pose.theta
+        self._graph.add_edges([Edge(self._reference, new, relative, information_of(covariance, theta, FLOOR, SCALE))])
+        return new
 
     def _link(self, new: int, pose: Pose, covariance: NDArray[np.float64]) -> None:
         """Tie a new node to one of an earlier pass, since its scan was matched with what was seen from there too."""

@@ -55,7 +55,7 @@ class LaserOdometry:
         pose = found.pose if found else predicted
         length = before.to(pose if scan.odometry is None else predicted)
         self.rolled = self.rolled @ length._replace(theta=before.to(pose).theta)
-        self._motion.follow(scan, pose)
+        self._motion.follow(scan, pose, sure=found is None or found.sure)
         if points is not None:
             self._keep(points)
         return found
@@ -119,7 +119,7 @@ class LaserOdometry:
             self._local.add(kept.number, kept.points)
         self._local.follow(pose)
 
-    def _around(self, pose: Pose) -> Iterator[tuple[int, Points]]:
+    def _around(self, pose: Pose) -> Iterator[tuple[int, Points, Points]]:
         for kept in self._kept:
             if math.dist(kept.pose[:2], pose[:2]) < AROUND:
-                yield kept.number, kept.points
+                yield kept.number, np.array([kept.pose[:2]]), kept.points

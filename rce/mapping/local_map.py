@@ -9,28 +9,29 @@ import numpy as np
 
 from rce.mapping.fields import Field, square_around
 from rce.mapping.geometry import Points, Pose
+from rce.mapping.grid import GridMap, OccupancyGrid
 from rce.mapping.matching import Match, Window, match
 from rce.mapping.state import Reader, State, optional
+from rce.mapping.wide_search import match_wide
 
 RESOLUTION = 0.05
 WAY = 20.0  # metres; places nearer than this, as the robot went, agree with each other
 AROUND = 15.0  # metres from the robot to the places whose points are in it
 FARTHEST = 40.0  # metres from the robot; beyond, the points of a laser are too sparse to match
+FREE_RESOLUTION = 0.1
 MARGIN = 4.0  # metres that the robot may go before it is made anew
 NEAR, FAR = Window(0.5, math.radians(30)), Window(1.5, math.radians(60))
-# Where nothing is known about the motion between two scans but how far a robot may get.
-BLIND = Window(1.5, math.radians(60), 0.3 / 9, 0.3 / 4)
 DOUBT = 0.65  # a score under this makes the search go far
 
 
 class LocalMap:
     """Walls around the robot, so far as they agree with each other. Its size is bounded, and so is the cost of a scan.
 
-    It asks for the walls by `around`: the places near a pose, each with its number and its points (n, 2), metres, map
-    frame.
+    It asks for the walls by `around`: the scans near a pose, each with the number of its place, where the laser was
+    (1, 2), and its points (n, 2), metres, map frame.
     """
 
-    def __init__(self, around: Callable[[Pose], Iterable[tuple[int, Points]]], max_range: float) -> None:
+    def __init__(self, around: Callable[[Pose], Iterable[tuple[int, Points, Points]]], max_range: float) -> None:
         self._around = around
         self._half = min(max_range, FARTHEST) + MARGIN
         self._centre = Pose(math.inf, 0.0, 0.0)
@@ -47,7 +48,7 @@ class LocalMap:
         self._centre = pose
         self._field = square_around(pose, self._half, RESOLUTION)
         self.places = set()
-        for place, points in self._around(pose):
+        for place, _, points in self._around(pose):
             self.places.add(place)
             self._field.add(points)
 
@@ -90,9 +91,17 @@ class LocalMap:
         inside = [p for p in predictions if (np.array(p[:2]) > low).all() and (np.array(p[:2]) < high).all()]
         if not inside:
             return None
-        blind = math.isinf(spread)
-        found = match(self._field, points, inside, BLIND if blind else NEAR, spread)
-        if blind or found.score >= DOUBT:
+        if math.isinf(spread):
+            return match_wide(self._field, self._free(), points, inside)
+        found = match(self._field, points, inside, NEAR, spread)
+        if found.score >= DOUBT:
             return found
         far = match(self._field, points, inside, FAR)
         return max(found, far, key=lambda candidate: candidate.score)
+
+    def _free(self) -> OccupancyGrid:
+        """What is free around the robot; made for each scan that needs it, since these are rare."""
+        grid = GridMap(FREE_RESOLUTION)
+        for _, sensor, points in self._around(self._centre):
+            grid.insert(sensor, points)
+        return grid.render()

@@ -12,15 +12,14 @@ from rce.mapping import branching
 from rce.mapping.agreement import Surroundings, agreement
 from rce.mapping.fields import square_around, thin
 from rce.mapping.geometry import ORIGIN, Points, Pose
-from rce.mapping.graph import Edge, Matrix, PoseGraph, around, edges_of, edges_state
+from rce.mapping.graph import DRIFT, TURN_DRIFT, Edge, Matrix, PoseGraph, around, edges_of, edges_state
 from rce.mapping.overlaps import Match, refined
 from rce.mapping.state import Reader, State
 
 KNOWN = 12.0  # metres along edges; nearer nodes cannot have drifted enough to matter
 RECENT, PLACE = 4.0, 10.0  # metres along edges around the new node, and around the old one, that are compared
 VIEW = 15.0  # metres from the new node; points further off turn too far with a small error of the angle
-DRIFT, DRIFT_CAP = 0.05, 12.0  # metres a metre of way, and metres, by which the estimate may be off
-TURN_DRIFT, TURN_CAP = math.radians(0.2), math.radians(35)  # radians a metre of way, and radians
+DRIFT_CAP, TURN_CAP = 12.0, math.radians(35)  # by which the estimate may be off at most
 LEAST_REACH, LEAST_TURN = 0.5, math.radians(5)
 RESOLUTION, LEVELS, TURN = 0.1, 6, math.radians(1)
 WIDTH, MOST = 0.15, 300  # of the points of the new node: metres between them, number

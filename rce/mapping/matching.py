@@ -38,11 +38,13 @@ class Window:
 @dataclass(frozen=True, slots=True)
 class Match:
     """`pose` of the robot in the map frame, `score`: mean likelihood of the points there (0..1),
-    `covariance`: (3, 3) of x, y, theta in square metres and radians, as if the points were independent."""
+    `covariance`: (3, 3) of x, y, theta in square metres and radians, as if the points were independent. `sure`: no
+    other place is nearly as likely, so far as was searched; the covariance covers those that are."""
 
     pose: Pose
     score: float
     covariance: NDArray[np.float64]
+    sure: bool = True
 
 
 def match(field: Field, points: Points, predictions: list[Pose], window: Window, spread: float = math.inf) -> Match:

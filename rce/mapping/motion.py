@@ -24,7 +24,8 @@ class Motion:
     def __init__(self, pose: Pose = ORIGIN) -> None:
         self.pose = pose
         self._stamp: float | None = None
-        self._last = ORIGIN  # motion from the scan before the last to the last
+        self._steady = True  # whether the last motion took no longer than STEADY, so that the next is like it
+        self._last = ORIGIN  # motion from the scan before the last to the last, so far as it is known
         self._wheels: tuple[Pose, Pose] | None = None  # last odometry, and the pose of the robot then
 
     def predict(self, scan: Scan) -> list[Pose]:
@@ -52,26 +53,32 @@ class Motion:
     def _blind(self, scan: Scan) -> bool:
         """Whether nothing tells how far the robot went: it has no wheels, and scans are too rare, or their stamps
         (which logs may have lost) too close, to suppose that it goes on as it did."""
-        steady = self._stamp is not None and SHORTEST < scan.stamp - self._stamp < STEADY
-        return scan.odometry is None and not steady
+        return scan.odometry is None and not (self._steady and self._soon(scan))
+
+    def _soon(self, scan: Scan) -> bool:
+        return self._stamp is not None and SHORTEST < scan.stamp - self._stamp < STEADY
 
     def state(self) -> State:
         return {
             "pose": optional(self.pose),
+            "steady": np.array(self._steady),
             "stamp": np.array([] if self._stamp is None else [self._stamp], np.float64),
             "last": optional(self._last),
             "wheels": np.array(self._wheels or [], np.float64).reshape(-1, 3),
         }
 
     def restore(self, saved: Reader) -> None:
+        self._steady = bool(saved.array("steady", np.bool_))
         stamps, wheels = saved.array("stamp", np.float64, None).tolist(), saved.poses("wheels")
         self.pose, self._last = saved.optional("pose") or ORIGIN, saved.optional("last") or ORIGIN
         self._stamp = stamps[0] if stamps else None
         self._wheels = (wheels[0], wheels[1]) if len(wheels) == 2 else None
 
-    def follow(self, scan: Scan, pose: Pose) -> None:
-        """Take the pose at which a scan was found to be."""
-        self._last = ORIGIN if self._stamp is None else self.pose.to(pose)
+    def follow(self, scan: Scan, pose: Pose, sure: bool = True) -> None:
+        """Take the pose at which a scan was found to be; one that is not `sure` says nothing about the next motion."""
+        if sure:
+            self._last = ORIGIN if self._stamp is None else self.pose.to(pose)
+        self._steady = self._stamp is None or self._soon(scan)
         self._stamp, self.pose = scan.stamp, pose
         if scan.odometry is not None:
             self._wheels = scan.odometry, pose

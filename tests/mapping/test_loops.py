@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rce.mapping.geometry import Pose
-from rce.mapping.graph import Edge, PoseGraph, Sweep
+from rce.mapping.graph import DOUBT, Edge, PoseGraph, Sweep
 from rce.mapping.loops import CONFIRMED, LoopFinder
 from rce.mapping.scans import Scan
 from rce.mapping.simulation.floor_plan import FloorPlan, apartment
@@ -15,6 +15,7 @@ from rce.mapping.simulation.floor_plan import FloorPlan, apartment
 SENSOR = np.zeros((1, 2))
 ROOM = [(1.2 + 1.1 * i, 2.4) for i in range(4)]  # where the robot comes by twice
 FAR = 100.0  # metres of way between
+SURE = 1e4 * np.eye(3)  # information of an edge: a centimetre, half a degree
 
 
 def seen_from(pose: Pose, plan: FloorPlan) -> Sweep:
@@ -32,7 +33,7 @@ def graph_of(places: list[Pose], offset: Pose, plan: FloorPlan) -> PoseGraph:
         graph.nodes[number].sweeps.append(seen_from(pose, plan))
     for i, j in pairwise(graph.nodes):
         way = graph.nodes[i].pose.to(graph.nodes[j].pose)
-        graph.add_edges([Edge(i, j, Pose(FAR, 0.0, 0.0) if j == len(places) else way, np.eye(3))])
+        graph.add_edges([Edge(i, j, Pose(FAR, 0.0, 0.0) if j == len(places) else way, SURE)])
     return graph
 
 
@@ -71,5 +72,15 @@ def test_another_place_is_not_taken_for_it() -> None:
 def test_nothing_is_searched_near_by() -> None:
     places = [Pose(x, y, 0.3) for x, y in ROOM]
     graph = graph_of(places, Pose(0.1, 0.0, 0.0), apartment())
-    graph.add_edges([Edge(0, len(places), Pose(0.1, 0.0, 0.0), np.eye(3))])
+    graph.add_edges([Edge(0, len(places), Pose(0.1, 0.0, 0.0), SURE)])
     assert not any(search(graph, len(places)))
+
+
+def test_an_edge_in_doubt_counts_as_a_long_way() -> None:
+    graph = PoseGraph()
+    for x in range(3):
+        graph.add_node(Pose(float(x), 0.0, 0.0))
+    sideways = np.diag([1.0 / 0.8**2, 1e4, 1e4])
+    graph.add_edges([Edge(0, 1, Pose(1.0, 0.0, 0.0), SURE), Edge(1, 2, Pose(1.0, 0.0, 0.0), sideways)])
+    assert graph.distances(0)[1] == pytest.approx(1.0)
+    assert graph.distances(1)[2] == pytest.approx(DOUBT)

@@ -47,3 +47,24 @@ def test_a_corrected_pose_takes_the_wheels_along() -> None:
     first, second = motion.predict(scan(0.3, Pose(0.3, 0.0, 0.0)))
     assert first == pytest.approx((5.0, 5.1, math.pi / 2)), "0.1 m behind at the last odometry, 0.2 m on since"
     assert second == pytest.approx((5.0, 5.1, math.pi / 2))
+
+
+@pytest.mark.parametrize(
+    ("stamps", "known"), [((0.0, 0.2, 0.4), True), ((0.0, 2.0, 2.2), False), ((0.0, 0.2, 2.2), False)]
+)
+def test_without_wheels_a_step_is_like_the_last_one_if_both_were_short(
+    stamps: tuple[float, float, float], known: bool
+) -> None:
+    """A motion of two seconds is no guess for one of a fifth of a second."""
+    motion = Motion()
+    for stamp in stamps[:2]:
+        motion.follow(scan(stamp, None), Pose(stamp, 0.0, 0.0))
+    assert math.isfinite(motion.spread(scan(stamps[2], None))) == known
+
+
+def test_a_step_in_doubt_says_nothing_about_the_next() -> None:
+    motion = driven([None, None])
+    motion.follow(scan(2.0, None), Pose(-3.0, 0.0, 1.0), sure=False)
+    repeated, stayed = motion.predict(scan(4.0, None))
+    assert repeated == pytest.approx(Pose(-3.0, 0.0, 1.0) @ Pose(0.1, 0.0, 0.0))
+    assert stayed == Pose(-3.0, 0.0, 1.0)

@@ -117,9 +117,10 @@ def error(name: str, truth: list[Scan], given: list[Scan]) -> float:
     return trial.errors["near"].translation
 
 
-def test_sparse_scans_without_odometry(data: Path) -> None:
-    """A metre or a turn of 40 degrees between scans, and nothing known about it."""
-    scans = list(open_recording(data / "corrected" / "belgioioso-corrected.log.gz"))[:100]
-    trial = run(GraphMapper, scans, Odometry(none=True))
+@pytest.mark.parametrize(("log", "scans"), [("belgioioso", 100), ("csail", 90)])
+def test_sparse_scans_without_odometry(data: Path, log: str, scans: int) -> None:
+    """A metre or a turn of 40 degrees between scans, now and then of 65, and nothing known about it."""
+    piece = list(open_recording(data / "corrected" / f"{log}-corrected.log.gz"))[:scans]
+    trial = run(GraphMapper, piece, Odometry(none=True))
     assert trial.errors["near"].translation < 0.1
     assert math.degrees(trial.errors["near"].rotation) < 2.0
