@@ -30,7 +30,7 @@ async def store(url: str) -> AsyncIterator[Store]:
 async def test_users_and_keys(store: Store) -> None:
     users = Users(store)
     scopes = Scopes(robot="r1", environments=["brain"])
-    secret, key = await users.add_key("ann", "robot", "für den Roboter", time.time() + 60, scopes)
+    secret, key = await users.keys.add("ann", "robot", "für den Roboter", time.time() + 60, scopes)
     assert (await users.check("", secret)).scopes == scopes
     await users.keys.note_use()
     (kept,) = await Users(store).keys.of("ann")
@@ -53,7 +53,7 @@ async def test_limits_grants_and_credentials(store: Store) -> None:
     await again.open()
     assert again.of("ann") == Policy(size=2, memory=2**40)
     grants, users = Grants(store), Users(store)
-    _, key = await users.add_key("ann")
+    _, key = await users.keys.add("ann")
     grant = await grants.give("maps", "ann", key.id)
     lent = await grants.borrow("maps", grant, 60)
     assert (await grants.check("ann", lent.key)).user == "ann"
