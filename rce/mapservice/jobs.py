@@ -31,6 +31,7 @@ from rce.mapservice.work import Platform, Report, Task
 from rce.metrics import Family, Timing, gauge
 
 RETRY_FIRST, RETRY_MOST = 2.0, 60.0
+LOOKS, LOOKS_OF_USER = 4, 2  # recordings that are looked at, at once
 RECORDING, RESULTS, LOG, TIMES = "recording", "results", "log.txt", "times.json"
 LASTING = (1.0, 5.0, 10.0, 30.0, 60.0, 300.0, 900.0, 3600.0, 14400.0, 43200.0)  # seconds
 
@@ -97,6 +98,8 @@ class Jobs:
         self._changes: dict[str, asyncio.Event] = {}  # of jobs that somebody watches
         self._tasks: set[asyncio.Task[Any]] = set()
         self._stopping = False
+        self._looked_at: Counter[str] = Counter()  # recordings of users, at present
+        self._looks = asyncio.Semaphore(LOOKS)
 
     def start(self) -> None:
         """Take up where an earlier life of the service ended."""
@@ -126,7 +129,7 @@ class Jobs:
 
     async def submit(self, user: str, secret: str, request: JobRequest) -> Job:
         """Look at the recording, and queue the job. Raises what is wrong with either."""
-        waiting = self._queue.count(user)
+        waiting = self._queue.count(user) + self._looked_at[user]
         if waiting >= self._limits.queued:
             text = f"{waiting} jobs of yours wait already, and {self._limits.queued} may: wait, or cancel some"
             raise LimitExceeded(text, limit=self._limits.queued)
@@ -136,7 +139,7 @@ class Jobs:
         place.mkdir(mode=0o700)
         try:
             recording = self._collect(user, request.uploads, place / RECORDING)
-            total = await self._workers.look(Task(str(recording), request.options))
+            total = await self._look(user, Task(str(recording), request.options))
             called = request.name or (recording.name if recording.is_file() else f"{len(request.uploads)} files")
             job = Job(
                 name, "queued", called, request.options, request.uploads, self._now(), stage="waiting", total=total
@@ -154,6 +157,18 @@ class Jobs:
         self._queue.push(user, name)
         self._begin()
         return self.get(user, name)
+
+    async def _look(self, user: str, task: Task) -> int | None:
+        """Each look is a process with memory of its own: a few at once, and a few of one user may wait for theirs."""
+        if self._looked_at[user] >= LOOKS_OF_USER:
+            text = f"{LOOKS_OF_USER} recordings of yours are being looked at: wait for an answer"
+            raise LimitExceeded(text, limit=LOOKS_OF_USER)
+        self._looked_at[user] += 1
+        try:
+            async with self._looks:
+                return await self._workers.look(task)
+        finally:
+            self._looked_at[user] -= 1
 
     def get(self, user: str, name: str) -> Job:
         """NotFound also for another user's."""

@@ -248,6 +248,24 @@ async def test_who_has_many_jobs_waits(service: Service) -> None:
     assert (answer.status, (await answer.json())["code"]) == (429, "limit_exceeded")
 
 
+async def test_recordings_are_looked_at_a_few_at_once(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each look is a process, and a client may ask for a thousand at once."""
+    held, looking = asyncio.Event(), 0
+
+    async def look(task: object) -> None:
+        nonlocal looking
+        looking += 1
+        await held.wait()
+
+    monkeypatch.setattr(service.workers, "look", look)
+    upload = await service.upload()
+    asked = [asyncio.ensure_future(service.ask("POST", "/jobs", json={"uploads": [upload]})) for _ in range(3)]
+    done, waiting = await asyncio.wait(asked, timeout=20, return_when=asyncio.FIRST_COMPLETED)
+    assert [(each.result().status, len(waiting), looking) for each in done] == [(429, 2, 2)]
+    held.set()
+    assert [(await each).status for each in waiting] == [201, 201]
+
+
 async def test_others_see_nothing(service: Service) -> None:
     job, upload = await service.submit(), await service.upload()
     for method, path in (
