@@ -67,6 +67,8 @@ def make_engine(
     """The engine that `settings` name."""
     directory = settings.data_dir.absolute()
     packages = [os.path.abspath(path) for path in settings.package_path]
+    if missing := [path for path in packages if not os.path.isdir(path)]:
+        raise InvalidRequest(f"setting package_path: no such directory: {', '.join(missing)}", field="package_path")
     surroundings = {"package_path": ",".join(packages), "typesupport": settings.typesupport}
     if settings.engine == "process":
         return ProcessEngine(

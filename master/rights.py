@@ -97,7 +97,13 @@ def check(principal: Principal, operation: str, owner: str, *, robot: str = "", 
     if how_far == "all":
         return
     if how_far == "-" or owner in (EVERYBODY, NOBODY):
-        raise Forbidden(f"{_whose(principal)} may not: {operation}", operation=operation, role=principal.role)
+        needed = ("all",) if owner in (EVERYBODY, NOBODY) else ("own", "all")
+        able = ", ".join(each for each in COLUMNS if each != "tied" and RIGHTS[operation][each] in needed)
+        raise Forbidden(
+            f"{_whose(principal)} may not: {operation}; that takes the role {able}",
+            operation=operation,
+            role=principal.role,
+        )
     if owner != principal.user:
         raise NotFound(f"there is no user {owner[:80]}", field="user")
     _check_tie(principal.scopes, operation, robot, environment)

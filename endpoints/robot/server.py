@@ -306,6 +306,7 @@ async def listen(door: Door, host: str, port: int, tls: Any) -> asyncio.Server:
     factory.setProtocolOptions(
         maxMessagePayloadSize=door.limits.message,
         maxFramePayloadSize=door.limits.message,
+        allowNullOrigin=True,  # of a page from a file; unless said so, setting options forbids it
         openHandshakeTimeout=30,
         closeHandshakeTimeout=1,  # one that is cut off is gone by then
         failByDrop=False,  # a robot that breaks a rule is told which

@@ -12,6 +12,7 @@ import msgspec
 
 from rce.client.map_service import MapService
 from rce.commands.platform import access, add_command, add_entry
+from rce.console.show import Columns, rows, text, when
 from rce.errors import InvalidRequest, NotFound, RceError
 from rce.map_jobs import MAPPERS, OVER, Job, MapOptions
 
@@ -159,13 +160,19 @@ def describe(job: Job) -> str:
     return f"mapping, {job.scans}{f'/{job.total}' if job.total else ''} scans"
 
 
+COLUMNS: Columns[Job] = {
+    "job": lambda job: job.id,
+    "created": lambda job: when(job.created),
+    "recording": lambda job: job.recording,
+    "state": describe,
+}
+
+
 def show(jobs: list[Job], as_json: bool, one: bool = False) -> None:
-    if as_json:
-        print(msgspec.json.encode(jobs[0] if one else jobs).decode())
-        return
-    for job in jobs:
-        when = time.strftime("%Y-%m-%d %H:%M", time.localtime(job.created))
-        print(f"{job.id}  {when}  {job.recording:24}  {describe(job)}")
+    if one and as_json:
+        print(text(jobs[0]))
+    else:
+        rows(jobs, COLUMNS, as_json)
 
 
 class Progress:

@@ -157,7 +157,7 @@ async def test_json_is_what_the_api_said(served: Served, capsys: pytest.CaptureF
         ("env create b2 --memory lots", FAILED, "is not a size"),
         ("env create b2 --env A", FAILED, "write NAME=VALUE"),
         ("interface show brain", FAILED, "endpointTag/interfaceTag"),
-        ("machine list", FAILED, "may not: machine.read"),
+        ("machine list", FAILED, "may not: machine.read; that takes the role operator, admin"),
         ("audit --since yesterday", FAILED, "is no time"),
         ("topic echo brain", FAILED, "write ENV/NAME"),
         ("env create", WRONG, "usage: rce env create"),

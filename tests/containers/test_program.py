@@ -106,6 +106,12 @@ async def test_sigterm_leaves_or_stops_the_environments(
     assert world.there() == set()
 
 
+async def test_a_package_directory_that_is_not_there(program: Program, tmp_path: Path) -> None:
+    status, said = await ended(await program.start("--package-path", f"{tmp_path},{tmp_path / 'none'}"))
+    assert status == 1
+    assert f"setting package_path: no such directory: {tmp_path / 'none'}" in said
+
+
 async def test_a_directory_is_for_one(master: FakeMaster, program: Program) -> None:
     first = await program.start()
     await joined(master)

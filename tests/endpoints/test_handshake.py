@@ -97,6 +97,12 @@ async def test_a_credential_in_the_header(platform: Platform) -> None:
     assert (await knock(platform.port, f"userID={USER}&robotID=b", "Authorization: Bearer x"))[0] == 401
 
 
+@pytest.mark.parametrize("origin", ["null", "https://example.com", "file://"])
+async def test_pages_from_anywhere(platform: Platform, origin: str) -> None:
+    """From files too, whose origin is `null`: none has a credential that it was not given."""
+    assert (await knock(platform.port, GOOD, f"Origin: {origin}"))[0] == 101
+
+
 async def test_an_api_key(platform: Platform) -> None:
     secret, _ = await platform.master.users.keys.add(USER)
     assert (await knock(platform.port, f"userID={USER}&robotID=a&key={secret}"))[0] == 101

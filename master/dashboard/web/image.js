@@ -9,7 +9,10 @@ export function imagePage(main, app, owner, environment, query) {
   const topic = query.get("topic") ?? "/image_raw";
   const pick = chooser(app, "image", owner, environment, [{ name: "topic", label: "Topic", type: "sensor_msgs/Image", value: topic }]);
   main.append(h("div.head", h("h1", "Image"), h("span.soft", app.named(owner, environment))), pick.element);
-  if (!environment) return pick.stop;
+  if (!environment) {
+    main.append(h("p.soft", "Choose an environment whose nodes publish images; what its interfaces make known is offered as topics."));
+    return pick.stop;
+  }
   app.reveal(owner);
   const picture = new Picture();
   main.append(h("section.panel", picture.says, picture.element));

@@ -15,7 +15,10 @@ export function mapPage(main, app, owner, environment, query) {
     { name: "path", label: "Path", type: "nav_msgs/Path", value: query.get("path") ?? "/path" },
   ]);
   main.append(h("div.head", h("h1", "Map"), h("span.soft", app.named(owner, environment))), pick.element);
-  if (!environment) return pick.stop;
+  if (!environment) {
+    main.append(h("p.soft", "Choose an environment whose nodes publish a map; what its interfaces make known is offered as topics."));
+    return pick.stop;
+  }
   app.reveal(owner);
   const picture = new MapPicture();
   const says = h("p.soft", { role: "status" }, "Waiting for a map …");
