@@ -2,7 +2,7 @@
 
 They are plain numbers, because messages pass by the ten thousand: `observe` of prometheus_client takes 2 µs, and its
 import 40 ms of each start of an environment. The Master, who is asked for the text, makes it with that library
-(`master.exposition`) of the families that processes answer to `ReadMetrics`.
+(`rce.exposition`) of the families that processes answer to `ReadMetrics`.
 
 Counters and timings of a module count for the whole process. What is there at present (gauges, and counts that
 somebody keeps in any case) is told by functions that give families when they are asked.

@@ -30,6 +30,7 @@ WITH_EXTRA: dict[str, set[str]] = {
     "rce/broker.py": {"twisted"},
     "rce/control.py": {"twisted"},
     "rce/credential.py": {"twisted"},
+    "rce/exposition.py": {"prometheus_client"},
     "rce/loop.py": {"twisted", "uvloop"},
     "rce/logs.py": {"twisted"},
     "rce/reactor.py": {"twisted", "uvloop"},

@@ -38,10 +38,11 @@ def parser() -> argparse.ArgumentParser:
     return whole
 
 
-async def serve(config: BridgeConfig, typesupport: list[Path]) -> None:
+async def serve(reactor: ReactorBase, config: BridgeConfig, typesupport: list[Path]) -> None:
     """Until cancelled, or until the platform refuses what the file wants."""
     from endpoints.bridge.actions import Actions  # they load ROS 2
     from endpoints.bridge.ends import LocalRos
+    from endpoints.bridge.metrics import told
     from endpoints.bridge.requests import Desk
     from endpoints.environment.ros import RosThread
 
@@ -51,11 +52,12 @@ async def serve(config: BridgeConfig, typesupport: list[Path]) -> None:
     actions = Actions(config, local)
     desk = Desk(config.requests, actions.perform)
     try:
-        if config.requests:
-            await desk.open(local)
-        if config.offload:
-            await actions.offloading.start()
-        await actions.offloading.failed
+        with told(reactor, config.metrics, local.families):
+            if config.requests:
+                await desk.open(local)
+            if config.offload:
+                await actions.offloading.start()
+            await actions.offloading.failed
     finally:
         desk.close()
         await actions.close()
@@ -81,7 +83,7 @@ def main() -> int:
     sys.path += [str(prefix / "python") for prefix in typesupport]
 
     def run(reactor: ReactorBase) -> Coroutine[None, None, None]:
-        return serve(config, typesupport)
+        return serve(reactor, config, typesupport)
 
     return loop.run(run)
 

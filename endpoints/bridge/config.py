@@ -119,7 +119,7 @@ class BridgeConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
     `send` goes from the robot's ROS to the environment, `receive` the other way. `requests` are what nodes of the robot
     may ask for by these ids. `compress` deflates all that goes through the WebSocket. `offload: false` waits for a
-    request to start.
+    request to start. `metrics` is the port of this machine at which Prometheus finds /metrics, 0: none.
     """
 
     url: Name
@@ -133,6 +133,7 @@ class BridgeConfig(Struct, frozen=True, forbid_unknown_fields=True):
     send: Direction = Direction()
     receive: Direction = Direction()
     requests: dict[str, Action] = {}
+    metrics: Annotated[int, Meta(ge=0, le=65535)] = 0
 
 
 def read(path: Path, environment: dict[str, str] | None = None) -> BridgeConfig:

@@ -14,9 +14,11 @@ from endpoints.environment.interfaces import RosInterface, Surroundings
 from endpoints.environment.ros import RosThread
 from endpoints.frames import Message
 from endpoints.hops import Watch
+from endpoints.traffic import Totals
 from rce.calls.endpoints import InterfaceSpec
 from rce.errors import RceError
 from rce.messages import Qos
+from rce.metrics import Family
 
 CLOUD = bytes(16)  # what the platform is called among the peers of a local interface
 TICK = 1.0
@@ -61,6 +63,7 @@ class LocalRos:
         self._definitions = InstalledTypes(prefixes)
         self._around = Surroundings(ros, Watch(), self._definitions, self._report)
         self._interfaces: set[RosInterface] = set()
+        self._totals = Totals()
         self._ticker = asyncio.create_task(self._tick())
 
     async def interface(
@@ -87,9 +90,14 @@ class LocalRos:
 
     def remove(self, interface: RosInterface) -> None:
         self._interfaces.discard(interface)
+        self._totals.gone(interface.traffic.traffic(interface.dropped))
         interface.peers.clear()
         interface.stopped()
         interface.close()
+
+    def families(self) -> list[Family]:
+        """What was carried: `sent` to the platform, and `received` from it."""
+        return self._totals.families(each.traffic.traffic(each.dropped) for each in self._interfaces)
 
     def close(self) -> None:
         self._ticker.cancel()

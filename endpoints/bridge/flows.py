@@ -52,6 +52,7 @@ class Flow(CloudEnd, ABC):
     def deliver(self, message: Message) -> None:
         """To the robot's ROS."""
         if self._near is not None:
+            self._near.traffic.of(CLOUD).passed(len(message.payload))
             self._near.receive(message, self)
 
     def end(self) -> None:

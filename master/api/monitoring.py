@@ -9,12 +9,11 @@ from urllib.parse import quote
 
 from msgspec import Struct
 
-from master import exposition
 from master.api.acting import platform
 from master.api.calls import Answer, Call
 from master.api.router import Api, Route
 from master.service import Master
-from rce import metrics
+from rce import exposition, metrics
 from rce.errors import NotFound
 
 PATH = "/metrics"

@@ -15,7 +15,6 @@ from twisted.internet.interfaces import IListeningPort
 from containers.engine import Life
 from containers.fake import FailingEngine, FakeEngine, FakeMachine
 from containers.taskset import TaskSet
-from master.exposition import text
 from rce.calls.call import Nothing, Ping
 from rce.calls.endpoints import StopNode
 from rce.calls.environments import EnvironmentDied, KeepEnvironments, LimitReached, StartEnvironment, StopEnvironment
@@ -24,6 +23,7 @@ from rce.calls.watching import MeasureUsage, ReadMetrics, Usage, Used
 from rce.control import Control, Handlers, listen
 from rce.credential import Credential
 from rce.errors import InvalidRequest, StartFailed, Unauthorized
+from rce.exposition import text
 from rce.metrics import Family, gauge
 
 

@@ -6,6 +6,7 @@ import asyncio
 import json
 import os
 import signal
+import socket
 import sys
 import threading
 from array import array
@@ -13,6 +14,7 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import msgspec
 import pytest
@@ -20,6 +22,7 @@ import rclpy
 from domains import domain
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import OccupancyGrid
+from prometheus_client.parser import text_string_to_metric_families as parsed
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -138,8 +141,16 @@ async def test_topics_services_and_transforms_of_two_robots(
         platform, "rover", tmp_path, environment=environment, send=rover_sends, receive=rover_gets, compress=True
     ) as log:
         await until(lambda: "all is carried" in log.read_text(), 30)
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            port = server.getsockname()[1]
         async with bridge(
-            platform, "lander", tmp_path, environment={"tag": "sky"}, send=lander_sends, receive=lander_gets
+            platform,
+            "lander",
+            tmp_path,
+            environment={"tag": "sky"},
+            send=lander_sends,
+            receive=lander_gets,
+            metrics=port,
         ):
             await until(lambda: said and seen and frames, 30)
             assert said[0].data == "hello"
@@ -149,6 +160,11 @@ async def test_topics_services_and_transforms_of_two_robots(
             call = client.call_async(Trigger.Request())
             await until(call.done, 20)
             assert call.result().message == "landed"
+            told = await asyncio.to_thread(lambda: urlopen(f"http://127.0.0.1:{port}/metrics").read().decode())
+            samples = {each.name: each for family in parsed(told) for each in family.samples if "received" in str(each)}
+            assert samples["rce_messages_total"].value >= len(said) + len(seen)
+            assert samples["rce_bytes_total"].value > 64 * 48
+            assert 'rce_info{role="bridge"' in told
     async with platform.robot("later") as robot:
         await robot.create_environment("sky")  # it was destroyed at the bridge's end
         await robot.destroy_environment("sky")

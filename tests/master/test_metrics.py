@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from hand_turned import HandTurnedLoop
 
-from master.exposition import text
 from rce import metrics
+from rce.exposition import text
 from rce.metrics import Counter, Family, Observed, Sample, Timing, counted, gauge, watch_loop, with_parts
 
 
