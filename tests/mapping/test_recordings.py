@@ -219,6 +219,14 @@ def test_damaged_bags_are_refused(bag: Path) -> None:
         list(open_recording(bag))
 
 
+def test_the_reason_does_not_tell_where_a_file_is_kept(tmp_path: Path) -> None:
+    path = tmp_path / "scans.db3"
+    path.write_bytes(b"SQLite format 3\0" + bytes(range(256)) * 16)
+    with pytest.raises(InvalidRequest, match="not a database") as refused:
+        open_recording(path)
+    assert str(tmp_path) not in str(refused.value)
+
+
 @pytest.mark.parametrize(
     ("content", "reason"),
     [

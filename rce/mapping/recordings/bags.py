@@ -85,6 +85,7 @@ class Bag:
             raise
         except Exception as error:  # rosbags lets asserts, struct, sqlite, index and codec errors of damaged files pass
             reason = str(error) or UNSAID.get(type(error), type(error).__name__)
+            reason = reason.replace(str(self._path), self.name)  # where a service keeps it is not for its clients
             raise InvalidRequest(
                 f"{self.name} cannot be read as a bag: it is truncated, damaged or not indexed ({reason}). "
                 "`rosbag reindex` or `ros2 bag reindex` may mend it.",
