@@ -81,7 +81,7 @@ class Builder:
         if self._pull():
             self._api.tag(REGISTRY_IMAGE, SYSTEM)
             return
-        print(f"no registry answers: making {SYSTEM} by debootstrap, which takes some minutes", flush=True)
+        _tell(f"no registry answers: making {SYSTEM} by debootstrap, which takes some minutes")
         with tempfile.TemporaryDirectory(prefix="rce-image-") as directory:
             self._api.import_image_from_data(_debootstrap(Path(directory)), repository=SYSTEM, tag="latest")
 
@@ -108,7 +108,7 @@ class Builder:
 
     def make(self, context: bytes, dockerfile: str, tag: str, arguments: dict[str, str], target: str = "") -> None:
         """One image. StartFailed with the build's last lines."""
-        print(f"building {tag}", flush=True)
+        _tell(f"building {tag}")
         settings = {key: os.environ[key] for key in (*PIP_SETTINGS, *PROXIES) if key in os.environ}
         if host_bundle():
             settings["PIP_CERT"] = BUNDLE
@@ -125,6 +125,11 @@ class Builder:
             decode=True,
         )
         _follow(tag, output)
+
+
+def _tell(what: str) -> None:
+    """What is at work; standard output is for what was made."""
+    print(what, file=sys.stderr, flush=True)
 
 
 def _follow(tag: str, output: Iterator[dict[str, str]]) -> None:

@@ -21,8 +21,9 @@ NODE_PATH = Path(__file__).with_name("nodepath")
 # What a subscription has missed (the first messages of a publisher that it has just found; large ones when the segment
 # was full) is sent again after the next heartbeat; with the 3 s of the default that is a slow mode of 3 s.
 HEARTBEAT = 20_000_000  # ns
-# Within one host shared memory does it all. For LOCALHOST rmw adds transports of its own beside those of a profile, and
-# nodes then take up to 3 s to find each other, where they need 0.1 s if it leaves the profile alone.
+# Within one host shared memory does it all, and the loopback interface where Fast DDS does not see that two processes
+# are on one host: it tells hosts apart by the addresses that they had when a process began. For LOCALHOST rmw adds
+# transports of its own beside those of a profile: nodes then take up to 3 s to find each other, and 0.1 s so.
 RANGE, ALONE = "ROS_AUTOMATIC_DISCOVERY_RANGE", "SYSTEM_DEFAULT"
 
 PROFILE = """\
@@ -37,13 +38,14 @@ PROFILE = """\
       </transport_descriptor>
       <transport_descriptor>
         <transport_id>network</transport_id>
-        <type>UDPv4</type>{interface}
+        <type>UDPv4</type>{interfaces}
       </transport_descriptor>
     </transport_descriptors>
     <participant profile_name="rce" is_default_profile="true">
       <rtps>
         <userTransports>
-          {transports}
+          <transport_id>shared_memory</transport_id>
+          <transport_id>network</transport_id>
         </userTransports>
         <useBuiltinTransports>false</useBuiltinTransports>
         <builtin>
@@ -73,15 +75,15 @@ PROFILE = """\
 </dds>
 """
 
-# In a network group: that interface only, and the members' addresses beside multicast, which not all networks carry.
+# In a network group: its interface too, and the members' addresses beside multicast, which not all networks carry.
 # Later members have ours, and they announce themselves to every participant here.
-INTERFACE = """
-        <interfaceWhiteList>
-          <address>{address}</address>
-          <address>{loopback}</address>
+INTERFACES = """
+        <interfaceWhiteList>{addresses}
         </interfaceWhiteList>
         <maxInitialPeersRange>{participants}</maxInitialPeersRange>
         <receiveBufferSize>{buffer}</receiveBufferSize>"""
+INTERFACE = """
+          <address>{address}</address>"""
 PEERS = """
           <initialPeersList>{locators}
           </initialPeersList>"""
@@ -112,16 +114,14 @@ def prepare(settings: Settings) -> None:
 
 def _profile(settings: Settings) -> str:
     address, alone = settings.address, os.environ.get(RANGE) == ALONE
-    names = ["shared_memory", "network"] if address or not alone else ["shared_memory"]
+    own = [address, LOOPBACK] if address else [LOOPBACK] if alone else []
+    addresses = "".join(INTERFACE.format(address=each) for each in own)
     peers = [MULTICAST, LOOPBACK, *dict.fromkeys([address, *settings.peers])] if address else []
     locators = "".join(map(_locator, peers))
     return PROFILE.format(
         segment=settings.shared_memory * MB,
         heartbeat=HEARTBEAT,
-        transports="".join(f"<transport_id>{name}</transport_id>" for name in names),
-        interface=INTERFACE.format(address=address, loopback=LOOPBACK, participants=PARTICIPANTS, buffer=BUFFER)
-        if address
-        else "",
+        interfaces=INTERFACES.format(addresses=addresses, participants=PARTICIPANTS, buffer=BUFFER) if own else "",
         peers=PEERS.format(locators=locators) if address else "",
     )
 

@@ -68,9 +68,9 @@ def main(arguments: list[str]) -> int:
     sources: list[Source] = [
         open_recording(path, words.scan_topic, words.odometry_topic) for path in words.recordings
     ] or [simulate()]
-    words.out.mkdir(parents=True, exist_ok=True)
-    if not os.access(words.out, os.W_OK):
-        raise InvalidRequest(f"rce map: {words.out} may not be written: choose another directory with --out")
+    there = next(each for each in (words.out.absolute(), *words.out.absolute().parents) if each.exists())
+    if not there.is_dir() or not os.access(there, os.W_OK):
+        raise InvalidRequest(f"rce map: {there} may not be written: choose another directory with --out")
     asyncio.run(run(words, sources))
     return 0
 

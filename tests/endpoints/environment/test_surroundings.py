@@ -12,6 +12,7 @@ import pytest
 from endpoints.environment import surroundings
 from endpoints.environment.settings import Settings
 
+INTERFACES = "profiles/transport_descriptors/transport_descriptor/interfaceWhiteList/address"
 DDS = "{http://www.eprosima.com}"
 
 
@@ -31,9 +32,10 @@ def texts(profile: str, path: str) -> list[str | None]:
     ]
 
 
-def test_alone_only_shared_memory_is_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_alone_nothing_leaves_the_host(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = profile(tmp_path, monkeypatch)
-    assert texts(found, "profiles/participant/rtps/userTransports/transport_id") == ["shared_memory"]
+    assert texts(found, "profiles/participant/rtps/userTransports/transport_id") == ["shared_memory", "network"]
+    assert texts(found, INTERFACES) == ["127.0.0.1"]
     assert "initialPeersList" not in found
 
 
@@ -42,7 +44,6 @@ def test_in_a_group_the_network_of_the_group_and_its_members_too(
 ) -> None:
     found = profile(tmp_path, monkeypatch, "10.128.0.3", ["10.128.0.2"])
     assert texts(found, "profiles/participant/rtps/userTransports/transport_id") == ["shared_memory", "network"]
-    interfaces = "profiles/transport_descriptors/transport_descriptor/interfaceWhiteList/address"
-    assert texts(found, interfaces) == ["10.128.0.3", "127.0.0.1"]
+    assert texts(found, INTERFACES) == ["10.128.0.3", "127.0.0.1"]
     peers = "profiles/participant/rtps/builtin/initialPeersList/locator/udpv4/address"
     assert texts(found, peers) == ["239.255.0.1", "127.0.0.1", "10.128.0.3", "10.128.0.2"]
