@@ -93,7 +93,7 @@ async def test_a_connection_that_hangs_gives_way(uploads: Uploads) -> None:
         ("a.db3", BAG[:20], "SQLite"),
         ("a.mcap", b"MCAP", "MCAP"),
         ("a.log.gz", b"FLASER 3", "gzip"),
-        ("a.log", gzip.compress(b"FLASER"), "not text"),
+        ("a.log", gzip.compress(b"FLASER", mtime=0), "not text"),
         ("metadata.yaml", b"\0", "not text"),
     ],
 )
