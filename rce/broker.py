@@ -61,14 +61,14 @@ class Broker(pb.Broker):
             return
         if len(self.listStack) > DEPTH:
             self._refuse("it has lists too deep in each other")
-        elif self.joined and not self.listStack and not self.buffer:
-            self._size = 0
 
     def gotItem(self, item: Any) -> None:
         """Banana's, for each thing that it has read."""
         self._items += 1
         if not self.joined and self._items > HELLO_ITEMS:
             raise pb.Error("too many things before it has joined")
+        if self.joined and not self.listStack:
+            self._size = 0  # a message is whole; the next ones may be in what is read already
         super().gotItem(item)  # type: ignore[no-untyped-call]
 
     def _too_late(self) -> None:

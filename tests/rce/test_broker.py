@@ -79,3 +79,16 @@ async def test_one_message_has_its_bounds_too(
     with pytest.raises(Lost):
         await there.call(ReadLog("n" * 1_100_000))
     await asyncio.wait_for(here.lost, 10)
+
+
+async def test_many_messages_that_follow_closely_are_not_one(
+    place: tuple[ReactorBase, Doorman, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reactor, doorman, port = place
+    there, _ = await connect(reactor, f"tcp:127.0.0.1:{port}", HELLO, Handlers())
+    await asyncio.wait_for(doorman.joined.get(), 10)
+    monkeypatch.setattr(broker, "MESSAGE_MOST", 1_000_000)
+    calls = (there.call(ReadLog("n" * 300_000)) for _ in range(20))
+    assert {type(each) for each in await asyncio.gather(*calls, return_exceptions=True)} != {Lost}
+    with pytest.raises(Exception, match="does not answer"):
+        await there.call(ReadLog("n"))
