@@ -61,16 +61,17 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: list[str]) -> int:
     words = parser().parse_args(arguments)
     if bool(words.recordings) == words.simulate:
-        raise InvalidRequest("rce map: give recordings, or --simulate")
+        raise InvalidRequest("give recordings, or --simulate")
     if words.team and (len(words.recordings) < 2 or words.mapper != MAPPERS[0]):
-        raise InvalidRequest(f"rce map: --team is for several recordings and the mapper {MAPPERS[0]}")
+        raise InvalidRequest(f"--team is for several recordings and the mapper {MAPPERS[0]}")
     # Before anything is started: what cannot be read or written is said at once.
     sources: list[Source] = [
         open_recording(path, words.scan_topic, words.odometry_topic) for path in words.recordings
     ] or [simulate()]
-    there = next(each for each in (words.out.absolute(), *words.out.absolute().parents) if each.exists())
+    there = next(each for each in (words.out, *words.out.absolute().parents) if each.exists())
     if not there.is_dir() or not os.access(there, os.W_OK):
-        raise InvalidRequest(f"rce map: {there} may not be written: choose another directory with --out")
+        wrong = "may not be written" if there.is_dir() else "is not a directory"
+        raise InvalidRequest(f"{there} {wrong}: choose another directory with --out")
     asyncio.run(run(words, sources))
     return 0
 

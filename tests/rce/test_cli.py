@@ -141,7 +141,8 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
 def test_a_map_that_cannot_be_written_is_not_made(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     ended = rce("map", "--simulate", "--out", "file/map", cwd=tmp_path)
-    assert (ended.returncode, ended.stderr) == (1, "rce: file/map: not a directory\n")
+    reason = f"{tmp_path}/file is not a directory: choose another directory with --out"
+    assert (ended.returncode, ended.stderr) == (1, f"rce: {reason}\n")
 
 
 @pytest.mark.parametrize("words", [["map", "submit"], ["map", "cancel"], ["package", "share"]])
