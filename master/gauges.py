@@ -17,7 +17,7 @@ from rce.calls.watching import CountTraffic, MeasureUsage, Traffic
 from rce.errors import RceError
 from rce.views import Kind, Rate, Usage
 
-PERIOD = 2.0  # seconds
+PERIOD = 3.0  # seconds
 DIGITS = 3  # that are shown: what stays about the same is not told anew
 
 log = Logger()

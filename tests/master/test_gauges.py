@@ -9,7 +9,7 @@ import pytest
 from hand_turned import HandTurnedLoop
 
 from master.carrier import Carrier
-from master.gauges import Changed, Gauges
+from master.gauges import PERIOD, Changed, Gauges
 from master.records import Connection, Environment, Interface, Process, Robot, State
 from master.shown import Shown
 from rce.calls.call import Call
@@ -92,9 +92,9 @@ def test_rates_and_usage_are_those_between_two_answers(world: World) -> None:
     world.hand.do(lambda: world.gauges.watch(world.told.append))
     assert world.told == [{"interfaces": set(), "connections": set(), "environments": set(), "machines": set()}]
     assert world.shown.rates == {}
-    world.passed(20, 2000, 4)
-    world.uses(1.0, 5_000_000)
-    world.hand.turn(2)
+    world.passed(30, 3000, 6)
+    world.uses(1.5, 5_000_000)
+    world.hand.turn(PERIOD)
     assert world.told[1:] == [
         {
             "interfaces": {"ann/map/out", "ann/r/in"},
@@ -103,9 +103,9 @@ def test_rates_and_usage_are_those_between_two_answers(world: World) -> None:
             "machines": {"m1"},
         }
     ]
-    assert world.shown.interface(world.state.interfaces["ann/map/out"]).rate == Rate(10, 1000, 4)
+    assert world.shown.interface(world.state.interfaces["ann/map/out"]).rate == Rate(10, 1000, 6)
     assert world.shown.interface(world.state.interfaces["ann/r/in"]).rate == Rate(8, 1000, 0)
-    assert world.shown.connection(world.state.connections["ann/map/out ann/r/in"]).rate == Rate(8, 1000, 4)
+    assert world.shown.connection(world.state.connections["ann/map/out ann/r/in"]).rate == Rate(8, 1000, 6)
     assert world.shown.environment(world.state.environments["ann/map"]).usage == Shows(0.5, 5_000_000)
     assert world.shown.process(world.state.processes["m1"]).usage == Shows(0.5, 5_000_000)
 
@@ -113,8 +113,8 @@ def test_rates_and_usage_are_those_between_two_answers(world: World) -> None:
 def test_what_stays_the_same_is_not_told_anew(world: World) -> None:
     world.hand.do(lambda: world.gauges.watch(world.told.append))
     for round in range(1, 4):
-        world.passed(10_000 * round + round % 2, 0, 0)  # a message more or less
-        world.hand.turn(2)
+        world.passed(15_000 * round + round % 2, 0, 0)  # a message more or less
+        world.hand.turn(PERIOD)
     assert not any(world.told[-1].values())
     assert world.shown.rates["ann/map/out"] == Rate(5000, 0, 0)
 
@@ -123,10 +123,10 @@ def test_nobody_is_asked_while_nobody_watches(world: World) -> None:
     world.hand.turn(60)
     assert world.asked == 0
     leave = [world.hand.do(lambda: world.gauges.watch(world.told.append)) for _ in range(2)]
-    world.hand.turn(2)
+    world.hand.turn(PERIOD)
     assert world.asked == 6, "two rounds of three, however many watch"
     world.hand.do(leave[0])
-    world.hand.turn(2)
+    world.hand.turn(PERIOD)
     assert world.asked == 9
     world.hand.do(leave[1])
     world.hand.turn(60)
@@ -138,16 +138,16 @@ def test_a_process_that_does_not_answer_or_began_anew_has_no_figures(world: Worl
     world.hand.do(lambda: world.gauges.watch(world.told.append))
     world.passed(20, 2000, 0)
     world.robot.answers[CountTraffic] = Lost("it went")
-    world.hand.turn(2)
+    world.hand.turn(PERIOD)
     assert set(world.shown.rates) == {"ann/map/out"}
     world.passed(30, 3000, 0)
-    world.hand.turn(2)
+    world.hand.turn(PERIOD)
     assert set(world.shown.rates) == {"ann/map/out"}, "what has come since is known after the next answer"
     world.passed(5, 100, 0)
-    world.hand.turn(2)
+    world.hand.turn(PERIOD)
     assert world.shown.rates == {}
-    world.passed(7, 200, 0)
-    world.hand.turn(2)
+    world.passed(8, 250, 0)
+    world.hand.turn(PERIOD)
     assert world.shown.rates["ann/map/out"] == Rate(1, 50, 0)
 
 
