@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import os
 import shutil
 import time
 from collections import Counter
@@ -26,12 +25,12 @@ from rce.errors import InvalidRequest, LimitExceeded, NoCapacity, NotFound, RceE
 from rce.map_jobs import OVER, File, Job, JobRequest
 from rce.mapservice.fairness import FairQueue
 from rce.mapservice.files import DiskFull, Shelf, new_id
+from rce.mapservice.intake import Intake, Looker, collect, collected
 from rce.mapservice.uploads import Uploads
 from rce.mapservice.work import Platform, Report, Task
 from rce.metrics import Family, Timing, gauge
 
 RETRY_FIRST, RETRY_MOST = 2.0, 60.0
-LOOKS, LOOKS_OF_USER = 4, 2  # recordings that are looked at, at once
 RECORDING, RESULTS, LOG, TIMES = "recording", "results", "log.txt", "times.json"
 LASTING = (1.0, 5.0, 10.0, 30.0, 60.0, 300.0, 900.0, 3600.0, 14400.0, 43200.0)  # seconds
 
@@ -49,10 +48,9 @@ class Limits(Struct, frozen=True):
     longest: float
 
 
-class Workers(Protocol):
+class Workers(Looker, Protocol):
     """What does the work; see `rce.mapservice.worker`."""
 
-    async def look(self, task: Task) -> int | None: ...
     async def build(self, task: Task, log_file: Path, heard: Callable[[Report], None]) -> None: ...
     async def clean(self, task: Task) -> None: ...
 
@@ -98,8 +96,7 @@ class Jobs:
         self._changes: dict[str, asyncio.Event] = {}  # of jobs that somebody watches
         self._tasks: set[asyncio.Task[Any]] = set()
         self._stopping = False
-        self._looked_at: Counter[str] = Counter()  # recordings of users, at present
-        self._looks = asyncio.Semaphore(LOOKS)
+        self._intake = Intake(workers)
 
     def start(self) -> None:
         """Take up where an earlier life of the service ended."""
@@ -129,7 +126,7 @@ class Jobs:
 
     async def submit(self, user: str, secret: str, request: JobRequest) -> Job:
         """Look at the recording, and queue the job. Raises what is wrong with either."""
-        waiting = self._queue.count(user) + self._looked_at[user]
+        waiting = self._queue.count(user) + self._intake.count(user)
         if waiting >= self._limits.queued:
             text = f"{waiting} jobs of yours wait already, and {self._limits.queued} may: wait, or cancel some"
             raise LimitExceeded(text, limit=self._limits.queued)
@@ -138,8 +135,8 @@ class Jobs:
         place = self._shelf.place(name)
         place.mkdir(mode=0o700)
         try:
-            recording = self._collect(user, request.uploads, place / RECORDING)
-            total = await self._look(user, Task(str(recording), request.options))
+            recording = collect(self._uploads(), user, request.uploads, place / RECORDING)
+            total = await self._intake.look(user, Task(str(recording), request.options))
             called = request.name or (recording.name if recording.is_file() else f"{len(request.uploads)} files")
             job = Job(
                 name, "queued", called, request.options, request.uploads, self._now(), stage="waiting", total=total
@@ -157,18 +154,6 @@ class Jobs:
         self._queue.push(user, name)
         self._begin()
         return self.get(user, name)
-
-    async def _look(self, user: str, task: Task) -> int | None:
-        """Each look is a process with memory of its own: a few at once, and a few of one user may wait for theirs."""
-        if self._looked_at[user] >= LOOKS_OF_USER:
-            text = f"{LOOKS_OF_USER} recordings of yours are being looked at: wait for an answer"
-            raise LimitExceeded(text, limit=LOOKS_OF_USER)
-        self._looked_at[user] += 1
-        try:
-            async with self._looks:
-                return await self._workers.look(task)
-        finally:
-            self._looked_at[user] -= 1
 
     def get(self, user: str, name: str) -> Job:
         """NotFound also for another user's."""
@@ -233,24 +218,6 @@ class Jobs:
 
     # --- the work ----------------------------------------------------------------------------------------------------
 
-    def _collect(self, user: str, names: list[str], place: Path) -> Path:
-        """Link the uploads into one directory: where the recording is. InvalidRequest, NotFound."""
-        uploads = self._uploads()
-        place.mkdir(mode=0o700)
-        for index, name in enumerate(names):
-            field = f"uploads[{index}]"
-            upload = uploads.get(user, name, field)
-            if upload.offset < upload.length:
-                text = f"{upload.name} is not complete: {upload.offset} of {upload.length} bytes are there"
-                raise InvalidRequest(text, field=field)
-            try:
-                os.link(uploads.path(name), place / upload.name)
-            except FileExistsError:
-                raise InvalidRequest(f"there are two files {upload.name}", field=field) from None
-            uploads.touch(name)
-        files = list(place.iterdir())
-        return files[0] if len(files) == 1 else place
-
     def _begin(self) -> None:
         """Start what may run now."""
         while not self._stopping and len(self._running) < self._limits.at_once:
@@ -298,8 +265,7 @@ class Jobs:
     def _task(self, name: str, lent: LentKey) -> Task:
         """Robot and environment have a name of their own in each attempt: the last one's may still be there."""
         kept = self._kept[name]
-        files = list((self._shelf.place(name) / RECORDING).iterdir())
-        recording = files[0] if len(files) == 1 else files[0].parent
+        recording = collected(self._shelf.place(name) / RECORDING)
         tags = [f"map_{name}_{attempt}" for attempt in range(1, kept.attempts + 1)]
         return Task(
             str(recording),
