@@ -98,7 +98,7 @@ def images(docker_host: str) -> Iterator[Any]:
 @pytest.fixture(scope="session")
 def docker_host() -> Iterator[str]:
     """The address of a Docker daemon, which DOCKER_HOST names while the tests run."""
-    pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+    pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
     from docker_daemon import docker_daemon
 
     before = os.environ.get("DOCKER_HOST")
@@ -112,7 +112,7 @@ def docker_host() -> Iterator[str]:
 @pytest.fixture(scope="session")
 def island(request: pytest.FixtureRequest) -> Iterator[Island]:
     """A machine with a network of its own, and a Docker daemon in it, which has the images."""
-    pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+    pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
     from island import island as make
 
     with make(lambda: request.getfixturevalue("images")) as made:

@@ -52,7 +52,7 @@ class Hollow:
     def handlers(self) -> Handlers:
         handlers = Handlers()
         for kind in DONE:
-            handlers.on(kind, _nothing)
+            handlers.on(kind, done)
         handlers.on(Sync, _settled)
         handlers.on(Bind, self._bind)
         handlers.on(AddRoute, self._route)
@@ -75,7 +75,7 @@ class Hollow:
         )
 
 
-async def _nothing(call: Call[Any]) -> Nothing:
+async def done(call: Call[Any]) -> Nothing:
     return Nothing()
 
 

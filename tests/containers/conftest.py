@@ -59,7 +59,7 @@ def load_stand_in(stand_in: bytes) -> Callable[[str], None]:
 @pytest.fixture(scope="session")
 def one_machine(stand_in: bytes) -> Iterator[Any]:
     """A swarm of one, with the images; its agent stays from one test to the next, as it does for a task set."""
-    pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+    pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
     from swarm_nodes import load_host_image, swarm_of
 
     with swarm_of(1) as made:

@@ -13,7 +13,7 @@ from engine_contract import Endings, Held
 from msgspec.structs import replace
 from twisted.internet.base import ReactorBase
 
-pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
 from docker_world import DockerWorld
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from engine_contract import Endings, spec
 
-docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+docker = pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
 from docker_world import DockerWorld
 from engine_contract import with_options

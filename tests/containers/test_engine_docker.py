@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from engine_contract import Endings, EngineContract, spec, with_options
 
-docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+docker = pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
 from container_world import COMMAND
 from docker_world import DockerWorld

@@ -7,7 +7,7 @@ import asyncio
 
 import pytest
 
-docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+docker = pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
 from container_world import COMMAND, IMAGE
 from engine_contract import Endings, EngineContract, spec, with_options

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 from twisted.internet.base import ReactorBase
 
-docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+docker = pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
 from containers.swarm_images import MANIFEST, USER, ImageRegistry, export, sweep
 

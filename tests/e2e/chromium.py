@@ -19,7 +19,7 @@ WIDE, NARROW = {"width": 1280, "height": 800}, {"width": 768, "height": 900}
 @asynccontextmanager
 async def chromium() -> AsyncIterator[Any]:
     """A headless browser; skips with the reason where there is none."""
-    playwright = pytest.importorskip("playwright.async_api", reason="needs Playwright: pip install 'rce[dev]'")
+    playwright = pytest.importorskip("playwright.async_api", reason="needs Playwright: pip install '.[dev]'")
     program = next(filter(None, map(shutil.which, PROGRAMS)), None)
     if program is None:
         pytest.skip("no Chromium: install chromium to run this")

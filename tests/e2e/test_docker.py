@@ -20,7 +20,7 @@ from test_map import DATA, SCANS, check_files, rce_map, relations
 from test_map_service import piece
 from twisted.internet.base import ReactorBase
 
-docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+docker = pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
 from containers.docker_networks import ENVIRONMENT
 from provisioning.image import BASE, MAPPING, Builder

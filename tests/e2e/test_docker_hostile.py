@@ -19,7 +19,7 @@ import pytest
 from real_platform import USER, RealPlatform
 from test_kills import next_event
 
-pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
 from rce.client import Environment, Robot
 from rce.messages import LimitEvent

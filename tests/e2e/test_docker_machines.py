@@ -18,7 +18,7 @@ from real_platform import until
 from test_kills import Traffic, next_event
 from test_machines import NOTICED, gone_under_traffic, made, use_case_1
 
-pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
 import docker
 from docker_daemon import copy_image, linked_images, private_daemon

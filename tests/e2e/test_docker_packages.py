@@ -13,7 +13,7 @@ import pytest
 from real_platform import USER, RealPlatform, containers, until
 from test_pushed_packages import TEST_PACKAGE, answer, echo, rce
 
-docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+docker = pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
 from rce import __version__
 from rce.errors import LimitExceeded

@@ -11,7 +11,7 @@ import pytest
 from real_platform import RealPlatform, containers
 from test_kills import next_event
 
-docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+docker = pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
 from provisioning.image import BASE
 from rce import __version__

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from real_platform import RCE, RealPlatform
 
-pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
 import reach
 from island import IN_INTERNET, IN_PRIVATE, METADATA, MPI_IMAGE, OWN

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-docker = pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+docker = pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
 from machines import Host, Machines
 from real_platform import until

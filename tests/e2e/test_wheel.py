@@ -29,7 +29,7 @@ def run(*words: str | Path) -> None:
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("wheel")
-    pytest.importorskip("hatchling", reason="needs hatchling: pip install 'rce[dev]'")
+    pytest.importorskip("hatchling", reason="needs hatchling: pip install '.[dev]'")
     run(sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "-w", place, ROOT)
     (made,) = place.glob("*.whl")
     return made

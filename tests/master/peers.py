@@ -13,20 +13,9 @@ from master.service import Master
 from master.store import Store
 from master.users import digest
 from rce import messages as m
+from rce.bench.hollow import DONE
 from rce.calls.call import Call, Nothing, Settled
-from rce.calls.endpoints import (
-    AddRoute,
-    Bind,
-    CloseLink,
-    DropParameter,
-    OpenLink,
-    PutParameter,
-    RemoveRoute,
-    StartNode,
-    StopNode,
-    Sync,
-    Unbind,
-)
+from rce.calls.endpoints import AddRoute, Bind, Sync
 from rce.calls.environments import (
     KeepEnvironments,
     KnowRelays,
@@ -34,7 +23,7 @@ from rce.calls.environments import (
     StopEnvironment,
 )
 from rce.calls.joining import Hello
-from rce.calls.robots import Definitions, Describe, DropRobot, Execute, LoggedIn, Login, Tell
+from rce.calls.robots import Definitions, Describe, Execute, LoggedIn, Login, Tell
 from rce.control import Control, Handlers, connect, listen
 from rce.errors import ErrorInfo
 
@@ -58,8 +47,7 @@ class Peer:
     async def join(self) -> Peer:
         handlers = Handlers()
         for kind in (
-            *(Bind, Unbind, OpenLink, CloseLink, AddRoute, RemoveRoute, StartNode, StopNode),
-            *(PutParameter, DropParameter, Tell, DropRobot),
+            *(*DONE, Bind, AddRoute),
             *(StartEnvironment, StopEnvironment, KeepEnvironments, KnowRelays),
         ):
             handlers.on(kind, self._take)

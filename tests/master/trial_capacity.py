@@ -22,40 +22,16 @@ from master.store import Store
 from master.users import Users
 from rce import __version__, loop
 from rce import messages as m
-from rce.calls.call import Call, Nothing, Settled
-from rce.calls.endpoints import (
-    AddRoute,
-    Bind,
-    CloseLink,
-    DropParameter,
-    OpenLink,
-    PutParameter,
-    RemoveRoute,
-    StartNode,
-    StopNode,
-    Sync,
-    Unbind,
-)
+from rce.bench.hollow import Hollow, done
+from rce.calls.call import Nothing
 from rce.calls.environments import KeepEnvironments, KnowRelays, StartEnvironment, StopEnvironment
 from rce.calls.joining import Hello
-from rce.calls.robots import DropRobot, Execute, Login, Tell
+from rce.calls.robots import Execute, Login
 from rce.control import Control, Handlers, connect
 from rce.ready import Ready, parse
 
 USERS, ROBOTS, ENVIRONMENTS = 20, 400, 100
 AT_ONCE = 20
-CONTROL = {
-    *(Bind, Unbind, OpenLink, CloseLink, AddRoute, RemoveRoute, StartNode, StopNode, PutParameter),
-    *(DropParameter, Tell, DropRobot, StopEnvironment, KeepEnvironments, KnowRelays),
-}
-
-
-async def nothing(call: Call[Any]) -> Nothing:
-    return Nothing()
-
-
-async def settled(call: Call[Any]) -> Settled:
-    return Settled()
 
 
 class Around:
@@ -67,18 +43,17 @@ class Around:
         self.environments: dict[str, Control] = {}
         self.robots: Control
 
-    def handlers(self, name: str) -> Handlers:
-        """What the process of this name answers."""
-        handlers = Handlers()
-        for kind in CONTROL:
-            handlers.on(kind, nothing)
-        handlers.on(Sync, settled)
+    def handlers(self) -> Handlers:
+        """What each of the processes answers."""
+        handlers = Hollow().handlers()
+        for kind in (StopEnvironment, KeepEnvironments, KnowRelays):
+            handlers.on(kind, done)
         handlers.on(StartEnvironment, self._start)
         return handlers
 
     async def join(self, role: str, name: str, token: str, **hello: Any) -> Control:
         said = Hello(role, name, token, __version__, incarnation=secrets.token_hex(4), host="here", **hello)
-        control, _ = await connect(self._reactor, self._address, said, self.handlers(name))
+        control, _ = await connect(self._reactor, self._address, said, self.handlers())
         return control
 
     async def _start(self, call: StartEnvironment) -> Nothing:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("rosidl_adapter", reason="needs ROS 2: pip install 'rce[ros]'")
+pytest.importorskip("rosidl_adapter", reason="needs ROS 2: pip install '.[ros]'")
 
 from provisioning.typesupport import TypeSupport, build, shipped
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
+pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
 from provisioning import image
 

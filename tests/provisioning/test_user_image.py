@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("docker", reason="needs docker-py: pip install 'rce[docker]'")
-pytest.importorskip("rosidl_adapter", reason="needs ROS 2: pip install 'rce[ros]'")
+pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
+pytest.importorskip("rosidl_adapter", reason="needs ROS 2: pip install '.[ros]'")
 
 from containers.images.user.install import install
 from provisioning import user_image

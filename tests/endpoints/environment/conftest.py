@@ -14,7 +14,7 @@ from rce.calls.endpoints import NodeSpec, StartNode
 @pytest.fixture(scope="module")
 async def master(running_reactor: ReactorBase, tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[FakeMaster]:
     """With node `echo` of package `probe` running."""
-    pytest.importorskip("rclpy", reason="needs ROS 2: pip install 'rce[ros]'")
+    pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
     async with driven(running_reactor, tmp_path_factory.mktemp("environment")) as (master, _):
         await master.call(StartNode(NodeSpec("echo", "probe", "echo.py")))
         yield master

@@ -7,7 +7,7 @@ import secrets
 
 import pytest
 
-pytest.importorskip("rclpy", reason="needs ROS 2: pip install 'rce[ros]'")
+pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 
 import msgspec
 from environment_driver import FakeMaster

@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-pytest.importorskip("rclpy", reason="needs ROS 2: pip install 'rce[ros]'")
+pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 
 from environment_driver import FakeMaster
 from rclpy.serialization import deserialize_message, serialize_message

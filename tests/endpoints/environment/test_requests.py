@@ -8,7 +8,7 @@ from typing import cast
 
 import pytest
 
-pytest.importorskip("rclpy", reason="needs ROS 2: pip install 'rce[ros]'")
+pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 
 
 from endpoints.environment.definitions import InstalledTypes

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 from domains import domain
 
-rclpy = pytest.importorskip("rclpy", reason="needs ROS 2: pip install 'rce[ros]'")
+rclpy = pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 
 from rclpy.context import Context  # noqa: E402  (ROS is imported only where it is there)
 from std_msgs.msg import String  # noqa: E402
