@@ -92,6 +92,8 @@ async def test_a_robot_maps_a_building_before_our_eyes(browser: Any, platform: R
         prepared(mapping),
         signed_in(browser, platform) as page,
     ):
+        await page.goto(f"{platform.url}ui/#/map")
+        assert await page.locator("div.head").first.inner_text() == "Map", "nothing is chosen yet"
         await page.goto(f"{platform.url}ui/#/map/{USER}/building")
         canvas = page.locator("canvas.map")
         driving = asyncio.create_task(mapping.drive(recording, lambda _: None))

@@ -8,7 +8,7 @@ import { Subscriptions } from "./robot.js";
 export function imagePage(main, app, owner, environment, query) {
   const topic = query.get("topic") ?? "/image_raw";
   const pick = chooser(app, "image", owner, environment, [{ name: "topic", label: "Topic", type: "sensor_msgs/Image", value: topic }]);
-  main.append(h("div.head", h("h1", "Image"), h("span.soft", app.named(owner, environment))), pick.element);
+  main.append(h("div.head", h("h1", "Image"), environment && h("span.soft", app.named(owner, environment))), pick.element);
   if (!environment) {
     main.append(h("p.soft", "Choose an environment whose nodes publish images; what its interfaces make known is offered as topics."));
     return pick.stop;

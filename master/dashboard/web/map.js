@@ -14,7 +14,7 @@ export function mapPage(main, app, owner, environment, query) {
     { name: "pose", label: "Pose", type: "geometry_msgs/PoseWithCovarianceStamped", value: query.get("pose") ?? "/pose" },
     { name: "path", label: "Path", type: "nav_msgs/Path", value: query.get("path") ?? "/path" },
   ]);
-  main.append(h("div.head", h("h1", "Map"), h("span.soft", app.named(owner, environment))), pick.element);
+  main.append(h("div.head", h("h1", "Map"), environment && h("span.soft", app.named(owner, environment))), pick.element);
   if (!environment) {
     main.append(h("p.soft", "Choose an environment whose nodes publish a map; what its interfaces make known is offered as topics."));
     return pick.stop;
