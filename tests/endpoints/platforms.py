@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import argon2
-from raw_robot import USER, WAIT, Guests
+from raw_robot import USER, WAIT, Guests, Robot, status
 from twisted.internet.base import ReactorBase
 
 import rce
@@ -164,3 +164,19 @@ class Processes(Guests):
 
     def log(self, program: str) -> str:
         return (self.directory / f"{program}.log").read_text()
+
+
+async def pair(
+    platform: Platform, kind: str = "std_msgs/String", features: str = "", **more: Any
+) -> tuple[Robot, Robot]:
+    """Two robots, a/out connected with b/in."""
+    a, b = await platform.robot("a", features), await platform.robot("b", features)
+    if features:
+        await a.take()
+        await b.take()
+    await a.add("out", "SubscriberConverter", kind, **more)
+    await a.add("in", "PublisherConverter", kind, of="b", **more)
+    await a.connect("a/out", "b/in")
+    assert await a.take() == status("out", True)
+    assert await b.take() == status("in", True)
+    return a, b

@@ -4,39 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import json
-import ssl
 import struct
-from collections.abc import AsyncIterator
-from pathlib import Path
 from typing import Any
 
 import pytest
-from platforms import Platform
-from raw_robot import PASSWORD, USER, Json, Robot, dm, eventually, status
-from websockets.asyncio.client import connect
+from platforms import Platform, pair
+from raw_robot import USER, Json, Robot, dm, eventually, status
 
-from endpoints.robot import server
 from rce.blobs import PART
-from rce.tls import public
 
 ID, OTHER = "0a" * 16, "0b" * 16
 BYTES = "std_msgs/UInt8MultiArray"
-
-
-async def pair(
-    platform: Platform, kind: str = "std_msgs/String", features: str = "", **more: Any
-) -> tuple[Robot, Robot]:
-    """Two robots, a/out connected with b/in."""
-    a, b = await platform.robot("a", features), await platform.robot("b", features)
-    if features:
-        await a.take()
-        await b.take()
-    await a.add("out", "SubscriberConverter", kind, **more)
-    await a.add("in", "PublisherConverter", kind, of="b", **more)
-    await a.connect("a/out", "b/in")
-    assert await a.take() == status("out", True)
-    assert await b.take() == status("in", True)
-    return a, b
 
 
 async def test_without_features_success_is_silent(platform: Platform) -> None:
@@ -289,142 +267,3 @@ async def test_a_service_call_that_fails_is_told(make_platform: Any) -> None:
     await provider.send({"type": "CX", "data": {"disconnect": [{"tagA": "caller/ask", "tagB": "server/serve"}]}})
     frames = await caller.take_all(2)
     assert {frame["type"] for frame in frames} == {"ER", "ST"}
-
-
-async def test_a_message_over_the_limit_closes_the_socket_with_the_reason(make_platform: Any) -> None:
-    platform = await make_platform(message=100_000)
-    a = await platform.robot("a")
-    await a.send("x" * 100_001)
-    code, reason = await a.closed()
-    assert code == 1009
-    assert "100000" in reason
-
-
-async def test_too_many_bad_messages_close_the_socket_with_the_reason(make_platform: Any) -> None:
-    platform = await make_platform(bad_messages=3)
-    a, b = await pair(platform, features="ack,events")
-    await a.send({"type": "CX", "data": {"disconnect": [{"tagA": "b/in", "tagB": "a/out"}]}})
-    await a.take()
-    for _ in range(5):
-        await a.data("out", {"data": "to nobody"})
-        assert (await a.take())["error"]["code"] == "not_connected", "which is no fault of the robot's"
-    await a.send("{", "{", "{", "{")
-    code, reason = await a.closed()
-    assert code == 1008
-    assert "3 bad messages" in reason
-    await b.take()
-    await b.silent()
-
-
-async def test_a_robot_that_does_not_take_its_errors_is_not_listened_to(make_platform: Any) -> None:
-    platform = await make_platform(bad_messages=0)
-    a = await platform.robot("a")
-    a.socket.transport.pause_reading()
-    session = platform.endpoint.sessions[f"{USER}/a"]
-    junk = "[" * 1000
-
-    async def flood() -> None:
-        while True:
-            await a.send(junk)
-
-    flooding = asyncio.create_task(flood())
-    await eventually(lambda: session.outbox.backlog(b"") >= 8 and session.socket._hold is not None)
-    for _ in range(50):
-        await asyncio.sleep(0)
-    assert session.outbox.backlog(b"") < 50
-    flooding.cancel()
-    a.socket.transport.abort()
-
-
-async def test_of_pings_that_find_no_room_the_last_is_answered(platform: Platform) -> None:
-    """A robot that does not read could have any number of answers wait for it."""
-    a = await platform.robot("a")
-    session = platform.endpoint.sessions[f"{USER}/a"]
-    socket: Any = session.socket
-    socket.pause_writing()
-    answers: list[Any] = [await a.socket.ping() for _ in range(5)]
-    await a.send("?")
-    await eventually(lambda: session.outbox.backlog(b"") == 1)  # so they were heard
-    sent: Any = await a.socket.ping()
-    await eventually(lambda: socket._pinged not in (None, b""))
-    assert not any(answer.done() for answer in [*answers, sent])
-    socket.resume_writing()
-    async with asyncio.timeout(20):
-        await sent
-    assert (await a.take())["type"] == "ER"
-
-
-async def test_a_message_in_many_pieces_is_kept_in_few(platform: Platform) -> None:
-    a, b = await pair(platform)
-    socket: Any = platform.endpoint.sessions[f"{USER}/a"].socket
-    frame = json.dumps({"type": "DM", "data": dm("out", {"data": "x" * 3000})["data"]})
-
-    async def pieces() -> AsyncIterator[str]:
-        for letter in frame[:-1]:
-            yield letter
-            yield ""
-        await eventually(lambda: b"".join(socket.message_data or ()) == frame[:-1].encode())
-        assert len(socket.message_data) < 3
-        yield frame[-1]
-
-    await a.socket.send(pieces())
-    assert await b.take() == dm("in", {"data": "x" * 3000})
-
-
-async def test_a_robot_without_a_sign_of_life_is_given_up(make_platform: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "TICK", 0.05)
-    platform = await make_platform()
-    alive, dead = await platform.robot("alive"), await platform.robot("dead")
-    session = platform.endpoint.sessions[f"{USER}/dead"]
-    dead.socket.transport.pause_reading()
-    await eventually(lambda: session.socket is None)
-    await asyncio.sleep(0.2)
-    await alive.silent()
-    dead.socket.transport.abort()
-
-
-async def test_wss(platform: Platform, tmp_path: Path) -> None:
-    certificate, key = _self_signed(tmp_path)
-    secure = await server.listen(platform.endpoint, "127.0.0.1", 0, public(str(certificate), str(key)))
-    port = secure.sockets[0].getsockname()[1]
-    trust = ssl.create_default_context(cafile=str(certificate))
-    url = f"wss://localhost:{port}/?userID={USER}&robotID=a&password={PASSWORD}"
-    async with connect(url, ssl=trust, max_size=None, host="127.0.0.1", server_hostname="localhost") as socket:
-        a = Robot("a", socket)
-        await a.silent()
-        await a.add("out", "SubscriberConverter")
-        await a.add("in", "PublisherConverter")
-        await a.connect("a/out", "a/in")
-        await a.take_all(2)
-        await a.data("out", {"data": "x" * 3_000_000})
-        assert len((await a.take())["data"]["msg"]["data"]) == 3_000_000
-    secure.close()
-
-
-def _self_signed(directory: Path) -> tuple[Path, Path]:
-    from datetime import UTC, datetime, timedelta
-
-    from cryptography import x509
-    from cryptography.hazmat.primitives import hashes, serialization
-    from cryptography.hazmat.primitives.asymmetric import ec
-
-    key = ec.generate_private_key(ec.SECP256R1())
-    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "localhost")])
-    now = datetime.now(UTC)
-    certificate = (
-        x509.CertificateBuilder()
-        .subject_name(name)
-        .issuer_name(name)
-        .public_key(key.public_key())
-        .serial_number(1)
-        .not_valid_before(now - timedelta(days=1))
-        .not_valid_after(now + timedelta(days=1))
-        .add_extension(x509.SubjectAlternativeName([x509.DNSName("localhost")]), critical=False)
-        .add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
-        .sign(key, hashes.SHA256())
-    )
-    files = directory / "certificate.pem", directory / "key.pem"
-    files[0].write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
-    form = serialization.PrivateFormat.PKCS8
-    files[1].write_bytes(key.private_bytes(serialization.Encoding.PEM, form, serialization.NoEncryption()))
-    return files
