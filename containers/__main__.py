@@ -10,21 +10,22 @@ from pathlib import Path
 from twisted.internet.base import ReactorBase
 
 from containers.data_relay import DataRelay
-from containers.engine import Ended, Engine
-from containers.process import ProcessEngine
+from containers.engine import Engine, EnvironmentEnded
+from containers.process.engine import ProcessEngine
 from containers.settings import NAMESERVERS, Settings, check_isolation
 from containers.taskset import TaskSet
-from rce import loop
-from rce.credential import Credential
+from rce.control.credential import Credential
 from rce.errors import InvalidRequest, StartFailed
-from rce.settings import load_or_exit
-from rce.sole import sole_user
-from rce.tls import Tls, load
+from rce.net.tls import Tls, load_tls
+from rce.process import loop
+from rce.process.lock import lock_directory
+from rce.process.settings import load_or_exit
 
 PROGRAM = "rce container"
 
 
 def main() -> int:
+    """Run the program; return its exit status."""
     settings = load_or_exit(Settings, PROGRAM)
     os.environ.pop("RCE_TOKEN", None)
     try:
@@ -38,9 +39,9 @@ def main() -> int:
 async def serve(reactor: ReactorBase, settings: Settings) -> None:
     """Run the task set that `settings` describe."""
     directory = settings.data_dir.absolute()
-    with sole_user(directory, "task set"):
+    with lock_directory(directory, "task set"):
         credential = Credential(directory / "container.credential", settings.token)
-        tls = load(settings.tls)
+        tls = load_tls(settings.tls)
         relay = DataRelay(tls)
         task_set = TaskSet(
             reactor,
@@ -62,9 +63,18 @@ async def serve(reactor: ReactorBase, settings: Settings) -> None:
 
 
 def make_engine(
-    reactor: ReactorBase, settings: Settings, relay: DataRelay, tls: Tls | None, ended: Callable[[Ended], None]
+    reactor: ReactorBase,
+    settings: Settings,
+    relay: DataRelay,
+    tls: Tls | None,
+    ended: Callable[[EnvironmentEnded], None],
 ) -> Engine:
-    """The engine that `settings` name."""
+    """Make the engine that `settings` name.
+
+    Raises:
+        InvalidRequest: A directory of the setting `package_path` does not exist.
+        StartFailed: The engine needs docker-py, which is not installed.
+    """
     directory = settings.data_dir.absolute()
     packages = [os.path.abspath(path) for path in settings.package_path]
     if missing := [path for path in packages if not os.path.isdir(path)]:
@@ -81,10 +91,10 @@ def make_engine(
             packages=directory / "packages",
         )
     try:
-        from containers.docker import DockerEngine
-        from containers.docker_setup import Setup
-        from containers.swarm import SwarmEngine
-        from containers.swarm_spec import AgentService
+        from containers.docker.engine import DockerEngine
+        from containers.docker.setup import Setup
+        from containers.swarm.engine import SwarmEngine
+        from containers.swarm.spec import AgentService
     except ModuleNotFoundError as error:
         raise StartFailed(
             f"the {settings.engine} engine needs docker-py ({error}): pip install '.[docker]' in a checkout of RCE"
@@ -114,7 +124,7 @@ def make_engine(
                 settings.nameservers or NAMESERVERS,
                 settings.mounts,
             ),
-            stay=not settings.stop_environments,
+            keep_agents=not settings.stop_environments,
         )
     return DockerEngine(
         settings.size,
@@ -130,7 +140,7 @@ def make_engine(
 
 
 def _files(tls: Path | None) -> dict[str, str]:
-    """Processes of this user may read them in any case."""
+    """Return the setting `tls` for endpoints: they run as this user, who can read the files anyway."""
     return {"tls": str(tls.absolute())} if tls else {}
 
 

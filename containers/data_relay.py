@@ -1,11 +1,13 @@
-"""The data relay of a machine: the way in and out for data links of its environments, which have no network.
+"""Data relay of a machine, through which the data links of its environments pass, as they have no network.
 
-From other machines callers come over TCP and name an environment (rce/passage.py); the relay connects them to the
-socket at which that environment takes links. An environment that calls one on another machine finds a *gate* in a
-directory of its own, a socket of this relay, so that the relay knows who it is, whatever it says: it is taken to
-environments of its own user only, and only by way of the relays that the Master named.
+Callers from other machines connect by TCP and name an environment (rce/net/relay_handshake.py); the relay connects them
+to the socket on which that environment accepts links. An environment calls one on another machine through its *gate*, a
+socket of this relay in a directory that only this environment sees. By the gate the relay knows which environment
+calls, whatever the caller claims: it connects it only to environments of its own user, and only by relays that the
+Master named.
 
-Whom a link admits is the endpoints' to judge: their greeting, with the Master's one-time key, passes through here.
+The relay does not decide which links are admitted. The endpoints do, by their greeting with the Master's one-time key,
+which passes through here.
 """
 
 from __future__ import annotations
@@ -19,75 +21,83 @@ from typing import cast
 
 from twisted.logger import Logger
 
-from rce import metrics
 from rce.errors import InvalidRequest
-from rce.passage import LONGEST, Passage, Reason, refusal
-from rce.sockets import advertised, bound, reaching, split, tune
-from rce.tls import PLAIN, Tls, exposed
+from rce.net.relay_handshake import MAX_REQUEST_LENGTH, RefusalReason, RelayRequest, encode_refusal
+from rce.net.sockets import advertised_host, bind_unix_socket, parse_host_port, tune, unix_socket_path
+from rce.net.tls import PLAINTEXT_WARNING, Tls, is_exposed
+from rce.process import metrics
 
 log = Logger()
 GATE = "relay.sock"
-LINKS = 256  # through this relay, of one environment
-STRANGERS = 64  # connections at a time that have not yet said where they lead
-PATIENCE = 5.0  # seconds for the first line, and for the way on; less than the caller's own patience
-EARLY = 1_000_000  # bytes
-_space = memoryview(bytearray(256 * 1024))  # for all connections: what is read into it is taken at once
-HIGH_WATER = 512 * 1024  # bytes that wait for one side before the other is asked to pause
+MAX_LINKS = 256  # of one environment through this relay
+MAX_PENDING = 64  # callers whose links are not yet established
+TIMEOUT = 5.0  # seconds for the request, and for the onward connection; less than a caller waits for the greeting
+MAX_EARLY = 1_000_000  # bytes received before the onward connection is established
+HIGH_WATER = 512 * 1024  # bytes buffered for one side from which on the other is paused
+_buffer = memoryview(bytearray(256 * 1024))  # shared by all connections, as received data is copied at once
 
 
 _passed = metrics.Counter("rce_relay_bytes", "Bytes of data links that passed this relay")
-_refusals = metrics.Counter("rce_relay_refusals", "Callers of this relay that were not taken on", "reason")
+_refusals = metrics.Counter("rce_relay_refusals", "Callers that this relay refused", "reason")
 
 
 class _Refused(Exception):
-    """This caller is not taken on."""
+    """A caller is refused."""
 
-    def __init__(self, reason: Reason) -> None:
+    def __init__(self, reason: RefusalReason) -> None:
         super().__init__(reason)
         self.reason = reason
 
 
-class _Side(asyncio.BufferedProtocol):
-    """One of two connections: what comes in here goes out at the other."""
+class _Connection(asyncio.BufferedProtocol):
+    """One of two connections that are joined: what is received on one is sent on the other."""
 
     def __init__(self) -> None:
         self.transport: asyncio.Transport
-        self.early = b""  # what came before the other was there
-        self._other: _Side | None = None
+        self.early = b""  # data received before the connections were joined
+        self._other: _Connection | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Set buffer limits and socket options."""
         self.transport = cast(asyncio.Transport, transport)
         self.transport.set_write_buffer_limits(high=HIGH_WATER)
         tune(transport)
 
     def get_buffer(self, sizehint: int) -> memoryview:
-        return _space
+        """Return the buffer to read into."""
+        return _buffer
 
     def buffer_updated(self, nbytes: int) -> None:
-        self.received(bytes(_space[:nbytes]))
+        """Handle data that was read into the buffer."""
+        self.received(bytes(_buffer[:nbytes]))
 
     def received(self, data: bytes) -> None:
+        """Send data on the other connection, or keep it until there is one."""
         if self._other is not None:
             _passed.add(by=len(data))
             self._other.transport.write(data)
-        elif len(self.early) + len(data) <= EARLY:
+        elif len(self.early) + len(data) <= MAX_EARLY:
             self.early += data
         else:
             self.transport.abort()
 
     def pause_writing(self) -> None:
+        """Pause the other connection while the peer of this one does not read (back-pressure)."""
         if self._other is not None and not self._other.transport.is_closing():
             self._other.transport.pause_reading()
 
     def resume_writing(self) -> None:
+        """Resume the other connection."""
         if self._other is not None and not self._other.transport.is_closing():
             self._other.transport.resume_reading()
 
     def connection_lost(self, exc: Exception | None) -> None:
+        """Close the other connection after its buffered data has been sent."""
         if self._other is not None:
-            self._other.transport.close()  # after what still waits for it
+            self._other.transport.close()
 
-    def lead_to(self, other: _Side) -> None:
+    def join(self, other: _Connection) -> None:
+        """Send everything received from now on, and before, on another connection."""
         self._other = other
         self.transport.resume_reading()
         _passed.add(by=len(self.early))
@@ -95,195 +105,220 @@ class _Side(asyncio.BufferedProtocol):
         self.early = b""
 
 
-class _Visitor(_Side):
-    """The side of the caller: an environment at its gate, or somebody who came over TCP."""
+class _Caller(_Connection):
+    """Connection of a caller, either an environment at its gate or a peer that connected by TCP."""
 
-    def __init__(self, relay: DataRelay, caller: str) -> None:
-        """`caller` is the environment, or empty."""
+    def __init__(self, relay: DataRelay, environment: str) -> None:
+        """Accept a caller; `environment` is the one whose gate it connected to, empty for TCP."""
         super().__init__()
-        self.caller = caller
+        self.environment = environment
         self._relay = relay
-        self._said = False
+        self._has_request = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Wait for the request."""
         super().connection_made(transport)
-        self._relay.entered(self)
+        self._relay.caller_connected(self)
 
     def received(self, data: bytes) -> None:
+        """Read the request from the first line, then pause until the onward connection is established."""
         super().received(data)
         line, newline, rest = self.early.partition(b"\n")
-        if self._said or not (newline or len(line) > LONGEST):
+        if self._has_request or not (newline or len(line) > MAX_REQUEST_LENGTH):
             return
-        self._said = True
+        self._has_request = True
         self.early = rest
         self.transport.pause_reading()
-        self._relay.asked(self, line)
+        self._relay.request_received(self, line)
 
     def connection_lost(self, exc: Exception | None) -> None:
+        """Close the onward connection too."""
         super().connection_lost(exc)
-        self._relay.left(self)
+        self._relay.caller_disconnected(self)
 
-    def refuse(self, reason: Reason) -> None:
+    def refuse(self, reason: RefusalReason) -> None:
+        """Send the reason and close the connection."""
         _refusals.add(reason)
-        self.transport.write(refusal(reason))
+        self.transport.write(encode_refusal(reason))
         self.transport.close()
 
 
 @dataclass
-class _Place:
-    """An environment of this machine."""
+class _Environment:
+    """An environment of this machine; `socket` is the one on which it accepts links."""
 
     socket: Path
     gate: asyncio.Server
 
 
 class DataRelay:
-    """`tls` proves machines to each other; without it the network between them must be trusted."""
+    """Relays data links between environments of this machine and other machines.
+
+    `tls` authenticates machines to each other; without it the network between them must be trusted.
+    """
 
     def __init__(self, tls: Tls | None = None) -> None:
-        self.address = ""  # where others reach it, as the Master is told: relay:HOST:PORT
+        self.address = ""  # relay:HOST:PORT as other machines dial it, empty while not listening
         self._relays: frozenset[str] = frozenset()
         self._tls = tls
-        self._places: dict[str, _Place] = {}
+        self._environments: dict[str, _Environment] = {}
         self._server: asyncio.Server | None = None
         self._links: Counter[str] = Counter()  # by environment
-        self._strangers: dict[_Visitor, asyncio.TimerHandle] = {}
-        self._guests: dict[_Visitor, str] = {}  # whose link it is counted for
+        self._pending: dict[_Caller, asyncio.TimerHandle] = {}
+        self._counted: dict[_Caller, str] = {}  # the environment for which the link counts
         self._tasks: set[asyncio.Task[None]] = set()
 
     async def listen(self, host: str, port: int, address: str = "") -> None:
-        """Take callers from other machines, who dial `address` or else `host`. Raises OSError, InvalidRequest."""
-        dialled = advertised(host, address)
-        loop = asyncio.get_running_loop()
-        if exposed(host, self._tls):
-            log.warn(PLAIN, what="data", host=host)
-        context = self._tls.server if self._tls else None
-        self._server = await loop.create_server(lambda: _Visitor(self, ""), host, port, ssl=context)
-        taken = self._server.sockets[0].getsockname()[1]
-        self.address = f"relay:{dialled}:{taken}"
-        log.info("data links for environments here are taken at {host}:{port}", host=host, port=taken)
+        """Accept callers from other machines, which dial `address` or else `host`.
 
-    def know(self, relays: Collection[str]) -> None:
-        """The relays of other machines, HOST:PORT, to which environments here may be taken."""
+        Raises:
+            OSError: The address cannot be used.
+            InvalidRequest: `host` stands for all addresses, so other machines cannot dial it, and `address` is empty.
+        """
+        dialled = advertised_host(host, address)
+        loop = asyncio.get_running_loop()
+        if is_exposed(host, self._tls):
+            log.warn(PLAINTEXT_WARNING, what="data", host=host)
+        context = self._tls.server if self._tls else None
+        self._server = await loop.create_server(lambda: _Caller(self, ""), host, port, ssl=context)
+        bound = self._server.sockets[0].getsockname()[1]
+        self.address = f"relay:{dialled}:{bound}"
+        log.info("accepting data links for environments of this machine at {host}:{port}", host=host, port=bound)
+
+    def set_relays(self, relays: Collection[str]) -> None:
+        """Set the relays of other machines, HOST:PORT, to which environments here may be connected."""
         self._relays = frozenset(relays)
 
-    async def admit(self, name: str, socket: Path, directory: Path) -> None:
-        """Serve an environment that takes links at `socket`; its gate is opened in `directory`. Raises OSError."""
-        gate = bound(directory / GATE, 0o666)  # it may run as any user; whoever sees the directory is this environment
-        self.dismiss(name)
-        server = await asyncio.get_running_loop().create_unix_server(lambda: _Visitor(self, name), sock=gate)
-        self._places[name] = _Place(socket, server)
+    async def add_environment(self, name: str, socket: Path, directory: Path) -> None:
+        """Serve an environment that accepts links at `socket`; open its gate in `directory`.
 
-    def dismiss(self, name: str) -> None:
-        """Serve an environment no more."""
-        place = self._places.pop(name, None)
-        if place is None:
+        Raises:
+            OSError: The gate cannot be opened.
+        """
+        # The environment may run as any user; no other environment sees the directory.
+        gate = bind_unix_socket(directory / GATE, 0o666)
+        self.remove_environment(name)
+        server = await asyncio.get_running_loop().create_unix_server(lambda: _Caller(self, name), sock=gate)
+        self._environments[name] = _Environment(socket, server)
+
+    def remove_environment(self, name: str) -> None:
+        """Stop serving an environment and close its links."""
+        environment = self._environments.pop(name, None)
+        if environment is None:
             return
-        place.gate.close()
-        for visitor in [visitor for visitor, of in self._guests.items() if of == name]:
-            visitor.transport.abort()
+        environment.gate.close()
+        for caller in [caller for caller, counted in self._counted.items() if counted == name]:
+            caller.transport.abort()
 
     async def close(self) -> None:
-        """Take nobody any more, and end what passes through."""
-        for server in (self._server, *(place.gate for place in self._places.values())):
+        """Stop listening and close all links."""
+        for server in (self._server, *(environment.gate for environment in self._environments.values())):
             if server is not None:
                 server.close()
-        for visitor in [*self._strangers, *self._guests]:
-            visitor.transport.abort()
+        for caller in [*self._pending, *self._counted]:
+            caller.transport.abort()
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
     def families(self) -> list[metrics.Family]:
-        states: dict[tuple[str, ...], float] = {("asking",): len(self._strangers), ("taken",): len(self._guests)}
-        return [metrics.gauge("rce_relay_connections", "Data links that pass this relay, or ask to", ["state"], states)]
+        """Return the metrics of the relay's connections."""
+        states: dict[tuple[str, ...], float] = {("asking",): len(self._pending), ("taken",): len(self._counted)}
+        return [
+            metrics.gauge_family(
+                "rce_relay_connections", "Data links through this relay, pending and established", ["state"], states
+            )
+        ]
 
-    # --- for visitors -------------------------------------------------------------------------------------------------
+    # --- called by the connections of callers -------------------------------------------------------------------------
 
-    def entered(self, visitor: _Visitor) -> None:
-        if len(self._strangers) >= STRANGERS:
-            visitor.refuse("too many links")
+    def caller_connected(self, caller: _Caller) -> None:
+        """Give a caller time for its request, or refuse it if too many are pending."""
+        if len(self._pending) >= MAX_PENDING:
+            caller.refuse("too many links")
             return
-        timer = asyncio.get_running_loop().call_later(2 * PATIENCE, visitor.transport.abort)
-        self._strangers[visitor] = timer
+        timer = asyncio.get_running_loop().call_later(2 * TIMEOUT, caller.transport.abort)
+        self._pending[caller] = timer
 
-    def asked(self, visitor: _Visitor, line: bytes) -> None:
-        if visitor in self._strangers:
-            self._spawn(self._take_on(visitor, line))
+    def request_received(self, caller: _Caller, line: bytes) -> None:
+        """Establish the onward connection that a caller requests."""
+        if caller in self._pending:
+            self._spawn(self._connect(caller, line))
 
-    def left(self, visitor: _Visitor) -> None:
-        timer = self._strangers.pop(visitor, None)
+    def caller_disconnected(self, caller: _Caller) -> None:
+        """Forget a caller."""
+        timer = self._pending.pop(caller, None)
         if timer is not None:
             timer.cancel()
-        counted = self._guests.pop(visitor, None)
+        counted = self._counted.pop(caller, None)
         if counted is not None:
             self._links[counted] -= 1
             if not self._links[counted]:
                 del self._links[counted]
 
-    # --- the way on ---------------------------------------------------------------------------------------------------
+    # --- onward connections -------------------------------------------------------------------------------------------
 
-    async def _take_on(self, visitor: _Visitor, line: bytes) -> None:
+    async def _connect(self, caller: _Caller, line: bytes) -> None:
         try:
-            side = await self._onward(visitor, line)
+            onward = await self._onward(caller, line)
         except _Refused as error:
-            whose = visitor.caller or "a caller from another machine"
-            log.warn("{whose} was refused: {reason}: {line}", whose=whose, reason=error.reason, line=line[:200])
-            visitor.refuse(error.reason)
+            source = caller.environment or "a caller from another machine"
+            log.warn("{source} was refused: {reason}: {line}", source=source, reason=error.reason, line=line[:200])
+            caller.refuse(error.reason)
             return
-        if visitor not in self._strangers:
-            side.transport.abort()  # it is gone, or its environment
+        if caller not in self._pending:
+            onward.transport.abort()  # the caller has disconnected, or its environment was removed
             return
-        self._strangers.pop(visitor).cancel()
-        visitor.lead_to(side)
-        side.lead_to(visitor)
+        self._pending.pop(caller).cancel()
+        caller.join(onward)
+        onward.join(caller)
 
-    def _count(self, visitor: _Visitor, name: str) -> None:
-        if name not in self._places:
+    def _count(self, caller: _Caller, name: str) -> None:
+        if name not in self._environments:
             raise _Refused("not here")
-        if self._links[name] >= LINKS:
+        if self._links[name] >= MAX_LINKS:
             raise _Refused("too many links")
-        self._guests[visitor] = name
+        self._counted[caller] = name
         self._links[name] += 1
 
-    async def _onward(self, visitor: _Visitor, line: bytes) -> _Side:
+    async def _onward(self, caller: _Caller, line: bytes) -> _Connection:
         try:
-            passage = Passage.parse(line)
+            request = RelayRequest.parse(line)
         except InvalidRequest:
             raise _Refused("not understood") from None
-        user = visitor.caller.partition("/")[0] or passage.user
-        if user and user != passage.to.partition("/")[0]:
+        user = caller.environment.partition("/")[0] or request.user
+        if user and user != request.to.partition("/")[0]:
             raise _Refused("another user's")
-        self._count(visitor, visitor.caller or passage.to)
+        self._count(caller, caller.environment or request.to)
         try:
-            async with asyncio.timeout(PATIENCE):
-                if visitor.caller:
-                    return await self._to_relay(passage, user)
-                return await self._to_environment(passage.to)
+            async with asyncio.timeout(TIMEOUT):
+                if caller.environment:
+                    return await self._to_relay(request, user)
+                return await self._to_environment(request.to)
         except (OSError, TimeoutError, ValueError) as error:
-            log.info("the way to {to} is closed: {error}", to=passage.to, error=str(error) or "no answer")
+            log.info("{to} cannot be reached: {error}", to=request.to, error=str(error) or "timeout")
             raise _Refused("out of reach") from None
 
-    async def _to_environment(self, name: str) -> _Side:
-        with reaching(self._places[name].socket) as path:
-            _, side = await asyncio.get_running_loop().create_unix_connection(_Side, path)
-        return side
+    async def _to_environment(self, name: str) -> _Connection:
+        with unix_socket_path(self._environments[name].socket) as path:
+            _, connection = await asyncio.get_running_loop().create_unix_connection(_Connection, path)
+        return connection
 
-    async def _to_relay(self, passage: Passage, user: str) -> _Side:
-        if passage.relay not in self._relays:
+    async def _to_relay(self, request: RelayRequest, user: str) -> _Connection:
+        if request.relay not in self._relays:
             raise _Refused("no such relay")
-        host, port = split(passage.relay)
+        host, port = parse_host_port(request.relay)
         context = self._tls.client if self._tls else None
-        _, side = await asyncio.get_running_loop().create_connection(_Side, host, port, ssl=context)
-        side.transport.write(Passage(passage.to, user=user).line())
-        return side
+        _, connection = await asyncio.get_running_loop().create_connection(_Connection, host, port, ssl=context)
+        connection.transport.write(RelayRequest(request.to, user=user).line())
+        return connection
 
     def _spawn(self, work: Coroutine[None, None, None]) -> None:
         task = asyncio.create_task(work)
         self._tasks.add(task)
-        task.add_done_callback(self._done)
+        task.add_done_callback(self._finished)
 
-    def _done(self, task: asyncio.Task[None]) -> None:
+    def _finished(self, task: asyncio.Task[None]) -> None:
         self._tasks.discard(task)
         if not task.cancelled() and (error := task.exception()) is not None:
             log.error("defect in the data relay: {error!r}", error=error)

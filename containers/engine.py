@@ -1,7 +1,8 @@
-"""What every engine does for the task set, and the six things in which engines differ.
+"""Base class of all engines, which start and stop environments for the task set.
 
-An environment has a `name` (`userID/containerTag`), which is taken by one at a time, and a `run`, which tells its lives
-apart. An engine finds again by itself what runs after the task set was restarted: nothing here is kept in memory only.
+An environment has a `name` (`userID/containerTag`), which at most one environment has at a time, and a `run`, which
+tells the successive environments of one name apart. An engine keeps no state that only exists in memory: after a
+restart of the task set it finds again whatever still runs. See docs/guides/write-an-engine.md.
 """
 
 from __future__ import annotations
@@ -16,33 +17,37 @@ from weakref import WeakValueDictionary
 from msgspec import Struct
 from twisted.logger import Logger
 
-from rce.calls.environments import EnvironmentSpec, Ticket
-from rce.calls.watching import Used
+from rce.control.calls.environments import DownloadTicket, EnvironmentSpec
+from rce.control.calls.watching import EnvironmentUsage
 from rce.errors import InvalidRequest, NoCapacity, NotFound, RceError, StartFailed, Unavailable
-from rce.metrics import Family
-from rce.names import check_tag
+from rce.process.metrics import Family
+from rce.protocol.names import check_tag
 
 log = Logger()
 LAST_LINES = 20
-QUIET = 10.0  # seconds
+LIMIT_REPORT_INTERVAL = 10.0  # seconds between two reports of a limit that one run hits
 RUN = re.compile(r"[0-9a-f]{32}")
 
 
-class Life(Struct, frozen=True):
+class RunningEnvironment(Struct, frozen=True):
     """A running environment; `size` is in slots."""
 
     run: str
     size: int = 1
 
 
-class Ended(Struct, frozen=True):
-    """An environment ended by itself. `status` is its exit status, negative the signal, None where nobody knows."""
+class EnvironmentEnded(Struct, frozen=True):
+    """Report of an environment that ended by itself.
+
+    `status` is its exit status, the negative number of the signal that ended it, or None if it is not known. `lines`
+    are the last lines of its output.
+    """
 
     name: str
     run: str
     reason: str
     status: int | None
-    lines: list[str]  # the last of its output
+    lines: list[str]
 
 
 class _Start(NamedTuple):
@@ -51,57 +56,74 @@ class _Start(NamedTuple):
 
 
 class Engine(ABC):
-    """Starts and stops environments. Every operation may be repeated: what is so already stays so.
+    """Starts and stops environments; all operations are idempotent.
 
-    Operations on one name wait for each other in the order of their calls; those on different names run side by side.
-    A caller may not assume that an environment still runs when `start` returns (it may have ended since: `ended` is
-    told), nor that its endpoint has joined the Master.
+    Operations on one name run in the order of their calls; operations on different names run concurrently. A caller may
+    not assume that an environment still runs when `start` returns (it may already have ended, which `ended` reports),
+    nor that its endpoint has joined the Master.
 
-    `on_limit` is the task set's to set, and `ticket`, by which an engine with `fetches` gets the package of a digest.
+    The task set sets `on_limit`, which is called when an environment hits a limit, and `request_ticket`, with which an
+    engine that fetches packages itself asks the Master for the download of a digest.
 
-    A subclass implements `launch`, `remove`, `recover`, `last_lines`, `usage` and `release`, and calls `died`.
+    A subclass implements `launch`, `remove`, `recover`, `last_lines`, `usage` and `release`, and calls `report_end`.
     """
 
-    fetches = False  # whether it brings users' packages to environments itself
+    fetches_packages = False  # True if the engine brings users' packages to environments itself
 
-    def __init__(self, capacity: int, features: Collection[str], ended: Callable[[Ended], None]) -> None:
-        """`ended` is called after all that the environment left is removed; never for one that was told to stop."""
+    def __init__(self, capacity: int, features: Collection[str], ended: Callable[[EnvironmentEnded], None]) -> None:
+        """Prepare an engine with `capacity` slots and these special features.
+
+        `ended` is called for each environment that ended by itself, after everything it left has been removed. It is
+        never called for one that was stopped.
+        """
         self.capacity = capacity
         self.gpus = 0
         self.features = frozenset(features)
         self.on_limit: Callable[[str, str, str], None] = lambda name, run, reason: None
-        self.ticket: Callable[[str], Awaitable[Ticket]] = _no_ticket
+        self.request_ticket: Callable[[str], Awaitable[DownloadTicket]] = _no_ticket
         self._ended = ended
-        self._lives: dict[str, Life] = {}
+        self._running: dict[str, RunningEnvironment] = {}
         self._starts: list[_Start] = []
         self._locks: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
         self._tasks: set[asyncio.Task[None]] = set()
         self._opened = asyncio.Event()
-        self._told: dict[str, float] = {}  # when the limit of a run was last told of
+        self._limit_reported: dict[str, float] = {}  # time of the last report, by run
 
     # --- for the task set ---------------------------------------------------------------------------------------------
 
     async def open(self) -> None:
-        """Adopt what runs, and remove what an earlier task set left half-started or dead; once, before all else."""
-        self._lives = await self.recover()
+        """Adopt running environments and remove what an earlier task set left half-started or dead.
+
+        Called once, before all other operations.
+        """
+        self._running = await self.recover()
         self._opened.set()
 
-    def running(self) -> dict[str, Life]:
-        """What really runs, by name, as far as the engine has heard: neither what starts nor what has ended."""
-        return dict(self._lives)
+    def running(self) -> dict[str, RunningEnvironment]:
+        """Return the running environments by name, without those that are starting.
+
+        An environment that ended a moment ago may still be included.
+        """
+        return dict(self._running)
 
     async def start(self, spec: EnvironmentSpec) -> None:
-        """Start an environment; returns when its process or container runs.
+        """Start an environment; return when its process or container runs.
 
-        One of the same name and another run is stopped first; a start of the same run under way is joined. After any
-        error nothing is left of it. NoCapacity, LimitExceeded, InvalidRequest, StartFailed (also when a `stop` came in
-        between). Cancelling a caller cancels the start, also for those who joined; its remains go in the background.
+        An environment of the same name and another run is stopped first. If the same run is already starting, wait for
+        that start. After any error nothing of the environment is left. If a caller is cancelled, the start is cancelled
+        for all who wait for it, and its remains are removed in the background.
+
+        Raises:
+            NoCapacity: The machine lacks free slots or a special feature.
+            LimitExceeded: The environment asks for more than the machine has.
+            InvalidRequest: The specification is invalid or not supported by this engine.
+            StartFailed: The environment did not start, or was stopped while it started.
         """
         _check(spec)
         under_way = (start for start in self._starts if start.spec.run == spec.run and not start.task.done())
         start = next(under_way, None)
         if start is None:
-            self._check_room(spec)
+            self._check_capacity(spec)
             self._cancel(start for start in self._starts if start.spec.name == spec.name)
             start = _Start(spec, self._spawn(self._start(spec)))
             self._starts.append(start)
@@ -116,27 +138,31 @@ class Engine(ABC):
             raise StartFailed(f"environment {spec.name} was stopped while it started")
         try:
             start.task.result()
-        except Unavailable as error:  # that would mean: of the Master's call nothing is known, try again
+        except Unavailable as error:  # to the Master, Unavailable means that the outcome of its call is not known
             raise StartFailed(f"environment {spec.name} did not start: {error}") from None
 
     async def stop(self, name: str) -> None:
-        """Stop an environment, or cancel its start; returns when nothing of it is left. TimedOut if it resists."""
+        """Stop an environment or cancel its start; return when nothing of it is left.
+
+        Raises:
+            TimedOut: The environment does not end although it was killed.
+        """
         _check_name(name)
         self._cancel(start for start in self._starts if start.spec.name == name)
         async with self._lock(name):
             await self.remove(name)
-            self._lives.pop(name, None)
+            self._running.pop(name, None)
 
     async def keep(self, runs: Collection[str]) -> None:
-        """Stop every environment, also one that starts, whose run is not among `runs`."""
-        started = self._cancel(start for start in self._starts if start.spec.run not in runs)
-        doomed = [self._stop_life(name, life.run) for name, life in self._lives.items() if life.run not in runs]
-        await asyncio.gather(*doomed)
-        if started:
-            await asyncio.wait(started)
+        """Stop every environment, running or starting, whose run is not in `runs`."""
+        cancelled = self._cancel(start for start in self._starts if start.spec.run not in runs)
+        others = [(name, each.run) for name, each in self._running.items() if each.run not in runs]
+        await asyncio.gather(*(self._stop_run(name, run) for name, run in others))
+        if cancelled:
+            await asyncio.wait(cancelled)
 
     async def close(self) -> None:
-        """Let go of the environments, which run on; starts under way are cancelled. Nothing is reported after this."""
+        """Stop managing the environments, which keep running; cancel starts under way. No callback is called later."""
         self._cancel(self._starts)
         while self._tasks:
             await asyncio.wait(self._tasks)
@@ -144,112 +170,121 @@ class Engine(ABC):
 
     @property
     def relays(self) -> list[str]:
-        """The data relays of its machines, relay:HOST:PORT, where it has some of its own."""
+        """Data relays of the engine's machines, `relay:HOST:PORT`; empty if it uses that of the task set."""
         return []
 
     async def metrics(self) -> dict[str, list[Family]]:
-        """What the processes of its machines count of themselves, by the machine, where it has some of its own."""
+        """Return the metrics of processes on the engine's machines by machine; empty if it has no machines."""
         return {}
 
-    def know(self, relays: Collection[str]) -> None:
-        """The data relays of other machines, HOST:PORT, for relays of its own."""
+    def set_relays(self, relays: Collection[str]) -> None:
+        """Set the data relays of other machines, HOST:PORT, to which the engine's own relays may connect."""
 
     # --- for subclasses -----------------------------------------------------------------------------------------------
 
     @abstractmethod
     async def launch(self, spec: EnvironmentSpec) -> None:
-        """Make the environment run. When it raises or is cancelled, `remove` is called next."""
+        """Make the environment run. If this raises or is cancelled, `remove` is called next."""
 
     @abstractmethod
     async def remove(self, name: str) -> None:
-        """End all that carries this name, in whatever state it is, and remove what it left. Nothing there is well."""
+        """End everything with this name, in whatever state, and remove what it left; do nothing if there is none."""
 
     @abstractmethod
-    async def recover(self) -> dict[str, Life]:
-        """What runs from before, watched from now on; all else that this engine once made is removed."""
+    async def recover(self) -> dict[str, RunningEnvironment]:
+        """Return the environments that still run and watch them; remove all else that this engine once made."""
 
     @abstractmethod
     async def last_lines(self, name: str) -> list[str]:
-        """The last LAST_LINES lines of output of an environment that is not yet removed."""
+        """Return the last LAST_LINES lines of output of an environment that is not yet removed."""
 
     @abstractmethod
-    async def usage(self) -> dict[str, Used]:
-        """What environments have used, by name; of one that has just begun or ended nothing may be known."""
+    async def usage(self) -> dict[str, EnvironmentUsage]:
+        """Return the resources that environments have used, by name.
+
+        One that has just started or ended may be missing.
+        """
 
     @abstractmethod
     async def release(self) -> None:
-        """Stop watching; the environments run on."""
+        """Stop watching the environments, which keep running."""
 
-    def died(self, name: str, run: str, reason: str, status: int | None) -> None:
-        """To be called when an environment that was launched or recovered has ended, whoever ended it."""
-        self._spawn(self._bury(name, run, reason, status))
+    def report_end(self, name: str, run: str, reason: str, status: int | None) -> None:
+        """Report that a launched or recovered environment has ended, whatever ended it. Called by subclasses."""
+        self._spawn(self._handle_end(name, run, reason, status))
 
-    def limit_hit(self, name: str, run: str, reason: str) -> None:
-        """To be called when an environment runs on, but less well than its user may think.
+    def report_limit(self, name: str, run: str, reason: str) -> None:
+        """Report that an environment runs on but is impaired, because it hit a limit. Called by subclasses.
 
-        One that goes on hitting its limits is not told of each time.
+        Repeated reports of one run are dropped for LIMIT_REPORT_INTERVAL.
         """
-        life, now = self._lives.get(name), asyncio.get_running_loop().time()
-        if life is not None and life.run == run and now - self._told.get(run, -QUIET) >= QUIET:
-            self._told = {other: told for other, told in self._told.items() if now - told < QUIET} | {run: now}
+        environment, now = self._running.get(name), asyncio.get_running_loop().time()
+        last = self._limit_reported.get(run, -LIMIT_REPORT_INTERVAL)
+        if environment is not None and environment.run == run and now - last >= LIMIT_REPORT_INTERVAL:
+            recent = {each: at for each, at in self._limit_reported.items() if now - at < LIMIT_REPORT_INTERVAL}
+            self._limit_reported = recent | {run: now}
             self.on_limit(name, run, reason)
 
-    def stray(self, name: str) -> None:
-        """To be called when there is something with the name of an environment that neither runs nor starts."""
+    def report_stray(self, name: str) -> None:
+        """Report something that has the name of an environment which neither runs nor starts; it is removed."""
         self._spawn(self._remove_stray(name))
 
-    # --- within -------------------------------------------------------------------------------------------------------
+    # --- internal -----------------------------------------------------------------------------------------------------
 
     async def _start(self, spec: EnvironmentSpec) -> None:
         async with self._lock(spec.name):
-            life = self._lives.get(spec.name)
-            if life is not None and life.run == spec.run:
+            current = self._running.get(spec.name)
+            if current is not None and current.run == spec.run:
                 return
-            if life is not None:
+            if current is not None:
                 await self.remove(spec.name)
-                del self._lives[spec.name]
+                del self._running[spec.name]
             try:
                 await self.launch(spec)
             except BaseException:
                 try:
                     await self.remove(spec.name)
-                except RceError as error:  # why it did not start matters more
-                    log.error("{name} did not start, and its remains stay: {error}", name=spec.name, error=str(error))
+                except RceError as error:  # the caller gets the reason of the failed start
+                    log.error(
+                        "{name} did not start, and its remains were not removed: {error}",
+                        name=spec.name,
+                        error=str(error),
+                    )
                 raise
-            self._lives[spec.name] = Life(spec.run, spec.options.size)
+            self._running[spec.name] = RunningEnvironment(spec.run, spec.options.size)
 
     async def _remove_stray(self, name: str) -> None:
         async with self._lock(name):
-            if name not in self._lives:
-                log.info("removing what is left of {name}", name=name)
+            if name not in self._running:
+                log.info("removing the remains of {name}", name=name)
                 await self.remove(name)
 
-    async def _stop_life(self, name: str, run: str) -> None:
+    async def _stop_run(self, name: str, run: str) -> None:
         async with self._lock(name):
-            life = self._lives.get(name)
-            if life is not None and life.run == run:
+            current = self._running.get(name)
+            if current is not None and current.run == run:
                 await self.remove(name)
-                del self._lives[name]
+                del self._running[name]
 
-    async def _bury(self, name: str, run: str, reason: str, status: int | None) -> None:
-        await self._opened.wait()  # what ends while others are still being recovered is on the list by then
+    async def _handle_end(self, name: str, run: str, reason: str, status: int | None) -> None:
+        await self._opened.wait()  # an environment may end while others are still being recovered
         async with self._lock(name):
-            life = self._lives.get(name)
-            if life is None or life.run != run:
-                return  # it was told to stop
-            del self._lives[name]
+            current = self._running.get(name)
+            if current is None or current.run != run:
+                return  # it was stopped
+            del self._running[name]
             lines = await self.last_lines(name)
             try:
                 await self.remove(name)
-            except RceError as error:  # its owner must hear of the death all the same
-                log.error("{name} ended, but {error}", name=name, error=str(error))
-        self._ended(Ended(name, run, reason, status, lines))
+            except RceError as error:  # the end must be reported all the same
+                log.error("{name} ended, but its remains were not removed: {error}", name=name, error=str(error))
+        self._ended(EnvironmentEnded(name, run, reason, status, lines))
 
-    def _check_room(self, spec: EnvironmentSpec) -> None:
+    def _check_capacity(self, spec: EnvironmentSpec) -> None:
         lacking = sorted(set(spec.options.specialFeatures) - self.features)
         if lacking:
             raise NoCapacity(f"environment {spec.name}: this machine has no {', '.join(lacking)}", lacking=lacking)
-        sizes = {name: life.size for name, life in self._lives.items()}
+        sizes = {name: each.size for name, each in self._running.items()}
         sizes |= {start.spec.name: start.spec.options.size for start in self._starts}
         sizes.pop(spec.name, None)
         used, size = sum(sizes.values()), spec.options.size
@@ -262,7 +297,7 @@ class Engine(ABC):
             )
 
     def _cancel(self, starts: Iterable[_Start]) -> list[asyncio.Task[None]]:
-        """Each start is cancelled once only, so that its clean-up is not."""
+        """Cancel starts, each once only: a second cancellation would interrupt its clean-up."""
         cancelled = [start for start in list(starts) if start in self._starts]
         self._starts = [start for start in self._starts if start not in cancelled]
         for start in cancelled:
@@ -278,21 +313,21 @@ class Engine(ABC):
     def _spawn(self, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
         task = asyncio.create_task(work)
         self._tasks.add(task)
-        task.add_done_callback(self._done)
+        task.add_done_callback(self._finished)
         return task
 
-    def _done(self, task: asyncio.Task[None]) -> None:
+    def _finished(self, task: asyncio.Task[None]) -> None:
         self._tasks.discard(task)
         if not task.cancelled() and (error := task.exception()) and not isinstance(error, RceError):
             log.error("defect in an engine: {error!r}", error=error)
 
 
-async def _no_ticket(digest: str) -> Ticket:
-    raise NotFound(f"there is no Master to ask for package {digest}")
+async def _no_ticket(digest: str) -> DownloadTicket:
+    raise NotFound(f"package {digest} cannot be fetched: this engine has no Master to ask")
 
 
 def _check_name(name: str) -> None:
-    """Names become names of directories, containers and networks."""
+    """Refuse invalid names, since names become parts of paths and labels of containers and networks."""
     user, _, tag = name.partition("/")
     check_tag(user, "userID")
     check_tag(tag, "containerTag")

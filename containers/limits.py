@@ -1,4 +1,4 @@
-"""How large a machine is, and what one environment of it may use."""
+"""Size of a machine, and resource limits of one environment on it."""
 
 from __future__ import annotations
 
@@ -6,35 +6,40 @@ import os
 
 from msgspec import Struct
 
-from rce import slots
-from rce.calls.environments import EnvironmentSpec
+from rce.control.calls.environments import EnvironmentSpec
 from rce.errors import LimitExceeded
-from rce.messages import Rates
+from rce.protocol import slots
+from rce.protocol.messages import Rates
 
 
 class Size(Struct, frozen=True):
-    """How large a machine is."""
+    """Size of a machine: number of cores, and memory in bytes."""
 
     cores: float
     memory: int
 
     @staticmethod
     def here() -> Size:
+        """Return the size of this machine."""
         return Size(float(os.cpu_count() or 1), os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
 
 
 class Limits(Struct, frozen=True):
-    """What one environment may use: memory in bytes, cores, processes and threads, bytes a second, GPUs."""
+    """Limits of one environment: memory in bytes, cores, processes and threads, bytes per second, GPUs."""
 
     memory: int
     cpu: float
     pids: int
     io: Rates = Rates()
-    gpus: list[str] = []  # their numbers
+    gpus: list[str] = []  # numbers of the GPUs
 
 
 def check(spec: EnvironmentSpec, most: Size) -> None:
-    """LimitExceeded if an environment asks for more than that."""
+    """Check that an environment asks for no more than a machine has.
+
+    Raises:
+        LimitExceeded: It asks for more.
+    """
     options = spec.options
     for field, asked, limit in (("cpu", options.cpu, most.cores), ("memory", options.memory, most.memory)):
         if asked > limit:
@@ -47,7 +52,11 @@ def check(spec: EnvironmentSpec, most: Size) -> None:
 
 
 def limits(spec: EnvironmentSpec, gpus: list[str], most: Size) -> Limits:
-    """The limits that an environment asks for, or those of its slots. LimitExceeded."""
+    """Return the limits that an environment asks for; where it names none, those of its slots.
+
+    Raises:
+        LimitExceeded: It asks for more than the machine has.
+    """
     check(spec, most)
     options = spec.options
     return Limits(

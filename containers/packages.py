@@ -1,7 +1,7 @@
-"""The users' packages on this machine: fetched from the Master when an environment first needs one, and kept a while.
+"""Cache of users' packages on this machine, fetched from the Master when an environment first needs one.
 
-`DIGEST/` holds an unpacked archive, which nothing changes any more; `uses/RUN` says which of them the environment of
-that run sees, so that a task set which takes over knows what is in use.
+`DIGEST/` holds an unpacked archive and is read-only. `uses/RUN` lists the digests that the environment of that run
+uses, so that the next task set knows which packages are in use.
 """
 
 from __future__ import annotations
@@ -18,29 +18,36 @@ from weakref import WeakValueDictionary
 from twisted.logger import Logger
 
 from containers.engine import RUN
-from rce import archive
 from rce.errors import InvalidRequest, StartFailed, Unavailable
+from rce.packages import archive
 
 log = Logger()
-KEPT = 4 * 1024**3  # bytes of packages that are kept although nothing uses them at present
+KEPT = 4 * 1024**3  # bytes of unused packages that are kept
 Fetch = Callable[[str, Path], Awaitable[None]]
 
 
-def places(root: Path, digests: Collection[str]) -> list[str]:
-    """Where the packages of an environment are, once they were provided. InvalidRequest."""
+def package_directories(root: Path, digests: Collection[str]) -> list[str]:
+    """Return the directories of packages; they exist once `PackageCache.provide` has returned.
+
+    Raises:
+        InvalidRequest: A digest is malformed.
+    """
     for digest in digests:
         if not archive.DIGEST.fullmatch(digest):
-            raise InvalidRequest(f"package {digest[:80]!r} is not named by its digest")
+            raise InvalidRequest(f"package {digest[:80]!r} is not the digest of a package")
     return [str(root / digest) for digest in digests]
 
 
-def package_path(places: Collection[str], settings: Mapping[str, str]) -> dict[str, str]:
-    """The setting of the Environment endpoint, with an environment's own packages before those of the machine."""
-    return {"package_path": ",".join([*places, *filter(None, [settings.get("package_path")])])}
+def package_path(directories: Collection[str], settings: Mapping[str, str]) -> dict[str, str]:
+    """Return the endpoint's setting `package_path`, with an environment's own packages before those of the machine."""
+    return {"package_path": ",".join([*directories, *filter(None, [settings.get("package_path")])])}
 
 
 class PackageCache:
-    """Packages in `root`; `fetch` writes the archive of a digest into a file."""
+    """Packages in `root`; `fetch` writes the archive of a digest into a file.
+
+    Unused packages of up to `kept` bytes remain cached.
+    """
 
     def __init__(self, root: Path, fetch: Fetch, kept: int = KEPT) -> None:
         self._root = root
@@ -52,20 +59,25 @@ class PackageCache:
         self._locks: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
 
     def open(self) -> None:
-        """Remove what an earlier task set did not finish."""
+        """Create the directories and remove incomplete downloads of an earlier task set."""
         for directory in (self._root, self._uses, self._incoming):
             directory.mkdir(parents=True, exist_ok=True, mode=0o700)
         for path in self._incoming.iterdir():
             _remove(path)
 
     async def provide(self, run: str, digests: Collection[str]) -> None:
-        """See that packages are here, and that they stay until `release`. StartFailed, NotFound."""
-        places(self._root, digests)
+        """Fetch missing packages and mark all as used by a run until `release`.
+
+        Raises:
+            NotFound: The Master has no such package.
+            StartFailed: A package cannot be fetched or stored.
+        """
+        package_directories(self._root, digests)
         if not RUN.fullmatch(run):
             raise InvalidRequest(f"run {run[:80]!r} is not 32 hex digits", field="run")
         if not digests:
             return
-        (self._uses / run).write_text("\n".join(digests))  # first, so that none of them is removed meanwhile
+        (self._uses / run).write_text("\n".join(digests))  # first, so that `release` removes none of them meanwhile
         try:
             for digest in digests:
                 await self._provide(digest)
@@ -73,7 +85,7 @@ class PackageCache:
             raise StartFailed(f"packages could not be fetched: {error}") from None
 
     async def release(self, running: Collection[str]) -> None:
-        """Of environments that do not run, nor will, nothing is in use any more; what is too much is removed."""
+        """Mark packages as unused that no run in `running` uses; remove unused packages beyond the size limit."""
         for path in self._uses.iterdir():
             if path.name not in running:
                 path.unlink(missing_ok=True)
@@ -86,21 +98,21 @@ class PackageCache:
         async with lock:
             target = self._root / digest
             if target.is_dir():
-                os.utime(target)  # by this is known what was not needed for the longest time
+                os.utime(target)  # `_shrink` removes the least recently used first
                 return
             work = Path(tempfile.mkdtemp(dir=self._incoming))
             try:
                 await self._fetch(digest, work / "archive")
                 await asyncio.to_thread(_unpack, work / "archive", work / "tree", digest)
-                (work / "tree").chmod(0o755)  # a directory that is to be moved must be writable
+                (work / "tree").chmod(0o755)  # rename needs write permission on the directory itself
                 (work / "tree").rename(target)
                 target.chmod(0o555)
             finally:
                 await asyncio.to_thread(_remove, work)
-            log.info("package {digest} is here", digest=digest)
+            log.info("fetched package {digest}", digest=digest)
 
     async def _shrink(self) -> None:
-        """Remove what was not used for the longest time, until not too much is left."""
+        """Remove the least recently used packages until the unused ones fit the size limit."""
         used = {digest for path in self._uses.iterdir() for digest in path.read_text().split()}
         idle = [path for path in self._root.iterdir() if archive.DIGEST.fullmatch(path.name) and path.name not in used]
         idle.sort(key=lambda path: path.stat().st_mtime, reverse=True)
@@ -112,7 +124,7 @@ class PackageCache:
             if total > self._kept and path.name not in self._locks:
                 doomed = path.rename(self._incoming / path.name)
                 await asyncio.to_thread(_remove, doomed)
-                log.info("package {digest} is removed", digest=path.name)
+                log.info("removed unused package {digest}", digest=path.name)
 
 
 def _unpack(path: Path, directory: Path, digest: str) -> None:
@@ -120,7 +132,7 @@ def _unpack(path: Path, directory: Path, digest: str) -> None:
     with path.open("rb") as file:
         contents = archive.unpack(file, directory)
     if contents.digest != digest:
-        raise StartFailed(f"what the Master sent is not package {digest}: its digest is {contents.digest}")
+        raise StartFailed(f"the Master sent another package than {digest}: its digest is {contents.digest}")
 
 
 def _size(directory: Path) -> int:
@@ -128,7 +140,7 @@ def _size(directory: Path) -> int:
 
 
 def _remove(path: Path) -> None:
-    """Also what is read-only."""
+    """Remove a file or a directory tree, even if it is read-only."""
     if path.is_dir():
         for each in (path, *path.rglob("*")):
             if each.is_dir():

@@ -21,17 +21,17 @@ NAMESERVERS = ("1.1.1.1", "9.9.9.9")
 class Settings(Struct, frozen=True):
     """RCE Container task set: starts and stops the environments of one machine."""
 
-    data_dir: Annotated[Path, Meta(description="directory for all that this task set keeps")]
+    data_dir: Annotated[Path, Meta(description="directory for the data of this task set")]
     master: Annotated[str, Meta(description="control address of the Master, a Twisted client endpoint")] = (
         "tcp:127.0.0.1:8080"
     )
     name: Annotated[str, Meta(description="name of this task set, unique on the platform; empty: the host's name")] = ""
-    token: Annotated[str, Meta(description="one-time join token; better by the environment than on a command line")] = (
-        ""
-    )
+    token: Annotated[
+        str, Meta(description="one-time join token; set RCE_TOKEN rather than the command line, which others can see")
+    ] = ""
     engine: Annotated[
         Literal["process", "docker", "swarm"],
-        Meta(description="what runs the environments: process, docker or swarm (of which DOCKER_HOST is a manager)"),
+        Meta(description="engine of the environments: process, docker or swarm (DOCKER_HOST must be a manager of it)"),
     ] = "process"
     image: Annotated[str, Meta(description="docker and swarm: image of the environments")] = (
         f"rce/mapping:{__version__}"
@@ -40,32 +40,34 @@ class Settings(Struct, frozen=True):
         f"rce/agent:{__version__}"
     )
     agent_address: Annotated[
-        str, Meta(description="swarm engine: where the agents reach this task set; empty: the manager's address")
+        str, Meta(description="swarm engine: address at which agents reach this task set; empty: the manager's")
     ] = ""
     egress_pool: Annotated[
-        str, Meta(description="docker and swarm: network of which each environment that may reach out gets a /30")
+        str, Meta(description="docker and swarm: network of which each environment with egress gets a /30")
     ] = EGRESS_POOL
     nameservers: Annotated[
         list[str],
-        Meta(description="docker and swarm: whom such environments ask for names; empty: 1.1.1.1 and 9.9.9.9"),
+        Meta(description="docker and swarm: nameservers of such environments; empty: 1.1.1.1 and 9.9.9.9"),
     ] = []
     mounts: Annotated[
-        list[str], Meta(description="docker and swarm: directories that every environment sees, and none writes to")
+        list[str], Meta(description="docker and swarm: directories that every environment sees read-only")
     ] = []
     data_host: Annotated[
-        str, Meta(description="address for data links of its environments from other machines; empty: none")
+        str, Meta(description="address on which data links from other machines are accepted; empty: none")
     ] = ""
-    data_port: Annotated[int, Meta(ge=0, le=65535, description="port for them; 0 takes a free one")] = 0
-    data_address: Annotated[str, Meta(description="name or address by which they dial it; empty: data_host")] = ""
+    data_port: Annotated[int, Meta(ge=0, le=65535, description="port for data links; 0 takes a free one")] = 0
+    data_address: Annotated[
+        str, Meta(description="name or address at which other machines dial it; empty: data_host")
+    ] = ""
     tls: Annotated[
         Path | None, Meta(description="directory with ca.pem, cert.pem and key.pem, for TLS between machines")
     ] = None
-    host: Annotated[str, Meta(description="identity of this machine; empty: found out")] = ""
+    host: Annotated[str, Meta(description="identity of this machine; empty: detected")] = ""
     entry: Annotated[
         str, Meta(description="URL of the Master's HTTP entry, for users' packages; empty: on the host of `master`")
     ] = ""
     size: Annotated[int, Meta(ge=1, description="slots for environments on this machine")] = 10
-    gpus: Annotated[int, Meta(ge=0, description="docker engine: graphics processors for environments")] = 0
+    gpus: Annotated[int, Meta(ge=0, description="docker engine: number of GPUs for environments")] = 0
     features: Annotated[list[str], Meta(description="special features of this machine, comma-separated")] = []
     package_path: Annotated[list[str], Meta(description="directories with ROS 2 packages, comma-separated")] = []
     typesupport: Annotated[str, Meta(description="directory with built type support of messages and services")] = ""
@@ -76,11 +78,16 @@ class Settings(Struct, frozen=True):
 
     @property
     def own_name(self) -> str:
+        """Name of the task set, by default that of the host."""
         return self.name or socket.gethostname()
 
 
 def check_isolation(settings: Settings) -> None:
-    """InvalidRequest if the process engine would let users from elsewhere run programs as this user."""
+    """Check that the process engine, which does not isolate users, only serves a Master on this machine.
+
+    Raises:
+        InvalidRequest: Users from elsewhere could run programs as this user.
+    """
     if settings.engine == "process" and not settings.allow_unisolated and not is_local(settings.master):
         raise InvalidRequest(
             f"the process engine runs users' programs as this user, so it serves a Master on this machine only, and "
@@ -90,13 +97,13 @@ def check_isolation(settings: Settings) -> None:
 
 
 def host_of(description: str) -> str:
-    """The host that a Twisted client endpoint leads to, empty for one that has none."""
+    """Return the host of a Twisted client endpoint; empty if it has none."""
     match = _HOST.match(description)
     return re.sub(r"\\(.)", r"\1", match[1]) if match else ""
 
 
 def is_local(description: str) -> bool:
-    """Whether a Twisted client endpoint leads to this machine for certain."""
+    """Return True if a Twisted client endpoint certainly leads to this machine."""
     if description.startswith("unix:"):
         return True
     host = host_of(description)

@@ -1,4 +1,4 @@
-"""The Container task set towards the Master: joins it, does what it asks, reports what ends by itself."""
+"""The Container task set's side of the control protocol: it joins the Master, serves its calls and reports ends."""
 
 from __future__ import annotations
 
@@ -13,35 +13,36 @@ from twisted.internet.base import ReactorBase
 from twisted.logger import Logger
 
 from containers.data_relay import DataRelay
-from containers.engine import Ended, Engine
+from containers.engine import Engine, EnvironmentEnded
 from containers.fetching import Fetcher
 from containers.packages import PackageCache
-from rce import metrics
-from rce.calls.call import Nothing
-from rce.calls.environments import (
+from rce.control.calls.call import Nothing
+from rce.control.calls.environments import (
     EnvironmentDied,
     FetchPackage,
     KeepEnvironments,
-    KnowRelays,
     LimitReached,
+    SetRelays,
     StartEnvironment,
     StopEnvironment,
 )
-from rce.calls.joining import Hello, Welcome
-from rce.calls.watching import MeasureUsage, Metrics, ReadMetrics, Usage, Used
-from rce.control import Handlers, MasterLink
-from rce.credential import Credential, stay_joined
+from rce.control.calls.joining import Hello, Welcome
+from rce.control.calls.watching import EnvironmentUsage, MeasureUsage, Metrics, ReadMetrics, Usage
+from rce.control.client import ControlClient
+from rce.control.connection import Handlers
+from rce.control.credential import Credential, stay_joined
 from rce.errors import RceError
-from rce.ready import Ready, announce
-from rce.tls import Tls
+from rce.net.tls import Tls
+from rce.process import metrics
+from rce.process.ready import Ready, announce
 
 log = Logger()
 _launches = metrics.Timing("rce_environment_launch_seconds", "Time until an environment's process or container runs")
-MakeEngine = Callable[[Callable[[Ended], None]], Engine]
+MakeEngine = Callable[[Callable[[EnvironmentEnded], None]], Engine]
 
 
 class TaskSet:
-    """One machine's environments, in the Master's service."""
+    """Starts and stops the environments of one machine for the Master."""
 
     def __init__(
         self,
@@ -55,8 +56,18 @@ class TaskSet:
         entry: str = "",
         tls: Tls | None = None,
     ) -> None:
-        """`packages` is the directory for users' packages, fetched at the Master's HTTP entry (see `Fetcher`); `relay`
-        is the one that the engine's environments are admitted to.
+        """Prepare a task set.
+
+        Args:
+            reactor: Twisted's reactor.
+            master: Control address of the Master, a Twisted client endpoint.
+            name: Name of the task set, unique on the platform.
+            credential: Credential by which it joins.
+            make_engine: Makes the engine; its argument is the callback for environments that ended.
+            packages: Directory for users' packages, which are fetched from the Master's HTTP entry (see `Fetcher`).
+            relay: Data relay to which the engine adds its environments.
+            entry: URL of the Master's HTTP entry (see `Fetcher`).
+            tls: Certificate and CA for the connection to the Master.
         """
         self._name = name
         self._relay = relay or DataRelay()
@@ -69,22 +80,22 @@ class TaskSet:
         handlers.on(StartEnvironment, self._start)
         handlers.on(StopEnvironment, self._stop)
         handlers.on(KeepEnvironments, self._keep)
-        handlers.on(KnowRelays, self._know)
+        handlers.on(SetRelays, self._know)
         handlers.on(MeasureUsage, self._measure)
         handlers.on(ReadMetrics, self._read_metrics)
-        self._link = MasterLink(reactor, master, self._hello, handlers, self._welcomed, tls)
-        self._engine.ticket = lambda digest: self._link.call(FetchPackage(digest))
+        self._link = ControlClient(reactor, master, self._hello, handlers, self._welcomed, tls)
+        self._engine.request_ticket = lambda digest: self._link.call(FetchPackage(digest))
         self._packages = PackageCache(packages, Fetcher(self._link, master, entry, tls).fetch)
         self._starting: set[str] = set()
 
     async def run(self, *, stop_environments: bool) -> None:
-        """Serve the Master until cancelled or refused (its error is raised).
+        """Serve the Master until cancelled or refused; the Master's error is then raised.
 
-        At the end the environments are stopped, or run on until the next task set of this machine adopts them.
+        At the end the environments are stopped, or keep running until the next task set of this machine adopts them.
         """
         self._packages.open()
         await self._engine.open()
-        log.info("{count} environments adopted", count=len(self._engine.running()))
+        log.info("adopted {count} environments", count=len(self._engine.running()))
         try:
             await stay_joined(self._link, self._credential)
         finally:
@@ -111,7 +122,7 @@ class TaskSet:
             capacity=self._engine.capacity,
             features=sorted(self._engine.features),
             gpus=self._engine.gpus,
-            environments={name: life.run for name, life in self._engine.running().items()},
+            environments={name: each.run for name, each in self._engine.running().items()},
         )
 
     async def _start(self, call: StartEnvironment) -> Nothing:
@@ -119,22 +130,22 @@ class TaskSet:
         self._starting.add(spec.run)
         began = time.perf_counter()
         try:
-            await self._packages.provide(spec.run, [] if self._engine.fetches else spec.packages)
+            await self._packages.provide(spec.run, [] if self._engine.fetches_packages else spec.packages)
             await self._engine.start(spec)
         except RceError as error:
-            log.warn("{name} was not started: {error}", name=spec.name, run=spec.run, error=str(error))
+            log.warn("{name} did not start: {error}", name=spec.name, run=spec.run, error=str(error))
             raise
         finally:
             self._starting.discard(spec.run)
             await self._release()
-        _launches.of().since(began)
-        log.info("{name} is started", name=spec.name, run=spec.run)
+        _launches.labels().observe_since(began)
+        log.info("started {name}", name=spec.name, run=spec.run)
         return Nothing()
 
     async def _stop(self, call: StopEnvironment) -> Nothing:
         await self._engine.stop(call.name)
         await self._release()
-        log.info("{name} is stopped", name=call.name)
+        log.info("stopped {name}", name=call.name)
         return Nothing()
 
     async def _keep(self, call: KeepEnvironments) -> Nothing:
@@ -142,9 +153,9 @@ class TaskSet:
         await self._release()
         return Nothing()
 
-    async def _know(self, call: KnowRelays) -> Nothing:
-        self._relay.know(call.relays)
-        self._engine.know(call.relays)
+    async def _know(self, call: SetRelays) -> Nothing:
+        self._relay.set_relays(call.relays)
+        self._engine.set_relays(call.relays)
         return Nothing()
 
     async def _measure(self, _: MeasureUsage) -> Usage:
@@ -152,36 +163,36 @@ class TaskSet:
 
     async def _read_metrics(self, _: ReadMetrics) -> Metrics:
         used, parts = await asyncio.gather(self._engine.usage(), self._engine.metrics())
-        own = metrics.families("container", self._relay.families, lambda: self._families(used))
-        return Metrics(metrics.with_parts(own, "node", parts) if parts else own)
+        own = metrics.collect_families("container", self._relay.families, lambda: self._families(used))
+        return Metrics(metrics.merge_families(own, "node", parts) if parts else own)
 
-    def _families(self, used: dict[str, Used]) -> list[metrics.Family]:
-        slots = sum(life.size for life in self._engine.running().values())
+    def _families(self, used: dict[str, EnvironmentUsage]) -> list[metrics.Family]:
+        slots = sum(each.size for each in self._engine.running().values())
         sizes: dict[tuple[str, ...], float] = {("used",): slots, ("free",): self._engine.capacity - slots}
         names = ["user", "environment"]
         seconds = {tuple(name.split("/")): each.seconds for name, each in used.items()}
         memory = {tuple(name.split("/")): each.memory for name, each in used.items()}
         return [
-            metrics.gauge("rce_slots", "Slots of this machine", ["state"], sizes),
-            metrics.counted("rce_environment_cpu_seconds", "Processor time of an environment", names, seconds),
-            metrics.gauge("rce_environment_memory_bytes", "Memory of an environment", names, memory),
+            metrics.gauge_family("rce_slots", "Slots of this machine", ["state"], sizes),
+            metrics.counter_family("rce_environment_cpu_seconds", "Processor time of an environment", names, seconds),
+            metrics.gauge_family("rce_environment_memory_bytes", "Memory of an environment", names, memory),
         ]
 
     async def _release(self) -> None:
-        """Packages that no environment has any more need not stay."""
-        running = {life.run for life in self._engine.running().values()}
+        """Release packages that no environment uses any more."""
+        running = {each.run for each in self._engine.running().values()}
         await self._packages.release(running | self._starting)
 
-    def _ended(self, ended: Ended) -> None:
+    def _ended(self, ended: EnvironmentEnded) -> None:
         reason = "\n".join([ended.reason, *ended.lines])
         log.warn("{name}: {reason}", name=ended.name, run=ended.run, reason=reason)
-        self._tell(EnvironmentDied(ended.name, ended.run, reason))
+        self._send_report(EnvironmentDied(ended.name, ended.run, reason))
 
     def _limit_hit(self, name: str, run: str, reason: str) -> None:
         log.info("{name}: {reason}", name=name, run=run, reason=reason)
-        self._tell(LimitReached(name, run, reason))
+        self._send_report(LimitReached(name, run, reason))
 
-    def _tell(self, call: EnvironmentDied | LimitReached) -> None:
+    def _send_report(self, call: EnvironmentDied | LimitReached) -> None:
         report = asyncio.create_task(self._report(call))
         self._reports.add(report)
         report.add_done_callback(self._reports.discard)
@@ -190,5 +201,5 @@ class TaskSet:
         try:
             await self._link.call(call)
         except RceError as error:
-            # Of an end it learns when this task set joins again: the run is not among those that its Hello names.
-            log.info("the Master was not told of {name}: {error}", name=call.name, error=str(error))
+            # When this task set joins again, the Master learns of an end because the run is missing in the Hello.
+            log.info("a report about {name} was not sent to the Master: {error}", name=call.name, error=str(error))

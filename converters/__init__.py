@@ -1,4 +1,7 @@
-"""JSON and blobs of robots to ROS 2 messages (CDR) and back, with no ROS installed."""
+"""Conversion between the JSON and blobs of robots and serialized ROS 2 messages (CDR), without a ROS installation.
+
+This package knows message definitions, their CDR layout and image files; it knows nothing of connections or endpoints.
+"""
 
 from converters.codec import Codec
 from converters.images import ImageFormat

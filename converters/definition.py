@@ -1,7 +1,7 @@
-"""Message definitions: the fields of a ROS 2 type, read from the text of a `.msg` or `.srv` file.
+"""Message definitions: the fields of a ROS 2 type, parsed from the text of a `.msg` or `.srv` file.
 
-The grammar is that of rosbags' parser, which lacks wide strings; they are added here. Its type store drops default
-values, so the two of the common packages that are not zero stand in `DEFAULTS`.
+The grammar is that of rosbags' parser, extended by wide strings. The type store of rosbags has no default values; the
+two defaults of the common packages that are not zero are in `DEFAULTS`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Scalar: TypeAlias = bool | int | float | str
 Default: TypeAlias = Scalar | list[Scalar] | None
 
-# ROS primitive -> struct format character; sizes and alignments in CDR are those of the format.
+# ROS primitive type -> struct format character. The format also has the size, which is the alignment in CDR.
 CODES = {
     "bool": "?", "byte": "B", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H",
     "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
@@ -37,10 +37,12 @@ DEFAULTS: dict[tuple[str, str], Scalar] = {
     ("geometry_msgs/msg/Quaternion", "w"): 1.0,
     ("sensor_msgs/msg/NavSatStatus", "status"): -2,
 }
-DUMMY = "structure_needs_at_least_one_member"  # rosidl's filler of empty structures; not a field for anybody
+DUMMY = "structure_needs_at_least_one_member"  # filler that rosidl adds to empty structs; not a field of the message
 
 
 class Shape(Enum):
+    """Multiplicity of a field."""
+
     SINGLE = "single"
     ARRAY = "array"
     SEQUENCE = "sequence"
@@ -48,8 +50,14 @@ class Shape(Enum):
 
 @dataclass(frozen=True, slots=True)
 class FieldType:
-    """`base` is a primitive, `string`, `wstring` or `pkg/msg/Name`; `size` the length of an array or the bound of a
-    sequence, `text_bound` the bound of a string in bytes (0: none)."""
+    """Type of a field.
+
+    Attributes:
+        base: Primitive type, `string`, `wstring` or `pkg/msg/Name`.
+        shape: Single value, array or sequence.
+        size: Length of an array, or bound of a sequence (0: unbounded).
+        text_bound: Bound of a string, in bytes or UTF-16 units (0: unbounded).
+    """
 
     base: str
     shape: Shape = Shape.SINGLE
@@ -58,16 +66,19 @@ class FieldType:
 
     @property
     def nested(self) -> bool:
+        """True if the base type is a message."""
         return "/" in self.base
 
     @property
     def is_bytes(self) -> bool:
-        """Travels as base64 or as a blob."""
+        """True for byte arrays and sequences, which are base64 or blobs on the wire."""
         return self.base in BYTES and self.shape is not Shape.SINGLE
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
+    """Field of a message definition."""
+
     name: str
     type: FieldType
     default: Default = None
@@ -77,7 +88,7 @@ Definition: TypeAlias = tuple[Field, ...]
 
 
 class _Parser(MSGParser):
-    """rosbags' parser and `wstring`."""
+    """rosbags' parser, extended by `wstring`."""
 
     def base_type(self, pos: int) -> Result[Type]:
         if isinstance(res := self.regex(pos, r"wstring\b"), Failure):
@@ -95,7 +106,15 @@ _SHAPES = {Cardinality.SCALAR: Shape.SINGLE, Cardinality.ARRAY: Shape.ARRAY, Car
 
 
 def parse_message(name: str, text: str) -> Definition:
-    """The fields of the `.msg` text of `pkg/msg/Name`; InvalidRequest if it is not one."""
+    """Parse the text of a `.msg` file.
+
+    Args:
+        name: Name of the type, `pkg/msg/Name`.
+        text: Content of the file.
+
+    Raises:
+        InvalidRequest: The text is not a message definition.
+    """
     package, _, plain = name.partition("/msg/")
     try:
         messages = _Parser(f"MSG: {package}/msg/{plain}\n{text.replace(chr(13), '')}").specification()
@@ -103,28 +122,36 @@ def parse_message(name: str, text: str) -> Definition:
         raise InvalidRequest(f"the definition of {name} is not a message definition: {_reason(error)}") from error
     fields = tuple(Field(f.name, _field_type(f.typ), f.value) for f in messages[0].fields)
     if len({field.name for field in fields}) < len(fields):
-        raise InvalidRequest(f"the definition of {name} has two fields of one name")
+        raise InvalidRequest(f"the definition of {name} has two fields of the same name")
     return fields
 
 
 def parse_service(name: str, text: str) -> tuple[Definition, Definition]:
-    """Request and response of the `.srv` text of `pkg/srv/Name`; InvalidRequest if it is not one."""
+    """Parse the text of a `.srv` file into the definitions of request and response.
+
+    Args:
+        name: Name of the type, `pkg/srv/Name`.
+        text: Content of the file.
+
+    Raises:
+        InvalidRequest: The text is not a service definition.
+    """
     parts = re.split(r"^---[ \t\r]*$", text, flags=re.MULTILINE)
     if len(parts) != 2:
         raise InvalidRequest(f"the definition of {name} is not a service definition: it needs exactly one line ---")
-    message = name.replace("/srv/", "/msg/")  # a type without a package means a message of the same package
+    message = name.replace("/srv/", "/msg/")  # so that a type without a package is a message of the same package
     return parse_message(message + "_Request", parts[0]), parse_message(message + "_Response", parts[1])
 
 
 def from_rosbags(name: str, fields: Fielddefs) -> Definition:
-    """The fields of a type of rosbags' type store."""
+    """Convert the fields of a type of rosbags' type store."""
     return tuple(
         Field(field, _from_desc(desc), DEFAULTS.get((name, field))) for field, desc in fields if field != DUMMY
     )
 
 
 def _reason(error: Exception) -> str:
-    """The parser's complaint names the text, the position and the rest; the rest says where it stopped."""
+    """Return the place where the parser stopped, which is the last line of its message."""
     rest = str(error).rstrip("'").splitlines()
     return f"cannot read {rest[-1][:80]!r}" if rest else type(error).__name__
 

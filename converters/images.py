@@ -1,9 +1,9 @@
-"""`sensor_msgs/Image` as PNG or JPEG.
+"""Conversion of `sensor_msgs/Image` to and from PNG and JPEG files.
 
-The stamp, the frame and the encoding, which a picture file has no place for, travel in a text chunk (PNG) or a
-comment (JPEG) that other programs ignore (`image_files`). A plain picture becomes a message with stamp 0, an empty
-frame and the encoding of its colour type. PNG keeps every pixel of the encodings in `ENCODINGS`; yuv422 becomes rgb8.
-JPEG is lossy and holds mono8, rgb8 and their kin only.
+Stamp, frame and encoding are stored as metadata in a text chunk (PNG) or comment (JPEG) that other programs ignore (see
+`image_files`). A file without metadata becomes a message with stamp 0, an empty frame and the encoding of its colour
+type. PNG is lossless for the encodings in `ENCODINGS`; yuv422 becomes rgb8. JPEG is lossy and only for 8-bit encodings
+with one or three channels.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from converters.fitting import Misfit
-from converters.image_files import Note, checked, with_note
+from converters.image_files import Metadata, validate, with_metadata
+from converters.scalars import FieldError
 from converters.wire import Buffer
 
 PictureFormat: TypeAlias = Literal["png", "jpeg"]
@@ -26,17 +26,17 @@ Pixels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
 @dataclass(frozen=True, slots=True)
 class Encoding:
-    """`to_file` and `from_file` are the OpenCV conversions to and from its order of channels, None for none."""
+    """Pixel encoding; `to_file` and `from_file` are the OpenCV conversions to and from its channel order, if needed."""
 
     channels: int
-    depth: int  # bytes a channel
+    depth: int  # bytes per channel
     to_file: int | None = None
     from_file: int | None = None
 
 
 _SWAP3 = (cv2.COLOR_RGB2BGR, cv2.COLOR_BGR2RGB)
 _SWAP4 = (cv2.COLOR_RGBA2BGRA, cv2.COLOR_BGRA2RGBA)
-# The first of a kind (channels, depth) is what a picture without our note becomes.
+# The first encoding with the same channels and depth is used for files without metadata.
 ENCODINGS = {
     "mono8": Encoding(1, 1), "8UC1": Encoding(1, 1),
     "mono16": Encoding(1, 2), "16UC1": Encoding(1, 2),
@@ -52,7 +52,7 @@ _YUV = Encoding(2, 1)
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """The fields of sensor_msgs/Image in their order, then those of its header. `data` has `height` rows of `step`."""
+    """Fields of sensor_msgs/Image in order, then those of its header. `data` has `height` rows of `step` bytes."""
 
     height: int
     width: int
@@ -65,64 +65,76 @@ class Picture:
 
 
 def read_picture(blob: Buffer) -> Picture:
-    """The image in a PNG or JPEG file; Misfit if it is neither, damaged or larger than MAX_PIXEL_BYTES."""
-    data, note = checked(blob)
+    """Decode a PNG or JPEG file.
+
+    Raises:
+        FieldError: It is neither, or the image is damaged or larger than MAX_PIXEL_BYTES.
+    """
+    data, metadata = validate(blob)
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
-        raise Misfit("the picture is damaged") from error
+        raise FieldError("the image file is damaged") from error
     if pixels is None or pixels.dtype not in (np.uint8, np.uint16):
-        raise Misfit("the picture is damaged")
+        raise FieldError("the image file is damaged")
     height, width = pixels.shape[:2]
     kind = (pixels.shape[2] if pixels.ndim == 3 else 1, pixels.dtype.itemsize)
     names = [name for name, known in ENCODINGS.items() if (known.channels, known.depth) == kind]
     if not names:
-        raise Misfit(f"the picture has {kind[0]} channels; gray, colour and colour with alpha are known")
-    name = note.encoding if note.encoding in names else names[0]
+        raise FieldError(f"the image has {kind[0]} channels; only gray, colour and colour with alpha are supported")
+    name = metadata.encoding if metadata.encoding in names else names[0]
     convert = ENCODINGS[name].from_file
     ready = pixels if convert is None else cv2.cvtColor(pixels, convert)
     rows = np.ascontiguousarray(ready, ready.dtype.newbyteorder("<")).data.cast("B")
-    return Picture(height, width, name, 0, len(rows) // height, rows, note.stamp, note.frame_id)
+    return Picture(height, width, name, 0, len(rows) // height, rows, metadata.stamp, metadata.frame_id)
 
 
 def write_picture(image: Picture, image_format: PictureFormat) -> bytes:
-    """A PNG or JPEG file; Misfit if it cannot hold the encoding or the size, or `data` is shorter than the image."""
+    """Encode an image as a PNG or JPEG file.
+
+    Raises:
+        FieldError: The format cannot hold the encoding or the size, or `data` is shorter than the image.
+    """
     pixels = _file_pixels(image)
     if image_format == "jpeg" and (pixels.dtype != np.uint8 or (pixels.ndim == 3 and pixels.shape[2] == 4)):
-        raise Misfit(f"a JPEG cannot hold the encoding {image.encoding[:40]!r}: use format png or json, or a Forwarder")
-    try:  # OpenCV's own settings: any other for PNG took two to five times as long for files of nearly the same size
+        raise FieldError(
+            f"a JPEG cannot hold the encoding {image.encoding[:40]!r}: use format png or json, or a Forwarder"
+        )
+    try:  # OpenCV's default settings; others for PNG took two to five times as long and saved hardly any bytes
         written, data = cv2.imencode("." + image_format, pixels)
     except cv2.error:
         written, data = False, np.empty(0, np.uint8)
     if not written:
-        raise Misfit(f"an image of {image.width} x {image.height} cannot become a {image_format}: use format json")
-    return with_note(data.tobytes(), Note(image.stamp, image.frame_id, image.encoding))
+        raise FieldError(
+            f"an image of {image.width} x {image.height} cannot be encoded as {image_format}: use format json"
+        )
+    return with_metadata(data.tobytes(), Metadata(image.stamp, image.frame_id, image.encoding))
 
 
 def _file_pixels(image: Picture) -> Pixels:
-    """The pixels in OpenCV's order of channels."""
+    """Return the pixels in OpenCV's channel order."""
     if image.encoding in _TO_BGR:
         return cast("Pixels", cv2.cvtColor(_rows(image, _YUV), _TO_BGR[image.encoding]))
     encoding = ENCODINGS.get(image.encoding)
     if encoding is None:
-        raise Misfit(
-            f"a picture cannot hold the encoding {image.encoding[:40]!r}: use format json or a Forwarder; "
-            f"pictures hold {', '.join((*ENCODINGS, *_TO_BGR))}"
+        raise FieldError(
+            f"an image file cannot hold the encoding {image.encoding[:40]!r}: use format json or a Forwarder; "
+            f"supported are {', '.join((*ENCODINGS, *_TO_BGR))}"
         )
     pixels = _rows(image, encoding)
     return pixels if encoding.to_file is None else cast("Pixels", cv2.cvtColor(pixels, encoding.to_file))
 
 
 def _rows(image: Picture, encoding: Encoding) -> Pixels:
-    """(height, width) or (height, width, channels), without the padding at the ends of rows."""
+    """Return the pixels as (height, width) or (height, width, channels), without the padding of the rows."""
     row = image.width * encoding.channels * encoding.depth
     if not row or not image.height or image.step < row or image.step * image.height > len(image.data):
-        raise Misfit(
-            f"{len(image.data)} bytes in rows of {image.step} are no image of {image.width} x {image.height} "
+        raise FieldError(
+            f"{len(image.data)} bytes in rows of {image.step} do not match an image of {image.width} x {image.height} "
             f"in {image.encoding}"
         )
     if image.width % 2 and encoding is _YUV:
-        raise Misfit(f"an image in {image.encoding} has an even width, not {image.width}")
+        raise FieldError(f"an image in {image.encoding} must have an even width, not {image.width}")
     lines = np.frombuffer(image.data, np.uint8, image.step * image.height).reshape(image.height, image.step)[:, :row]
     shape = (image.height, image.width, encoding.channels)[: 3 if encoding.channels > 1 else 2]
     if encoding.depth == 1:

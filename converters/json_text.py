@@ -1,4 +1,4 @@
-"""JSON as robots write it: strict by msgspec, and with the bare tokens NaN, Infinity and -Infinity of Python's json."""
+"""JSON decoder for robots' messages: msgspec, extended by the bare tokens NaN, Infinity and -Infinity."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from typing import NoReturn
 
 import msgspec
 
-from converters.fitting import Misfit
+from converters.scalars import FieldError
 from converters.wire import Buffer
 
-# A string, closed or not, or a token outside of strings. Possessive, and it always matches at a quote: linear time.
-# Every branch begins with a literal, which makes the search for the next match fast.
+# A string, terminated or not, or a token outside of strings. Possessive quantifiers and a match at every quote give
+# linear time. Every branch begins with a literal, which makes the search for the next match fast.
 _TOKENS = re.compile(rb'"(?:[^"\\]++|\\.)*+"?|NaN|Infinity|-Infinity', re.DOTALL)
 _WHERE = re.compile(r"(.*) - at `\$\.?(.*)`", re.DOTALL)
 
 
 def decode(decoder: msgspec.json.Decoder[msgspec.Struct], raw: Buffer | msgspec.Raw) -> msgspec.Struct:
-    """The message; Misfit with the path of the field otherwise."""
+    """Decode a message; raises FieldError with the path of the field at fault."""
     try:
         return decoder.decode(raw)
     except msgspec.ValidationError as error:
@@ -32,7 +32,7 @@ def decode(decoder: msgspec.json.Decoder[msgspec.Struct], raw: Buffer | msgspec.
 
 
 def _decode_lenient(decoder: msgspec.json.Decoder[msgspec.Struct], data: bytes) -> msgspec.Struct:
-    """The tokens become strings that begin with U+0000, which fields of floats know (`fitting.NON_FINITE`)."""
+    """Replace the tokens by strings that begin with U+0000, which float fields accept (`scalars.NON_FINITE`)."""
     try:
         return decoder.decode(_TOKENS.sub(_quoted, data))
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -46,11 +46,11 @@ def _quoted(match: re.Match[bytes]) -> bytes:
 
 def _refuse(error: Exception) -> NoReturn:
     if isinstance(error, UnicodeDecodeError):
-        raise Misfit("the JSON is not UTF-8") from None
+        raise FieldError("the JSON is not UTF-8") from None
     if isinstance(error, RecursionError):
-        raise Misfit("the JSON is nested too deeply") from None
+        raise FieldError("the JSON is nested too deeply") from None
     match = _WHERE.fullmatch(str(error))
     reason, path = (match[1], match[2]) if match else (str(error), "")
     if reason.startswith("Invalid enum value"):
         reason = f'expected a number, "NaN", "Infinity" or "-Infinity", got {reason[19:60]}'
-    raise Misfit(reason[:200].replace("`", ""), path) from None
+    raise FieldError(reason[:200].replace("`", ""), path) from None

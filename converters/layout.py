@@ -1,9 +1,9 @@
-"""Where a message's values lie in CDR (XCDR version 1, OMG DDS-XTypes 1.3, 7.4.1): each primitive on a multiple of its
-size, counted from the end of the 4-byte encapsulation header; structures have no alignment of their own.
+"""Layout of messages in CDR (XCDR version 1, OMG DDS-XTypes 1.3, section 7.4.1).
 
-Neighbouring scalars, also of nested structures, form one `Run`: a single `struct` format with its padding. A run ends
-where the padding depends on the data before it. All else is an `Item`. An empty structure is one byte (rosidl puts a
-filler into it, for C has no empty structures).
+Each primitive is aligned to its size, counted from the end of the 4-byte encapsulation header; structs have no
+alignment of their own. Adjacent scalars, also those of nested structs, form a `Run`: one `struct` format with its
+padding. A run ends where the padding depends on the data before it. Everything else is an `Item`. An empty struct is
+one byte, since rosidl adds a filler to it (C has no empty structs).
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, TypeAlias
 
 from converters.definition import CODES, STRINGS, Shape
-from converters.fitting import join
 from converters.model import Member, Message
+from converters.scalars import join
 
 
 class Leaf(NamedTuple):
-    """One scalar: the attributes that lead to it from the message, its path in ROS names, its format character."""
+    """Scalar: the attributes that lead to it from the message, its path in ROS names, and its format character."""
 
     attrs: tuple[str, ...]
     path: str
@@ -28,7 +28,7 @@ class Leaf(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """`mask` + 1 is the alignment of the first byte, 1 where the layout itself guarantees it."""
+    """Adjacent scalars. `mask` + 1 is the alignment of the first byte; 1 if the layout guarantees it."""
 
     mask: int
     struct: struct.Struct
@@ -37,7 +37,7 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """A string, an array, a sequence or a structure that is not inlined."""
+    """String, array, sequence, or struct that is not inlined."""
 
     attrs: tuple[str, ...]
     path: str
@@ -49,7 +49,7 @@ Step: TypeAlias = Run | Item
 
 @dataclass(slots=True)
 class _Layout:
-    """What is known of the position: it is `offset` modulo `modulus`."""
+    """Builder of the steps; the position in the buffer is known to be `offset` modulo `modulus`."""
 
     modulus: int
     offset: int = 0
@@ -58,7 +58,7 @@ class _Layout:
     format: str = ""
     leaves: list[Leaf] = field(default_factory=list)
 
-    def scalar(self, leaf: Leaf) -> None:
+    def add_scalar(self, leaf: Leaf) -> None:
         size = struct.calcsize(leaf.code)
         if size > self.modulus:
             self.close()
@@ -68,11 +68,11 @@ class _Layout:
         self.leaves.append(leaf)
         self.offset += padding + size
 
-    def filler(self) -> None:
+    def add_filler(self) -> None:
         self.format += "x"
         self.offset += 1
 
-    def item(self, item: Item) -> None:
+    def add_item(self, item: Item) -> None:
         self.close()
         self.steps.append(item)
         self.modulus, self.offset = 1, 0
@@ -84,20 +84,26 @@ class _Layout:
 
 
 def layout(message: Message, *, top: bool) -> tuple[Step, ...]:
-    """The steps of `message`; `top`: it starts at the beginning of the buffer, so its alignment is known."""
+    """Return the steps of a message.
+
+    Args:
+        message: Type of the message.
+        top: The message starts at the beginning of the buffer, so its alignment is known.
+    """
     state = _Layout(8 if top else 1)
     for found in _leaves(message, (), ""):
         if isinstance(found, Leaf):
-            state.scalar(found)
+            state.add_scalar(found)
         elif isinstance(found, Item):
-            state.item(found)
+            state.add_item(found)
         else:
-            state.filler()
+            state.add_filler()
     state.close()
     return tuple(state.steps)
 
 
 def _leaves(message: Message, attrs: tuple[str, ...], path: str) -> Iterator[Leaf | Item | None]:
+    """Yield the scalars and items of a message and its inlined messages in order; None for the filler."""
     if not message.members:
         yield None
     for member in message.members:

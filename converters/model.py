@@ -1,8 +1,8 @@
-"""Messages as msgspec types: one structure per ROS type, into which the JSON is decoded.
+"""Models of ROS types: one msgspec struct per type, into which JSON is decoded.
 
-Attributes are called f0, f1, … so that no field name can clash with Python; msgspec renames them to the ROS names and
-checks types, lengths and defaults while it parses. Where a blob may stand for a field, a twin attribute (f2b, with the
-key `data*`) takes its id.
+Attributes are named f0, f1, … so that no field name can clash with Python; msgspec renames them to the ROS names, and
+checks types and lengths and fills in defaults while it parses. A field that may be a blob has a second attribute for
+the id of the blob (f2b, with the key `data*`).
 """
 
 from __future__ import annotations
@@ -16,40 +16,44 @@ import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
 from converters.definition import CODES, STRINGS, Default, Definition, Field, FieldType, Shape
-from converters.fitting import NON_FINITE, PACK_ERRORS, Misfit, fit
+from converters.scalars import NON_FINITE, PACK_ERRORS, FieldError, packable
 from rce.errors import InvalidRequest
 
 TIME = "builtin_interfaces/msg/Time"
 DURATION = "builtin_interfaces/msg/Duration"
 IMAGE = "sensor_msgs/msg/Image"
 
-# An empty JSON object costs the size of its type's defaults. ROS has nothing near these limits.
+# An empty JSON object takes the memory of its type's defaults. No type of ROS comes near these limits.
 MAX_SMALLEST = 1 << 20
 MAX_DEPTH = 24
-MAX_INLINED = 64  # fields; keeps the steps of wide nested types from multiplying
+MAX_INLINED = 64  # fields; limits the number of steps of wide nested types
 
 Number: TypeAlias = float | Literal["NaN", "Infinity", "-Infinity", "\0NaN", "\0Infinity", "\0-Infinity"]
-Integer: TypeAlias = int | float  # 1.0 is accepted for 1; other fractions fail later, where the path is known
+Integer: TypeAlias = int | float  # 1.0 is accepted for 1; other fractions are rejected when the field is packed
 Lookup: TypeAlias = Callable[[str], Definition]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Member:
+    """Field of a message with its attribute name and, for a nested type, its message."""
+
     field: Field
     attr: str
-    message: Message | None  # of a nested type
+    message: Message | None
 
     @property
     def type(self) -> FieldType:
+        """Type of the field."""
         return self.field.type
 
     @property
-    def takes_blob(self) -> bool:
+    def accepts_blob(self) -> bool:
+        """True for byte arrays and images, which may be sent as blobs."""
         return self.type.is_bytes or self.type.base == IMAGE
 
     @property
     def inlined(self) -> Message | None:
-        """The nested message whose fields are laid out and converted among those of its holder, if this is one."""
+        """Nested message whose fields are laid out and converted with those of the enclosing message, or None."""
         if self.message is None or self.type.shape is not Shape.SINGLE or self.type.base == IMAGE:
             return None
         return self.message if self.message.width <= MAX_INLINED else None
@@ -57,8 +61,16 @@ class Member:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Message:
-    """A type ready for conversion. `default` is the message that `{}` means, `smallest` its least size in CDR, `width`
-    the number of its fields with those of inlined messages."""
+    """Message type that is ready for conversion.
+
+    Attributes:
+        name: Name of the type, `pkg/msg/Name`.
+        members: Its fields.
+        model: Struct into which its JSON is decoded.
+        default: Message with all defaults, for the JSON `{}`.
+        smallest: Minimum size in CDR.
+        width: Number of its fields including those of inlined messages.
+    """
 
     name: str
     members: tuple[Member, ...]
@@ -69,14 +81,14 @@ class Message:
 
     @property
     def annotation(self) -> object:
-        """The type to decode JSON into: times and durations have a second spelling."""
+        """Type to decode JSON into; times and durations have a short form as well."""
         if self.name == TIME:
             return self.model | str
         return self.model | float if self.name == DURATION else self.model
 
 
 class Models:
-    """Builds and keeps the messages of one set of definitions."""
+    """Cache of the message types of one set of definitions, built on first use."""
 
     def __init__(self, lookup: Lookup) -> None:
         self._lookup = lookup
@@ -84,7 +96,12 @@ class Models:
         self._open: list[str] = []
 
     def message(self, name: str) -> Message:
-        """UnknownType if it or a type in it is not defined, InvalidRequest if it contains itself or is enormous."""
+        """Return a message type by its name.
+
+        Raises:
+            UnknownType: It or a type that it contains is not defined.
+            InvalidRequest: It contains itself, is nested too deeply or is too large.
+        """
         if name not in self._known:
             if name in self._open or len(self._open) >= MAX_DEPTH:
                 raise InvalidRequest(f"{name} contains itself or is nested more than {MAX_DEPTH} deep")
@@ -102,7 +119,9 @@ class Models:
         )
         smallest = sum(_smallest(member) for member in members) or 1
         if smallest > MAX_SMALLEST:
-            raise InvalidRequest(f"an empty {name} already has {smallest} bytes; {MAX_SMALLEST} is the limit")
+            raise InvalidRequest(
+                f"the type {name} is too large: even empty it has {smallest} bytes, and the limit is {MAX_SMALLEST}"
+            )
         model = _model(name, members)
         width = sum(member.inlined.width if member.inlined else 1 for member in members)
         return Message(name, members, model, model(), smallest, max(width, 1))
@@ -120,10 +139,10 @@ def _smallest(member: Member) -> int:
 def _model(name: str, members: tuple[Member, ...]) -> type[msgspec.Struct]:
     try:
         fields: list[tuple[str, object, object]] = [(m.attr, _annotation(m), _default(m)) for m in members]
-    except Misfit as error:
+    except FieldError as error:
         raise InvalidRequest(f"{name}.{error.path} has a default that it cannot hold: {error.reason}") from error
     for m in members:
-        if m.takes_blob:
+        if m.accepts_blob:
             many = m.type.shape is not Shape.SINGLE and not m.type.is_bytes
             blob = msgspec.field(default=UNSET, name=m.field.name + "*")
             fields.append((m.attr + "b", (list[str] if many else str) | UnsetType, blob))
@@ -141,14 +160,14 @@ def _annotation(member: Member) -> object:
         one = {"?": bool, "f": Number, "d": Number}.get(CODES[kind.base], Integer)
     if kind.shape is Shape.SINGLE:
         return one
-    if kind.is_bytes:  # its length is checked when it is written: as base64 it is not that of the text
+    if kind.is_bytes:  # the length is checked when the field is packed: that of the base64 text is different
         return bytes | list[one]  # type: ignore[valid-type]
     low, high = (kind.size if kind.shape is Shape.ARRAY else None), (kind.size or None)
     return Annotated[list[one], Meta(min_length=low, max_length=high)]  # type: ignore[valid-type]
 
 
 def _default(member: Member) -> object:
-    """Immutable, as all messages share it."""
+    """Return the default value of a field, which is immutable because all messages share it."""
     kind, given = member.type, member.field.default
     if kind.shape is Shape.SINGLE:
         return member.message.default if member.message else _scalar(member, given)
@@ -161,22 +180,22 @@ def _default(member: Member) -> object:
         )
     values = tuple(_scalar(member, item) for item in (given if isinstance(given, list) else [given]))
     if kind.size and (len(values) > kind.size or (kind.shape is Shape.ARRAY and len(values) < kind.size)):
-        raise Misfit(f"{len(values)} elements", member.field.name)
+        raise FieldError(f"{len(values)} elements", member.field.name)
     return bytes(int(v) for v in values) if kind.is_bytes else values
 
 
 def _scalar(member: Member, given: Default) -> bool | int | float | str:
     base = member.type.base
     if isinstance(given, list) or (given is not None and member.message):
-        raise Misfit("a single number or string is expected", member.field.name)
+        raise FieldError("a single number or string is expected", member.field.name)
     if base in STRINGS:
         return "" if given is None else str(given)
     code = CODES[base]
     if code == "?":
         return bool(given)
     if isinstance(given, str) and given not in NON_FINITE:
-        raise Misfit(f"{given[:60]!r} is not a number", member.field.name)
+        raise FieldError(f"{given[:60]!r} is not a number", member.field.name)
     try:
-        return fit(given or 0, code)
-    except (Misfit, *PACK_ERRORS) as error:
-        raise Misfit(str(error), member.field.name) from error
+        return packable(given or 0, code)
+    except (FieldError, *PACK_ERRORS) as error:
+        raise FieldError(str(error), member.field.name) from error

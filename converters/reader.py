@@ -1,8 +1,8 @@
-"""From CDR to structures that msgspec encodes as JSON: each type is compiled once into a chain of closures.
+"""Readers from CDR to structs that msgspec encodes as JSON; each type is compiled once into a chain of closures.
 
-The steps of a type (`layout`) append its scalars and items to one flat list in the order of the fields; `_builder` then
-makes the nested structures of it. Byte arrays stay views of the CDR until msgspec writes them as base64.
-Arrays of numbers are read in the machine's byte order, which is little endian wherever ROS 2 runs.
+The steps of a type (`layout`) append its scalars and items to one flat list in the order of the fields, from which
+`_builder` makes the nested structs. Byte arrays stay views of the CDR until msgspec writes them as base64. Arrays of
+numbers are read in the machine's byte order, which is little endian wherever ROS 2 runs.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from typing import TypeAlias
 import msgspec
 
 from converters.definition import CODES, Shape
-from converters.fitting import Misfit, spell
 from converters.images import ImageFormat, Picture, PictureFormat, write_picture
 from converters.layout import Item, Run, layout
 from converters.model import IMAGE, Member, Message
+from converters.scalars import FieldError, json_number
 from converters.wire import Outgoing
 
 Step: TypeAlias = Callable[[memoryview, int, list[object], Outgoing], int]
@@ -31,7 +31,7 @@ _LENGTH = struct.Struct("<I").unpack_from
 
 
 class Readers:
-    """The compiled readers of one set of messages, giving images in one format."""
+    """Compiled readers of one set of messages, for one image format."""
 
     def __init__(self, image_format: ImageFormat) -> None:
         self._format = image_format
@@ -39,9 +39,11 @@ class Readers:
         self._nested: dict[str, Read] = {}
 
     def top(self, message: Message) -> Read:
+        """Return the reader of a message at the beginning of the buffer; a top-level image is not encoded."""
         return self._read(message, top=True)
 
     def nested(self, message: Message) -> Read:
+        """Return the reader of a message at any position."""
         if message.name not in self._nested:
             read = self._read(message, top=False)
             if message.name == IMAGE and self._format != "json":
@@ -60,8 +62,8 @@ class Readers:
                 for path, step in steps:  # noqa: B007
                     pos = step(data, pos, values, blobs)
             except struct.error:
-                raise Misfit("the data end within the message", path) from None
-            except Misfit as error:
+                raise FieldError("the data ends within the message", path) from None
+            except FieldError as error:
                 raise error.inside(path) from None
             return build(iter(values)), pos
 
@@ -94,7 +96,7 @@ class Readers:
 
 
 def image_reader(read: Read, image_format: PictureFormat) -> Read:
-    """Reads a sensor_msgs/Image into a blob and gives its id."""
+    """Wrap the reader of sensor_msgs/Image so that it adds the image as a blob and returns the id."""
 
     def read_blob(data: memoryview, pos: int, blobs: Outgoing) -> tuple[object, int]:
         image, pos = read(data, pos, blobs)
@@ -114,24 +116,24 @@ def _run(run: Run) -> Step:
     def step(data: memoryview, pos: int, values: list[object], blobs: Outgoing) -> int:
         pos += -pos & mask
         found = unpack(data, pos)
-        values += found if not has_floats or isfinite(sum(found)) else map(spell, found)
+        values += found if not has_floats or isfinite(sum(found)) else map(json_number, found)
         return pos + size
 
     return step
 
 
 def _length(data: memoryview, pos: int, smallest: int) -> tuple[int, int]:
-    """A length and the position after it; refused if the data cannot hold that many elements."""
+    """Read a length; raises FieldError if the rest of the data cannot hold that many elements of `smallest` bytes."""
     pos += -pos & 3
     (count,) = _LENGTH(data, pos)
     pos += 4
     if count * smallest > len(data) - pos:
-        raise Misfit(f"its length {count} is more than the data hold")
+        raise FieldError(f"the length {count} exceeds the remaining data")
     return count, pos
 
 
 def _counted(member: Member, smallest: int) -> Callable[[memoryview, int], tuple[int, int]]:
-    """The number of elements of an array or sequence and the position of the first."""
+    """Return a function that reads the number of elements of an array or sequence and the position of the first."""
     size = member.type.size
     if member.type.shape is Shape.ARRAY:
         return lambda data, pos: (size, pos)
@@ -139,7 +141,7 @@ def _counted(member: Member, smallest: int) -> Callable[[memoryview, int], tuple
     def counted(data: memoryview, pos: int) -> tuple[int, int]:
         count, pos = _length(data, pos, smallest)
         if size and count > size:
-            raise Misfit(f"its length {count} is more than its bound {size}")
+            raise FieldError(f"the length {count} exceeds the bound {size}")
         return count, pos
 
     return counted
@@ -183,7 +185,7 @@ def _elements(member: Member, smallest: int, read: Read) -> Step:
             for _ in range(count):
                 value, pos = read(data, pos, blobs)
                 elements.append(value)
-        except Misfit as error:
+        except FieldError as error:
             raise error.inside(f"[{len(elements)}]") from None
         values.append(elements)
         return pos
@@ -207,7 +209,7 @@ def _decoded(data: memoryview, encoding: str) -> str:
     try:
         return str(data, encoding)
     except UnicodeDecodeError as error:
-        raise Misfit(f"the string is not {encoding}: {error.reason}") from None
+        raise FieldError(f"the string is not {encoding}: {error.reason}") from None
 
 
 def _bytes(member: Member) -> Step:
@@ -233,7 +235,7 @@ def _numbers(member: Member) -> Step:
             return pos
         pos += -pos & (size - 1)
         found = _slice(data, pos, count * size).cast(code).tolist()  # type: ignore[call-overload]
-        values.append(found if code not in "fd" or isfinite(sum(found)) else list(map(spell, found)))
+        values.append(found if code not in "fd" or isfinite(sum(found)) else list(map(json_number, found)))
         return pos + count * size
 
     return step
@@ -241,5 +243,5 @@ def _numbers(member: Member) -> Step:
 
 def _slice(data: memoryview, pos: int, size: int) -> memoryview:
     if pos + size > len(data):
-        raise Misfit("the data end within it")
+        raise FieldError("the data ends within it")
     return data[pos : pos + size]

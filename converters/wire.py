@@ -1,4 +1,4 @@
-"""What a data message carries: JSON and the blobs that it refers to."""
+"""Payload of a data message: JSON and the blobs to which it refers."""
 
 from __future__ import annotations
 
@@ -8,45 +8,53 @@ from uuid import uuid4
 
 import msgspec
 
-from converters.fitting import Misfit
+from converters.scalars import FieldError
 
 Buffer: TypeAlias = bytes | bytearray | memoryview
 
 
 class Wire(NamedTuple):
-    """The payload of a data message: `raw` is the JSON value of `msg`, or of `msg*` (a blob id) if `whole`."""
+    """Payload of a data message.
 
-    whole: bool
+    Attributes:
+        is_blob: The whole message is one blob (an image).
+        raw: JSON value of `msg`, or of `msg*` (a blob id) if `is_blob`.
+        blobs: Blobs by id.
+    """
+
+    is_blob: bool
     raw: Buffer | msgspec.Raw
     blobs: Mapping[str, Buffer]
 
 
 class Incoming:
-    """The blobs of one message on their way in; each is for one field."""
+    """Blobs of a received message, with a record of those that fields have used."""
 
     def __init__(self, blobs: Mapping[str, Buffer]) -> None:
         self._blobs = blobs
-        self._taken: set[str] = set()
+        self._used: set[str] = set()
 
-    def take(self, blob_id: str) -> Buffer:
+    def get(self, blob_id: str) -> Buffer:
+        """Return a blob and mark it as used; raises FieldError if it is missing."""
         if blob_id not in self._blobs:
-            raise Misfit(f"there is no blob {blob_id[:40]!r} with this message")
-        self._taken.add(blob_id)
+            raise FieldError(f"the message has no blob {blob_id[:40]!r}")
+        self._used.add(blob_id)
         return self._blobs[blob_id]
 
-    def check_all_taken(self) -> None:
-        """A blob under a key that takes none would be lost silently."""
-        if len(self._taken) < len(self._blobs):
-            raise Misfit(
-                f"{len(self._blobs) - len(self._taken)} blob(s) belong to no field that takes one: "
-                "those are byte arrays and sensor_msgs/Image"
+    def check_all_used(self) -> None:
+        """Raise FieldError for unused blobs: under the key of a field that accepts none they would be lost silently."""
+        if len(self._used) < len(self._blobs):
+            raise FieldError(
+                f"{len(self._blobs) - len(self._used)} blob(s) belong to no field that accepts blobs: "
+                "only byte arrays and sensor_msgs/Image do"
             )
 
 
 class Outgoing(dict[str, Buffer]):
-    """The blobs of one message on their way out."""
+    """Blobs of a message to send, by id."""
 
     def add(self, blob: Buffer) -> str:
+        """Add a blob and return its new id."""
         blob_id = uuid4().hex
         self[blob_id] = blob
         return blob_id

@@ -1,7 +1,7 @@
-"""From decoded JSON (`model.Message.model`) to CDR: each type is compiled once into a chain of closures.
+"""Writers from decoded JSON (`model.Message.model`) to CDR; each type is compiled once into a chain of closures.
 
-A closure appends its piece to a list, so large payloads are copied once, when the pieces are joined, and returns the
-position after it. Values out of range are found by `struct`; only then are they looked at one by one (`fitting`).
+A closure appends its bytes to a list and returns the position after them, so large payloads are copied only once, when
+the list is joined. Values out of range are detected by `struct`; only then are they converted one by one (`scalars`).
 """
 
 from __future__ import annotations
@@ -12,27 +12,29 @@ from operator import attrgetter
 import msgspec
 
 from converters.definition import Shape
-from converters.fitting import PACK_ERRORS, Misfit, Pair, Value, as_pair, fit
 from converters.images import read_picture
 from converters.layout import Item, Leaf, Run, layout
 from converters.model import IMAGE, Message
+from converters.scalars import PACK_ERRORS, FieldError, TimeValue, Value, packable, time_value
 from converters.wire import Buffer, Incoming
 from converters.writer_items import Source, Write, getter, primitive, start
 
-MAX_CDR = 1 << 26  # a list of empty objects is short in JSON and may be long in CDR
+MAX_CDR = 1 << 26  # a list of empty objects is short in JSON but can be long in CDR
 PADDING = tuple(bytes(n) for n in range(8))
 
 
 class Writers:
-    """The compiled writers of one set of messages."""
+    """Compiled writers of one set of messages."""
 
     def __init__(self) -> None:
         self._nested: dict[str, Write] = {}
 
     def top(self, message: Message) -> Write:
+        """Return the writer of a message at the beginning of the buffer."""
         return _chain([self._step(step) for step in layout(message, top=True)])
 
     def nested(self, message: Message) -> Write:
+        """Return the writer of a message at any position."""
         if message.name not in self._nested:
             steps = [self._step(step) for step in layout(message, top=False)]
             self._nested[message.name] = _chain(steps)
@@ -50,7 +52,7 @@ class Writers:
 
 
 def image_source(image: Message) -> Callable[[Buffer], msgspec.Struct]:
-    """PNG or JPEG to the model of sensor_msgs/Image."""
+    """Return a function that decodes a PNG or JPEG file into the model of sensor_msgs/Image."""
     header = image.members[0].message
     if header is None:
         raise TypeError(f"{image.name} has no header")
@@ -58,7 +60,7 @@ def image_source(image: Message) -> Callable[[Buffer], msgspec.Struct]:
 
     def decode(blob: Buffer) -> msgspec.Struct:
         picture = read_picture(blob)
-        stamp = Pair(*picture.stamp)
+        stamp = TimeValue(*picture.stamp)
         order = (picture.height, picture.width, picture.encoding, int(picture.is_bigendian), picture.step, picture.data)
         return new_image(new_header(stamp, picture.frame_id), *order)
 
@@ -89,8 +91,8 @@ def _run(run: Run) -> Write:
             parts.append(PADDING[padding])
         try:
             parts.append(pack(*values(source)))
-        except (AttributeError, *PACK_ERRORS):  # a time as text has no f0
-            parts.append(pack(*[_mended(source, leaf) for leaf in run.leaves]))
+        except (AttributeError, *PACK_ERRORS):  # AttributeError: a time in its short form has no f0
+            parts.append(pack(*[_packable_scalar(source, leaf) for leaf in run.leaves]))
         return pos + padding + size
 
     return write
@@ -104,15 +106,16 @@ def _filler(data: bytes) -> Write:
     return write
 
 
-def _mended(source: Source, leaf: Leaf) -> Value:
+def _packable_scalar(source: Source, leaf: Leaf) -> Value:
+    """Return a scalar of the message, converted so that it can be packed; raises FieldError."""
     value: Source = source
-    path = leaf.path.rpartition(".")[0]  # of the time or duration, should this be a part of one in its short spelling
+    path = leaf.path.rpartition(".")[0]  # path of the time or duration, for errors in its short form
     try:
         for attr in leaf.attrs:
-            value = getattr(as_pair(value) if isinstance(value, str | int | float) else value, attr)
+            value = getattr(time_value(value) if isinstance(value, str | int | float) else value, attr)
         path = leaf.path
-        return fit(value, leaf.code)  # type: ignore[arg-type]
-    except Misfit as error:
+        return packable(value, leaf.code)  # type: ignore[arg-type]
+    except FieldError as error:
         raise error.inside(path) from None
 
 
@@ -121,7 +124,7 @@ def _one(get: Callable[[Source, Incoming], object], nested: Write, path: str) ->
         value = get(source, blobs)
         try:
             return nested(value, parts, pos, blobs)  # type: ignore[arg-type]
-        except Misfit as error:
+        except FieldError as error:
             raise error.inside(path) from None
 
     return write
@@ -136,10 +139,10 @@ def _many(get: Callable[[Source, Incoming], object], nested: Write, item: Item) 
         for i, value in enumerate(values):
             try:
                 pos = nested(value, parts, pos, blobs)
-            except Misfit as error:
+            except FieldError as error:
                 raise error.inside(f"{path}[{i}]") from None
             if pos > MAX_CDR:
-                raise Misfit(f"the message becomes larger than {MAX_CDR} bytes", path)
+                raise FieldError(f"the message is larger than {MAX_CDR} bytes in CDR", path)
         return pos
 
     return write

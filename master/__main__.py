@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import secrets
 import sys
@@ -11,33 +12,42 @@ from pathlib import Path
 from typing import Annotated
 
 from msgspec import Meta, Struct
-from twisted.internet import endpoints
 from twisted.internet.address import IPv4Address, IPv6Address
 from twisted.internet.base import ReactorBase
-from twisted.internet.interfaces import IListeningPort
 from twisted.logger import Logger
-from twisted.web.server import Site
 
+from master.access.enrolment import EnrolmentServer, Inviter, Registrar, port_of
+from master.access.join_tokens import JoinTokens
+from master.access.users import Users, digest
 from master.api.resources import make_api
-from master.api.site import ApiSite
-from master.depot import Depot
-from master.entry import Entry
-from master.groups import PREFIX
-from master.machines import Inviter, Registrar, Registry, SmallRequest, port_of
-from master.policies import IMAGES, Policy, parse, with_changes
-from master.processes import Processes
-from master.records import GROUP_POOL, Role
+from master.api.site import Site
+from master.graph.groups import PREFIX
+from master.graph.limits import IMAGES, Policy, parse, with_changes
+from master.graph.records import Role
+from master.graph.state import GROUP_POOL
 from master.service import Master
-from master.store import Store
-from master.users import Users
-from rce import control, loop, settings
-from rce.certificates import Authority
-from rce.errors import InvalidRequest
-from rce.ready import Ready, announce
-from rce.sole import sole_user
-from rce.tls import CA, CERTIFICATE, KEY, PLAIN, exposed, interface, load
+from master.storage.depot import Depot
+from master.storage.store import Store
+from rce.control.server import listen
+from rce.errors import InvalidRequest, Unauthorized
+from rce.net.certificates import Authority
+from rce.net.tls import (
+    CA,
+    CERTIFICATE,
+    KEY,
+    PLAINTEXT_WARNING,
+    is_exposed,
+    listening_address,
+    load_tls,
+    public_tls_context,
+)
+from rce.process import loop, settings
+from rce.process.lock import lock_directory
+from rce.process.ready import Ready, announce
+from rce.web.server import Endpoint, parse_endpoint
 
 log = Logger("master")
+ADMIN, TEST_USER = DEVELOPMENT_USERS = "admin", "testUser"  # their passwords are their names
 DEFAULT_LIMITS = ["package_bytes=2Gi", "connections=20000"]
 
 
@@ -75,94 +85,109 @@ class Settings(Struct):
 
 async def serve(reactor: ReactorBase, options: Settings) -> None:
     """Run until cancelled."""
-    with sole_user(options.data_dir, "Master"):  # two would write over each other in one database
+    with lock_directory(options.data_dir, "Master"):  # two would overwrite each other's rows in one database
         await _serve(reactor, options)
 
 
 async def _serve(reactor: ReactorBase, options: Settings) -> None:
-    http = loopback_only(options.http) if options.dev else options.http
-    endpoint = control.server_endpoint(reactor, http)
-    tls = load(options.tls)
-    if exposed(interface(options.control), tls):
-        log.warn(PLAIN, what="control", host=interface(options.control) or "all addresses")
+    endpoint = parse_endpoint(loopback_only(options.http) if options.dev else options.http)
+    tls = load_tls(options.tls)
+    if is_exposed(listening_address(options.control), tls):
+        log.warn(PLAINTEXT_WARNING, what="control", host=listening_address(options.control) or "all addresses")
     store = Store(options.database or f"sqlite:///{options.data_dir / 'master.db'}")
     await store.open()
     depot = Depot(options.data_dir / "packages")
     master = Master(store, options.grace, platform_policy(options), options.machine_grace, depot)
     master.state.group_pool = _pool(options.group_pool)
-    await first_users(master.users, options.dev)
+    await create_first_users(master.users, options.dev)
     for entry in options.tokens:
-        role, process, token = _token(entry)
-        await master.processes.allow(process, role, token)
+        role, process, token = _parse_token(entry)
+        await master.join_tokens.allow(process, role, token)
     await master.start()
     tidying = asyncio.create_task(master.audit.tidy(options.audit_days))
-    ports = [await control.listen(reactor, options.control, master, tls)]
-    try:
-        inviter = Inviter.of(master.processes, options.machines, options.tls, options.address)
-        api = make_api(master, depot, inviter)
-        site = ApiSite(Entry(master.state), api, depot)
-        ports.append(await endpoint.listen(site).asFuture(asyncio.get_running_loop()))
+    async with contextlib.AsyncExitStack() as stack:
+        stack.push_async_callback(store.close)
+        stack.push_async_callback(master.stop)
+        stack.callback(tidying.cancel)
+        control = await listen(reactor, options.control, master, tls)
+        stack.callback(control.stopListening)  # type: ignore[misc]  # zope declares its methods without self
+        inviter = Inviter.from_settings(master.join_tokens, options.machines, options.tls, options.address)
+        site = Site(master.state, make_api(master, depot, inviter), depot)
+        stack.push_async_callback(site.stop)
+        host, port = await site.start(endpoint)
         if options.machines:
-            ports.append(await _registry(reactor, options, master.processes))
-        scheme = "https" if http.startswith("ssl") else "http"
-        master.entry = (scheme, _address(ports[1]).port)
-        inside, outside = (f"{address.host}:{address.port}" for address in map(_address, ports[:2]))
+            enrolment = _enrolment_server(options, master.join_tokens)
+            stack.push_async_callback(enrolment.stop)
+            await enrolment.start(_enrolment_endpoint(options))
+        master.entry = (endpoint.scheme, port)
+        address: IPv4Address | IPv6Address = control.getHost()  # type: ignore[misc]  # as above
+        inside, outside = f"{address.host}:{address.port}", f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         log.info("Master serves robots at {http}, its processes at {control}", http=outside, control=inside)
-        announce(Ready("master", f"{scheme}://{outside}/", f"tcp:{inside}"))
+        announce(Ready("master", f"{endpoint.scheme}://{outside}/", f"tcp:{inside}"))
         await asyncio.Event().wait()
-    finally:
-        for port in ports:
-            port.stopListening()  # type: ignore[misc]  # zope declares its methods without self
-        tidying.cancel()
-        await master.stop()
-        await store.close()
 
 
 def platform_policy(options: Settings) -> Policy:
-    """What users may have who have no limits of their own. InvalidRequest."""
+    """Return the limits of users who have none of their own.
+
+    Raises:
+        InvalidRequest: A setting is malformed.
+    """
     return with_changes(Policy(images=[*IMAGES, *options.images]), parse([*DEFAULT_LIMITS, *options.limits]))
 
 
-async def _registry(reactor: ReactorBase, options: Settings, processes: Processes) -> IListeningPort:
-    """Where new machines join."""
+def _enrolment_server(options: Settings, join_tokens: JoinTokens) -> EnrolmentServer:
     if not (options.tls and options.authority_key and options.address):
         raise InvalidRequest("machines can join with the settings tls, authority_key and address only")
     authority = Authority.load(options.tls / CA, Path(options.authority_key))
-    registrar = Registrar(processes, authority, f"{options.address}:{port_of(options.control)}")
+    registrar = Registrar(join_tokens, authority, f"{options.address}:{port_of(options.control)}")
     try:
-        registry = Registry(registrar, Path(options.source) if options.source else None)
+        return EnrolmentServer(registrar, Path(options.source) if options.source else None)
     except OSError as error:
         raise InvalidRequest(f"setting source: {error}", field="source") from None
-    key, certificate = (endpoints.quoteStringArgument(str(options.tls / name)) for name in (KEY, CERTIFICATE))
-    description = f"ssl:{options.machines.partition(':')[2]}:privateKey={key}:certKey={certificate}"
-    endpoint = control.server_endpoint(reactor, description)
-    port: IListeningPort = await endpoint.listen(Site(registry, requestFactory=SmallRequest)).asFuture(
-        asyncio.get_running_loop()
-    )
-    return port
 
 
-def _address(port: IListeningPort) -> IPv4Address | IPv6Address:
-    address: IPv4Address | IPv6Address = port.getHost()  # type: ignore[misc]  # zope, as above
-    return address
+def _enrolment_endpoint(options: Settings) -> Endpoint:
+    """Return where machines join, always with the platform's own certificate."""
+    assert options.tls is not None
+    certificate = public_tls_context(str(options.tls / CERTIFICATE), str(options.tls / KEY))
+    return parse_endpoint(options.machines)._replace(tls=certificate)
 
 
-async def first_users(users: Users, dev: bool) -> None:
-    """At the very first start: the development users, or an administrator with a password that is shown once."""
+async def create_first_users(users: Users, dev: bool) -> None:
+    """Create the development users, or an administrator whose password is printed once, unless there are users."""
     if await users.names():
+        if not dev:
+            await _warn_of_development_users(users)
         return
     if dev:
-        await users.add("admin", "admin", "admin")
-        await users.add("testUser", "testUser")
+        await users.add(ADMIN, ADMIN, "admin")
+        await users.add(TEST_USER, TEST_USER)
         log.warn("development mode: users admin/admin and testUser/testUser exist; do not let others reach this Master")
         return
     password = secrets.token_urlsafe(15)
-    await users.add("admin", password, "admin")
+    await users.add(ADMIN, password, "admin")
     print(f"The administrator is 'admin' with password '{password}'. It is not shown again.", flush=True)
 
 
+async def _warn_of_development_users(users: Users) -> None:
+    """Warn if users of an earlier start with --dev still have their well-known passwords."""
+    for name in DEVELOPMENT_USERS:
+        with contextlib.suppress(Unauthorized):
+            await users.check_password(name, digest(name), "")
+            log.warn(
+                "user {name} has its password of development mode, from an earlier start with --dev: change it "
+                "(`rce user passwd {name}`), remove the user, or use another data directory",
+                name=name,
+            )
+
+
 def loopback_only(description: str) -> str:
-    """The server endpoint at the loopback address: the development users are for this machine."""
+    """Return the server endpoint, bound to the loopback address: the development users have known passwords.
+
+    Raises:
+        InvalidRequest: It names another address.
+    """
     if "interface=" not in description:
         return description + ":interface=127.0.0.1"
     if description.partition("interface=")[2].partition(":")[0] not in ("127.0.0.1", "localhost"):
@@ -180,7 +205,7 @@ def _pool(text: str) -> IPv4Network:
     return pool
 
 
-def _token(entry: str) -> tuple[Role, str, str]:
+def _parse_token(entry: str) -> tuple[Role, str, str]:
     match entry.split(":"):
         case ["robot" | "container" | "service" as role, process, token] if process and token:
             return role, process, token
@@ -188,6 +213,7 @@ def _token(entry: str) -> tuple[Role, str, str]:
 
 
 def main() -> int:
+    """Run the Master until it is stopped, and return the exit status."""
     options = settings.load_or_exit(Settings, "rce master")
     os.environ.pop("RCE_TOKENS", None)
     return loop.run(lambda reactor: serve(reactor, options))

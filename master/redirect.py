@@ -1,66 +1,38 @@
-"""The entry on a port: a recording that a client sends to the Master is redirected before any of it is taken.
-
-Twisted keeps the body of a request, in a file if it is large, until all of it is there; only then is the request looked
-at. So a request with a large body is answered as soon as its headers are there, and its connection closed. Clients that
-send `Expect: 100-continue`, as curl does, have sent nothing by then.
-"""
+"""Redirects to services: a path that begins with the name of one (`/map-service/…`) belongs to that service."""
 
 from __future__ import annotations
 
-import io
-from typing import Any, AnyStr
+from aiohttp import web
 
-from twisted.web.server import Request, Site
-
-from master.entry import Entry
+from master.graph.state import State
 from rce.errors import Unavailable
-
-BODY_MOST = 65_536  # bytes; nothing that the entry itself answers has a body
-
-
-class EntryRequest(Request):
-    """A request whose body is not waited for where it is too large to be for the Master itself."""
-
-    def getHeader(self, key: AnyStr) -> AnyStr | None:
-        """Twisted's fails, and hangs up, where a value is not UTF-8."""
-        if isinstance(key, bytes):
-            return super().getHeader(key)
-        value = super().getHeader(key.encode())
-        return None if value is None else value.decode("utf-8", "replace")
-
-    def gotLength(self, length: int | None) -> None:
-        if length is not None and length <= BODY_MOST:
-            super().gotLength(length)
-            return
-        self.content = io.BytesIO()
-        self.requestHeaders.removeHeader(b"Expect")  # else the body would still be asked for
-        channel: Any = self.channel
-        channel.transport.write(self._answer(channel._path))  # the path is public only once the body is there
-        channel.loseConnection()
-
-    def _answer(self, uri: bytes) -> bytes:
-        channel: Any = self.channel
-        entry: Entry = channel.site.entry
-        status = b"413 Content Too Large"
-        try:
-            location = entry.location(uri, self.getRequestHostname())
-            if location:
-                status = b"307 Temporary Redirect\r\nLocation: " + location
-        except Unavailable:
-            status = b"503 Service Unavailable"
-        return b"HTTP/1.1 " + status + b"\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
-
-    def handleContentChunk(self, data: bytes) -> None:
-        channel: Any = self.channel
-        if not channel.transport.disconnecting:  # else it was answered already
-            super().handleContentChunk(data)
+from rce.web.requests import host_name, raw_path
 
 
-class EntrySite(Site):
-    """The entry of one Master."""
+class ServiceRedirects:
+    """Addresses of the services that have joined the platform."""
 
-    requestFactory = EntryRequest
+    def __init__(self, state: State) -> None:
+        self._state = state
 
-    def __init__(self, entry: Entry) -> None:
-        super().__init__(entry)
-        self.entry = entry
+    def location(self, request: web.BaseRequest) -> str:
+        """Return the address of this resource at the service that its path names; empty if it names none.
+
+        Raises:
+            Unavailable: The service is away.
+        """
+        name = raw_path(request).lstrip("/").partition("/")[0]
+        service = self._state.processes.get(name)
+        if service is None or service.role != "service":
+            return ""
+        if name not in self._state.joined:
+            raise Unavailable(f"the service {name} is away at present; try again in a moment")
+        return absolute_url(service.url, host_name(request)).rstrip("/") + "/" + request.raw_path.lstrip("/")
+
+
+def absolute_url(url: str, host: str) -> str:
+    """Return the address of a process; one without a host is on the host that the client's request names."""
+    scheme, _, rest = url.partition("://")
+    if rest.startswith(":"):
+        rest = (f"[{host}]" if ":" in host else host) + rest
+    return f"{scheme}://{rest}"

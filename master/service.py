@@ -1,65 +1,61 @@
-"""The Master at work: processes join it, robots' commands reach the graph, effects reach the processes."""
+"""The Master: the parts of it put together, and the processes that join it."""
 
 from __future__ import annotations
 
 import asyncio
-import secrets
-import time
 from collections.abc import Callable
 from typing import TypeVar
 
-from msgspec.structs import replace
 from twisted.logger import Logger
 
 import rce
-from master import graph, inventory, packages
-from master.answers import Answers
-from master.attendance import Attendance
-from master.audit import Audit
-from master.carrier import Carrier
-from master.depot import FETCH_PATH, Depot
-from master.effects import Send
-from master.events import Events
-from master.feed import Feed
-from master.gauges import Gauges
-from master.guard import Guard
-from master.lending import Lending
-from master.lifecycle import Lifecycle
-from master.limits import Limits
-from master.links import Links
-from master.policies import UNLIMITED, Policy
-from master.processes import Processes
-from master.records import Environment, Process, State, at, user_of, what
-from master.rim import Rim, ids
-from master.sessions import Sessions
-from master.shown import Shown
-from master.sight import Sight
-from master.store import Store
-from master.tracing import Tracer
-from master.users import Users
-from rce import metrics
-from rce.calls.call import Call, Nothing
-from rce.calls.endpoints import Report
-from rce.calls.environments import FetchPackage, StartEnvironment, Ticket
-from rce.calls.joining import Hello, Welcome
-from rce.calls.robots import Definitions, Describe
-from rce.calls.watching import ReadMetrics
-from rce.control import Control, Handlers
+from master.access.audit import Audit
+from master.access.guard import Guard
+from master.access.join_tokens import JoinTokens
+from master.access.service_calls import ServiceCalls
+from master.access.user_limits import Limits
+from master.access.users import Users
+from master.execution.command_executor import START_TIMEOUT, CommandExecutor
+from master.execution.effect_runner import EffectRunner
+from master.execution.lifecycle import Lifecycle
+from master.execution.links import Links
+from master.execution.process_tracker import ProcessTracker
+from master.execution.robot_sessions import RobotSessions
+from master.graph import packages
+from master.graph.limits import UNLIMITED, Policy
+from master.graph.records import Environment, Process, ref, user_of
+from master.graph.state import State, at
+from master.live import inventory
+from master.live.events import Events
+from master.live.feed import Feed
+from master.live.gauges import Gauges
+from master.live.presenter import Presenter
+from master.live.tracing import Tracer
+from master.live.view_cache import ViewCache
+from master.storage.depot import FETCH_PATH, Depot
+from master.storage.store import Store
+from rce.control.calls.call import Call, Nothing
+from rce.control.calls.endpoints import Report
+from rce.control.calls.environments import DownloadTicket, FetchPackage
+from rce.control.calls.joining import Hello, Welcome
+from rce.control.calls.robots import Definitions, DescribeType
+from rce.control.calls.watching import ReadMetrics
+from rce.control.connection import Control, Handlers
 from rce.errors import InvalidRequest, NotFound, RceError, Unauthorized, Unavailable, UnknownType
-from rce.messages import Command, DestroyContainer
+from rce.process import metrics
 
-START_TIMEOUT = 60.0  # seconds until what was asked for is real
-ASK_TIMEOUT = 5.0
+ASK_TIMEOUT = 5.0  # seconds
 
 log = Logger()
-_commands = metrics.Timing("rce_command_seconds", "Time until a command was complete", "command")
 R = TypeVar("R")
 
 
 class Master:
-    """`grace` is how long a robot that lost its socket keeps its session, `machine_grace` how long a machine may be
-    away before its environments are lost, in seconds; `policy` is that of users who have none of their own. Archives of
-    the `depot` are fetched at the HTTP entry, whose scheme and port `entry` has.
+    """The Master, without its ports.
+
+    `grace` is the grace period of robots that lost their socket, `machine_grace` that of machines before their
+    environments are lost, in seconds. `policy` is that of users who have none of their own. Archives of the `depot` are
+    fetched at the HTTP entry, whose scheme and port are in `entry`.
     """
 
     def __init__(
@@ -74,50 +70,64 @@ class Master:
         self.users = Users(store)
         self.audit = Audit(store)
         self.limits = Limits(store, policy)
-        self.processes = Processes(store)
+        self.join_tokens = JoinTokens(store)
         self.entry = ("http", 0)
         self._depot = depot
         self._store = store
-        self._carrier = Carrier(self._prepare, lambda send, result: self._answers.take(send, result))
-        self._rim = Rim(self.state, store, self._carrier, self._sweep)
-        self._lives = Lifecycle(self._rim)
-        self._answers = Answers(self._rim, self._lives)
-        self._links = Links(self._rim)
-        self._lending = Lending(self.users, self.audit)
-        self.shown = Shown(self.state, self._carrier.is_real)
-        self.guard = Guard(self.users, self.state, self._rim.apply)
-        self.gauges = Gauges(self.state, self._carrier, self.shown)
-        self.tracer = Tracer(self.state, self._carrier)
-        self.feed = Feed(Sight(self.shown, self._carrier), self.gauges.watch)
+        self._runner = EffectRunner(self.state, store, self.join_tokens, depot)
+        self._lifecycle = Lifecycle(self._runner)
+        self._links = Links(self._runner, self._lifecycle)
+        self._service_calls = ServiceCalls(self.users, self.audit)
+        dispatcher, readiness = self._runner.dispatcher, self._runner.readiness
+        self.presenter = Presenter(self.state, readiness)
+        self.guard = Guard(self.users, self.state, self._lifecycle.apply)
+        self.gauges = Gauges(self.state, dispatcher, self.presenter)
+        self.tracer = Tracer(self.state, dispatcher)
+        self.feed = Feed(ViewCache(self.presenter, readiness), self.gauges.watch)
         self.events = Events(self.state)
-        self._rim.listeners.append(self.events.told)
-        self.sessions = Sessions(self._rim, self.users, self.audit, self.limits, self.feed.sight, self.execute)
-        self.attendance = Attendance(self._rim, self._lives, self.events, self.feed.sight, grace, machine_grace)
+        self._runner.status_observers.append(self.events.status_sent)
+        self.commands = CommandExecutor(self._runner, self._lifecycle, self.limits, self.audit)
+        self.sessions = RobotSessions(
+            self._runner, self._lifecycle, self.users, self.audit, self.limits, self.feed.view_cache
+        )
+        self.process_tracker = ProcessTracker(
+            self._runner, self._lifecycle, self.events, self.feed.view_cache, grace, machine_grace
+        )
 
     async def start(self) -> None:
-        """Take up where an earlier Master ended: processes join again, and who does not is gone after a while."""
+        """Load what an earlier Master stored, and wait for its processes to join again."""
         await self._store.load(self.state)
         await self.limits.open()
-        self._rim.keep(asyncio.create_task(self.limits.follow()))
-        self._rim.keep(asyncio.create_task(self.guard.follow()))
+        self._runner.keep(asyncio.create_task(self.limits.follow()))
+        self._runner.keep(asyncio.create_task(self.guard.follow()))
         packages.drop_strays(self.state, set(await self.users.names()))
-        self._sweep()
-        self.attendance.begin()
+        self._runner.remove_unused_archives()
+        self.process_tracker.begin()
 
     async def stop(self) -> None:
+        """Cancel what runs, and store what changed."""
         self.gauges.close()
-        await self._rim.close()
+        await self._runner.close()
+
+    async def save(self) -> None:
+        """Return when all changes are stored."""
+        await self._runner.save()
 
     # --- processes ----------------------------------------------------------------------------------------------------
 
     async def join(self, hello: Hello, address: str) -> tuple[Welcome, Handlers, Callable[[Control], None]]:
-        """Let a process in; see `rce.control.Joiner`."""
+        """Let a process join; see `rce.control.server.Joiner`.
+
+        Raises:
+            InvalidRequest: It has another version than the Master.
+            Unauthorized: Its token or credential is not valid, or its environment was removed.
+        """
         if hello.version != rce.__version__:
             raise InvalidRequest(f"{hello.role} {hello.name} is version {hello.version}, the Master {rce.__version__}")
-        credential = await self.processes.admit(hello.name, hello.role, hello.token)
+        credential = await self.join_tokens.admit(hello.name, hello.role, hello.token)
         environment = self.state.environments.get(hello.name)
         if hello.role == "environment" and environment is None:
-            raise Unauthorized(f"environment {hello.name} is not wanted any more")
+            raise Unauthorized(f"environment {hello.name} was removed")
         process = Process(
             hello.name,
             hello.role,  # type: ignore[arg-type]  # admitted: so it is one of the roles
@@ -130,51 +140,30 @@ class Master:
             hello.gpus,
         )
         handlers = self._handlers(process)
-        return Welcome(credential), handlers, lambda control: self.attendance.joined(process, hello, control)
+        return Welcome(credential), handlers, lambda control: self.process_tracker.joined(process, hello, control)
 
     def _handlers(self, process: Process) -> Handlers:
         handlers = Handlers()
-        if process.role == "robot":
-            self.sessions.add_to(handlers, process)
-            handlers.on(Describe, self._describe)
-        elif process.role == "service":
-            self._lending.add_to(handlers, process)
-        elif process.role == "environment":
-            self._lives.of_environment(handlers, process)
-            handlers.on(Report, lambda call: self._report(process, call))
-        else:
-            self._lives.of_machine(handlers)
-            handlers.on(FetchPackage, lambda call: self._fetch_package(process, call))
-        self._links.add_to(handlers, process)
+        match process.role:
+            case "robot":
+                self.sessions.add_handlers(handlers, process)
+                self.commands.add_handlers(handlers, process)
+                handlers.on(DescribeType, self._describe_type)
+            case "service":
+                self._service_calls.add_handlers(handlers, process)
+            case "environment":
+                self._lifecycle.add_environment_handlers(handlers, process)
+                handlers.on(Report, lambda call: self._report(process, call))
+            case "container":
+                self._lifecycle.add_machine_handlers(handlers)
+                handlers.on(FetchPackage, lambda call: self._fetch_package(process, call))
+        self._links.add_handlers(handlers, process)
         return handlers
 
-    # --- what is asked of it ------------------------------------------------------------------------------------------
+    # --- calls of processes -------------------------------------------------------------------------------------------
 
-    async def execute(self, user: str, command: Command, again: bool = False, guest: str = "") -> Nothing:
-        """Carry a user's command out to its completion; what did not become real is taken back."""
-        began = time.perf_counter()
-        outcome = graph.execute(self.state, user, command, ids, again, self.limits.of(user), guest)
-        saved = self._rim.save(by_command=True)
-        expected = {key: self._carrier.expect(key) for key in outcome.awaits}
-        try:
-            await self._carrier.carry(outcome.plan)
-            for key, future in expected.items():
-                await self._carrier.wait(key, START_TIMEOUT, future)
-        except RceError:
-            if expected and all(future.done() and not future.exception() for future in expected.values()):
-                return Nothing()  # a later command took it back while this one was on its way
-            for future in expected.values():
-                future.cancel()
-            self._rim.apply(graph.undo(self.state, outcome))
-            raise
-        await saved
-        _commands.of(type(command).__name__).since(began)
-        if isinstance(command, DestroyContainer):
-            await self._rim.resettle()
-        return Nothing()
-
-    async def _describe(self, call: Describe) -> Definitions:
-        """Ask the user's environments, those that are starting once they are there."""
+    async def _describe_type(self, call: DescribeType) -> Definitions:
+        """Ask the user's environments, including those that are starting."""
         for environment in self.state.environments.by(call.user):
             try:
                 return await self.ask(environment, call)
@@ -182,32 +171,12 @@ class Master:
                 log.debug("{name} does not know {type}: {error}", name=environment.name, type=call.type, error=error)
         raise UnknownType(f"type {call.type} is known neither here nor in an environment of {call.user}")
 
-    async def ask(self, environment: Environment, call: Call[R]) -> R:
-        """Ask an environment, once it is there. TimedOut, Unavailable, and what the environment answers."""
-        await self._carrier.wait(what(environment), START_TIMEOUT)
-        control = self._carrier.controls.get(environment.name)
-        if control is None:
-            raise Unavailable(f"environment {environment.name} is away at present")
-        return await control.call(call)
-
-    def own_metrics(self) -> list[metrics.Family]:
-        """What the Master counts of itself."""
-        return metrics.families("master", lambda: inventory.families(self.shown), self._carrier.families)
-
-    async def metrics_of(self, process: str) -> list[metrics.Family]:
-        """What a process counts of itself. Unavailable, TimedOut."""
-        return (await self._carrier.ask(process, ReadMetrics(), ASK_TIMEOUT)).families
-
-    async def missing(self) -> list[str]:
-        """What the platform lacks to do what it is for, in sentences."""
-        return [*inventory.lacking(self.state), *await self._store.missing()]
-
     async def _report(self, process: Process, call: Report) -> Nothing:
-        self._rim.tell(user_of(process.name), error=call.error)  # an environment speaks to its own user only
+        self._runner.tell(user_of(process.name), error=call.error)  # an environment reaches its own user only
         return Nothing()
 
-    async def _fetch_package(self, process: Process, call: FetchPackage) -> Ticket:
-        """A task set gets what its own environments are to see."""
+    async def _fetch_package(self, process: Process, call: FetchPackage) -> DownloadTicket:
+        """Give a task set a ticket for a package that one of its environments needs."""
         needed = any(
             call.digest in environment.packages for environment in self.state.environments.by(at(process.name))
         )
@@ -215,24 +184,37 @@ class Master:
             raise NotFound(f"no environment of {process.name} has the package {call.digest[:80]}")
         token, size = self._depot.ticket(call.digest)
         scheme, port = self.entry
-        return Ticket(scheme, port, FETCH_PATH, token, size)
+        return DownloadTicket(scheme, port, FETCH_PATH, token, size)
 
-    # --- on the way out -----------------------------------------------------------------------------------------------
+    # --- questions to processes ---------------------------------------------------------------------------------------
 
-    async def _prepare(self, send: Send) -> Send:
-        """A new life of an environment gets a new join token, and its earlier ones can join no more."""
-        call = send.call
-        if not isinstance(call, StartEnvironment):
-            return send
-        token = secrets.token_hex(32)
-        await self.processes.forget(call.environment.name)
-        await self.processes.allow(call.environment.name, "environment", token)
-        return replace(send, call=StartEnvironment(replace(call.environment, token=token)))
+    async def ask(self, environment: Environment, call: Call[R]) -> R:
+        """Make a call at an environment, once it is ready.
 
-    def _sweep(self) -> None:
-        if self._depot is not None:
-            self._depot.sweep(packages.named(self.state))
+        Raises:
+            TimedOut: It did not become ready.
+            Unavailable: It is away.
+            RceError: It refused the call.
+        """
+        await self._runner.readiness.wait(ref(environment), START_TIMEOUT)
+        control = self._runner.dispatcher.controls.get(environment.name)
+        if control is None:
+            raise Unavailable(f"environment {environment.name} is away at present")
+        return await control.call(call)
 
-    async def save(self) -> None:
-        """Returns once all changes are safe. What users asked for by other ways than commands is saved by this."""
-        await self._rim.save()
+    def own_metrics(self) -> list[metrics.Family]:
+        """Return the Master's own metrics."""
+        return metrics.collect_families("master", lambda: inventory.families(self.presenter), self._runner.families)
+
+    async def metrics_of(self, process: str) -> list[metrics.Family]:
+        """Return the metrics of a process.
+
+        Raises:
+            Unavailable: It is not connected.
+            TimedOut: It did not answer in time.
+        """
+        return (await self._runner.dispatcher.ask(process, ReadMetrics(), ASK_TIMEOUT)).families
+
+    async def missing(self) -> list[str]:
+        """Return sentences that say what the platform lacks to do its work."""
+        return [*inventory.missing_parts(self.state), *await self._store.missing()]

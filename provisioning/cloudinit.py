@@ -1,7 +1,7 @@
 """User data for cloud-init. Standard library only.
 
-The instance fetches RCE from the Master that it joins, over TLS with the authority given here: no registry, no
-checkout, and always the Master's version.
+The instance fetches RCE's source from the Master that it joins, over TLS with the given CA. So it needs no checkout and
+always has the Master's version.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ PACKAGES = ("python3", "python3-venv", "ca-certificates", "curl")
 
 
 def user_data(code: Code, authority: str, options: str = "") -> str:
-    """A cloud-config. Whoever reads an instance's user data can use the code until the instance has."""
+    """Return a cloud-config. It contains the join code, which is a secret until the instance has used it."""
     fetch = f"curl --fail --silent --show-error --retry 10 --retry-all-errors --cacert {CA}"
     words = shlex.join(["--role", ",".join(code.roles), "--name", code.name, *shlex.split(options)])
     commands = [

@@ -1,4 +1,4 @@
-"""Compiles and links generated C and C++ code into a Python extension module."""
+"""Compiler and linker of generated C and C++ code, which becomes Python extension modules."""
 
 from __future__ import annotations
 
@@ -18,7 +18,11 @@ from rce.errors import InternalError, NotFound
 
 
 class Compiler:
-    """The C and C++ compilers that `CC` and `CXX` name, else gcc and g++. Raises NotFound, with what to install."""
+    """The C and C++ compilers of the variables `CC` and `CXX`, by default gcc and g++.
+
+    Raises:
+        NotFound: A compiler or the headers of Python are missing.
+    """
 
     def __init__(self, includes: Iterable[Path]) -> None:
         self.by_suffix = {".c": program("CC", "gcc"), ".cpp": program("CXX", "g++")}
@@ -29,9 +33,12 @@ class Compiler:
         self.flags = ["-O1", "-fPIC", *(f"-I{directory}" for directory in found)]
 
     def compile(self, sources: Sequence[Path]) -> list[Path]:
-        """Object files beside the sources, all cores at work. Raises InternalError with the compiler's output.
+        """Compile sources on all cores, and return the object files, which are beside the sources.
 
-        C++ files are compiled as one: almost all of their time goes to headers that they share.
+        C++ files are compiled as one, because most of their time is spent on headers that they share.
+
+        Raises:
+            InternalError: A source does not compile. The message has the compiler's output.
         """
         units = [source for source in sources if source.suffix == ".c"]
         if cpp := [source for source in sources if source.suffix == ".cpp"]:
@@ -47,10 +54,16 @@ class Compiler:
         return target
 
     def link(self, target: Path, objects: Iterable[Path], own: Sequence[Path], libraries: Iterable[str | Path]) -> None:
-        """Link `target`: with the `own` libraries in any case, with the others if they have something that it lacks.
+        """Link a shared library.
 
-        When it is loaded, libraries by path are found by their place relative to `target`, installed ones by name, as
-        the wheels and a system ROS 2 provide for (`LD_LIBRARY_PATH`).
+        When it is loaded, libraries given by path are found relative to `target`, and installed ones by name, which the
+        wheels and a system ROS 2 provide for (`LD_LIBRARY_PATH`).
+
+        Args:
+            target: The library to write.
+            objects: The object files that it consists of.
+            own: Libraries to link in any case.
+            libraries: Libraries to link only if they define a symbol that is needed.
         """
         libraries = list(libraries)
         near = [library for library in (*own, *libraries) if isinstance(library, Path)]
@@ -68,13 +81,23 @@ class Compiler:
 
 
 def program(variable: str, default: str) -> list[str]:
+    """Return the command of a compiler: the value of an environment variable, or a default.
+
+    Raises:
+        NotFound: There is no such program.
+    """
     command = shlex.split(os.environ.get(variable, "")) or [default]
     if shutil.which(command[0]) is None:
-        raise NotFound(f"there is no compiler {command[0]}: install g++ or name another in {variable}")
+        raise NotFound(f"there is no compiler {command[0]}: install g++, or set {variable} to another compiler")
     return command
 
 
 def run(command: list[str]) -> None:
+    """Run a compiler.
+
+    Raises:
+        InternalError: It failed. The message has the end of its output.
+    """
     done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
     if done.returncode:
         raise InternalError(f"{shlex.join(command)}\nfailed with status {done.returncode}:\n{done.stdout[-4000:]}")

@@ -1,6 +1,6 @@
-"""Reads and checks ROS 2 interface packages: `package.xml`, `msg/*.msg` and `srv/*.srv`.
+"""Reader of ROS 2 interface packages: `package.xml`, `msg/*.msg` and `srv/*.srv`.
 
-What is wrong is found here, with its file and line, before any code is generated from it.
+Errors are reported with file and line before any code is generated.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ except ModuleNotFoundError as error:
     raise NotFound("ROS 2 is not installed in this Python: pip install '.[ros]' in a checkout of RCE") from error
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
-# ROS 1 allowed capital letters in the names of packages and fields, and its messages are still on the wire
-# (`Test/StringEcho`, `testType`). The code made from them is as good, so the adapter's own rule is widened.
+# ROS 1 allowed capital letters in names of packages and fields, and its messages are still in use (`Test/StringEcho`,
+# `testType`). The generators support them, so the rule of the adapter is relaxed.
 parser.VALID_PACKAGE_NAME_PATTERN = parser.VALID_FIELD_NAME_PATTERN = NAME  # type: ignore[misc]
-# What the adapter was seen to raise for lines that make no sense.
+# The exceptions that the adapter raises for malformed lines.
 parser_errors = (
     *(parser.InvalidSpecification, parser.InvalidValue),
     *(ValueError, TypeError, NameError, IndexError, NotImplementedError),
@@ -46,7 +46,12 @@ class Reference(NamedTuple):
 
 @dataclass(frozen=True)
 class Interface:
-    """One message or service: its file relative to the package, and the messages that it is made of, by line."""
+    """A message or service.
+
+    Attributes:
+        path: File, relative to the package.
+        references: Messages that it contains, with the lines of their first use.
+    """
 
     path: Path
     references: dict[Reference, int]
@@ -54,7 +59,14 @@ class Interface:
 
 @dataclass(frozen=True)
 class Package:
-    """An interface package. `left_out` are files that are not supported: actions and IDL."""
+    """An interface package.
+
+    Attributes:
+        name: Name in package.xml.
+        root: Directory of the package.
+        interfaces: Messages and services.
+        left_out: Files that are not supported: actions and IDL.
+    """
 
     name: str
     root: Path
@@ -63,27 +75,30 @@ class Package:
 
     @property
     def uses(self) -> frozenset[Reference]:
-        """Messages of other packages that this one is made of."""
+        """Messages of other packages that this one contains."""
         references = (reference for interface in self.interfaces for reference in interface.references)
         return frozenset(reference for reference in references if reference.package != self.name)
 
     @property
     def files(self) -> list[Path]:
-        """All that a build of the package depends on, in a fixed order."""
+        """Files that a build of the package depends on, in a fixed order."""
         definitions = [self.root / interface.path for interface in self.interfaces]
         return [self.root / "package.xml", *definitions, *self.scripts]
 
     @property
     def scripts(self) -> list[Path]:
-        """Nodes that the package ships."""
+        """Nodes in the package."""
         return sorted(path for path in (self.root / "scripts").glob("*") if path.is_file())
 
 
 def read_packages(roots: Iterable[Path]) -> list[Package]:
-    """The packages in these directories, each after those that it uses.
+    """Read the packages in these directories and return them with dependencies first.
 
-    Raises InvalidRequest for files that say nothing sensible, UnknownType for a message that neither these packages nor
-    the installed ones define, AlreadyExists for two of one name; all with file and line.
+    Raises:
+        InvalidRequest: A file is malformed, or packages depend on each other.
+        InvalidName: The name of a package or type is not legal.
+        UnknownType: A message is defined neither in these packages nor in installed ones.
+        AlreadyExists: A name is used twice.
     """
     packages: dict[str, Package] = {}
     for package in map(read_package, roots):
@@ -95,7 +110,7 @@ def read_packages(roots: Iterable[Path]) -> list[Package]:
 
 
 def read_package(root: Path) -> Package:
-    """The package in directory `root`; raises InvalidRequest."""
+    """Read the package in a directory. Raises the same as `read_packages`."""
     name = package_name(root / "package.xml")
     found = sorted([*root.glob("msg/*.msg"), *root.glob("srv/*.srv")])
     if not found:
@@ -107,6 +122,12 @@ def read_package(root: Path) -> Package:
 
 
 def package_name(manifest: Path) -> str:
+    """Return the name in a package.xml.
+
+    Raises:
+        InvalidRequest: The file is missing or malformed.
+        InvalidName: The name is not legal.
+    """
     try:
         name = ElementTree.parse(manifest).findtext("name", "").strip()
     except FileNotFoundError:
@@ -121,7 +142,13 @@ def package_name(manifest: Path) -> str:
 
 
 def check_package_name(package: Package, others: dict[str, Package]) -> None:
-    """Refuse a name that is taken: generated code becomes a Python package, and its directories are in lower case."""
+    """Check that no other package or Python module has this name.
+
+    Case is ignored: generated code becomes a Python package, with directories in lower case.
+
+    Raises:
+        AlreadyExists: The name is in use.
+    """
     for other in others.values():
         if other.name.lower() == package.name.lower():
             raise AlreadyExists(f"{package.root} and {other.root} are both packages of the name {package.name}")
@@ -131,11 +158,16 @@ def check_package_name(package: Package, others: dict[str, Package]) -> None:
     )
     if taken or package.name in sys.stdlib_module_names:
         where = taken or "Python's standard library"
-        raise AlreadyExists(f"{package.root / 'package.xml'}: the name {package.name} is taken by {where}")
+        raise AlreadyExists(f"{package.root / 'package.xml'}: the name {package.name} is used by {where}")
 
 
 def check_file_names(paths: Sequence[Path]) -> None:
-    """Refuse names that are no type names, and those that are one name in the lower case of the generated files."""
+    """Check the file names of types, which must also differ in lower case, as generated files have it.
+
+    Raises:
+        InvalidName: A name is not a legal type name.
+        AlreadyExists: Two names differ in case only.
+    """
     seen: dict[tuple[str, str], Path] = {}
     for path in paths:
         if not parser.is_valid_message_name(path.stem):
@@ -144,11 +176,15 @@ def check_file_names(paths: Sequence[Path]) -> None:
             )
         other = seen.setdefault((path.parent.name, path.stem.lower()), path)
         if other is not path:
-            raise AlreadyExists(f"{path} and {other.name} differ in upper and lower case only")
+            raise AlreadyExists(f"{path} and {other.name} differ in case only")
 
 
 def read_definition(path: Path, package: str) -> dict[Reference, int]:
-    """Check a `.msg` or `.srv` file line by line; the messages that it uses. Raises InvalidRequest with the line."""
+    """Check a `.msg` or `.srv` file, and return the messages that it uses with the lines of their first use.
+
+    Raises:
+        InvalidRequest: A line is malformed. The message has its number.
+    """
     sections: list[set[str]] = [set()]
     references: dict[Reference, int] = {}
     for number, line in numbered_lines(path):
@@ -165,19 +201,20 @@ def read_definition(path: Path, package: str) -> dict[Reference, int]:
 
 
 def read_line(line: str, package: str, names: set[str], where: str) -> set[Reference]:
-    """The messages that a line uses; adds what it declares to `names`."""
+    """Return the messages that a line uses, and add the names that it declares to `names`."""
     message = parse_line(line, package, where)
     for name in [field.name for field in message.fields] + [constant.name for constant in message.constants]:
         if name in names:
             raise InvalidRequest(f"{where}: {name} is declared twice")
         if keyword.iskeyword(name):
-            raise InvalidRequest(f"{where}: a field cannot be called {name}, a word of Python")
+            raise InvalidRequest(f"{where}: a field cannot be called {name}, a keyword of Python")
         names.add(name)
     types = [field.type for field in message.fields if not field.type.is_primitive_type()]
     return {Reference(str(kind.pkg_name), kind.type) for kind in types}
 
 
 def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Return the lines of a file with their numbers from 1."""
     try:
         return enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
     except UnicodeDecodeError as error:
@@ -185,8 +222,8 @@ def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def parse_line(line: str, package: str, where: str) -> parser.MessageSpecification:
-    """One line as a message of its own, so that what is wrong is known by its line."""
-    with contextlib.redirect_stderr(io.StringIO()):  # the adapter prints what it also raises
+    """Parse one line as a message of its own, so that an error is attributed to the line."""
+    with contextlib.redirect_stderr(io.StringIO()):  # the adapter also prints what it raises
         try:
             return parser.parse_message_string(package, "Line", line)
         except parser_errors as error:
@@ -194,7 +231,11 @@ def parse_line(line: str, package: str, where: str) -> parser.MessageSpecificati
 
 
 def check_references(package: Package, given: dict[str, Package]) -> None:
-    """Raise UnknownType with file and line for messages that nobody defines."""
+    """Check that all messages that a package uses are defined.
+
+    Raises:
+        UnknownType: One is not. The message has file and line.
+    """
     for interface in package.interfaces:
         for reference, number in interface.references.items():
             if not is_defined(reference, given):
@@ -204,6 +245,7 @@ def check_references(package: Package, given: dict[str, Package]) -> None:
 
 
 def is_defined(reference: Reference, given: dict[str, Package]) -> bool:
+    """Return True if one of the given packages or an installed one defines this message."""
     file = Path("msg", f"{reference.name}.msg")
     if package := given.get(reference.package):
         return any(interface.path == file for interface in package.interfaces)
@@ -212,7 +254,11 @@ def is_defined(reference: Reference, given: dict[str, Package]) -> bool:
 
 
 def in_order(packages: dict[str, Package]) -> list[Package]:
-    """Each package after those that it uses; raises InvalidRequest where they use each other."""
+    """Return the packages with dependencies first.
+
+    Raises:
+        InvalidRequest: Packages depend on each other.
+    """
     graph = {
         name: sorted({reference.package for reference in package.uses} & packages.keys())
         for name, package in sorted(packages.items())
@@ -220,4 +266,4 @@ def in_order(packages: dict[str, Package]) -> list[Package]:
     try:
         return [packages[name] for name in TopologicalSorter(graph).static_order()]
     except CycleError as error:
-        raise InvalidRequest(f"packages use each other: {' → '.join(error.args[1])}") from None
+        raise InvalidRequest(f"packages depend on each other: {' → '.join(error.args[1])}") from None

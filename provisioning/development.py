@@ -1,4 +1,4 @@
-"""The commands for a checkout: `demo`, `test` and `image` in its own `.venv`. Standard library only."""
+"""Commands for a checkout: `demo`, `test` and `image`, in its own `.venv`. Standard library only."""
 
 from __future__ import annotations
 
@@ -19,7 +19,19 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from provisioning.steps import ROOT, Failed, Step, add_command, begin_log, check_step, perform, run, show
+from provisioning.steps import (
+    CONSTRAINTS,
+    ROOT,
+    ProvisioningError,
+    Step,
+    add_command,
+    check_step,
+    pip_install,
+    print_plan,
+    run,
+    run_steps,
+    start_log,
+)
 
 if TYPE_CHECKING:
     from provisioning.steps import Commands
@@ -28,9 +40,9 @@ SCRIPT = ROOT / "provisioning" / "provision"
 VENV = ROOT / ".venv"
 PYTHON = VENV / "bin" / "python"
 STAMP = VENV / "provisioned.json"
-DEMO_EXTRAS = ("server", "mapping", "ros")
+DEMO_EXTRAS = ("server", "mapping", "ros", "images")  # the last for the examples
 IMAGE_EXTRAS = ("server", "docker")
-TEST_EXTRAS = (*DEMO_EXTRAS, "images", "docker", "bench", "postgresql", "dev")
+TEST_EXTRAS = (*DEMO_EXTRAS, "docker", "bench", "postgresql", "docs", "dev")
 TEST_PACKAGE = ROOT / "tests" / "ros" / "Test"
 DOCKER_PROGRAMS = {  # a private daemon, what makes images without a registry, and disks and networks of environments
     "docker.io": "dockerd",
@@ -39,93 +51,146 @@ DOCKER_PROGRAMS = {  # a private daemon, what makes images without a registry, a
     "mount": "losetup",
     "iproute2": "ip",
 }
-BROWSER_PROGRAMS = {"nodejs": "node", "chromium": "chromium"}  # not every distribution has both as packages
-IN_TWO_PROCESSES = ("-n", "2", "--dist", "loadgroup", "--no-loadscope-reorder", "--reruns", "1")
-"""The groups are made in tests/conftest.py. What fails beside other work is tried once more, and counted as a rerun."""
+OPTIONAL_PROGRAMS = {  # single tests need them, and not every distribution has them as packages
+    "nodejs": "node",
+    "node-typescript": "tsc",
+    "chromium": "chromium",
+    "curl": "curl",
+    "zsh": "zsh",
+    "fish": "fish",
+    "prometheus": "prometheus",
+    "cloud-init": "cloud-init",
+    "systemd": "systemd-analyze",
+}
+IN_TWO_PROCESSES = ("-n", "2", "--dist", "loadgroup", "--no-loadscope-reorder", "--max-worker-restart=1")
+"""Options of pytest. tests/conftest.py makes the groups and their order. A process that ends is replaced once, because
+pytest-xdist starts the test that ended it again."""
+QUICK = ("-m", "not e2e and not docker and not slow")
+REST = ("-m", "e2e or docker or slow")
 IS_ROOT = os.geteuid() == 0
+APT_OPTIONS = ("-o", "Acquire::Retries=3", "-o", "DPkg::Lock::Timeout=300")  # a fresh machine may be updating itself
+POLICY = Path("/usr/sbin/policy-rc.d")  # decides whether a package may start its services
+CLOUD_INIT_OFF = Path("/etc/cloud/cloud-init.disabled")
 
 
 def missing_debian(tests: bool) -> list[str]:
-    """Debian packages for what this machine lacks. Debian ships Python without what makes virtual environments."""
+    """Return the Debian packages that this machine lacks.
+
+    Debian ships Python without the module that makes virtual environments.
+    """
     minor = f"python3.{sys.version_info.minor}"
     headers = Path(sysconfig.get_path("include")) / "Python.h"
-    wanted: dict[str, object] = {
+    present: dict[str, object] = {
         "g++": shutil.which("g++"),
         f"{minor}-dev": headers.exists(),
         f"{minor}-venv": PYTHON.exists() or find_spec("ensurepip"),
         "postgresql": not tests or postgresql_program("initdb"),
     }
     if tests:
-        wanted |= {package: shutil.which(program) for package, program in BROWSER_PROGRAMS.items()}
+        present |= {package: shutil.which(program) for package, program in OPTIONAL_PROGRAMS.items()}
+        present["node-typescript"] = shutil.which("tsc") or shutil.which("npm")  # either is enough
     if tests and IS_ROOT and "DOCKER_HOST" not in os.environ:
-        wanted |= {package: system_program(program) for package, program in DOCKER_PROGRAMS.items()}
-    return [package for package, present in wanted.items() if not present]
+        present |= {package: system_program(program) for package, program in DOCKER_PROGRAMS.items()}
+    return [package for package, found in present.items() if not found]
 
 
 def system_program(name: str) -> str | None:
-    """Also one that is for root only, and not on other users' PATH."""
+    """Find a program, in root's directories too, which are not on other users' PATH."""
     return shutil.which(name, path=f"{os.environ.get('PATH', os.defpath)}:/usr/sbin:/sbin")
 
 
 def install_debian(tests: bool) -> str:
+    """Install the missing Debian packages as root; otherwise say which they are.
+
+    Raises:
+        ProvisioningError: A package that everything needs is missing.
+    """
     packages = missing_debian(tests)
     command = f"apt-get install {' '.join(packages)}"
     if IS_ROOT and shutil.which("apt-get"):
         quiet = {"DEBIAN_FRONTEND": "noninteractive"}
-        run("apt-get", "update", environment=quiet)
-        install = ("apt-get", "install", "-y", "--no-install-recommends")
-        needed = [package for package in packages if package not in BROWSER_PROGRAMS]
-        if needed:
-            run(*install, *needed, environment=quiet)
-        for package in set(packages) - set(needed):
-            try:
-                run(*install, package, environment=quiet)
-            except Failed:
-                print(f"goes on without {package}: the tests that need it are skipped", file=sys.stderr)
-        return f"installed {' '.join(package for package in packages if package in needed or _there(package))}"
+        run("apt-get", *APT_OPTIONS, "update", environment=quiet)
+        install = ("apt-get", *APT_OPTIONS, "install", "-y", "--no-install-recommends")
+        needed = [package for package in packages if package not in OPTIONAL_PROGRAMS]
+        missing: list[str] = []
+        with services_off(packages):
+            if needed:
+                run(*install, *needed, environment=quiet)
+            for package in packages:
+                if package in needed:
+                    continue
+                try:
+                    run(*install, package, environment=quiet)
+                except ProvisioningError:
+                    missing.append(package)
+                    print(f"cannot install {package}: the tests that need it will be skipped", file=sys.stderr)
+        return f"installed {' '.join(package for package in packages if package not in missing)}"
     if any(package.endswith("-venv") for package in packages):
-        raise Failed(f"virtual environments need a package of the system's; as root: {command}")
-    return f"goes on without what needs {', '.join(packages)}; for all of it, as root: {command}"
+        raise ProvisioningError(f"virtual environments need a package of the system; as root: {command}")
+    return f"not installed: {', '.join(packages)}; the tests that need them will be skipped. As root: {command}"
 
 
-def _there(package: str) -> bool:
-    return shutil.which(BROWSER_PROGRAMS[package]) is not None
+@contextlib.contextmanager
+def services_off(packages: Sequence[str]) -> Iterator[None]:
+    """Keep packages that are installed meanwhile from starting services: the tests need their programs only.
+
+    Neither Prometheus (port 9090) nor cloud-init, which configures users and network, runs after the next boot either.
+    """
+    own = not POLICY.exists()
+    if own:
+        POLICY.write_text("#!/bin/sh\nexit 101\n")  # "action forbidden by policy"
+        POLICY.chmod(0o755)
+    if "cloud-init" in packages:
+        CLOUD_INIT_OFF.parent.mkdir(exist_ok=True)
+        CLOUD_INIT_OFF.touch()
+    try:
+        yield
+    finally:
+        if own:
+            POLICY.unlink(missing_ok=True)
+    if "prometheus" in packages and shutil.which("prometheus") and system_program("update-rc.d"):
+        run(system_program("update-rc.d") or "update-rc.d", "prometheus", "disable")
 
 
 def make_venv() -> str:
+    """Make the virtual environment anew and return its directory."""
     run(sys.executable, "-m", "venv", "--clear", VENV)
     return str(VENV)
 
 
-def wanted_stamp(extras: Sequence[str]) -> dict[str, object]:
-    content = (ROOT / "pyproject.toml").read_bytes()
-    return {"pyproject": hashlib.sha256(content).hexdigest(), "extras": sorted(extras)}
+def current_stamp(extras: Sequence[str]) -> dict[str, object]:
+    """Describe an installation of the extras from pyproject.toml and constraints.txt as they are now."""
+    content = (ROOT / "pyproject.toml").read_bytes() + CONSTRAINTS.read_bytes()
+    return {"requirements": hashlib.sha256(content).hexdigest(), "extras": sorted(extras)}
 
 
 def is_installed(extras: Sequence[str]) -> bool:
-    """Whether the extras were installed from pyproject.toml as it is now."""
+    """Return True if the extras are installed from pyproject.toml and constraints.txt as they are now."""
     try:
         stamp = json.loads(STAMP.read_text())
     except (FileNotFoundError, json.JSONDecodeError):
         return False
-    wanted = wanted_stamp(extras)
-    return PYTHON.exists() and stamp["pyproject"] == wanted["pyproject"] and set(extras) <= set(stamp["extras"])
+    current = current_stamp(extras)
+    unchanged = stamp.get("requirements") == current["requirements"]
+    return PYTHON.exists() and unchanged and set(extras) <= set(stamp["extras"])
 
 
 def install_project(extras: Sequence[str]) -> str:
-    run(PYTHON, "-m", "pip", "install", "--disable-pip-version-check", "-e", f"{ROOT}[{','.join(extras)}]")
-    STAMP.write_text(json.dumps(wanted_stamp(extras)))
+    """Install the checkout with these extras, editable, into the virtual environment."""
+    pip_install(PYTHON, "-e", f"{ROOT}[{','.join(extras)}]")
+    STAMP.write_text(json.dumps(current_stamp(extras)))
     return f"rce[{','.join(extras)}]"
 
 
 def build_typesupport(packages: Sequence[Path]) -> str:
+    """Build type support of RCE's own interface packages and of these, and return the builder's last line."""
     if shutil.which("g++") is None or not (Path(sysconfig.get_path("include")) / "Python.h").exists():
         return "skipped: needs g++ and Python's headers"
     return run(PYTHON, "-P", "-m", "provisioning.typesupport", *packages).strip().splitlines()[-1]
 
 
 def install_steps(extras: Sequence[str], tests: bool) -> list[Step]:
-    """What all commands have in common: a virtual environment with RCE in it."""
+    """Return the steps that make a virtual environment with RCE in it."""
     return [
         Step("system packages", lambda: " ".join(missing_debian(tests)), lambda: install_debian(tests)),
         Step("virtual env", lambda: "" if PYTHON.exists() else f"make {VENV}", make_venv),
@@ -138,7 +203,7 @@ def install_steps(extras: Sequence[str], tests: bool) -> list[Step]:
 
 
 def setup_steps(extras: Sequence[str], packages: Sequence[Path], tests: bool) -> list[Step]:
-    """What demo and test have in common: RCE and the types of its messages."""
+    """Return the steps that install RCE and build the types of its messages."""
     types = Step("type support", lambda: "build what is not in its cache yet", lambda: build_typesupport(packages))
     return [*install_steps(extras, tests), types]
 
@@ -147,20 +212,21 @@ def setup_steps(extras: Sequence[str], packages: Sequence[Path], tests: bool) ->
 
 
 def postgresql_program(name: str) -> str | None:
-    """Debian keeps PostgreSQL's programs off PATH, by version."""
+    """Find a program of PostgreSQL, the newest version's. Debian keeps them off PATH, by version."""
     return shutil.which(name) or next(iter(sorted(glob.glob(f"/usr/lib/postgresql/*/bin/{name}"), reverse=True)), None)
 
 
 def has_user(name: str) -> bool:
+    """Return True if this system has a user of this name."""
     return any(user.pw_name == name for user in pwd.getpwall())
 
 
 @contextlib.contextmanager
 def postgresql() -> Iterator[dict[str, str]]:
-    """A private PostgreSQL for as long as the context lasts; gives the variable that tells the tests its URL.
+    """Run a private PostgreSQL; yields the environment variable by which the tests find it, if there is PostgreSQL.
 
-    It listens on a socket in its own directory only. It refuses to run as root, so then it runs as the user that its
-    package has made.
+    It listens on a socket in its own directory only. As PostgreSQL refuses to run as root, root runs it as the user
+    `postgres`, whom its package creates.
     """
     initdb, pg_ctl = postgresql_program("initdb"), postgresql_program("pg_ctl")
     if not initdb or not pg_ctl or "RCE_TEST_POSTGRES" in os.environ or (IS_ROOT and not has_user("postgres")):
@@ -184,64 +250,94 @@ def postgresql() -> Iterator[dict[str, str]]:
 
 
 def demo(options: argparse.Namespace, rest: list[str]) -> int:
-    """Install RCE, then map a building with it: a simulated one, or the recording of --log."""
+    """Install RCE and map a building with it: a simulated one, or the recording of --log."""
     source = [str(options.log.resolve())] if options.log else ["--simulate"]
     command = [str(VENV / "bin" / "rce"), "map", *source, "--out", str(options.out.resolve()), *rest]
     steps = setup_steps(DEMO_EXTRAS, [], tests=False)
     if options.dry_run:
-        show(steps, command)
+        print_plan(steps, command)
         return 0
-    begin_log()
-    perform(steps)
-    return hand_over(command)
+    start_log()
+    run_steps(steps)
+    return run_in_foreground(command)
 
 
 def test(options: argparse.Namespace, rest: list[str]) -> int:
-    """Install all that the tests need, then check and test; further arguments go to pytest."""
-    command = [str(PYTHON), "-m", "pytest", *IN_TWO_PROCESSES, *rest]
+    """Install all that the tests need, check code and types, then test; further arguments go to pytest."""
+    steps = [*setup_steps(TEST_EXTRAS, [TEST_PACKAGE], tests=True), *([] if options.rest else check_steps())]
+    commands = pytest_commands(options, rest)
+    if options.dry_run:
+        print_plan(steps, *commands)
+        return 0
+    start_log()
+    run_steps(steps)
+    with postgresql() as variables:
+        for command in commands:
+            status = run_in_foreground(command, cwd=ROOT, environment=variables)
+            if status:
+                return status
+    return 0
+
+
+def check_steps() -> list[Step]:
+    """Return the steps that check code and types."""
     tool = VENV / "bin"
-    steps = [
-        *setup_steps(TEST_EXTRAS, [TEST_PACKAGE], tests=True),
+    return [
         check_step("ruff check", tool / "ruff", "check", ".", SCRIPT),
         check_step("ruff format", tool / "ruff", "format", "--check", ".", SCRIPT),
         check_step("mypy", tool / "mypy"),
         check_step("mypy provision", tool / "mypy", "--scripts-are-modules", SCRIPT),
     ]
-    if options.dry_run:
-        show(steps, command)
-        return 0
-    begin_log()
-    perform(steps)
-    with postgresql() as variables:
-        return hand_over(command, cwd=ROOT, environment=variables)
+
+
+def pytest_commands(options: argparse.Namespace, rest: Sequence[str]) -> list[list[str]]:
+    """Return the runs of pytest: quick tests first, then the others. With arguments of the user's it is one run."""
+    pytest = [str(PYTHON), "-m", "pytest", *IN_TWO_PROCESSES]
+    quick = [*pytest, *QUICK, *rest]
+    others = [*pytest, *REST, *rest]
+    if options.quick:
+        return [quick]
+    if options.rest:
+        return [others]
+    return [[*pytest, *rest]] if rest else [quick, others]
 
 
 def image(options: argparse.Namespace, rest: list[str]) -> int:
-    """Build the images of environments for the engine docker, with the daemon of DOCKER_HOST or this machine's."""
+    """Build the images of environments for the engine docker, by the daemon at DOCKER_HOST or the local one."""
     command = [str(PYTHON), "-P", "-m", "provisioning.image", *rest]
     steps = install_steps(IMAGE_EXTRAS, tests=False)
     if options.dry_run:
-        show(steps, command)
+        print_plan(steps, command)
         return 0
-    begin_log()
-    perform(steps)
-    return hand_over(command, cwd=ROOT)
+    start_log()
+    run_steps(steps)
+    return run_in_foreground(command, cwd=ROOT)
 
 
 def add_commands(commands: Commands) -> None:
-    mapping = add_command(commands, demo, passes_on=True)
-    mapping.add_argument("--log", type=Path, metavar="FILE", help="a recording: CARMEN log or ROS bag")
-    mapping.add_argument("--out", type=Path, default=Path("rce-demo"), metavar="DIR", help="(%(default)s)")
-    add_command(commands, test, passes_on=True)
+    """Add the subcommands of this module."""
+    command = add_command(commands, demo, passes_on=True)
+    command.add_argument("--log", type=Path, metavar="FILE", help="map this recording: CARMEN log or ROS bag")
+    command.add_argument("--out", type=Path, default=Path("rce-demo"), metavar="DIR", help="default: %(default)s")
+    command = add_command(commands, test, passes_on=True)
+    stages = command.add_mutually_exclusive_group()
+    stages.add_argument(
+        "--quick", action="store_true", help="only checks and quick tests: no whole platforms, no Docker"
+    )
+    stages.add_argument(
+        "--rest", action="store_true", help="only the tests that --quick leaves out, without the checks"
+    )
     add_command(commands, image, passes_on=True)
 
 
-def hand_over(command: Sequence[str], cwd: Path | None = None, environment: dict[str, str] | None = None) -> int:
-    """Let the program that all was made ready for have the terminal; its exit status."""
+def run_in_foreground(
+    command: Sequence[str], cwd: Path | None = None, environment: dict[str, str] | None = None
+) -> int:
+    """Run a program that uses the terminal, and return its exit status."""
     program = subprocess.Popen(command, cwd=cwd, env={**os.environ, **(environment or {})})
     try:
         while True:
-            with contextlib.suppress(KeyboardInterrupt):  # the terminal tells the program as well, and it cleans up
+            with contextlib.suppress(KeyboardInterrupt):  # the terminal interrupts the program too, which cleans up
                 return program.wait()
     finally:
         program.terminate()

@@ -1,4 +1,4 @@
-"""`doctor`: looks at all that the platform needs of this machine, and says what to do. Standard library only."""
+"""Command `doctor`: checks everything that the platform needs on this machine. Standard library only."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING, Any
 from provisioning import configuration, findings, release, units
 from provisioning.findings import Finding, judge
 from provisioning.services import receive_buffer
-from provisioning.steps import Failed, add_command
+from provisioning.steps import ProvisioningError, add_command
 from provisioning.system import CURRENT, ETC, KNOWN, TLS, UNITS, USER, VAR, System, unit
 
 if TYPE_CHECKING:
     from provisioning.steps import Commands
 
-AGAIN = "provisioning/provision install"
+INSTALL = "provisioning/provision install"
 TIMEOUT = 5.0  # seconds for an answer over the network
 SHARED_MEMORY = 256e6
 IMPORTS = {
@@ -37,7 +37,7 @@ IMPORTS = {
 
 
 def doctor(options: argparse.Namespace, rest: list[str]) -> int:
-    """Check this machine: every finding with what to do. Status 1 if something is bad, 0 if at most a warning is."""
+    """Check this machine, and say what to do. The exit status is 1 if a finding is bad, else 0."""
     found = []
     for finding in examine(System()):
         found.append(finding)
@@ -49,21 +49,23 @@ def doctor(options: argparse.Namespace, rest: list[str]) -> int:
 
 
 def add_commands(commands: Commands) -> None:
+    """Add the subcommand `doctor`."""
     command = add_command(commands, doctor)
     command.add_argument("--json", action="store_true", help="print the findings as JSON")
 
 
 def examine(system: System) -> Iterator[Finding]:
+    """Check everything."""
     yield judge(
         system.release() in KNOWN, "system", " ".join(system.release()) or "unknown", "see docs/operations.md", "warn"
     )
     roles = system.roles()
     if not roles:
-        yield Finding("bad", "installation", "nothing is installed", AGAIN)
+        yield Finding("bad", "installation", "nothing is installed", INSTALL)
         return
     try:
         settings = {role: configuration.read(system, role) for role in roles}
-    except Failed as error:
+    except ProvisioningError as error:
         yield Finding("bad", "settings", str(error))
         return
     yield from _installation(system, roles, settings)
@@ -83,11 +85,11 @@ def _installation(
 ) -> Iterator[Finding]:
     python = system.path(f"{CURRENT}/bin/python")
     version = _output(str(python), "-c", "import sys; print(*sys.version_info[:3], sep='.')")
-    yield judge(bool(version), "python", version or f"{python} does not run", AGAIN)
+    yield judge(bool(version), "python", version or f"{python} does not run", INSTALL)
     broken = [role for role in roles if version and not _runs(str(python), "-P", "-c", f"import {IMPORTS[role]}")]
-    found = f"{', '.join(broken)} cannot be imported" if broken else release.version_of(system)
-    yield judge(not broken, "packages", found, AGAIN)
-    yield judge(system.has_user(), "user", USER, AGAIN)
+    found = f"{', '.join(broken)} cannot be imported" if broken else release.installed_release(system)
+    yield judge(not broken, "packages", found, INSTALL)
+    yield judge(system.has_user(), "user", USER, INSTALL)
     for role in roles:
         mode = system.path(f"{ETC}/{role}.toml").stat().st_mode & 0o777
         yield judge(
@@ -102,13 +104,13 @@ def _services(system: System, roles: tuple[str, ...], settings: dict[str, config
     for role in roles:
         engine = str(settings.get("container", {}).get("engine", ""))
         same = system.file_is(f"{UNITS}/{unit(role)}", units.text(role, engine))
-        yield judge(same, unit(role), "as installed" if same else "missing or changed", AGAIN, "warn")
+        yield judge(same, unit(role), "as installed" if same else "missing or changed", INSTALL, "warn")
         if system.runs_systemd():
             state = _output("systemctl", "is-active", unit(role)) or "not active"
             remedy = f"journalctl -u {unit(role)} -n 50 says why"
             yield judge(state == "active", unit(role), state, remedy)
     for port, what in _listening(settings):
-        yield judge(_answers("127.0.0.1", port), f"port {port}", what, f"nobody listens: {_start(system)}")
+        yield judge(_answers("127.0.0.1", port), f"port {port}", what, f"nothing listens there: {_start(system)}")
 
 
 def _start(system: System) -> str:
@@ -132,7 +134,7 @@ def _listening(settings: dict[str, configuration.Settings]) -> Iterator[tuple[in
 
 
 def _certificates(system: System, roles: tuple[str, ...]) -> Iterator[Finding]:
-    remedy = AGAIN if "master" in roles else "provisioning/provision machine add NAME on the Master's machine"
+    remedy = INSTALL if "master" in roles else "provisioning/provision machine add NAME on the Master's machine"
     for name in ("ca.pem", "cert.pem"):
         end = _end_of(system, f"{TLS}/{name}")
         if end is None:
@@ -147,14 +149,17 @@ def _certificates(system: System, roles: tuple[str, ...]) -> Iterator[Finding]:
 
 
 def _end_of(system: System, name: str) -> float | None:
-    """When a certificate ends, in seconds since 1970."""
-    code = "import sys; from rce.certificates import end_of; print(end_of(open(sys.argv[1]).read()))"
+    """Return the expiry of a certificate in seconds since 1970, or None if it cannot be read."""
+    code = (
+        "import sys; from rce.net.certificates import certificate_expiry as expiry; "
+        "print(expiry(open(sys.argv[1]).read()))"
+    )
     end = _output(str(system.path(f"{CURRENT}/bin/python")), "-P", "-c", code, str(system.path(name)))
     return float(end) if end else None
 
 
 def _master(system: System, settings: dict[str, configuration.Settings]) -> Iterator[Finding]:
-    """Whether a service of this machine can reach the Master, and knows it."""
+    """Check that services of this machine can reach the Master and trust it."""
     address = next((str(values["master"]) for values in settings.values() if "master" in values), "")
     if not address.startswith("tcp:"):
         return
@@ -169,10 +174,10 @@ def _master(system: System, settings: dict[str, configuration.Settings]) -> Iter
             yield Finding("ok", "master", f"{host}:{port} answers, {secured.version()}")
     except ssl.SSLError as error:
         yield Finding(
-            "bad", "master", f"{host}:{port}: {error.reason or error}", "was it installed anew? Then join again"
+            "bad", "master", f"{host}:{port}: {error.reason or error}", "if the Master was reinstalled, join again"
         )
     except OSError as error:
-        yield Finding("bad", "master", f"{host}:{port}: {error}", "does it run, and does its firewall let us in?")
+        yield Finding("bad", "master", f"{host}:{port}: {error}", "check that it runs, and its firewall")
     else:
         difference = _clock(trust, host)
         if difference is not None:
@@ -180,7 +185,7 @@ def _master(system: System, settings: dict[str, configuration.Settings]) -> Iter
 
 
 def _clock(trust: ssl.SSLContext, host: str) -> float | None:
-    """By how much our clock is ahead, by the date in an answer of the Master; None if there is none."""
+    """Return by how many seconds our clock is ahead of the date in a response of the Master; None without one."""
     try:
         with (
             socket.create_connection((host, configuration.MACHINES_PORT), TIMEOUT) as plain,
@@ -197,10 +202,10 @@ def _clock(trust: ssl.SSLContext, host: str) -> float | None:
 def _machine(system: System) -> Iterator[Finding]:
     free = shutil.disk_usage(system.path(VAR)).free
     yield findings.amount(
-        "disk", f"free at {VAR}", free, 10e9, 1e9, "make room: docker system prune, journalctl --vacuum-size"
+        "disk", f"free at {VAR}", free, 10e9, 1e9, "free space: docker system prune, journalctl --vacuum-size"
     )
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    yield findings.amount("memory", "in all", memory, 2e9, 0.5e9, "an idle environment takes about 0.1 GB")
+    yield findings.amount("memory", "in total", memory, 2e9, 0.5e9, "an idle environment takes about 0.1 GB")
 
 
 def _process_engine(system: System) -> Iterator[Finding]:
@@ -208,9 +213,12 @@ def _process_engine(system: System) -> Iterator[Finding]:
     size = shared.f_frsize * shared.f_blocks
     yield judge(size >= SHARED_MEMORY, "/dev/shm", f"{size / 1e6:.0f} MB", "mount it with size=256m or more", "warn")
     built = system.path(f"{release.TYPESUPPORT}/current").exists()
-    yield judge(built, "type support", "built" if built else "missing", AGAIN)
+    yield judge(built, "type support", "built" if built else "missing", INSTALL)
     yield Finding(
-        "warn", "isolation", "the engine process runs users' programs as this user", "use --engine docker for strangers"
+        "warn",
+        "isolation",
+        "the engine process runs users' programs as this user",
+        "use --engine docker unless you trust them",
     )
 
 
@@ -242,7 +250,7 @@ def _answers(host: str, port: int) -> bool:
 
 
 def _output(*command: str) -> str:
-    """What a program says; empty if it fails or is not there."""
+    """Return the output of a program, or "" if it fails or is missing."""
     try:
         done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, timeout=60)
     except (OSError, subprocess.TimeoutExpired):

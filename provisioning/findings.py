@@ -1,4 +1,4 @@
-"""What `doctor` finds. Standard library only."""
+"""Findings of `doctor`, and the limits by which they are judged. Standard library only."""
 
 from __future__ import annotations
 
@@ -13,7 +13,14 @@ DAY = 86_400.0
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at: `about` what, what was found, and what to do if it is not well."""
+    """Result of one check.
+
+    Attributes:
+        level: Judgement.
+        about: Subject of the check.
+        found: Observed state.
+        remedy: What to do if the level is not "ok".
+    """
 
     level: Level
     about: str
@@ -21,20 +28,23 @@ class Finding:
     remedy: str = ""
 
     def line(self) -> str:
+        """Return the finding as a line of text."""
         return f"{self.level:<5} {self.about:<21} {self.found}{': ' if self.remedy else ''}{self.remedy}"
 
 
 def worst(findings: Iterable[Finding]) -> Level:
+    """Return the worst level of several findings."""
     levels = {finding.level for finding in findings}
     return "bad" if "bad" in levels else "warn" if "warn" in levels else "ok"
 
 
 def judge(good: bool, about: str, found: str, remedy: str, otherwise: Level = "bad") -> Finding:
+    """Return a finding that is "ok" if `good`, else of level `otherwise`."""
     return Finding("ok", about, found) if good else Finding(otherwise, about, found, remedy)
 
 
 def amount(about: str, what: str, size: float, enough: float, least: float, remedy: str) -> Finding:
-    """Of bytes: `enough` is well, below `least` the platform does not work."""
+    """Judge an amount in bytes: `enough` is "ok", less than `least` is "bad"."""
     found = f"{size / GB:.1f} GB {what}"
     if size >= enough:
         return Finding("ok", about, found)
@@ -42,29 +52,29 @@ def amount(about: str, what: str, size: float, enough: float, least: float, reme
 
 
 def expiry(about: str, seconds: float, remedy: str) -> Finding:
-    """Of a certificate: how long it is still good."""
+    """Judge the time in seconds until a certificate expires."""
     days = seconds / DAY
     if days <= 0:
-        return Finding("bad", about, f"has been out of date for {-days:.0f} days", remedy)
-    return judge(days > 30, about, f"good for {days:.0f} days", remedy, "warn")
+        return Finding("bad", about, f"expired {-days:.0f} days ago", remedy)
+    return judge(days > 30, about, f"valid for {days:.0f} days", remedy, "warn")
 
 
 def clock(seconds: float) -> Finding:
-    """By how much this machine's clock is ahead of the Master's: certificates and join codes have times."""
+    """Judge by how many seconds the clock is ahead of the Master's. Certificates and join codes have times."""
     found = f"{abs(seconds):.0f} s {'ahead of' if seconds > 0 else 'behind'} the Master's"
-    remedy = "let both keep time: apt-get install systemd-timesyncd"
+    remedy = "synchronize both clocks: apt-get install systemd-timesyncd"
     return judge(abs(seconds) < 5, "clock", found, remedy, "warn" if abs(seconds) < 300 else "bad")
 
 
 def receive_buffer(most: int) -> Finding:
-    """Of a socket, in bytes."""
-    found = f"sockets may have {most / 1024:.0f} KiB to receive in"
-    remedy = "large messages between members of network groups get slow: sysctl net.core.rmem_max=4194304"
+    """Judge the limit of sockets' receive buffers, in bytes."""
+    found = f"receive buffers of up to {most / 1024:.0f} KiB"
+    remedy = "large messages in network groups will be slow: sysctl net.core.rmem_max=4194304"
     return judge(most >= 4 * 1024 * 1024, "network groups", found, remedy, "warn")
 
 
 def docker(info: dict[str, object]) -> Iterator[Finding]:
-    """What `docker info` says."""
+    """Judge the output of `docker info`."""
     version = str(info.get("ServerVersion", "0"))
     yield judge(
         int(version.partition(".")[0] or 0) >= 20,
@@ -85,7 +95,7 @@ def docker(info: dict[str, object]) -> Iterator[Finding]:
     yield judge(
         not lacking,
         "cgroup limits",
-        f"of {', '.join(lacking)} are not enforced" if lacking else "memory, swap, processes, cores",
+        f"limits of {', '.join(lacking)} are not enforced" if lacking else "memory, swap, processes, cores",
         "boot with cgroup_enable=memory swapaccount=1, or use cgroup v2",
         "warn" if lacking == ["swap"] else "bad",
     )

@@ -1,6 +1,6 @@
-"""Generates the C, C++ and Python code of an interface package with the generators of rosidl.
+"""Generator of the C, C++ and Python code of an interface package, by the generators of rosidl.
 
-The generators come with the ROS 2 wheels. CMake and ament only carry arguments to them, so they are called directly.
+The ROS 2 wheels contain them. They are called directly, because CMake and ament do no more than pass arguments to them.
 """
 
 from __future__ import annotations
@@ -32,12 +32,18 @@ FASTRTPS = "rosidl_typesupport_fastrtps_c"
 INTROSPECTION = "rosidl_typesupport_introspection_c"
 CODE = ("rosidl_generator_c", FASTRTPS, INTROSPECTION, "rosidl_typesupport_c")
 PACKAGES = ("rosidl_generator_type_description", *CODE, "rosidl_generator_py")
-"""What the generated code depends on, beside the definitions."""
+"""Packages of the generators, which the generated code depends on beside the definitions."""
 
 
 @dataclass(frozen=True)
 class Code:
-    """Sources by the library that they become: messages and their serialization, their description, Python's side."""
+    """Generated sources, by library.
+
+    Attributes:
+        messages: Messages and their serialization.
+        introspection: Descriptions of the messages.
+        python: Extension module for Python.
+    """
 
     messages: list[Path]
     introspection: list[Path]
@@ -45,10 +51,16 @@ class Code:
 
 
 def generate(package: Package, python: Path, share: Path, work: Path) -> Code:
-    """Write Python code to `python`/NAME, definitions to `share`/NAME, the rest to `work`/GENERATOR/NAME.
+    """Generate the code of a package.
 
-    `share` must hold the definitions of those of its dependencies that are not installed. Raises InternalError: the
-    definitions were checked before, so a generator that fails is a defect.
+    Args:
+        package: The package, whose definitions were checked.
+        python: Directory for Python code, in a directory of the package's name.
+        share: Directory for definitions, likewise. It has those of dependencies that are not installed.
+        work: Directory for everything else, in directories GENERATOR/NAME.
+
+    Raises:
+        InternalError: A generator failed, which is a defect, since the definitions were checked.
     """
     output = io.StringIO()
     with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
@@ -65,10 +77,12 @@ def generate(package: Package, python: Path, share: Path, work: Path) -> Code:
 
 
 def sources(directory: Path) -> list[Path]:
+    """Return the C and C++ sources in a directory and below it."""
     return sorted(path for path in directory.rglob("*") if path.suffix in (".c", ".cpp"))
 
 
 def write_definitions(package: Package, share: Path) -> None:
+    """Write manifest and definitions of a package, the latter also as IDL."""
     share.mkdir(parents=True)
     shutil.copy(package.root / "package.xml", share)
     for interface in package.interfaces:
@@ -80,6 +94,7 @@ def write_definitions(package: Package, share: Path) -> None:
 
 
 def write_code(package: Package, python: Path, share: Path, work: Path) -> None:
+    """Run all generators for a package whose definitions are in `share`."""
     python.mkdir(parents=True)
     (python / "__init__.py").touch()
     outputs = {name: work / name / package.name for name in CODE}
@@ -90,7 +105,7 @@ def write_code(package: Package, python: Path, share: Path, work: Path) -> None:
 
 
 def prepare(generator: str, package: str, output: Path) -> None:
-    """Make the directory of a generator, with the header for symbols' visibility, which no generator writes."""
+    """Make the directory of a generator, with the header of symbols' visibility, which no generator writes."""
     output.mkdir(parents=True)
     if package.lower() != package:  # the generated code includes its headers in lower case
         output.with_name(package.lower()).symlink_to(package)
@@ -102,7 +117,7 @@ def prepare(generator: str, package: str, output: Path) -> None:
 
 
 def generator_arguments(package: Package, share: Path) -> dict[str, str | list[str]]:
-    """What the generators are told, each the same (they take what they need), but for where to read and write."""
+    """Return the arguments that all generators have in common; each uses some of them."""
     own = share / package.name
     known = rosinstall.interface_packages() | {path.name: path for path in share.iterdir()}
     idls = [interface.path.with_suffix(".idl") for interface in package.interfaces]
@@ -117,6 +132,8 @@ def generator_arguments(package: Package, share: Path) -> dict[str, str | list[s
 
 
 def run_generators(arguments: dict[str, str | list[str]], outputs: dict[str, Path]) -> None:
+    """Run all generators, each with its own output directory."""
+
     def run(package: str, generator: Callable[..., object], *more: list[str]) -> None:
         output = outputs[package]
         own = {"template_dir": str(rosinstall.required(package) / "resource"), "output_dir": str(output)}

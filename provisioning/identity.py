@@ -1,7 +1,7 @@
 """A machine's certificate: `python -P -m provisioning.identity make|join`, in the installed environment.
 
-`make` is for the Master's machine: the authority, unless it is there, and a certificate of its own. `join` asks the
-Master of a join code for one, and prints what else it gave as JSON.
+On the Master's machine `make` makes a CA, unless it exists, and a certificate. Elsewhere `join` requests a certificate
+from the Master of a join code, and prints the Master's answer as JSON.
 """
 
 from __future__ import annotations
@@ -20,56 +20,65 @@ from urllib.parse import urlsplit
 import msgspec
 
 from rce import __version__
-from rce.certificates import Authority, fingerprint, hosts_of, key_text, new_key, request
+from rce.api.joining import JoinCode, JoinRequest, Membership, parse_join_code
 from rce.errors import ErrorInfo, InternalError, InvalidRequest, RceError, Unavailable
-from rce.joining import Application, JoinCode, Membership, parse
-from rce.tls import CA, CERTIFICATE, KEY
+from rce.net.certificates import Authority, certificate_hosts, fingerprint, generate_key, key_to_pem, signing_request
+from rce.net.tls import CA, CERTIFICATE, KEY
 
 TIMEOUT = 20.0  # seconds
 T = TypeVar("T")
 
 
 def make(directory: Path, authority_key: Path, name: str, hosts: Sequence[str]) -> str:
-    """The authority and this machine's certificate for `hosts`; what is there already stays. What was made."""
+    """Make the CA and this machine's certificate for `hosts`, unless they exist, and return a remark about it."""
     if not authority_key.exists():
         authority = Authority.make(f"RCE at {name}")
         write(authority_key, authority.key, private=True)
         write(directory / CA, authority.certificate)
     authority = Authority.load(directory / CA, authority_key)
-    if (directory / CERTIFICATE).exists() and set(hosts) <= set(hosts_of((directory / CERTIFICATE).read_text())):
+    if (directory / CERTIFICATE).exists() and set(hosts) <= set(
+        certificate_hosts((directory / CERTIFICATE).read_text())
+    ):
         return "kept"
-    key = new_key()
-    write(directory / KEY, key_text(key), private=True)
-    write(directory / CERTIFICATE, authority.issue(request(key, name), name, hosts))
+    key = generate_key()
+    write(directory / KEY, key_to_pem(key), private=True)
+    write(directory / CERTIFICATE, authority.issue(signing_request(key, name), name, hosts))
     return f"for {', '.join(hosts)}"
 
 
 def join(directory: Path, code: JoinCode) -> Membership:
-    """Get this machine's certificate from the Master that the code names. Unavailable, Unauthorized, InvalidRequest."""
+    """Get this machine's certificate from the Master of a join code.
+
+    Raises:
+        Unavailable: The Master cannot be reached.
+        Unauthorized: The invitation is not valid any more.
+        InvalidRequest: The server is not the Master that made the code, or the Master refuses this version.
+        InternalError: The answer is malformed.
+    """
     authority = _authority(code)
-    key = new_key()
-    application = Application(code.invitation, request(key, code.invitation.name), __version__)
+    key = generate_key()
+    join_request = JoinRequest(code.invitation, signing_request(key, code.invitation.name), __version__)
     trust = ssl.create_default_context(cadata=authority)
-    status, body = _ask(code.url, trust, "POST", "machines", msgspec.json.encode(application))
+    status, body = _ask(code.url, trust, "POST", "machines", msgspec.json.encode(join_request))
     if status != http.client.OK:
         raise RceError.from_info(_decode(body, ErrorInfo))
     membership = _decode(body, Membership)
-    write(directory / KEY, key_text(key), private=True)
+    write(directory / KEY, key_to_pem(key), private=True)
     write(directory / CERTIFICATE, membership.certificate)
     write(directory / CA, authority)
     return membership
 
 
 def _authority(code: JoinCode) -> str:
-    """The authority's certificate. Whoever gives it: it is known by the fingerprint in the code."""
-    stranger = ssl.create_default_context()
-    stranger.check_hostname = False
-    stranger.verify_mode = ssl.CERT_NONE
-    status, body = _ask(code.url, stranger, "GET", "authority")
+    """Get the CA's certificate, over an unverified connection. The fingerprint in the join code authenticates it."""
+    unverified = ssl.create_default_context()
+    unverified.check_hostname = False
+    unverified.verify_mode = ssl.CERT_NONE
+    status, body = _ask(code.url, unverified, "GET", "authority")
     certificate = body.decode(errors="replace")
     if status != http.client.OK or fingerprint(certificate) != code.authority:
         raise InvalidRequest(
-            f"whoever answers at {code.url} is not the Master that made this join code: nothing was sent to it"
+            f"the server at {code.url} is not the Master that made this join code: nothing was sent to it"
         )
     return certificate
 
@@ -83,8 +92,8 @@ def _ask(url: str, trust: ssl.SSLContext, method: str, path: str, body: bytes | 
         return answer.status, answer.read()
     except (OSError, http.client.HTTPException) as error:
         raise Unavailable(
-            f"the Master at {url} cannot be reached from here: {error or type(error).__name__}; "
-            "is its port open for this machine?"
+            f"the Master at {url} cannot be reached: {error or type(error).__name__}; "
+            "check that its port is open for this machine"
         ) from None
     finally:
         connection.close()
@@ -94,11 +103,11 @@ def _decode(body: bytes, kind: type[T]) -> T:
     try:
         return msgspec.json.decode(body, type=kind)
     except msgspec.DecodeError as error:
-        raise InternalError(f"the Master gave an answer that is none: {error}") from None
+        raise InternalError(f"the answer of the Master is malformed: {error}") from None
 
 
 def write(path: Path, text: str, private: bool = False) -> None:
-    """All of it or nothing; a private file is never readable by others, its group is given access by who installs."""
+    """Write a file atomically. A private file is readable to its owner only; `install` gives its group access."""
     handle, draft = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
     with os.fdopen(handle, "w") as file:
         file.write(text)
@@ -107,6 +116,7 @@ def write(path: Path, text: str, private: bool = False) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program and return its exit status."""
     whole = argparse.ArgumentParser(prog="python -m provisioning.identity", description=__doc__)
     whole.add_argument("--directory", type=Path, required=True)
     commands = whole.add_subparsers(dest="command", required=True)
@@ -120,7 +130,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if words.command == "make":
             print(make(words.directory, words.authority_key, words.name, words.host))
         else:
-            print(msgspec.json.encode(join(words.directory, parse(sys.stdin.read()))).decode())
+            print(msgspec.json.encode(join(words.directory, parse_join_code(sys.stdin.read()))).decode())
     except (RceError, OSError) as error:
         print(error, file=sys.stderr)
         return 1

@@ -1,7 +1,7 @@
-"""Builds the images of environments from this checkout: `python -P -m provisioning.image`.
+"""Builder of the images of environments from this checkout: `python -P -m provisioning.image`.
 
-`rce/system` is Debian, from a registry or else by debootstrap; `rce/base`, `rce/mapping` and `rce/agent` are built on
-it from the Dockerfiles in `containers/images`. What changes rarely comes first in them, our code last.
+`rce/system` is Debian, from a registry or, if there is none, by debootstrap. The Dockerfiles in `containers/images`
+build `rce/base`, `rce/mapping` and `rce/agent` on it. In them our code comes last, because it changes most often.
 """
 
 from __future__ import annotations
@@ -25,13 +25,14 @@ from rce import __version__
 from rce.errors import RceError, StartFailed, Unavailable
 
 ROOT = Path(__file__).parents[1]
+CONSTRAINTS = ROOT / "constraints.txt"
 IMAGES = ROOT / "containers" / "images"
 SYSTEM, GROUND, BASE, MAPPING, AGENT = "rce/system", "rce/ground", "rce/base", "rce/mapping", "rce/agent"
 RELEASE = "bookworm"
 REGISTRY_IMAGE = f"debian:{RELEASE}-slim"
-REGISTRY_TIMEOUT = 10.0  # seconds for a registry to answer at all
+REGISTRY_TIMEOUT = 10.0  # seconds until a registry begins to answer
 IN_SYSTEM = ("python3", "python3-venv", "tini")
-SUPERFLUOUS = (
+REMOVED_CONTENT = (  # directories of Debian that are emptied
     "usr/share/doc",
     "usr/share/man",
     "usr/share/locale",
@@ -49,13 +50,18 @@ BUNDLE = "/etc/ssl/certs/ca-certificates.crt"
 
 
 class Builder:
-    """Builds with one Docker daemon."""
+    """Builder of images by one Docker daemon."""
 
     def __init__(self, api: docker.APIClient) -> None:
         self._api = api
 
     def build(self) -> None:
-        """All images. StartFailed with the build's last lines, Unavailable."""
+        """Build all images.
+
+        Raises:
+            StartFailed: A build failed. The message has its last lines.
+            Unavailable: There is no base image, and none can be made.
+        """
         if not self._has(SYSTEM):
             self._make_system()
         context = make_context()
@@ -66,7 +72,7 @@ class Builder:
         self.make(context, "images/agent/Dockerfile", f"{AGENT}{version}", {"GROUND": f"{GROUND}{version}"})
 
     def sizes(self) -> dict[str, int]:
-        """Of the built images, in bytes."""
+        """Return the sizes of the built images in bytes."""
         tags = [f"{name}:{__version__}" for name in (BASE, MAPPING, AGENT)]
         return {tag: self._api.inspect_image(tag)["Size"] for tag in tags}
 
@@ -81,12 +87,12 @@ class Builder:
         if self._pull():
             self._api.tag(REGISTRY_IMAGE, SYSTEM)
             return
-        _tell(f"no registry answers: making {SYSTEM} by debootstrap, which takes some minutes")
+        _report(f"no registry answers: making {SYSTEM} by debootstrap, which takes some minutes")
         with tempfile.TemporaryDirectory(prefix="rce-image-") as directory:
             self._api.import_image_from_data(_debootstrap(Path(directory)), repository=SYSTEM, tag="latest")
 
     def _pull(self) -> bool:
-        """Whether a registry gave the image. One that does not even begin to answer is not waited for."""
+        """Pull the base image, and return False if no registry has it or begins to answer in time."""
         outcome: list[bool] = []
         began = threading.Event()
 
@@ -107,8 +113,12 @@ class Builder:
         return outcome[0]
 
     def make(self, context: bytes, dockerfile: str, tag: str, arguments: dict[str, str], target: str = "") -> None:
-        """One image. StartFailed with the build's last lines."""
-        _tell(f"building {tag}")
+        """Build one image.
+
+        Raises:
+            StartFailed: The build failed. The message has its last lines.
+        """
+        _report(f"building {tag}")
         settings = {key: os.environ[key] for key in (*PIP_SETTINGS, *PROXIES) if key in os.environ}
         if host_bundle():
             settings["PIP_CERT"] = BUNDLE
@@ -127,9 +137,9 @@ class Builder:
         _follow(tag, output)
 
 
-def _tell(what: str) -> None:
-    """What is at work; standard output is for what was made."""
-    print(what, file=sys.stderr, flush=True)
+def _report(text: str) -> None:
+    """Report progress on standard error; standard output is for the result."""
+    print(text, file=sys.stderr, flush=True)
 
 
 def _follow(tag: str, output: Iterator[dict[str, str]]) -> None:
@@ -141,26 +151,30 @@ def _follow(tag: str, output: Iterator[dict[str, str]]) -> None:
 
 
 def host_bundle() -> Path | None:
-    """The certificates that this machine was told to trust: behind a proxy that inspects TLS a build needs them too."""
+    """Return the file of CA certificates that this machine is set to use, which builds behind a TLS proxy need too."""
     return next((Path(os.environ[key]) for key in CERTIFICATES if Path(os.environ.get(key, "")).is_file()), None)
 
 
 def requirements(extras: tuple[str, ...]) -> str:
-    """What pyproject.toml asks for, as pip's requirements file."""
+    """Return the dependencies of these extras as a requirements file of pip, with the versions of constraints.txt."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    wanted = [*project["dependencies"], *(item for extra in extras for item in project["optional-dependencies"][extra])]
-    return "".join(f"{item}\n" for item in dict.fromkeys(wanted))
+    optional = project["optional-dependencies"]
+    items = ["-c constraints.txt", *project["dependencies"], *(item for extra in extras for item in optional[extra])]
+    return "".join(f"{item}\n" for item in dict.fromkeys(items))
 
 
 def make_context() -> bytes:
-    """The files that the Dockerfiles copy, as a tar archive. Times are 0, so that Numba and Python, which compare them,
-    take a file for the same in whatever layer it is."""
+    """Return the files that the Dockerfiles copy, as a tar archive.
+
+    Times of files are 0, because Numba and Python compare them to recognize an unchanged file in another layer.
+    """
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w", format=tarfile.PAX_FORMAT) as archive:
         for path in sorted(IMAGES.rglob("*")):
             add_file(archive, path, f"images/{path.relative_to(IMAGES)}")
         for name, extras in EXTRAS.items():
             add_text(archive, requirements(extras).encode(), name)
+        add_file(archive, CONSTRAINTS, CONSTRAINTS.name)
         add_text(archive, b"", "certificates/.none")
         bundle = host_bundle()
         if bundle is not None:
@@ -173,10 +187,12 @@ def make_context() -> bytes:
 
 
 def add_file(archive: tarfile.TarFile, path: Path, name: str) -> None:
+    """Add a file or directory, with owner and time removed."""
     archive.add(path, name, filter=_plain)
 
 
 def add_text(archive: tarfile.TarFile, content: bytes, name: str) -> None:
+    """Add a file with this content."""
     info = tarfile.TarInfo(name)
     info.size = len(content)
     archive.addfile(info, io.BytesIO(content))
@@ -191,18 +207,23 @@ def _plain(info: tarfile.TarInfo) -> tarfile.TarInfo | None:
 
 
 def _debootstrap(directory: Path) -> bytes:
-    """A minimal Debian as a tar archive. Unavailable where there is no debootstrap or no root."""
+    """Make a minimal Debian and return it as a tar archive.
+
+    Raises:
+        Unavailable: There is no debootstrap, or the process does not run as root.
+        StartFailed: debootstrap failed.
+    """
     if shutil.which("debootstrap") is None or os.geteuid() != 0:
         raise Unavailable(
-            f"no registry gives {REGISTRY_IMAGE}; to make it here, install debootstrap (apt-get install debootstrap) "
+            f"no registry has {REGISTRY_IMAGE}; to make it here, install debootstrap (apt-get install debootstrap) "
             "and run this as root"
         )
     target = directory / "root"
     command = ["debootstrap", "--variant=minbase", f"--include={','.join(IN_SYSTEM)}", RELEASE, str(target)]
     done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     if done.returncode:
-        raise StartFailed(f"{done.stdout[-2000:]}\ndebootstrap ended with status {done.returncode}")
-    for name in SUPERFLUOUS:
+        raise StartFailed(f"{done.stdout[-2000:]}\ndebootstrap exited with status {done.returncode}")
+    for name in REMOVED_CONTENT:
         shutil.rmtree(target / name)
         (target / name).mkdir()
     buffer = io.BytesIO()
@@ -212,6 +233,7 @@ def _debootstrap(directory: Path) -> bytes:
 
 
 def main() -> int:
+    """Run the program and return its exit status."""
     try:
         builder = Builder(docker.APIClient(**docker.utils.kwargs_from_env(), version="auto", timeout=600))
         builder.build()
@@ -219,7 +241,7 @@ def main() -> int:
         print(f"error: {error}", file=sys.stderr)
         return 1
     except DockerException as error:
-        print(f"error: no Docker here: {error}", file=sys.stderr)
+        print(f"error: Docker does not answer: {error}", file=sys.stderr)
         return 1
     print(", ".join(f"{tag} ({size / 1e6:.0f} MB)" for tag, size in builder.sizes().items()))
     return 0

@@ -1,4 +1,4 @@
-"""`install`: makes this system a machine of the platform, or all of one. Standard library only."""
+"""Command `install`: makes this system a machine of the platform. Standard library only."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from provisioning import configuration, joincode, notes, release
-from provisioning.configuration import Wanted
-from provisioning.installing import account_steps, certificate_step, package_step
+from provisioning import configuration, joincode, release, summary
+from provisioning.configuration import Installation
 from provisioning.services import docker_steps, file_steps, image_step, start_step
-from provisioning.steps import Failed, Step, add_command, begin_log, need_root, perform, show
+from provisioning.steps import ProvisioningError, Step, add_command, need_root, print_plan, run_steps, start_log
 from provisioning.system import KNOWN, MAPS, ROLES, SERVICES, System, own_address
+from provisioning.system_steps import account_steps, certificate_step, package_step
 
 if TYPE_CHECKING:
     from provisioning.steps import Commands
@@ -22,111 +22,134 @@ OPTIONS = ("address", "http_port", "ws_port", "engine", "allow_unisolated", "siz
 
 
 def install(options: argparse.Namespace, rest: list[str]) -> int:
-    """Install the platform, or a part of it, as services of this system; again: bring it up to what is asked for."""
+    """Install the platform or a part of it as services of this system, or change an installation."""
     system = System(options.root)
-    wanted = wanted_from(options, system)
-    steps = install_steps(system, wanted, options)
+    installation = planned_installation(options, system)
+    steps = install_steps(system, installation, options)
     if options.dry_run:
-        show(steps)
-        print("\n" + notes.firewall(wanted))
+        print_plan(steps)
+        print("\n" + summary.firewall_ports(installation))
         return 0
     if options.root != Path("/"):
-        raise Failed("--root is for --dry-run: to install there, run this in it (chroot, container)")
+        raise ProvisioningError(
+            "--root works with --dry-run only: to install in that directory, run this command in it (chroot, container)"
+        )
     need_root("install")
-    begin_log()
-    perform(steps)
-    print("\n" + notes.after(system, wanted))
+    start_log()
+    run_steps(steps)
+    print("\n" + summary.next_steps(system, installation))
     return 0
 
 
 def add_commands(commands: Commands) -> None:
+    """Add the subcommand `install`."""
     command = add_command(commands, install)
-    command.add_argument("--root", type=Path, default=Path("/"), metavar="DIR", help="with --dry-run: of this system")
     command.add_argument(
-        "--role", action="append", metavar="ROLE", help="master, robot, container or all (default); also several"
+        "--root", type=Path, default=Path("/"), metavar="DIR", help="with --dry-run: root directory of the system"
+    )
+    command.add_argument(
+        "--role", action="append", metavar="ROLE", help="master, robot, container or all (default); may be repeated"
     )
     command.add_argument("--join", metavar="CODE", help="join the platform whose `machine add` printed this code")
-    command.add_argument("--name", help="of this machine, unique on the platform (default: its host name)")
-    command.add_argument("--address", metavar="HOST", help="by which robots and machines reach it (default: its own)")
+    command.add_argument("--name", help="name of this machine, unique on the platform (default: host name)")
+    command.add_argument("--address", metavar="HOST", help="address for robots and other machines (default: its own)")
     command.add_argument(
-        "--engine", choices=["docker", "swarm", "process"], help="what runs environments (default: docker)"
+        "--engine", choices=["docker", "swarm", "process"], help="engine of environments (default: docker)"
     )
     command.add_argument(
         "--allow-unisolated",
         action="store_true",
         default=None,
-        help="engine process on a machine that joins another: whoever uses the platform runs programs as its user here",
+        help="allow the engine process on a machine that joins a platform: its users run programs as one user here",
     )
     command.add_argument("--size", type=int, metavar="N", help="slots for environments (default: 10)")
-    command.add_argument("--http-port", type=int, metavar="PORT", help="of the robots' entry (default: 9000)")
-    command.add_argument("--ws-port", type=int, metavar="PORT", help="of the robots' WebSockets (default: 9010)")
-    command.add_argument("--certificate", metavar="FILE", help="PEM that robots see (default: of the machine's own CA)")
+    command.add_argument("--http-port", type=int, metavar="PORT", help="port of the robots' entry (default: 9000)")
+    command.add_argument("--ws-port", type=int, metavar="PORT", help="port of the robots' WebSockets (default: 9010)")
+    command.add_argument(
+        "--certificate",
+        metavar="FILE",
+        help="PEM file of the certificate for robots (default: by the machine's own CA)",
+    )
     command.add_argument("--private-key", metavar="FILE", help="PEM file of its key")
     command.add_argument("--no-images", action="store_true", help="build no images for the engine docker")
     command.add_argument("--no-start", action="store_true", help="do not start the services")
 
 
-def wanted_from(options: argparse.Namespace, system: System) -> Wanted:
-    """What the options ask for; what they leave open is as it is here already, else the default. Failed."""
+def planned_installation(options: argparse.Namespace, system: System) -> Installation:
+    """Return the desired installation: by the options, else as installed, else by default.
+
+    Raises:
+        ProvisioningError: The options contradict each other or the installation.
+    """
     code = joincode.parse(options.join) if options.join else None
     installed = system.roles()
     roles = _roles(options.role) or (code.roles if code else installed or ROLES)
     with_maps = {*roles, *installed, *([MAPS] if "master" in roles else [])}
     if code is not None and not set(roles) <= set(code.roles):
-        raise Failed(f"this join code is for {', '.join(code.roles)}: make one for {', '.join(roles)}, or leave --role")
+        raise ProvisioningError(
+            f"this join code is for {', '.join(code.roles)}: make one for {', '.join(roles)}, or omit --role"
+        )
     if code is not None and "master" in installed:
-        raise Failed("this machine has a Master of its own; `provisioning/provision uninstall` removes it")
+        raise ProvisioningError("this machine has a Master of its own; `provisioning/provision uninstall` removes it")
     if "master" not in roles and code is None and not installed:
-        raise Failed("robot and container need a Master: give the --join CODE that `machine add` printed there")
+        raise ProvisioningError(
+            "robot and container need a Master: add --join with the code that `machine add` printed there"
+        )
     if bool(options.certificate) != bool(options.private_key):
-        raise Failed("--certificate and --private-key go together")
+        raise ProvisioningError("--certificate and --private-key go together")
     found = {role: configuration.read(system, role) for role in installed}
     _check_isolation(options, roles, code is not None)
     given = {name: getattr(options, name) for name in OPTIONS}
     engine = str(options.engine or found.get("container", {}).get("engine", "docker"))
     name = code.name if code else options.name or found.get("container", {}).get("name") or socket.gethostname()
     address = options.address or found.get("master", {}).get("address") or own_address()
-    # What is here stays: another role is added to it.
+    # Roles that are installed already are kept.
     merged = tuple(role for role in SERVICES if role in with_maps)
-    wanted = Wanted(merged, str(name), str(address), {**given, "engine": engine}, code)
-    notes.check(wanted)
-    return wanted
+    installation = Installation(merged, str(name), str(address), {**given, "engine": engine}, code)
+    summary.check_ports(installation)
+    return installation
 
 
 def _check_isolation(options: argparse.Namespace, roles: Sequence[str], joins: bool) -> None:
     if "container" in roles and joins and options.engine == "process" and not options.allow_unisolated:
-        raise Failed(
-            "the engine process lets users of a platform elsewhere run programs as one user of this machine: "
-            "use --engine docker, or --allow-unisolated if they are all your own"
+        raise ProvisioningError(
+            "the engine process lets users of that platform run programs as one user of this machine: "
+            "use --engine docker, or --allow-unisolated if you trust them all"
         )
 
 
 def _roles(given: Sequence[str] | None) -> tuple[str, ...]:
     asked = [role for text in given or () for role in text.split(",")]
     if wrong := set(asked) - {*ROLES, "all"}:
-        raise Failed(f"there is no role {', '.join(sorted(wrong))}: choose of {', '.join(ROLES)}, all")
+        raise ProvisioningError(f"there is no role {', '.join(sorted(wrong))}: choose from {', '.join(ROLES)}, all")
     return ROLES if "all" in asked else tuple(role for role in ROLES if role in asked)
 
 
-def install_steps(system: System, wanted: Wanted, options: argparse.Namespace) -> list[Step]:
-    """All that makes the system what is wanted, in order."""
+def install_steps(system: System, installation: Installation, options: argparse.Namespace) -> list[Step]:
+    """Return the steps that bring the system to the desired state.
+
+    Raises:
+        ProvisioningError: The operating system is not supported.
+    """
     if system.release() not in KNOWN:
         known = ", ".join(" ".join(each) for each in sorted(KNOWN))
-        raise Failed(f"this is {' '.join(system.release()) or 'an unknown system'}; provision knows {known}")
-    extras = release.extras(wanted.roles, wanted.engine)
+        raise ProvisioningError(
+            f"this is {' '.join(system.release()) or 'an unknown system'}; provision supports {known}"
+        )
+    extras = release.required_extras(installation.roles, installation.engine)
     steps = [
-        package_step(system, wanted),
-        *account_steps(system, wanted.roles),
+        package_step(system, installation),
+        *account_steps(system, installation.roles),
         *release.release_steps(system, extras),
         release.switch_step(system, extras),
     ]
-    if "container" in wanted.roles and not wanted.uses_docker:
+    if "container" in installation.roles and not installation.uses_docker:
         steps.append(release.typesupport_step(system))
-    steps += [certificate_step(system, wanted), *file_steps(system, wanted)]
-    if "container" in wanted.roles and wanted.uses_docker:
+    steps += [certificate_step(system, installation), *file_steps(system, installation)]
+    if "container" in installation.roles and installation.uses_docker:
         steps += docker_steps(system)
         if not options.no_images:
             steps.append(image_step())
     if not options.no_start:
-        steps.append(start_step(system, wanted.roles))
+        steps.append(start_step(system, installation.roles))
     return steps

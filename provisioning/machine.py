@@ -1,4 +1,4 @@
-"""`machine` and `cloud-init`: on the Master's machine, what another one needs to join it. Standard library only."""
+"""Commands `machine` and `cloud-init`: invite other machines, on the Master's machine. Standard library only."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from provisioning import cloudinit
 from provisioning.joincode import parse
 from provisioning.services import as_user
-from provisioning.steps import Failed, add_command, begin_log, need_root, run
+from provisioning.steps import ProvisioningError, add_command, need_root, run, start_log
 from provisioning.system import CURRENT, ETC, TLS, System
 
 if TYPE_CHECKING:
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 
 def machine(options: argparse.Namespace, rest: list[str]) -> int:
-    """Machines of the platform: `add NAME` prints the line to paste on a new one, `remove NAME`, `list`."""
+    """Manage machines of the platform: `add NAME` prints the command to run on a new one; `remove NAME`, `list`."""
     command = [*_rce(), options.action, *([options.name] if options.name else []), *_invitation(options)]
     if options.action != "list" and not options.name:
-        raise Failed(f"machine {options.action} needs the NAME of the machine")
+        raise ProvisioningError(f"machine {options.action} needs the NAME of the machine")
     if options.dry_run:
         print(f"{'run':<16} {shlex.join(command)}")
         return 0
@@ -29,7 +29,7 @@ def machine(options: argparse.Namespace, rest: list[str]) -> int:
     if options.action != "add":
         print(output, end="")
         if options.action == "remove":
-            print(f"{options.name} may not join again; what runs there loses the Master at its next start")
+            print(f"{options.name} cannot join again; its services lose access to the Master at their next start")
         return 0
     code = parse(output)
     roles = ",".join(code.roles)
@@ -39,7 +39,7 @@ def machine(options: argparse.Namespace, rest: list[str]) -> int:
 
 
 def cloud_init(options: argparse.Namespace, rest: list[str]) -> int:
-    """Print user data that makes a fresh cloud instance a machine of the platform; see `machine add`."""
+    """Print user data that makes a new cloud instance a machine of the platform; see `machine add`."""
     command = [*_rce(), "add", options.name, *_invitation(options)]
     if options.dry_run:
         print(f"{'run':<16} {shlex.join(command)}, and put the code into user data")
@@ -50,24 +50,29 @@ def cloud_init(options: argparse.Namespace, rest: list[str]) -> int:
 
 
 def add_commands(commands: Commands) -> None:
+    """Add the subcommands of this module."""
     command = add_command(commands, machine)
     command.add_argument("action", choices=["add", "remove", "list"])
-    command.add_argument("name", nargs="?", help="of the machine: as its host name, unique on the platform")
+    command.add_argument("name", nargs="?", help="name of the machine, unique on the platform")
     _add_invitation(command)
     cloud = add_command(commands, cloud_init, name="cloud-init")
-    cloud.add_argument("name", help="of the machine")
+    cloud.add_argument("name", help="name of the machine")
     _add_invitation(cloud)
-    cloud.add_argument("--install", default="", metavar="OPTIONS", help='for `install` there: "--size 4 --no-images"')
+    cloud.add_argument(
+        "--install", default="", metavar="OPTIONS", help='options for `install` there, such as "--size 4 --no-images"'
+    )
 
 
 def _add_invitation(command: argparse.ArgumentParser) -> None:
     command.add_argument("--role", action="append", metavar="ROLE", help="robot, container (default: both)")
-    command.add_argument("--address", default="", metavar="HOST", help="by which other machines reach it")
-    command.add_argument("--hours", type=float, default=24.0, help="for which the code is good (%(default)g)")
+    command.add_argument("--address", default="", metavar="HOST", help="address of the machine for others")
+    command.add_argument(
+        "--hours", type=float, default=24.0, help="lifetime of the code in hours (default: %(default)g)"
+    )
 
 
 def _rce() -> list[str]:
-    """As the services' user, since the database is its own."""
+    """Return the command `rce machine` as the services' user, who owns the database."""
     return as_user(f"{CURRENT}/bin/rce", "machine", f"--config={ETC}/master.toml")
 
 
@@ -81,7 +86,7 @@ def _invitation(options: argparse.Namespace) -> list[str]:
 
 def _ask(command: list[str]) -> str:
     if "master" not in System().roles():
-        raise Failed("there is no Master on this machine: run this where `install --role master` was run")
+        raise ProvisioningError("there is no Master on this machine: run this on the machine where it is installed")
     need_root("machine")
-    begin_log()
+    start_log()
     return run(*command, secret="")

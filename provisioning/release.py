@@ -1,6 +1,6 @@
-"""RCE's code in the system: releases side by side under /opt/rce, and a link to the one that runs.
+"""Releases of RCE's code, side by side under /opt/rce, and a link to the current one.
 
-So an upgrade that fails changes nothing, what runs keeps its files, and the way back is the link.
+An upgrade that fails changes nothing, running services keep their files, and a rollback is a change of the link.
 Standard library only.
 """
 
@@ -15,27 +15,27 @@ import tarfile
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
-from provisioning.steps import ROOT, Failed, Step, run
+from provisioning.steps import ROOT, ProvisioningError, Step, pip_environment, pip_install, run
 from provisioning.system import CURRENT, DOCKER, OPT, System, public_python
 
 PACKAGES = ("rce", "master", "endpoints", "containers", "converters", "provisioning")
-FILES = ("pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md")
-KEPT = 2  # releases: the running one and the one before, whose files environments may still use
+FILES = ("pyproject.toml", "constraints.txt", "README.md", "LICENSE", "CHANGELOG.md")
+KEPT = 2  # releases: the current one and the previous, whose files environments may still use
 EXTRAS = {"master": ("server",), "robot": ("server",), "container": ("server",), "map-service": ("server", "mapping")}
 TYPESUPPORT = f"{OPT}/typesupport"
-SOURCE = "source.tar.gz"  # of a release, which machines to come may fetch from the Master
+SOURCE = "source.tar.gz"  # the release's source, which new machines can fetch from the Master
 
 
-def extras(roles: Collection[str], engine: str) -> list[str]:
-    """Of our package, for these roles."""
-    wanted = {extra for role in roles for extra in EXTRAS[role]}
+def required_extras(roles: Collection[str], engine: str) -> list[str]:
+    """Return the extras of RCE that these roles need."""
+    extras = {extra for role in roles for extra in EXTRAS[role]}
     if "container" in roles:
-        wanted |= {"docker"} if engine in DOCKER else {"ros", "mapping"}
-    return sorted(wanted)
+        extras |= {"docker"} if engine in DOCKER else {"ros", "mapping"}
+    return sorted(extras)
 
 
 def sources() -> Iterator[Path]:
-    """The files of the checkout that make a release."""
+    """Yield the files of the checkout that are part of a release."""
     for name in FILES:
         yield ROOT / name
     for package in PACKAGES:
@@ -44,9 +44,9 @@ def sources() -> Iterator[Path]:
                 yield path
 
 
-def name_of(wanted: Collection[str]) -> str:
-    """The version, and a digest of the code and of the extras: another name means another release."""
-    digest = hashlib.sha256(" ".join(sorted(wanted)).encode())
+def release_name(extras: Collection[str]) -> str:
+    """Return the name of the checkout's release: the version, and a digest of the code and of the extras."""
+    digest = hashlib.sha256(" ".join(sorted(extras)).encode())
     for path in sources():
         digest.update(f"\0{path.relative_to(ROOT)}\0".encode())
         digest.update(path.read_bytes())
@@ -54,41 +54,41 @@ def name_of(wanted: Collection[str]) -> str:
     return f"{found[1] if found else '0'}-{digest.hexdigest()[:12]}"
 
 
-def release_steps(system: System, wanted: Collection[str]) -> list[Step]:
-    """Put the checkout's code there as a release of its own; what runs does not notice."""
-    name = name_of(wanted)
+def release_steps(system: System, extras: Collection[str]) -> list[Step]:
+    """Return the steps that install the checkout as a new release. They do not affect running services."""
+    name = release_name(extras)
     place = f"{OPT}/releases/{name}"
-    listed = f"rce[{','.join(sorted(wanted))}]"
-    done = system.path(f"{place}/{SOURCE}").exists()  # what is made last
+    listed = f"rce[{','.join(sorted(extras))}]"
+    done = system.path(f"{place}/{SOURCE}").exists()  # it is written last
     return [
         Step(
             "release",
             lambda: "" if done else f"build a wheel of this checkout, install {listed} in {place}",
-            lambda: _make(place, sorted(wanted)),
+            lambda: _make(place, sorted(extras)),
         )
     ]
 
 
-def switch_step(system: System, wanted: Collection[str]) -> Step:
-    """Let the services' next start be of the checkout's release."""
-    target = f"releases/{name_of(wanted)}"
+def switch_step(system: System, extras: Collection[str]) -> Step:
+    """Return the step that makes the checkout's release the current one, which services use after a restart."""
+    target = f"releases/{release_name(extras)}"
     link = system.path(CURRENT)
     done = link.is_symlink() and os.readlink(link) == target
     return Step("current release", lambda: "" if done else f"{CURRENT} -> {target}", lambda: _switch(link, target))
 
 
-def _make(place: str, wanted: list[str]) -> str:
+def _make(place: str, extras: list[str]) -> str:
     directory = Path(place)
     shutil.rmtree(directory, ignore_errors=True)
     directory.mkdir(parents=True)
     python = directory / "bin" / "python"
     try:
         run(public_python(), "-m", "venv", directory)
-        quiet = ("--disable-pip-version-check", "--no-input")
-        run(python, "-m", "pip", "wheel", *quiet, "--no-deps", "--wheel-dir", directory / "wheel", ROOT)
+        build = (python, "-m", "pip", "wheel", "--disable-pip-version-check", "--no-input", "--no-deps")
+        run(*build, "--wheel-dir", directory / "wheel", ROOT, environment=pip_environment())
         (wheel,) = (directory / "wheel").glob("*.whl")
-        run(python, "-m", "pip", "install", *quiet, "--no-compile", f"{wheel}[{','.join(wanted)}]")
-        # Services may not write there. Libraries' own tests, half of all code, nobody runs.
+        pip_install(python, "--no-compile", f"{wheel}[{','.join(extras)}]")
+        # Services have no right to write there. Tests of libraries, half of all code, are not compiled.
         run(python, "-m", "compileall", "-q", "-j", "0", "-x", "/tests?/", directory / "lib")
         _pack(directory / SOURCE)
     except BaseException:
@@ -98,7 +98,7 @@ def _make(place: str, wanted: list[str]) -> str:
 
 
 def _pack(archive: Path) -> None:
-    """The checkout without its history and what was built in it."""
+    """Write the archive of the sources."""
     draft = archive.with_suffix(".new")
     with tarfile.open(draft, "w:gz") as tar:
         for path in sources():
@@ -125,22 +125,26 @@ def _switch(link: Path, target: str) -> str:
 
 
 def typesupport_step(system: System) -> Step:
-    """Types that the ROS 2 wheels lack, for environments outside of images. Releases share them: they take a minute."""
+    """Return the step that builds types that the ROS 2 wheels lack, for the engine `process`.
+
+    Releases share them, because the build takes a minute.
+    """
 
     def build() -> str:
         if shutil.which("g++") is None:
-            raise Failed("type support needs a compiler: apt-get install g++ python3-dev")
+            raise ProvisioningError("type support needs a compiler: apt-get install g++ python3-dev")
         command = (f"{CURRENT}/bin/python", "-P", "-m", "provisioning.typesupport", "--cache", TYPESUPPORT)
         return run(*command).strip().splitlines()[-1]
 
-    return Step("type support", lambda: f"build in {TYPESUPPORT} what is not there yet", build)
+    return Step("type support", lambda: f"build what is missing in {TYPESUPPORT}", build)
 
 
-def version_of(system: System) -> str:
-    """What runs here, as `0.1.0-…`; empty if nothing is installed."""
+def installed_release(system: System) -> str:
+    """Return the name of the current release, such as `0.1.0-…`, or "" if nothing is installed."""
     link = system.path(CURRENT)
     return Path(os.readlink(link)).name if link.is_symlink() else ""
 
 
 def python_has(python: str, module: str) -> bool:
+    """Return True if this Python can import the module."""
     return subprocess.run([python, "-c", f"import {module}"], stderr=subprocess.DEVNULL).returncode == 0

@@ -1,4 +1,4 @@
-"""Where ROS 2 is installed: the wheels in this Python's prefix, or a system ROS 2 that `AMENT_PREFIX_PATH` names."""
+"""Locations of ROS 2: the wheels in this Python's prefix, or a system ROS 2 in `AMENT_PREFIX_PATH`."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from pathlib import Path
 from rce.errors import NotFound
 
 MARKER = "rce-typesupport"
-"""File in a prefix that `provisioning.typesupport` built. Those are its output, never its input."""
+"""File that marks a prefix which `provisioning.typesupport` built, so that it is not read as input."""
 
 
 def prefixes() -> list[Path]:
-    """Prefixes with ROS 2 packages, those of `AMENT_PREFIX_PATH` first."""
+    """Return the prefixes with ROS 2 packages, those of `AMENT_PREFIX_PATH` first."""
     listed = [Path(path) for path in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if path]
     return [
         path
@@ -23,7 +23,7 @@ def prefixes() -> list[Path]:
 
 
 def share(package: str) -> Path | None:
-    """The share directory of a package, None if it is not installed."""
+    """Return the share directory of a package, or None if it is not installed."""
     for prefix in prefixes():
         if (directory := prefix / "share" / package).is_dir():
             return directory
@@ -31,7 +31,11 @@ def share(package: str) -> Path | None:
 
 
 def required(package: str) -> Path:
-    """The share directory of a package that type support cannot be built without; raises NotFound."""
+    """Return the share directory of a package that type support cannot be built without.
+
+    Raises:
+        NotFound: The package is not installed.
+    """
     directory = share(package)
     if directory is None:
         raise NotFound(
@@ -41,7 +45,7 @@ def required(package: str) -> Path:
 
 
 def interface_packages() -> dict[str, Path]:
-    """The share directories of all installed packages that define messages or services."""
+    """Return the share directories of all installed packages that define messages or services, by name."""
     found: dict[str, Path] = {}
     for prefix in prefixes():
         index = prefix / "share" / "ament_index" / "resource_index" / "rosidl_interfaces"
@@ -51,10 +55,10 @@ def interface_packages() -> dict[str, Path]:
 
 
 def include_directories() -> list[Path]:
-    """What C and C++ code that uses installed packages needs on its include path."""
+    """Return the include path of C and C++ code that uses installed packages."""
     found = []
     for prefix in prefixes():
         index = prefix / "share" / "ament_index" / "resource_index" / "packages"
         found += [prefix / "include" / resource.name for resource in sorted(index.glob("*"))]
-        found.append(prefix / "include")  # Fast CDR's headers are not in a directory of their own
+        found.append(prefix / "include")  # the headers of Fast CDR
     return [directory for directory in found if directory.is_dir()]

@@ -1,4 +1,4 @@
-"""What all commands of `provision` are made of: steps that are done only if they are needed. Standard library only."""
+"""Steps that the commands of `provision` consist of, each executed only if it is needed. Standard library only."""
 
 from __future__ import annotations
 
@@ -20,58 +20,69 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parent.parent  # the checkout
 LOG = ROOT / "build" / "provision.log"
-NAMED = 17  # columns of a step's name
+CONSTRAINTS = ROOT / "constraints.txt"  # exact versions of all dependencies
+NAME_COLUMNS = 16  # for the name of a step, which a space follows
 
 
-class Failed(Exception):
-    """A step failed; the message says why and what to do."""
+class ProvisioningError(Exception):
+    """A step failed. The message says why, and what to do."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """One thing to do. `todo` says in words what is to be done, "" if nothing; `action` does it and may comment."""
+    """One step of a command.
+
+    Attributes:
+        name: Short name, printed before the outcome.
+        todo: Returns a description of the work that is left, or "" if there is none.
+        action: Does the work. Returns a remark for the user, or "".
+    """
 
     name: str
     todo: Callable[[], str]
     action: Callable[[], str]
 
 
-def perform(steps: Sequence[Step]) -> None:
-    """Run the steps in order, one printed line each; raises Failed at the first that does not succeed."""
+def run_steps(steps: Sequence[Step]) -> None:
+    """Run the steps in order and print one line for each.
+
+    Raises:
+        ProvisioningError: A step failed; those after it were not started.
+    """
     for step in steps:
         start = time.monotonic()
         if not step.todo():
-            print(f"{step.name:<16} already done", flush=True)
+            print(f"{step.name:<{NAME_COLUMNS}} already done", flush=True)
             continue
-        print(f"{step.name:<16} ", end="", flush=True)
+        print(f"{step.name:<{NAME_COLUMNS}} ", end="", flush=True)
         try:
             remark = step.action()
-        except Failed:
-            glimpse("")
+        except ProvisioningError:
+            show_progress("")
             print("failed", flush=True)
             raise
-        glimpse("")
+        show_progress("")
         print(f"{remark or 'done'} ({time.monotonic() - start:.1f} s)", flush=True)
 
 
-def glimpse(line: str) -> None:
-    """On a terminal, what a step is at, behind its name; the next one takes its place."""
+def show_progress(line: str) -> None:
+    """On a terminal, print a line of a program's output behind the step's name, in place of the previous one."""
     if sys.stdout.isatty():
-        room = shutil.get_terminal_size().columns - NAMED - 1
+        room = shutil.get_terminal_size().columns - NAME_COLUMNS - 2
         text = "".join(filter(str.isprintable, line))[: max(room, 0)]
-        print(f"\x1b[{NAMED + 1}G\x1b[K{text}", end="", flush=True)
+        print(f"\x1b[{NAME_COLUMNS + 2}G\x1b[K{text}", end="", flush=True)
 
 
-def show(steps: Sequence[Step], final: Sequence[str] = ()) -> None:
-    """The plan: what `perform` would do, and the program that would have the terminal then."""
+def print_plan(steps: Sequence[Step], *commands: Sequence[str]) -> None:
+    """Print what `run_steps` would do, and the commands that would be run after it."""
     for step in steps:
-        print(f"{step.name:<16} {step.todo() or 'already done'}")
-    if final:
-        print(f"{'run':<16} {shlex.join(final)}")
+        print(f"{step.name:<{NAME_COLUMNS}} {step.todo() or 'already done'}")
+    for command in commands:
+        print(f"{'run':<{NAME_COLUMNS}} {shlex.join(command)}")
 
 
 def check_step(name: str, *command: str | Path) -> Step:
-    """A program whose output is of interest only if it fails."""
+    """Return a step that runs a program, whose output is printed only if it fails."""
 
     def action() -> str:
         run(*command)
@@ -80,15 +91,25 @@ def check_step(name: str, *command: str | Path) -> Step:
     return Step(name, lambda: shlex.join(map(str, command)), action)
 
 
-def begin_log() -> None:
+def start_log() -> None:
+    """Create the log, or empty it."""
     LOG.parent.mkdir(exist_ok=True)
     LOG.write_text("")
 
 
 def run(*command: str | Path, environment: Mapping[str, str] | None = None, secret: str | None = None) -> str:
-    """Run a program with its output in the log; returns what it printed. Raises Failed.
+    """Run a program, with its output in the log.
 
-    With `secret`, which becomes its input, neither its arguments nor its output go to the log.
+    Args:
+        command: The program and its arguments.
+        environment: Variables to set in addition to those of this process.
+        secret: The program's standard input. If given, neither arguments nor output are written to the log.
+
+    Returns:
+        The program's output, standard error included.
+
+    Raises:
+        ProvisioningError: The program cannot be run or failed.
     """
     words = list(map(str, command))
     shown = shlex.join(words) if secret is None else f"{words[0]} …"
@@ -108,7 +129,7 @@ def run(*command: str | Path, environment: Mapping[str, str] | None = None, secr
                 errors="replace",
             )
         except OSError as error:
-            raise Failed(f"{words[0]} cannot be run: {error}") from None
+            raise ProvisioningError(f"{words[0]} cannot be run: {error}") from None
         with program:
             assert program.stdin is not None
             assert program.stdout is not None
@@ -118,13 +139,32 @@ def run(*command: str | Path, environment: Mapping[str, str] | None = None, secr
             for line in program.stdout:
                 lines.append(line)
                 if secret is None:
-                    glimpse(line)
+                    show_progress(line)
                     log.write(line)
                     log.flush()
     if program.returncode:
-        rest = f"; all of its output is in {LOG}" if secret is None else ""
-        raise Failed(f"{''.join(lines[-30:])}\n{shown}\nended with status {program.returncode}{rest}")
+        rest = f"; the whole output is in {LOG}" if secret is None else ""
+        raise ProvisioningError(f"{''.join(lines[-30:])}\n{shown}\nexited with status {program.returncode}{rest}")
     return "".join(lines)
+
+
+def pip_install(python: str | Path, *arguments: str | Path) -> None:
+    """Install packages by pip in the versions of constraints.txt, those that builds need included.
+
+    Raises:
+        ProvisioningError: pip failed.
+    """
+    command = (python, "-m", "pip", "install", "--disable-pip-version-check", "--no-input", "-c", CONSTRAINTS)
+    run(*command, *arguments, environment=pip_environment())
+
+
+def pip_environment() -> dict[str, str]:
+    """Return variables by which pip also constrains the packages that it builds wheels with.
+
+    They go to an environment of their own, to which option -c does not apply. pip 25.3 and later read
+    PIP_BUILD_CONSTRAINT, earlier versions PIP_CONSTRAINT. Both may be lists separated by spaces, hence the URI.
+    """
+    return {"PIP_CONSTRAINT": CONSTRAINTS.as_uri(), "PIP_BUILD_CONSTRAINT": CONSTRAINTS.as_uri()}
 
 
 def add_command(
@@ -133,25 +173,41 @@ def add_command(
     name: str = "",
     passes_on: bool = False,
 ) -> argparse.ArgumentParser:
-    """A subcommand that `function` carries out and whose docstring says what it does.
+    """Add a subcommand.
 
-    With `passes_on`, arguments that it does not know are for the program that it ends with.
+    Args:
+        commands: The subcommands of the parser.
+        function: Executes the subcommand and returns its exit status. Its docstring is the help text.
+        name: The subcommand's name, if it is not the function's.
+        passes_on: Pass unknown arguments to the function instead of refusing them.
     """
     command = commands.add_parser(
         name or function.__name__, help=function.__doc__, description=function.__doc__, allow_abbrev=False
     )
     command.set_defaults(function=function, passes_on=passes_on)
-    command.add_argument("--dry-run", action="store_true", help="print what would be done, and do nothing")
+    command.add_argument("--dry-run", action="store_true", help="print the plan and change nothing")
     return command
 
 
 def check_python() -> None:
+    """Check that RCE runs on this version of Python.
+
+    Raises:
+        ProvisioningError: It does not.
+    """
     if not (3, 11) <= sys.version_info[:2] <= (3, 13):
-        raise Failed(
+        raise ProvisioningError(
             f"this is Python {sys.version.split()[0]}; RCE runs on 3.11 to 3.13, for example: python3.12 {sys.argv[0]}"
         )
 
 
-def need_root(what: str) -> None:
+def need_root(command: str) -> None:
+    """Check that the process runs as root.
+
+    Raises:
+        ProvisioningError: It does not.
+    """
     if os.geteuid() != 0:
-        raise Failed(f"{what} changes this system: run it as root (sudo provisioning/provision …), or with --dry-run")
+        raise ProvisioningError(
+            f"{command} changes this system: run it as root (sudo provisioning/provision …), or with --dry-run"
+        )

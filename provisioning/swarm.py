@@ -1,4 +1,4 @@
-"""`swarm`: Docker on several machines as one, for the engine `swarm`. Standard library only."""
+"""Command `swarm`: sets up Docker Swarm on several machines, for the engine `swarm`. Standard library only."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ import shlex
 import socket
 from typing import TYPE_CHECKING
 
-from provisioning.installing import install_packages
 from provisioning.services import docker_steps
-from provisioning.steps import Failed, Step, add_command, begin_log, need_root, perform, run, show
+from provisioning.steps import ProvisioningError, Step, add_command, need_root, print_plan, run, run_steps, start_log
 from provisioning.system import System, docker_answers, own_address
+from provisioning.system_steps import install_packages
 
 if TYPE_CHECKING:
     from provisioning.steps import Commands
 
 SETTINGS = "/etc/docker/daemon.json"
-WANTED: dict[str, object] = {  # Swarm's services have no such options of their own
+DAEMON_SETTINGS: dict[str, object] = {  # services of Swarm have no such options
     "no-new-privileges": True,
     "log-driver": "json-file",
     "log-opts": {"max-size": "2m", "max-file": "2"},
 }
-NEEDED = {"docker.io": "dockerd", "iptables": "iptables"}
+PROGRAMS = {"docker.io": "dockerd", "iptables": "iptables"}
 FEATURE = "rce.feature."
 PORTS = """\
 Ports to open in a firewall between the machines of the swarm, and to nobody else:
@@ -33,46 +33,55 @@ Ports to open in a firewall between the machines of the swarm, and to nobody els
 
 
 def swarm(options: argparse.Namespace, rest: list[str]) -> int:
-    """`init` makes this machine the manager of a swarm, `join` a member of one, `label NODE` gives a node features."""
+    """Set up a swarm: `init` makes this machine its manager, `join` a member; `label NODE` gives a node features."""
     if options.action == "label":
         return _label(options)
     system = System()
     steps = swarm_steps(system, options)
     if options.dry_run:
-        show(steps)
+        print_plan(steps)
         print("\n" + PORTS)
         return 0
     need_root("swarm")
-    begin_log()
-    perform(steps)
+    start_log()
+    run_steps(steps)
     print("\n" + PORTS)
     if options.action == "init" and docker_answers():
         token = run("docker", "swarm", "join-token", "-q", "worker").strip()
         place = f"{swarm_state()[1] or options.address}:2377"
-        print("\nOn every other machine, as root (whoever has this token can join):\n")
+        print("\nOn every other machine, as root (keep the token secret: it admits any machine):\n")
         print(f"provisioning/provision swarm join {place} --token {token}")
         print("\nThe task set here: provisioning/provision install --role container --engine swarm …")
     elif options.action == "join":
         words = " ".join(f"--feature {name}" for name in options.feature) or "--feature NAME"
-        print(f"\nFeatures are given at the manager: provisioning/provision swarm label {socket.gethostname()} {words}")
+        print(
+            f"\nTo give it features, at the manager: provisioning/provision swarm label {socket.gethostname()} {words}"
+        )
     return 0
 
 
 def add_commands(commands: Commands) -> None:
+    """Add the subcommand `swarm`."""
     command = add_command(commands, swarm)
     command.add_argument("action", choices=["init", "join", "label"])
     command.add_argument("place", nargs="?", help="join: the manager's HOST:PORT; label: the node's name")
-    command.add_argument("--token", help="join: what `swarm init` printed")
-    command.add_argument("--address", metavar="HOST", help="by which the others reach this machine (default: its own)")
+    command.add_argument("--token", help="join: the token that `swarm init` printed")
+    command.add_argument("--address", metavar="HOST", help="address of this machine for the others (default: its own)")
     command.add_argument("--feature", action="append", default=[], metavar="NAME", help="special feature of a node")
 
 
 def swarm_steps(system: System, options: argparse.Namespace) -> list[Step]:
-    """Docker, its settings, and the swarm."""
+    """Return the steps that install and set up Docker and enter the swarm.
+
+    Raises:
+        ProvisioningError: Options are missing, or Docker's settings do not allow a swarm.
+    """
     if options.action == "join" and not (options.place and options.token):
-        raise Failed("swarm join needs the manager's HOST:PORT and --token: paste the line that `swarm init` printed")
+        raise ProvisioningError(
+            "swarm join needs the manager's HOST:PORT and --token: copy the line that `swarm init` printed"
+        )
     address = options.address or own_address(*([options.place.rpartition(":")[0]] if options.place else []))
-    missing = [package for package, name in NEEDED.items() if not system.has_program(name)]
+    missing = [package for package, name in PROGRAMS.items() if not system.has_program(name)]
     if options.action == "init":
         command = ["docker", "swarm", "init", "--advertise-addr", address]
     else:
@@ -90,7 +99,7 @@ def swarm_steps(system: System, options: argparse.Namespace) -> list[Step]:
 
     def enter() -> str:
         if not docker_answers():
-            return "left out: no Docker answers; start dockerd and run this again"
+            return "skipped: Docker does not answer; start dockerd and run this again"
         run(*command, secret="")
         return f"{options.action}, as {address}"
 
@@ -104,19 +113,22 @@ def swarm_steps(system: System, options: argparse.Namespace) -> list[Step]:
 
 
 def _settings_step(system: System, manager: str) -> Step:
-    """What is there already stays, except where it says otherwise. Images come from the manager; what is taken there is
-    named by its digest, so that a certificate is not needed to trust it."""
+    """Return the step that adds our settings to those of Docker's daemon.
+
+    Nodes pull images from the task set at the manager, by digest. So Docker need not verify its certificate
+    (`insecure-registries`).
+    """
     try:
         present: dict[str, object] = json.loads(system.text(SETTINGS) or "{}")
     except json.JSONDecodeError as error:
-        raise Failed(f"{SETTINGS}: {error}; mend it first") from None
+        raise ProvisioningError(f"{SETTINGS}: {error}; correct it first") from None
     if present.get("live-restore"):
-        raise Failed(f"{SETTINGS} has live-restore, with which Docker refuses a swarm: take it out first")
+        raise ProvisioningError(f"{SETTINGS} has live-restore, with which Docker refuses a swarm: remove it first")
     registries = present.get("insecure-registries", [])
     if not isinstance(registries, list):
-        raise Failed(f"{SETTINGS}: insecure-registries is not a list; mend it first")
+        raise ProvisioningError(f"{SETTINGS}: insecure-registries is not a list; correct it first")
     registry = f"{socket.gethostbyname(manager)}/32"
-    changed = present | WANTED | {"insecure-registries": sorted({*registries, registry})}
+    changed = present | DAEMON_SETTINGS | {"insecure-registries": sorted({*registries, registry})}
 
     def write() -> str:
         system.path(SETTINGS).parent.mkdir(parents=True, exist_ok=True)
@@ -125,12 +137,12 @@ def _settings_step(system: System, manager: str) -> Step:
             run("systemctl", "restart", "docker.service")
         return SETTINGS
 
-    todo = "" if changed == present else f"{SETTINGS}: {', '.join([*WANTED, 'insecure-registries'])}"
+    todo = "" if changed == present else f"{SETTINGS}: {', '.join([*DAEMON_SETTINGS, 'insecure-registries'])}"
     return Step("docker settings", lambda: todo, write)
 
 
 def swarm_state() -> tuple[str, str]:
-    """As Docker says it: whether this machine is in a swarm, and its address there."""
+    """Return this machine's state in a swarm, such as `active`, and its address there, as Docker reports them."""
     output = run("docker", "info", "--format", "{{.Swarm.LocalNodeState}} {{.Swarm.NodeAddr}}")
     state, _, address = output.strip().partition(" ")
     return state, address
@@ -138,13 +150,13 @@ def swarm_state() -> tuple[str, str]:
 
 def _label(options: argparse.Namespace) -> int:
     if not options.place or not options.feature:
-        raise Failed("swarm label needs the node's name (docker node ls) and --feature NAME")
+        raise ProvisioningError("swarm label needs the node's name (docker node ls) and --feature NAME")
     labels = [word for name in options.feature for word in ("--label-add", f"{FEATURE}{name}=true")]
     command = ["docker", "node", "update", *labels, options.place]
     if options.dry_run:
         print(f"{'run':<16} {shlex.join(command)}")
         return 0
-    begin_log()
+    start_log()
     run(*command)
     print(f"{options.place}: {', '.join(options.feature)}")
     return 0

@@ -1,8 +1,8 @@
-"""Type support for ROS 2 messages and services that the installed packages lack, built once for each set of them.
+"""Builder of type support for ROS 2 messages and services that the installed packages lack, with a cache.
 
-`python -m provisioning.typesupport [DIR…]` builds the packages that ship with RCE (tf2_msgs, map_msgs) and those in
-DIR, prints the prefix that holds the result, and lets the link `current` in the cache point to it. It knows messages
-and services; actions are left out, and named.
+`python -m provisioning.typesupport [DIR…]` builds the interface packages of RCE (tf2_msgs, map_msgs and others) and
+those in DIR, prints the prefix with the result, and points the link `current` in the cache to it. It supports messages
+and services. Actions are left out and reported.
 """
 
 from __future__ import annotations
@@ -25,21 +25,24 @@ from provisioning import compiler, definitions, generate, rosinstall
 from provisioning.definitions import Package
 from rce.errors import InternalError, RceError
 
-FORMAT = 1  # raise it when the same input gives another result than before
+FORMAT = 1  # increment when the result for the same input changes
 DEFAULT_CACHE = Path(sys.prefix) / "typesupport"
 RUNTIME = (
     *generate.CODE[1:],
     *("rosidl_typesupport_fastrtps_cpp", "rosidl_runtime_c", "rcutils", "rmw", "fastcdr"),
 )
-"""Libraries of ROS 2 that generated code calls."""
+"""Libraries of ROS 2 that generated code uses."""
 SERVICES_USE = ("service_msgs", "builtin_interfaces")
 
 
 @dataclass(frozen=True)
 class TypeSupport:
-    """A prefix like those of installed ROS 2 packages; add it to `AMENT_PREFIX_PATH` to find definitions and nodes.
+    """Result of a build.
 
-    Its `python` is all that `PYTHONPATH` needs. `left_out` are files that are not supported: actions and IDL.
+    Attributes:
+        prefix: Prefix like those of installed ROS 2 packages. In `AMENT_PREFIX_PATH` it gives access to definitions and
+            nodes, and its directory `python` in `PYTHONPATH` to the modules.
+        left_out: Files that are not supported: actions and IDL.
     """
 
     prefix: Path
@@ -47,29 +50,35 @@ class TypeSupport:
 
 
 def shipped() -> list[Path]:
-    """The interface packages that come with RCE, without those that are installed already."""
+    """Return the interface packages of RCE, without those that are installed already."""
     found = Path(__file__).with_name("interfaces").iterdir()
     return sorted(path for path in found if path.is_dir() and rosinstall.share(path.name) is None)
 
 
-def used(roots: Sequence[Path]) -> list[Path]:
-    """Those of the packages that ship which the packages in the directories `roots` use, and are not."""
+def dependencies(roots: Sequence[Path]) -> list[Path]:
+    """Return the interface packages of RCE that the packages in these directories depend on."""
     packages = [definitions.read_package(root.absolute()) for root in roots]
     names = {reference.package for package in packages for reference in package.uses}
     return [path for path in shipped() if path.name in names - {package.name for package in packages}]
 
 
 def build(roots: Sequence[Path], cache: Path = DEFAULT_CACHE) -> TypeSupport:
-    """Type support for the interface packages in the directories `roots`, from `cache` if nothing has changed.
+    """Build type support for the interface packages in these directories, or find it in the cache.
 
-    Safe for several callers at once: one builds, the others wait. Raises InvalidRequest, InvalidName, UnknownType or
-    AlreadyExists for packages that are wrong (with file and line), NotFound without a compiler.
+    Several processes may call it at the same time: one builds, the others wait.
+
+    Raises:
+        InvalidRequest: A file is malformed. As for the next three, the message has file and line.
+        InvalidName: The name of a package or type is not legal.
+        UnknownType: A message is not defined.
+        AlreadyExists: A name is used twice.
+        NotFound: There is no compiler, or no ROS 2.
     """
     packages = definitions.read_packages(path.absolute() for path in roots)
     prefix = cache.absolute() / cache_key(packages)
     result = TypeSupport(prefix, tuple(path for package in packages for path in package.left_out))
     if not prefix.exists():
-        with only_builder(cache) as workshop:
+        with lock_cache(cache) as workshop:
             if not prefix.exists():
                 build_packages(packages, workshop)
                 workshop.rename(prefix)
@@ -77,7 +86,7 @@ def build(roots: Sequence[Path], cache: Path = DEFAULT_CACHE) -> TypeSupport:
 
 
 def cache_key(packages: Sequence[Package]) -> str:
-    """A hash of all that the result depends on: these packages, what they use, the generators and Python."""
+    """Return a hash of everything that the result depends on: packages, dependencies, generators and Python."""
     used = {reference for package in packages for reference in package.uses}
     files = [path for package in packages for path in package.files]
     files += [rosinstall.required(name) / "package.xml" for name in (*generate.PACKAGES, *SERVICES_USE)]
@@ -93,8 +102,8 @@ def cache_key(packages: Sequence[Package]) -> str:
 
 
 @contextmanager
-def only_builder(cache: Path) -> Iterator[Path]:
-    """Hold the cache's lock; gives an empty directory to build in. A builder that was killed leaves no lock behind."""
+def lock_cache(cache: Path) -> Iterator[Path]:
+    """Hold the cache's lock, which ends with the process, and yield an empty directory to build in."""
     cache.mkdir(parents=True, exist_ok=True)
     with (cache / ".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
@@ -108,7 +117,7 @@ def only_builder(cache: Path) -> Iterator[Path]:
 
 
 def build_packages(packages: Sequence[Package], prefix: Path) -> None:
-    """Build `packages`, each after those that it uses, into the empty directory `prefix`."""
+    """Build packages, given with dependencies first, into an empty directory."""
     (prefix / rosinstall.MARKER).touch()
     work, python = prefix / "work", prefix / "python"
     tools = compiler.Compiler(work / name for name in generate.CODE)
@@ -123,16 +132,17 @@ def build_packages(packages: Sequence[Package], prefix: Path) -> None:
 
 
 def libraries(package: str, python: Path) -> list[Path]:
-    """A package's libraries: messages, introspection, Python's module.
+    """Return the paths of a package's libraries: messages, introspection, Python module.
 
-    The dispatching layer of ROS 2 asks the loader for the first two by these names. It gets them wherever they are,
-    because Python's module is linked to them and so had them loaded before.
+    The dispatching layer of ROS 2 loads the first two by name. That works for any directory, because the Python module
+    is linked to them, so that they are loaded already.
     """
     names = (f"lib{package}__{generate.FASTRTPS}", f"lib{package}__{generate.INTROSPECTION}", module_name(package))
     return [python / package / f"{name}.so" for name in names]
 
 
 def module_name(package: str) -> str:
+    """Return the name of a package's extension module for Python."""
     return f"{package}_s__rosidl_typesupport_c"
 
 
@@ -152,7 +162,7 @@ def link(package: Package, code: generate.Code, tools: compiler.Compiler, python
 
 
 def register(package: Package, prefix: Path) -> None:
-    """Enter the package in the ament index, and install its nodes where `ros2 run` and RCE look for them."""
+    """Add the package to the ament index, and install its nodes where `ros2 run` and RCE find them."""
     index = prefix / "share" / "ament_index" / "resource_index"
     for kind in ("packages", "rosidl_interfaces"):
         (index / kind).mkdir(parents=True, exist_ok=True)
@@ -164,7 +174,11 @@ def register(package: Package, prefix: Path) -> None:
 
 
 def check_loadable(packages: Sequence[Package], python: Path) -> None:
-    """Load every module with all its symbols, so that what is in the cache is known to work."""
+    """Load every module with all its symbols, so that only working results get into the cache.
+
+    Raises:
+        InternalError: A module cannot be loaded.
+    """
     modules = [f"{package.name}.{module_name(package.name)}" for package in packages]
     kinds = sorted({f"{package.name}.{item.path.parent.name}" for package in packages for item in package.interfaces})
     path = os.pathsep.join(filter(None, (str(python), os.environ.get("PYTHONPATH"))))
@@ -180,28 +194,33 @@ def check_loadable(packages: Sequence[Package], python: Path) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the program and return its exit status."""
     options = argparse.ArgumentParser(prog="python -m provisioning.typesupport", description=__doc__)
     options.add_argument("package", nargs="*", type=Path, metavar="DIR", help="directory of an interface package")
-    options.add_argument("--cache", type=Path, default=DEFAULT_CACHE, help="where results are kept (%(default)s)")
     options.add_argument(
-        "--alone", action="store_true", help="only DIR and what it uses of what ships; the link `current` stays"
+        "--cache", type=Path, default=DEFAULT_CACHE, help="directory of results (default: %(default)s)"
+    )
+    options.add_argument(
+        "--alone",
+        action="store_true",
+        help="build only DIR and its dependencies, and leave the link `current` as it is",
     )
     given = options.parse_args(arguments)
     try:
-        result = build([*(used(given.package) if given.alone else shipped()), *given.package], given.cache)
+        result = build([*(dependencies(given.package) if given.alone else shipped()), *given.package], given.cache)
     except RceError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     for path in result.left_out:
         print(f"left out: {path}: only messages and services (.msg, .srv) are supported", file=sys.stderr)
     if not given.alone:
-        point(given.cache / "current", result.prefix)
+        replace_link(given.cache / "current", result.prefix)
     print(result.prefix)
     return 0
 
 
-def point(link: Path, target: Path) -> None:
-    """Let the symbolic link `link` point to `target` from now on; a reader sees the one or the other."""
+def replace_link(link: Path, target: Path) -> None:
+    """Point a symbolic link to another target atomically."""
     new = link.with_name(f".{link.name}-{os.getpid()}")
     new.symlink_to(target.name)
     new.rename(link)

@@ -1,16 +1,16 @@
-"""The services as systemd units, each with no more rights than it uses. Standard library only."""
+"""systemd units of the services, each with minimal rights. Standard library only."""
 
 from __future__ import annotations
 
 from provisioning.system import CURRENT, DOCKER, ETC, USER, VAR
 
-WHAT = {
+DESCRIPTIONS = {
     "master": "Master",
     "robot": "Robot endpoint",
     "container": "Container task set",
     "map-service": "map service",
 }
-SECRETS = {  # of the Master, which the other services on its machine do not see
+SECRETS = {  # files of other services, which a role cannot read
     "robot": (f"{ETC}/authority", f"{ETC}/master.toml", f"{ETC}/container.toml", f"{VAR}/master"),
     "container": (f"{ETC}/authority", f"{ETC}/master.toml", f"{VAR}/master"),
     "map-service": (
@@ -44,30 +44,30 @@ SystemCallArchitectures=native
 SystemCallFilter=@system-service
 SystemCallErrorNumber=EPERM
 """
-# The robots' and machines' ports are theirs; nothing that they run is a program of somebody else. An own user namespace
-# keeps them from the memory of the task set, which has the same user and may have Docker.
+# For services that listen to robots and machines, but run no users' programs. A user namespace of their own keeps them
+# from the memory of the task set, which has the same user and may have access to Docker.
 FACING_THE_NETWORK = """\
 PrivateUsers=yes
 RemoveIPC=yes
 SystemCallFilter=~@privileged @resources
 RestrictAddressFamilies=AF_INET AF_INET6 AF_UNIX
 """
-# It compiles its kernels once for all jobs; what it reads are strangers' files.
+# The map service compiles its Numba kernels once for all jobs. The files that it reads are not trusted.
 WITH_KERNELS = f"""\
 Environment=NUMBA_CACHE_DIR={VAR}/map-service/numba
 """
-# Environments outlive the task set, which the next one adopts; the process engine sets their limits and DDS asks the
-# kernel for the network interfaces.
+# Environments outlive the task set, and the next one adopts them. The process engine sets their limits, and DDS queries
+# the network interfaces by netlink.
 WITH_ENVIRONMENTS = """\
 KillMode=process
 RestrictAddressFamilies=AF_INET AF_INET6 AF_UNIX AF_NETLINK
 """
-# It guards the networks of groups and of environments that reach out by the packet filter.
+# The task set sets packet filters for network groups and for environments with egress.
 WITH_NETWORKS = """\
 CapabilityBoundingSet=CAP_NET_ADMIN
 AmbientCapabilities=CAP_NET_ADMIN
 """
-# Its environments hold ROS domains by locks in /tmp, which all platforms of this host share and which outlive it.
+# Environments reserve ROS domains by locks in /tmp, which all platforms of this host share.
 WITH_PROCESSES = """\
 PrivateTmp=no
 ReadWritePaths=/tmp
@@ -75,13 +75,13 @@ ReadWritePaths=/tmp
 
 
 def text(role: str, engine: str = "") -> str:
-    """The unit of a role."""
+    """Return the unit file of a role."""
     return (
         f"[Unit]\n"
-        f"Description=RCE {WHAT[role]}\n"
+        f"Description=RCE {DESCRIPTIONS[role]}\n"
         f"After=network-online.target{_after(role, engine)}\n"
         f"Wants=network-online.target\n"
-        f"StartLimitIntervalSec=0\n"  # it waits for a Master that is away, or upgraded first, as long as that takes
+        f"StartLimitIntervalSec=0\n"  # restart without limit while the Master is away or being upgraded
         f"\n[Service]\n"
         f"ExecStart={CURRENT}/bin/rce {role} --config {ETC}/{role}.toml\n"
         f"User={USER}\nGroup={USER}\n"
@@ -100,18 +100,18 @@ def text(role: str, engine: str = "") -> str:
 
 
 def _after(role: str, engine: str) -> str:
-    """Order only: each may run without the other, and finds it when it is there."""
+    """Return the units to start before this one. It is an order only: services wait for each other by themselves."""
     first = "" if role == "master" else " rce-master.service"
     return first + (" docker.service" if role == "container" and engine in DOCKER else "")
 
 
 def _docker(role: str, engine: str) -> str:
-    """Who may speak to Docker is as good as root, so this one service may, not the user that it shares with others."""
+    """Give access to Docker, which is as good as root, to this unit only and not to the user that all units share."""
     return "SupplementaryGroups=docker\n" if role == "container" and engine in DOCKER else ""
 
 
 def command(role: str, engine: str = "") -> str:
-    """What the unit starts, by hand."""
+    """Return the command that runs the service without systemd."""
     program = f"{CURRENT}/bin/rce {role} --config {ETC}/{role}.toml"
     if role == "container" and engine == "docker":
         rights = "--inh-caps -all,+net_admin --ambient-caps -all,+net_admin --no-new-privs"

@@ -1,4 +1,4 @@
-"""`upgrade` and `uninstall`. Standard library only."""
+"""Commands `upgrade` and `uninstall`. Standard library only."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from provisioning import install as installation
+from provisioning import install as installer
 from provisioning import release
 from provisioning.services import START_ORDER, SYSCTL, stop
-from provisioning.steps import Failed, Step, add_command, begin_log, need_root, perform, run, show
+from provisioning.steps import ProvisioningError, Step, add_command, need_root, print_plan, run, run_steps, start_log
 from provisioning.system import ETC, OPT, UNITS, USER, VAR, System, docker_answers, program, unit
 
 if TYPE_CHECKING:
@@ -26,60 +26,61 @@ if TYPE_CHECKING:
 
 BACKUPS = f"{VAR}/backup"
 IMAGES = ("rce/base", "rce/mapping", "rce/ground", "rce/system")
-LOCKS = "/tmp/rce-domains"  # of the engine process
-PATIENCE = 10.0  # seconds for processes to end
+LOCKS = "/tmp/rce-domains"  # locks of ROS domains, by the engine process
+STOP_TIMEOUT = 10.0  # seconds for processes to end
 
 
 def upgrade(options: argparse.Namespace, rest: list[str]) -> int:
-    """Put this checkout's code in the place of what runs: database kept, environments and robots' sessions live on."""
+    """Replace the installed release by this checkout. Database, environments and robots' sessions are kept."""
     system = System()
     if not system.roles():
-        raise Failed("nothing is installed here: provisioning/provision install")
-    wanted = installation.wanted_from(_nothing_asked(), system)
-    steps = installation.install_steps(system, wanted, options)
+        raise ProvisioningError("nothing is installed here: provisioning/provision install")
+    installation = installer.planned_installation(_no_options(), system)
+    steps = installer.install_steps(system, installation, options)
     at = next(index for index, step in enumerate(steps) if step.name == "current release")
-    steps[at:at] = [_backup_step(system)] if "master" in wanted.roles else []
+    steps[at:at] = [_backup_step(system)] if "master" in installation.roles else []
     if options.dry_run:
-        show(steps)
+        print_plan(steps)
         return 0
     need_root("upgrade")
-    begin_log()
-    before = release.version_of(system)
-    perform(steps)
-    print(f"\n{before} -> {release.version_of(system)}")
+    start_log()
+    before = release.installed_release(system)
+    run_steps(steps)
+    print(f"\n{before} -> {release.installed_release(system)}")
     if not system.runs_systemd():
-        print(f"systemd does not run here: start anew by hand, in this order: {' '.join(START_ORDER)}")
+        print(f"systemd does not run here: restart by hand, in this order: {' '.join(START_ORDER)}")
     return 0
 
 
 def uninstall(options: argparse.Namespace, rest: list[str]) -> int:
-    """Remove the platform from this system. Settings and data stay, unless --purge is given or you say so."""
+    """Remove the platform from this system. Settings and data are kept unless --purge is given or you agree."""
     system = System()
-    purge = options.purge or (not options.dry_run and _asked_to_purge(system))
+    purge = options.purge or (not options.dry_run and _confirm_purge(system))
     steps = uninstall_steps(system, purge)
     if options.dry_run:
-        show(steps)
+        print_plan(steps)
         return 0
     need_root("uninstall")
-    begin_log()
-    perform(steps)
+    start_log()
+    run_steps(steps)
     if not purge:
         print(f"\nkept: {ETC} {VAR} and the user {USER}; provisioning/provision uninstall --purge removes them too")
-    print("Packages of the system (docker.io and others) are left as they are.")
+    print("Packages of the system (docker.io and others) are not removed.")
     return 0
 
 
 def add_commands(commands: Commands) -> None:
+    """Add the subcommands of this module."""
     command = add_command(commands, upgrade)
     command.add_argument("--no-images", action="store_true", help="build no images for the engine docker")
-    command.add_argument("--no-start", action="store_true", help="do not start the services anew")
+    command.add_argument("--no-start", action="store_true", help="do not restart the services")
     command = add_command(commands, uninstall)
-    command.add_argument("--purge", action="store_true", help="remove settings, data, images and the user as well")
+    command.add_argument("--purge", action="store_true", help="also remove settings, data, images and the user")
 
 
-def _nothing_asked() -> argparse.Namespace:
-    """Install what is installed."""
-    return argparse.Namespace(role=None, join=None, name=None, **dict.fromkeys(installation.OPTIONS))
+def _no_options() -> argparse.Namespace:
+    """Return options of `install` that keep everything as it is installed."""
+    return argparse.Namespace(role=None, join=None, name=None, **dict.fromkeys(installer.OPTIONS))
 
 
 # --- upgrade ----------------------------------------------------------------------------------------------------------
@@ -87,13 +88,13 @@ def _nothing_asked() -> argparse.Namespace:
 
 def _backup_step(system: System) -> Step:
     database = system.path(f"{VAR}/master/master.db")
-    target = system.path(f"{BACKUPS}/master-{release.version_of(system)}.db")
+    target = system.path(f"{BACKUPS}/master-{release.installed_release(system)}.db")
     todo = f"the Master's database to {target}" if database.exists() else ""
 
     def save() -> str:
         target.parent.mkdir(mode=0o700, exist_ok=True)
         with closing(sqlite3.connect(database)) as source, closing(sqlite3.connect(target)) as copy:
-            source.backup(copy)  # as of one moment, also while the Master writes
+            source.backup(copy)  # a consistent copy, even while the Master writes
         target.chmod(0o600)
         return str(target)
 
@@ -103,7 +104,7 @@ def _backup_step(system: System) -> Step:
 # --- uninstall --------------------------------------------------------------------------------------------------------
 
 
-def _asked_to_purge(system: System) -> bool:
+def _confirm_purge(system: System) -> bool:
     if not sys.stdin.isatty() or not system.path(ETC).exists():
         return False
     answer = input(f"Keep settings, certificates, users and data ({ETC}, {VAR})? [Y/n] ")
@@ -111,13 +112,13 @@ def _asked_to_purge(system: System) -> bool:
 
 
 def uninstall_steps(system: System, purge: bool) -> list[Step]:
-    """What was installed goes, in the reverse order."""
+    """Return the steps that remove the installation, in reverse order."""
     roles = system.roles()
     names = [f"{UNITS}/{unit(role)}" for role in START_ORDER]
     steps = [
         Step("services", lambda: f"stop {' '.join(map(unit, roles))}" if roles else "", lambda: stop(system, roles)),
         Step("containers", lambda: "remove environments" if docker_answers() else "", _remove_containers),
-        Step("processes", lambda: f"end those of {USER}" if system.has_user() else "", _end_processes),
+        Step("processes", lambda: f"end processes of {USER}" if system.has_user() else "", _end_processes),
         _remove_step(system, "units", names),
         _remove_step(system, "kernel", [SYSCTL]),
         _remove_step(system, "code", [OPT]),
@@ -167,10 +168,10 @@ def _remove_images() -> str:
 
 
 def _end_processes() -> str:
-    """Environments of the engine process outlive their task set."""
+    """End the processes of environments, which outlive their task set under the engine `process`."""
     owner = pwd.getpwnam(USER).pw_uid
     total = len(list(_processes(owner)))
-    until = time.monotonic() + PATIENCE
+    until = time.monotonic() + STOP_TIMEOUT
     for number in (signal.SIGTERM, signal.SIGKILL):
         for process in _processes(owner):
             with suppress(ProcessLookupError):
@@ -181,7 +182,7 @@ def _end_processes() -> str:
 
 
 def _processes(owner: int) -> Iterator[int]:
-    """Those of this system: a container that shares its processes has another root."""
+    """Yield a user's processes, without those in containers, which have another root directory."""
     own = os.stat("/")
     for path in Path("/proc").iterdir():
         with suppress(FileNotFoundError, ProcessLookupError, PermissionError):

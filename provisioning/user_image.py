@@ -1,7 +1,7 @@
-"""`rce image build DIR`: an image for environments with a user's own ROS packages, on top of one of the platform's.
+"""`rce image build DIR`: an image of environments with a user's ROS packages, based on an image of the platform.
 
-For what cannot be pushed as it is: packages that pip installs (ament_python), with all that they depend on. Types are
-built here, by provisioning.typesupport. C and C++ are not: the images have no compiler.
+It is for packages that pip must install (ament_python), with their dependencies. Type support is built here, by
+provisioning.typesupport. Packages in C and C++ are refused, because the images have no compiler.
 """
 
 from __future__ import annotations
@@ -21,17 +21,20 @@ from docker.errors import APIError, DockerException
 
 from provisioning import typesupport
 from provisioning.image import IMAGES, MAPPING, Builder, add_file, add_text, host_bundle
-from rce import __version__, layout, programs
-from rce.archive import Entry
+from rce import __version__
 from rce.errors import InvalidRequest, NotFound, RceError, StartFailed
+from rce.packages import layout
+from rce.packages.archive import Entry
+from rce.process import programs
 
 USER_IMAGE = IMAGES / "user"
 BUILT_BY_PIP = ("setup.py", "setup.cfg", "pyproject.toml")
-PROGRAMS = ("scripts", "nodes")  # directories of a package in sources whose programs are executables
+PROGRAMS = ("scripts", "nodes")  # directories whose files become executables of the package
 _REPOSITORY = re.compile(r"[a-z0-9]+(?:[._/-][a-z0-9]+)*")
 
 
 def parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
     whole = argparse.ArgumentParser(prog="rce image", description="Images for environments, on this machine's Docker.")
     commands = whole.add_subparsers(dest="command", required=True)
     build = commands.add_parser(
@@ -42,19 +45,28 @@ def parser() -> argparse.ArgumentParser:
         "them where ROS 2 is and push the install space, or write a Dockerfile FROM rce/base with a compiler in it.",
     )
     build.add_argument("directory", type=Path, metavar="DIR")
-    build.add_argument("--name", default="", help="of the image (default: users/NAME, or users/USER/NAME with --for)")
+    build.add_argument(
+        "--name", default="", help="name of the image (default: users/NAME, or users/USER/NAME with --for)"
+    )
     build.add_argument("--from", dest="base", default=MAPPING, help="image to build on (default: %(default)s)")
-    build.add_argument("--for", dest="user", default="", metavar="USER", help="let USER of a Master here run it")
-    build.add_argument("--data-dir", default="", help="of that Master, as for `rce user`")
+    build.add_argument(
+        "--for", dest="user", default="", metavar="USER", help="allow USER of a Master on this machine to run it"
+    )
+    build.add_argument("--data-dir", default="", help="data directory of that Master, as for `rce user`")
     return whole
 
 
 def make_context(directory: Path) -> tuple[str, bytes]:
-    """The name of what is in `directory`, and what the Dockerfile copies, as a tar. InvalidRequest, NotFound."""
+    """Return the name of the package or workspace in a directory, and the build context as a tar archive.
+
+    Raises:
+        InvalidRequest: The packages cannot be installed in an image.
+        NotFound: There is no package.
+    """
     found = layout.read(directory, as_is=True)
     roots = {entry.path.partition("/")[0]: None for entry in found.entries}
     if "share" in roots:
-        raise InvalidRequest(f"{directory} is an install space, which is built: push it with `rce package push`")
+        raise InvalidRequest(f"{directory} is an install space: push it with `rce package push`")
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w", format=tarfile.PAX_FORMAT) as archive:
         for name in ("Dockerfile", "install.py"):
@@ -81,7 +93,7 @@ def _add_package(archive: tarfile.TarFile, package: str, entries: list[Entry]) -
     for name, source in files.items():
         add_file(archive, source, f"sources/{package}/{name}" if by_pip else f"prefix/share/{package}/{name}")
         place, _, program = name.rpartition("/")
-        if not by_pip:  # programs are found beside each other, and find what lies beside them
+        if not by_pip:  # programs find files in their directory
             add_file(archive, source, f"prefix/lib/{package}/{name}")
             if place in (*PROGRAMS, package):
                 add_file(archive, source, f"prefix/lib/{package}/{program}")
@@ -92,18 +104,25 @@ def _add_package(archive: tarfile.TarFile, package: str, entries: list[Entry]) -
 def _add_types(archive: tarfile.TarFile, interfaces: list[Path]) -> None:
     with tempfile.TemporaryDirectory() as directory:
         copies = [layout.copy_interfaces(path, Path(directory)) for path in interfaces]
-        prefix = typesupport.build([*typesupport.used(copies), *copies]).prefix
+        prefix = typesupport.build([*typesupport.dependencies(copies), *copies]).prefix
         for entry in layout.type_support(prefix, copies):
             add_file(archive, entry.source, f"types/modules/{entry.path.partition('/')[2]}")
     add_text(archive, sysconfig.get_python_version().encode(), "types/python")
 
 
 def build(directory: Path, name: str, base: str, user: str) -> str:
-    """Make the image; returns its name, without the tag, which is the platform's version."""
+    """Build the image and return its name without the tag, which is the platform's version.
+
+    Raises:
+        InvalidRequest: The packages or the name are not valid.
+        StartFailed: The build failed.
+    """
     found, context = make_context(directory)
     name = name or "/".join(filter(None, ["users", user, found])).lower()
     if not _REPOSITORY.fullmatch(name):
-        raise InvalidRequest(f"{name!r} is no name for an image: lower-case letters and digits, with . _ - / between")
+        raise InvalidRequest(
+            f"{name!r} is not a valid name of an image: use lower-case letters and digits, with . _ - / between them"
+        )
     try:
         builder = Builder(docker.APIClient(**docker.utils.kwargs_from_env(), version="auto", timeout=600))
         builder.make(context, "Dockerfile", f"{name}:{__version__}", {"BASE": _tagged(base)})
@@ -117,7 +136,11 @@ def _tagged(image: str) -> str:
 
 
 def allow(name: str, user: str, data_dir: str) -> None:
-    """Put the image on the list of those that a user may run."""
+    """Allow a user to run the image.
+
+    Raises:
+        NotFound: The Master refused, for example because there is no such user.
+    """
     words = [*programs.command("user"), *(["--data-dir", data_dir] if data_dir else [])]
     done = subprocess.run([*words, "limits", user, f"images+={name}"], capture_output=True, text=True, check=False)
     if done.returncode:
@@ -125,6 +148,7 @@ def allow(name: str, user: str, data_dir: str) -> None:
 
 
 def main() -> int:
+    """Run the program and return its exit status."""
     words = parser().parse_args()
     try:
         name = build(words.directory, words.name, words.base, words.user)
@@ -135,7 +159,7 @@ def main() -> int:
         return 1
     print(name)
     if not words.user:
-        print(f"let somebody run it: rce user limits USER images+={name}", file=sys.stderr)
+        print(f"to allow a user to run it: rce user limits USER images+={name}", file=sys.stderr)
     return 0
 
 

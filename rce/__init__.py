@@ -1,3 +1,3 @@
-"""Kernel of RCE: what every process and every client shares. Imports none of the other top-level packages."""
+"""Kernel of RCE: code that several processes or clients share. Imports none of the other top-level packages."""
 
 __version__ = "0.1.0"

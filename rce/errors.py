@@ -1,8 +1,8 @@
-"""Errors that people and programs can act on.
+"""Errors of RCE, for people and programs.
 
-Every error has a `code` that programs test, a sentence that says what is wrong, where, and what to do, and `fields`
-with the particulars. They cross process boundaries as `ErrorInfo` and come out as the same class on the other side; a
-code that this version does not know comes out as plain `RceError` with the code kept.
+Each error has a `code` for programs, a message that says what is wrong, where, and what to do, and `fields` with
+details. Errors cross process boundaries as `ErrorInfo` and are raised as the same class on the other side. A code that
+this version does not know is raised as a plain `RceError`, which keeps the code.
 """
 
 from __future__ import annotations
@@ -13,11 +13,19 @@ from typing import ClassVar
 
 import msgspec
 
-type_of_code: dict[str, type[RceError]] = {}
+class_of_code: dict[str, type[RceError]] = {}
 
 
 class ErrorInfo(msgspec.Struct, frozen=True, omit_defaults=True):
-    """An error on the wire: `item` is `list[index]` of the command's item, `field` the path of the field at fault."""
+    """An error on the wire.
+
+    Attributes:
+        code: Identifies the class of the error.
+        message: What is wrong, where, and what to do.
+        item: The item of a CN or CX frame that failed, as `addNodes[2]`.
+        field: The path of the wrong field, as `pose.position.x`.
+        fields: Details.
+    """
 
     code: str
     message: str
@@ -27,7 +35,7 @@ class ErrorInfo(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class RceError(Exception):
-    """Base of all errors. Catch it to catch everything that RCE raises on purpose."""
+    """Base class of all errors that RCE raises on purpose."""
 
     code: ClassVar[str] = "error"
 
@@ -38,160 +46,163 @@ class RceError(Exception):
         self.info = ErrorInfo(self.code, message, item, field, fields)
 
     def __init_subclass__(cls) -> None:
-        type_of_code.setdefault(cls.code, cls)  # one that is derived without a code of its own crosses as its base
+        class_of_code.setdefault(cls.code, cls)  # a subclass without a code of its own crosses as its base
 
     def __str__(self) -> str:
         return self.info.message
 
     @property
     def item(self) -> str:
+        """The item of a CN or CX frame that failed, as `addNodes[2]`, or an empty string."""
         return self.info.item
 
     @property
     def field(self) -> str:
+        """The path of the wrong field, as `pose.position.x`, or an empty string."""
         return self.info.field
 
     @staticmethod
     def from_info(info: ErrorInfo) -> RceError:
-        error = type_of_code.get(info.code, RceError)(info.message)
+        """Make the error that another process or a server sent."""
+        error = class_of_code.get(info.code, RceError)(info.message)
         error.info = info
         return error
 
-    def at(self, item: str) -> RceError:
-        """The same error, with the place in the command where it happened (`addNodes[2]`)."""
+    def with_item(self, item: str) -> RceError:
+        """Set the item of the frame that failed, as `addNodes[2]`; return this error."""
         self.info = msgspec.structs.replace(self.info, item=item)
         return self
 
-    def about(self, **fields: str | int | float | bool | list[str]) -> RceError:
-        """The same error, with more particulars."""
+    def with_fields(self, **fields: str | int | float | bool | list[str]) -> RceError:
+        """Add details; return this error."""
         self.info = msgspec.structs.replace(self.info, fields=self.info.fields | fields)
         return self
 
 
 class InvalidRequest(RceError):
-    """A frame, command, option or file that does not say what it must. Mend it; sending it again gives the same."""
+    """A frame, command, option or file is malformed. Correct it; a retry fails in the same way."""
 
     code = "invalid_request"
 
 
 class InvalidName(InvalidRequest):
-    """A tag or name that breaks the naming rule: an ASCII letter, then ASCII letters, digits or `_`."""
+    """A tag or name breaks the naming rule: an ASCII letter, then ASCII letters, digits or `_`."""
 
     code = "invalid_name"
 
 
 class ConversionError(InvalidRequest):
-    """A message that does not fit its ROS type; `field` is the path (`pose.position.x`)."""
+    """A message does not match its ROS type; `field` is the path of the wrong field (`pose.position.x`)."""
 
     code = "conversion"
 
 
 class UnknownType(InvalidRequest):
-    """A message or service type that neither this platform nor the environment knows."""
+    """Neither the platform nor the environment has this message or service type."""
 
     code = "unknown_type"
 
 
 class NotFound(RceError):
-    """What the command names does not exist (or is not yours, which looks the same)."""
+    """The named object does not exist, or belongs to another user; the error does not tell these apart."""
 
     code = "not_found"
 
 
 class AlreadyExists(RceError):
-    """The tag is taken. Use another or remove the present holder first."""
+    """The tag is in use. Choose another, or remove the object that has it."""
 
     code = "already_exists"
 
 
 class NotConnectable(RceError):
-    """The two interfaces are not a pair: their kinds are not opposites, or their types differ."""
+    """The two interfaces do not match: their kinds are not opposite, or their types differ."""
 
     code = "not_connectable"
 
 
 class NotConnected(RceError):
-    """The interface has no peer, so the message went nowhere. Wait for its status to become true."""
+    """The interface is not connected, so the message was dropped. Wait until its status is true."""
 
     code = "not_connected"
 
 
 class Unauthorized(RceError):
-    """Credentials are missing, wrong, expired or revoked."""
+    """The credentials are missing, wrong, expired or revoked."""
 
     code = "unauthorized"
 
 
 class TooManyAttempts(RceError):
-    """Too many wrong passwords; `retry_after` in `fields` are the seconds to wait. An API key is taken all the same."""
+    """Too many wrong passwords: wait `retry_after` seconds (in `fields`). API keys are accepted in the meantime."""
 
     code = "too_many_attempts"
 
 
 class Forbidden(RceError):
-    """The credentials are good, but their role does not allow this."""
+    """The credentials are valid, but their role does not permit the operation."""
 
     code = "forbidden"
 
 
 class NoCapacity(RceError):
-    """No machine has room. Remove an environment, ask for a smaller one, or add a machine."""
+    """No machine has room for the environment. Remove an environment, request a smaller one, or add a machine."""
 
     code = "no_capacity"
 
 
 class LimitExceeded(RceError):
-    """More than this user, robot or message may have; `fields` has the limit and what was asked."""
+    """A limit of the user, robot or message is exceeded; `fields` has the limit and the requested amount."""
 
     code = "limit_exceeded"
 
 
 class StartFailed(RceError):
-    """An environment or node did not start; the message has the reason and the last lines of its output."""
+    """An environment or node failed to start; the message has the reason and the last lines of its output."""
 
     code = "start_failed"
 
 
 class Died(RceError):
-    """An environment or node that ran is gone; the message has its exit status."""
+    """A running environment or node ended unexpectedly; the message has its exit status."""
 
     code = "died"
 
 
 class Unavailable(RceError):
-    """The other side cannot be reached at present. Try again: what was acknowledged is kept."""
+    """The other side cannot be reached at present. Retry later; everything that it acknowledged is kept."""
 
     code = "unavailable"
 
 
 class Lost(Unavailable):
-    """The connection broke before the answer came: it is not known whether the call was carried out."""
+    """The connection broke before the answer came: the call may or may not have been executed."""
 
     code = "lost"
 
 
 class TimedOut(RceError):
-    """No answer in time."""
+    """No answer came before the timeout."""
 
     code = "timed_out"
 
 
 class InternalError(RceError):
-    """A defect of RCE itself. The server's log has the traceback."""
+    """A bug in RCE. The server's log has the traceback."""
 
     code = "internal"
 
 
-def reason(error: OSError) -> str:
-    """What the operating system refused, as people say it: `PATH: no such file or directory`."""
+def describe_os_error(error: OSError) -> str:
+    """Describe an error of the operating system, as in `PATH: no such file or directory`."""
     text = os.strerror(error.errno) if error.errno else error.strerror or str(error)
     text = text[:1].lower() + text[1:]
     return f"{os.fsdecode(error.filename)}: {text}" if isinstance(error.filename, str | bytes | os.PathLike) else text
 
 
-def no_port(host: str, port: int | str, error: OSError) -> Unavailable:
-    """Why nobody can be served there."""
+def port_unavailable(host: str, port: int | str, error: OSError) -> Unavailable:
+    """Return the error for a port that cannot be listened on."""
     where = f"port {port} of {host or 'all addresses'}"
     if error.errno == errno.EADDRINUSE:
-        return Unavailable(f"{where} is in use: choose another port, or end what listens there")
-    return Unavailable(f"{where} cannot be had: {reason(error)}")
+        return Unavailable(f"{where} is in use: choose another port, or stop the program that listens on it")
+    return Unavailable(f"cannot listen on {where}: {describe_os_error(error)}")

@@ -1,4 +1,4 @@
-"""Files that people write: YAML or JSON, read as a struct, with errors that name the place."""
+"""YAML and JSON files decoded as structs, with errors that name the file and the field."""
 
 from __future__ import annotations
 
@@ -10,14 +10,13 @@ import msgspec
 import yaml
 from msgspec import Struct
 
-from rce import errors
-from rce.errors import InvalidRequest
+from rce.errors import InvalidRequest, describe_os_error
 
 S = TypeVar("S", bound=Struct)
 
 
 class _Loader(yaml.SafeLoader):
-    """Keys are strings, as in JSON: YAML takes the key `on` for true."""
+    """YAML loader whose mapping keys are strings, as in JSON: plain YAML reads the key `on` as true."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         for key, _ in node.value:
@@ -27,14 +26,18 @@ class _Loader(yaml.SafeLoader):
 
 
 def read(path: Path, kind: type[S]) -> S:
-    """The content of a file: YAML if its name ends in `.yaml` or `.yml`, else JSON. InvalidRequest."""
+    """Decode a file as a `kind`: YAML if its name ends in `.yaml` or `.yml`, else JSON.
+
+    Raises:
+        InvalidRequest: The file cannot be read, is malformed, or does not match the struct.
+    """
     try:
         text = path.read_text(encoding="utf-8")
         content: Any = yaml.load(text, _Loader) if path.suffix in (".yaml", ".yml") else json.loads(text)
     except OSError as error:
-        raise InvalidRequest(errors.reason(error)) from None
+        raise InvalidRequest(describe_os_error(error)) from None
     except json.JSONDecodeError as error:
-        raise InvalidRequest(f"{path}: no JSON (name it .yaml if it is YAML): {error}") from None
+        raise InvalidRequest(f"{path} is not JSON (a YAML file must be named .yaml): {error}") from None
     except (ValueError, RecursionError, yaml.YAMLError) as error:
         raise InvalidRequest(f"{path}: {error}") from None
     try:
@@ -46,7 +49,7 @@ def read(path: Path, kind: type[S]) -> S:
 
 
 def path_hook(kind: type[Any], value: object) -> Path:
-    """How msgspec makes paths, which it does not know, of strings; `~` is the user's home."""
+    """Decode a `Path`, which msgspec does not know, from a string; `~` is the user's home directory."""
     if kind is Path and isinstance(value, str | Path):
         return Path(value).expanduser()
     raise NotImplementedError(f"fields of type {kind} are not supported")

@@ -1,15 +1,18 @@
 """One event loop for all tests, uvloop with Twisted's reactor on it, as in the server processes.
 
-A test that needs control connections, WebSockets or anything else of Twisted's asks for the fixture `reactor`. It fails
-when it leaves a delayed call of the reactor behind or when a failure was logged that it did not take from `failures`.
+A test that needs control connections, WebSockets or anything else of Twisted uses the fixture `reactor`. Such a test
+fails if it leaves a delayed call in the reactor, or if a failure was logged that it did not remove from `failures`.
 """
 
 from __future__ import annotations
 
 import asyncio
+import functools
+import inspect
 import os
 import signal
 from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -17,47 +20,79 @@ import uvloop
 from twisted.internet.base import ReactorBase
 from twisted.logger import LogEvent, globalLogPublisher
 
-from rce import loop
 from rce.errors import Unavailable
+from rce.process import loop
 
 if TYPE_CHECKING:
-    from island import Island
+    from tests.support.island import Island
 
 asyncio.set_event_loop_policy(uvloop.EventLoopPolicy())
-if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # by a shell, in the background: all that tests start would, too
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # inherited from a background shell, as the children would
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-OF_DOCKER = {"docker_host", "images", "island", "swarm", "one_machine", "stand_in_image"}
+TESTS = Path(__file__).parent
+DOCKER_FIXTURES = {"docker_host", "images", "island", "swarm", "one_machine", "stand_in_image"}
+ROS_FOLDERS = ("e2e", "endpoints/environment", "containers/nodes", "provisioning")
+TIMEOUTS = {"docker": 1200, "e2e": 600}  # seconds; the first test with Docker builds the images
 
 
 @pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """For runs in several processes (`-n 2 --dist loadgroup`): what needs Docker is one group and comes first, since
-    daemons and images are made once in a process; else a file is one.
+    """Assign markers, time limits, and groups for runs in several processes (`-n 2 --dist loadgroup`).
+
+    All tests with Docker are one group, because its daemons and images are made once in each process. They come first,
+    because they take longest. Otherwise a file is a group.
     """
     items.sort(key=lambda item: not _needs_docker(item))
     for item in items:
-        group = "docker" if _needs_docker(item) else item.path.name
-        item.add_marker(pytest.mark.xdist_group(group))
+        path = item.path.relative_to(TESTS)
+        conditions = {
+            "docker": _needs_docker(item),
+            "e2e": path.is_relative_to("e2e"),
+            "ros": any(path.is_relative_to(folder) for folder in ROS_FOLDERS),
+        }
+        for marker, applies in conditions.items():
+            if applies:
+                item.add_marker(marker)
+        item.add_marker(pytest.mark.xdist_group("docker" if conditions["docker"] else path.as_posix()))
+        _limit_time(item)
+
+
+def _limit_time(item: pytest.Item) -> None:
+    """Let coroutines fail by a TimeoutError, before pytest-timeout ends the whole process."""
+    limit = next((seconds for marker, seconds in TIMEOUTS.items() if item.get_closest_marker(marker)), None)
+    if limit and item.get_closest_marker("timeout") is None:
+        item.add_marker(pytest.mark.timeout(limit))
+    marker = item.get_closest_marker("timeout")
+    seconds = float(marker.args[0] if marker else item.config.getini("timeout"))
+    test = getattr(item, "obj", None)
+    if inspect.iscoroutinefunction(test) and not hasattr(test, "hypothesis"):
+
+        @functools.wraps(test)
+        async def limited(*args: Any, **kwargs: Any) -> None:
+            async with asyncio.timeout(0.8 * seconds):
+                await test(*args, **kwargs)
+
+        item.obj = limited  # type: ignore[attr-defined]  # it is a function, which has an object
 
 
 def _needs_docker(item: pytest.Item) -> bool:
     fixtures = getattr(item, "fixturenames", ())
-    return not OF_DOCKER.isdisjoint(fixtures) or "[docker" in item.name
+    return not DOCKER_FIXTURES.isdisjoint(fixtures) or "[docker" in item.name
 
 
 @pytest.fixture(scope="session", autouse=True)
 async def running_reactor() -> AsyncIterator[ReactorBase]:
-    """For all tests, so that it is there before anything imports `twisted.internet.reactor` and gets another one."""
+    """Install the reactor for all tests, before anything imports `twisted.internet.reactor` and so installs another."""
     reactor = loop.install(asyncio.get_running_loop())
     reactor.startRunning(installSignalHandlers=False)
     yield reactor
-    reactor.getThreadPool().stop()  # a real end of the reactor would stop the loop under pytest-asyncio
+    reactor.getThreadPool().stop()  # stopping the reactor would stop the loop of pytest-asyncio
 
 
 @pytest.fixture
 def failures() -> Iterator[list[LogEvent]]:
-    """The failures that were logged during the test; a test that provokes one asserts on it and clears the list."""
+    """Failures that were logged during the test. A test that provokes one asserts on it and clears the list."""
     seen: list[LogEvent] = []
 
     def observe(event: LogEvent) -> None:
@@ -71,7 +106,7 @@ def failures() -> Iterator[list[LogEvent]]:
 
 @pytest.fixture
 def reactor(running_reactor: ReactorBase, failures: list[LogEvent]) -> Iterator[ReactorBase]:
-    """Twisted's reactor, running on the loop of the tests."""
+    """Twisted's reactor, running on the event loop of the tests."""
     before = set(running_reactor.getDelayedCalls())
     yield running_reactor
     left = set(running_reactor.getDelayedCalls()) - before
@@ -81,7 +116,7 @@ def reactor(running_reactor: ReactorBase, failures: list[LogEvent]) -> Iterator[
 
 @pytest.fixture(scope="session")
 def images(docker_host: str) -> Iterator[Any]:
-    """Docker's API, with the images of this checkout, built once: two minutes where there is no registry."""
+    """Docker's API, with the images of this checkout, built once. That takes two minutes without a registry."""
     import docker
 
     from provisioning.image import Builder
@@ -97,9 +132,9 @@ def images(docker_host: str) -> Iterator[Any]:
 
 @pytest.fixture(scope="session")
 def docker_host() -> Iterator[str]:
-    """The address of a Docker daemon, which DOCKER_HOST names while the tests run."""
+    """Address of a Docker daemon, also in DOCKER_HOST while the tests run."""
     pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
-    from docker_daemon import docker_daemon
+    from tests.support.docker_daemon import docker_daemon
 
     before = os.environ.get("DOCKER_HOST")
     with docker_daemon() as host:
@@ -111,9 +146,9 @@ def docker_host() -> Iterator[str]:
 
 @pytest.fixture(scope="session")
 def island(request: pytest.FixtureRequest) -> Iterator[Island]:
-    """A machine with a network of its own, and a Docker daemon in it, which has the images."""
+    """Network namespace with a Docker daemon in it that has the images."""
     pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
-    from island import island as make
+    from tests.support.island import island as make
 
     with make(lambda: request.getfixturevalue("images")) as made:
         yield made

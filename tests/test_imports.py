@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parent.parent
+from tests.support.paths import ROOT
+
 MAY_IMPORT: dict[str, set[str]] = {
     "rce": set(),
     "master": {"rce"},
@@ -19,33 +20,46 @@ MAY_IMPORT: dict[str, set[str]] = {
     "endpoints": {"rce", "converters"},
 }
 ONLY_IN: dict[str, tuple[str, ...]] = {
-    "docker": ("containers/docker", "containers/swarm", "provisioning/image.py", "provisioning/user_image.py"),
+    "docker": ("containers/docker/", "containers/swarm/", "provisioning/image.py", "provisioning/user_image.py"),
     "rclpy": ("endpoints/environment/", "containers/nodes/"),
     "cv2": ("converters/", "rce/mapping/"),
 }
 BASE = {"rce", "msgspec", "websockets", "yaml"} | set(sys.stdlib_module_names)
-# Parts of `rce` for installations with an extra: what they may import besides, and nothing of the base may import them.
+# Modules of `rce` that need an extra, and what they may import for it. Modules of the base must not import them.
 WITH_EXTRA: dict[str, set[str]] = {
-    "rce/certificates.py": {"cryptography"},
-    "rce/broker.py": {"twisted"},
-    "rce/control.py": {"twisted"},
-    "rce/credential.py": {"twisted"},
-    "rce/exposition.py": {"prometheus_client"},
-    "rce/loop.py": {"twisted", "uvloop"},
-    "rce/logs.py": {"twisted"},
-    "rce/reactor.py": {"twisted", "uvloop"},
-    # `work` maps, in a process of its own; the service itself has none of that in its memory.
+    "rce/net/certificates.py": {"cryptography"},
+    "rce/control/broker.py": {"twisted"},
+    "rce/control/client.py": {"twisted"},
+    "rce/control/connection.py": {"twisted"},
+    "rce/control/credential.py": {"twisted"},
+    "rce/control/server.py": {"twisted"},
+    "rce/control/tls.py": {"twisted"},
+    "rce/process/exposition.py": {"prometheus_client"},
+    "rce/process/loop.py": {"twisted", "uvloop"},
+    "rce/process/logs.py": {"twisted"},
+    "rce/process/reactor.py": {"twisted", "uvloop"},
+    # `job_program` maps in a process of its own; the service itself must not have these libraries in its memory.
     "rce/mapservice/": {"aiohttp", "lxml", "twisted"},
-    "rce/control_tls.py": {"twisted"},
+    "rce/web/": {"aiohttp"},
     "rce/mapping/": {"numpy", "numba", "scipy", "cv2", "rosbags"},
-    "rce/console/interactive.py": {"prompt_toolkit"},
+    "rce/cli/interactive.py": {"prompt_toolkit"},
     "rce/bench": {
         *("numpy", "matplotlib", "twisted", "autobahn", "rosbags", "uvloop", "txaio", "playwright", "psutil"),
     },
-    "rce/commands/bench.py": {"numpy"},
-    "rce/commands/map.py": {"numpy"},
+    "rce/cli/lazy/bench.py": {"numpy"},
+    "rce/cli/lazy/map.py": {"numpy"},
     "rce/client/images.py": {"numpy", "PIL"},
 }
+# Packages inside `rce` that must stay below the others: what they may import of `rce`, beside themselves.
+LAYERS: dict[str, set[str]] = {
+    "rce/protocol/": {"rce.errors"},
+    "rce/net/": {"rce.errors"},
+    "rce/client/": {"rce.errors", "rce.protocol", "rce.net", "rce.api", "rce.structfile"},
+    "rce/web/": {"rce.errors", "rce.net", "rce.api", "rce.process"},
+    "rce/api/": {"rce.errors", "rce.protocol", "rce.control.calls"},
+}
+PURE = "master/graph/"
+IMPURE = {"asyncio", "twisted", "sqlalchemy", "aiohttp", "socket", "threading", "subprocess"}
 FILES = sorted(path for folder in MAY_IMPORT for path in (ROOT / folder).rglob("*.py"))
 
 
@@ -54,7 +68,7 @@ def relative(path: Path) -> str:
 
 
 def imported(path: Path) -> Iterator[tuple[str, bool]]:
-    """Full names of the modules that a file imports, and whether it does so when it is itself imported."""
+    """Yield the modules that a file imports, and for each whether importing the file imports it."""
     yield from _imports(ast.parse(path.read_text(), str(path)), path, True)
 
 
@@ -99,7 +113,7 @@ def test_heavy_libraries_are_imported_in_their_place_only(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", [path for path in FILES if relative(path).startswith("rce/")], ids=relative)
-def test_a_light_installation_can_import_what_it_needs(path: Path) -> None:
+def test_light_installation_can_import_its_modules(path: Path) -> None:
     at_once = {name for name, at_once in imported(path) if at_once}
     allowed = BASE | (extra_of(relative(path)) or set())
     assert {name.split(".")[0] for name in at_once} <= allowed
@@ -108,8 +122,41 @@ def test_a_light_installation_can_import_what_it_needs(path: Path) -> None:
             assert extra_of(name.replace(".", "/") + ".py") is None, f"{relative(path)} imports {name}"
 
 
+@pytest.mark.parametrize("layer", LAYERS)
+def test_lower_packages_import_no_higher_ones(layer: str) -> None:
+    own = layer.rstrip("/").replace("/", ".")
+    allowed = {own, *LAYERS[layer]}
+    for path in FILES:
+        if relative(path).startswith(layer):
+            for name in {name for name, at_once in imported(path) if at_once and name.startswith("rce.")}:
+                assert any(name == each or name.startswith(f"{each}.") for each in allowed), f"{relative(path)}: {name}"
+
+
+def test_command_graph_is_pure() -> None:
+    """It neither waits nor does I/O: nothing that it imports, at whatever distance, may bring what does."""
+    seen: dict[str, str] = {}
+    waiting = [(relative(path), "") for path in FILES if relative(path).startswith(PURE)]
+    while waiting:
+        file, chain = waiting.pop()
+        if file in seen:
+            continue
+        seen[file] = f"{chain} > {file}" if chain else file
+        for name in {name for name, at_once in imported(ROOT / file) if at_once}:
+            assert name.split(".")[0] not in IMPURE, f"{name} by {seen[file]}"
+            waiting += [(each, seen[file]) for each in own_files(name)]
+    assert len(seen) > 20
+
+
+def own_files(name: str) -> list[str]:
+    """Return the files that importing a module of ours runs: those of its packages, and its own."""
+    parts = name.split(".")
+    stems = ["/".join(parts[: length + 1]) for length in range(len(parts))]
+    found = [f"{stem}{end}" for stem in stems for end in ("/__init__.py", ".py")]
+    return [file for file in found if parts[0] in MAY_IMPORT and (ROOT / file).is_file()]
+
+
 def test_provisioning_starts_on_the_standard_library() -> None:
-    """The script and what it imports run before anything is installed."""
+    """The script and its imports run before anything is installed."""
     seen: set[Path] = set()
     waiting = [ROOT / "provisioning" / "provision"]
     while waiting:
@@ -124,13 +171,14 @@ def test_provisioning_starts_on_the_standard_library() -> None:
     assert len(seen) > 2
 
 
-def test_the_files_were_found_and_read() -> None:
+def test_files_were_found_and_read() -> None:
     assert {relative(path).split("/")[0] for path in FILES} == set(MAY_IMPORT)
     seen = {name for path in FILES for name, _ in imported(path)}
     assert {"rce.errors", "twisted.logger", "msgspec"} <= seen
 
 
-def test_names_of_test_modules_are_unique() -> None:
-    """Folders of tests are no packages: pytest refuses two modules of one name, and then no test runs at all."""
-    names = [path.name for path in (ROOT / "tests").rglob("test_*.py")]
-    assert sorted(names) == sorted(set(names))
+def test_no_test_module_imports_another() -> None:
+    """Tests share what stands in `tests/support`."""
+    for path in sorted((ROOT / "tests").rglob("*.py")):
+        for name in {name for name, _ in imported(path) if name.startswith("tests.")}:
+            assert not any(part.startswith("test_") for part in name.split(".")), f"{name} in {relative(path)}"

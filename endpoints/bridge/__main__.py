@@ -1,4 +1,4 @@
-"""The program of a bridge: `python -P -m endpoints.bridge`."""
+"""Entry point of a bridge: `python -P -m endpoints.bridge`."""
 
 from __future__ import annotations
 
@@ -12,54 +12,64 @@ from pathlib import Path
 from twisted.internet.base import ReactorBase
 
 from endpoints.bridge.config import BridgeConfig, read
-from rce import loop
 from rce.errors import InvalidRequest
-from rce.up import default_typesupport
+from rce.process import loop
+from rce.process.up import default_typesupport
 
 PROGRAM = "rce bridge"
 NODE = "rce_bridge"
 
 
 def parser() -> argparse.ArgumentParser:
-    whole = argparse.ArgumentParser(
+    """Return the parser of the command line."""
+    result = argparse.ArgumentParser(
         prog=PROGRAM,
-        description="Carry topics, services and transforms of this robot's ROS 2 to an environment of the platform "
-        "and back, as CONFIG says.",
-        epilog="The ROS domain is that of ROS_DOMAIN_ID, as for every node. docs/bridge.md describes CONFIG.",
+        description="Forward topics, services and transforms between this robot's ROS 2 and an environment of the "
+        "platform, as configured in CONFIG.",
+        epilog="ROS_DOMAIN_ID selects the ROS domain, as for every node. docs/bridge.md describes CONFIG.",
     )
-    whole.add_argument("config", type=Path, metavar="CONFIG", help="YAML or JSON")
-    whole.add_argument("--check", action="store_true", help="only say whether CONFIG is right")
-    whole.add_argument(
+    result.add_argument("config", type=Path, metavar="CONFIG", help="configuration file, YAML or JSON")
+    result.add_argument("--check", action="store_true", help="validate CONFIG and exit")
+    result.add_argument(
         "--typesupport",
         default=default_typesupport(),
         metavar="DIRS",
-        help="directories with built type support, comma-separated (default: what provisioning has built)",
+        help="directories with type support, comma-separated (default: those that provisioning has built)",
     )
-    return whole
+    return result
 
 
 async def serve(reactor: ReactorBase, config: BridgeConfig, typesupport: list[Path]) -> None:
-    """Until cancelled, or until the platform refuses what the file wants."""
-    from endpoints.bridge.actions import Actions  # they load ROS 2
-    from endpoints.bridge.ends import LocalRos
-    from endpoints.bridge.metrics import told
-    from endpoints.bridge.requests import Desk
+    """Run until cancelled, or until the platform rejects something that the configuration needs.
+
+    Args:
+        reactor: Reactor that serves the metrics.
+        config: Configuration of the bridge.
+        typesupport: Prefixes with type support.
+
+    Raises:
+        RceError: The reason of the rejection.
+    """
+    from endpoints.bridge.actions import Actions  # these load ROS 2
+    from endpoints.bridge.local_ros import LocalRos
+    from endpoints.bridge.metrics import serve_metrics
+    from endpoints.bridge.requests import RequestServer
     from endpoints.environment.ros import RosThread
 
     ros = RosThread(asyncio.get_running_loop(), NODE)
     await ros.start()
     local = LocalRos(ros, [*typesupport, *_system_prefixes(), Path(sys.prefix)])
     actions = Actions(config, local)
-    desk = Desk(config.requests, actions.perform)
+    requests = RequestServer(config.requests, actions.perform)
     try:
-        with told(reactor, config.metrics, local.families):
+        with serve_metrics(reactor, config.metrics, local.families):
             if config.requests:
-                await desk.open(local)
+                await requests.open(local)
             if config.offload:
                 await actions.offloading.start()
             await actions.offloading.failed
     finally:
-        desk.close()
+        requests.close()
         await actions.close()
         local.close()
         await ros.stop()
@@ -70,16 +80,17 @@ def _system_prefixes() -> list[Path]:
 
 
 def main() -> int:
-    words = parser().parse_args()
+    """Run the program; return its exit status."""
+    arguments = parser().parse_args()
     try:
-        config = read(words.config)
+        config = read(arguments.config)
     except InvalidRequest as error:
         print(f"{PROGRAM}: {error}", file=sys.stderr)
         return 2
-    if words.check:
-        print(f"{words.config} is right")
+    if arguments.check:
+        print(f"{arguments.config} is valid")
         return 0
-    typesupport = [Path(entry) for entry in words.typesupport.split(",") if entry]
+    typesupport = [Path(entry) for entry in arguments.typesupport.split(",") if entry]
     sys.path += [str(prefix / "python") for prefix in typesupport]
 
     def run(reactor: ReactorBase) -> Coroutine[None, None, None]:

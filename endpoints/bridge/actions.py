@@ -1,10 +1,9 @@
-"""What other nodes of the robot may ask of the bridge, carried out: offloading, recordings, maps of them."""
+"""Actions that nodes of the robot can request from the bridge: offloading, recordings, and maps of recordings."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from endpoints.bridge.bridge import Offloading
 from endpoints.bridge.config import (
     Action,
     BridgeConfig,
@@ -14,35 +13,36 @@ from endpoints.bridge.config import (
     StartOffloading,
     StopOffloading,
 )
-from endpoints.bridge.ends import LocalRos
-from endpoints.bridge.mapping import MapMaker
+from endpoints.bridge.local_ros import LocalRos
+from endpoints.bridge.map_builder import MapBuilder
+from endpoints.bridge.offloading import Offloading
 from endpoints.bridge.recorder import Recording
 from rce.errors import InvalidRequest, NotFound
 
 
 class Actions:
-    """One recording runs at a time, and the newest is the one of which a map is made."""
+    """Executes actions. One recording runs at a time; maps are built from the newest."""
 
     def __init__(self, config: BridgeConfig, local: LocalRos) -> None:
         self.offloading = Offloading(config, local)
         self._tag = config.environment.tag
         self._local = local
-        self._maps = MapMaker(config, local)
+        self._maps = MapBuilder(config, local)
         self._recording: Recording | None = None
-        self._recorded: Path | None = None
+        self._last_recording: Path | None = None
 
     async def perform(self, action: Action) -> str:
-        """Returns a sentence about what was done. Raises why it was not."""
+        """Execute an action; return a sentence about the result, or raise RceError with the reason of the failure."""
         match action:
             case StartOffloading():
                 await self.offloading.start()
-                return f"offloading to {self._tag}"
+                return f"offloading to environment {self._tag}"
             case StopOffloading():
                 await self.offloading.stop()
-                return "offloading is off"
+                return "offloading has stopped"
             case Record(topics, directory):
                 if self._recording is not None:
-                    raise InvalidRequest(f"a recording runs already: {self._recording.path}")
+                    raise InvalidRequest(f"a recording is in progress already: {self._recording.path}; end it first")
                 self._recording = await Recording.begin(self._local, topics, directory)
                 return f"recording into {self._recording.path}"
             case EndRecording():
@@ -50,20 +50,21 @@ class Actions:
             case BuildMap():
                 if self._recording is not None:
                     self._end_recording()
-                if self._recorded is None:
-                    raise NotFound("nothing has been recorded yet")
-                return await self._maps.make(self._recorded, action)
-        raise AssertionError("every action is one of these")
+                if self._last_recording is None:
+                    raise NotFound("there is no recording yet: make one first")
+                return await self._maps.build(self._last_recording, action)
+        raise AssertionError(f"unknown action {action}")
 
     def _end_recording(self) -> str:
         if self._recording is None:
-            raise NotFound("no recording runs")
+            raise NotFound("no recording is in progress")
         ended, self._recording = self._recording, None
         ended.end()
-        self._recorded = ended.path
-        return f"{ended.messages} messages recorded in {ended.path}"
+        self._last_recording = ended.path
+        return f"recorded {ended.messages} messages into {ended.path}"
 
     async def close(self) -> None:
+        """End the recording and stop offloading."""
         if self._recording is not None:
             self._recording.end()
         await self.offloading.stop()

@@ -1,4 +1,4 @@
-"""What a bridge does, as its file says it."""
+"""Configuration file of a bridge."""
 
 from __future__ import annotations
 
@@ -10,19 +10,21 @@ import msgspec
 from msgspec import Meta, Struct
 
 from rce import structfile
+from rce.api.map_jobs import Mapper
 from rce.errors import InvalidRequest
-from rce.map_jobs import Mapper
-from rce.messages import ContainerData, ParameterValue, Qos
+from rce.protocol.messages import ContainerData, ParameterValue, Qos
 
 Name = Annotated[str, Meta(min_length=1)]
 Rate = Annotated[float, Meta(ge=0)]
 
 
 class Topic(Struct, frozen=True, forbid_unknown_fields=True):
-    """A topic that is carried on. `to` is its name at the other end, empty: the same.
+    """A topic to forward.
 
-    `rate` in Hz: what comes sooner is left out; 0: everything. `format` is for images: `png` and `jpeg` are compressed
-    on their way, empty leaves every message as it is.
+    Attributes:
+        to: Name at the other end; empty for the same name.
+        rate: Maximum rate in Hz, beyond which messages are left out; 0 for all messages.
+        format: Compression of images on the way; empty leaves messages unchanged.
     """
 
     topic: Name
@@ -34,7 +36,7 @@ class Topic(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Service(Struct, frozen=True, forbid_unknown_fields=True):
-    """A service that nodes at the other end may call; `to` is its name there, empty: the same."""
+    """A service that nodes at the other end may call; `to` is its name there, empty for the same name."""
 
     service: Name
     type: Name
@@ -42,14 +44,14 @@ class Service(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Transforms(Struct, frozen=True, forbid_unknown_fields=True):
-    """Transforms that are carried on, each by its child frame; `rate` in Hz is for each of them, 0: everything."""
+    """Transforms to forward, by child frame; `rate` is the maximum rate of each in Hz, 0 for all messages."""
 
     frames: list[Name]
     rate: Rate = 0
 
 
 class Direction(Struct, frozen=True, forbid_unknown_fields=True):
-    """What is carried one way: topics, services that the other end may call, and transforms."""
+    """Topics, services and transforms to forward in one direction; services are called by the other end."""
 
     topics: list[Topic] = []
     services: list[Service] = []
@@ -57,7 +59,7 @@ class Direction(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Node(Struct, frozen=True, forbid_unknown_fields=True):
-    """A node that the bridge starts in the environment."""
+    """A node that the bridge adds to the environment."""
 
     tag: Name
     pkg: Name
@@ -68,8 +70,9 @@ class Node(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class EnvironmentConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """The environment in the cloud. With `create`, the bridge makes it with these options and destroys it at the end;
-    without, it is another's.
+    """The environment in the cloud.
+
+    With `create` the bridge creates it with these options and destroys it at the end. Without, it must exist.
     """
 
     tag: Name
@@ -79,11 +82,11 @@ class EnvironmentConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class StartOffloading(Struct, frozen=True, forbid_unknown_fields=True, tag_field="action", tag="start"):
-    """Make the environment and carry what is to be carried."""
+    """Create the environment and open all flows."""
 
 
 class StopOffloading(Struct, frozen=True, forbid_unknown_fields=True, tag_field="action", tag="stop"):
-    """Carry nothing more, and destroy the environment if the bridge made it."""
+    """Close all flows, and destroy the environment if the bridge created it."""
 
 
 class Record(Struct, frozen=True, forbid_unknown_fields=True, tag_field="action", tag="record"):
@@ -94,14 +97,18 @@ class Record(Struct, frozen=True, forbid_unknown_fields=True, tag_field="action"
 
 
 class EndRecording(Struct, frozen=True, forbid_unknown_fields=True, tag_field="action", tag="end_record"):
-    """End the recording that runs."""
+    """End the recording that is in progress."""
 
 
 class BuildMap(Struct, frozen=True, forbid_unknown_fields=True, tag_field="action", tag="build_map"):
-    """Have the cloud build a map of what was recorded last (ends a recording that runs).
+    """Have the map service build a map of the last recording, after ending one that is in progress.
 
-    The map is published on `topic`, latched; with `out` its files are written there. `scan` and `odometry` name topics
-    of a recording that has several of these types.
+    Attributes:
+        topic: Topic on which the map is published, latched.
+        mapper: Mapping algorithm.
+        scan: Topic of the laser scans, for a recording with several.
+        odometry: Topic of the odometry, for a recording with several.
+        out: Directory for the files of the map; None to discard them.
     """
 
     topic: str = "/cloud_map"
@@ -115,11 +122,16 @@ Action = StartOffloading | StopOffloading | Record | EndRecording | BuildMap
 
 
 class BridgeConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """A bridge. `password` is in clear; better is an API key in the variable RCE_KEY.
+    """Configuration of a bridge.
 
-    `send` goes from the robot's ROS to the environment, `receive` the other way. `requests` are what nodes of the robot
-    may ask for by these ids. `compress` deflates all that goes through the WebSocket. `offload: false` waits for a
-    request to start. `metrics` is the port of this machine at which Prometheus finds /metrics, 0: none.
+    Attributes:
+        password: Password in clear text; prefer an API key in the variable RCE_KEY.
+        compress: True to compress the WebSocket with deflate.
+        offload: False to wait for a request to start offloading.
+        send: Flows from the robot's ROS to the environment.
+        receive: Flows from the environment to the robot's ROS.
+        requests: Actions that nodes of the robot can request, by id.
+        metrics: Port for `/metrics`, on all addresses; 0 for none.
     """
 
     url: Name
@@ -137,9 +149,14 @@ class BridgeConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def read(path: Path, environment: dict[str, str] | None = None) -> BridgeConfig:
-    """The bridge of a YAML or JSON file; RCE_KEY or RCE_PASSWORD stand in for a credential that the file lacks.
+    """Read a YAML or JSON file; RCE_KEY or RCE_PASSWORD replace a missing credential.
 
-    InvalidRequest names the file and the place.
+    Args:
+        path: The file.
+        environment: Environment variables; None for those of the process.
+
+    Raises:
+        InvalidRequest: The file is not valid; the message names the file and the position.
     """
     config = structfile.read(path, BridgeConfig)
     _check(config, str(path))
@@ -148,7 +165,7 @@ def read(path: Path, environment: dict[str, str] | None = None) -> BridgeConfig:
         key = variables.get("RCE_KEY")
         config = msgspec.structs.replace(config, key=key, password=None if key else variables.get("RCE_PASSWORD"))
     if (config.key is None) == (config.password is None):
-        raise InvalidRequest(f"{path}: give a key or a password, or set RCE_KEY or RCE_PASSWORD", field="key")
+        raise InvalidRequest(f"{path}: give either key or password, or set RCE_KEY or RCE_PASSWORD", field="key")
     return config
 
 
@@ -158,8 +175,10 @@ def _check(config: BridgeConfig, where: str) -> None:
         for number, topic in enumerate(direction.topics):
             place = f"{way}.topics[{number}]"
             if topic.qos.history == "keep_all":
-                raise InvalidRequest(f"{where}: {place}.qos: a bridge keeps the newest messages, not all", field=place)
+                raise InvalidRequest(
+                    f"{where}: {place}.qos: a bridge keeps only the newest messages: use keep_last", field=place
+                )
             if topic.format and topic.type.replace("/msg/", "/") != "sensor_msgs/Image":
-                raise InvalidRequest(f"{where}: {place}.format is for sensor_msgs/Image only", field=place)
+                raise InvalidRequest(f"{where}: {place}.format is only for sensor_msgs/Image", field=place)
         if direction.tf is not None and not direction.tf.frames:
-            raise InvalidRequest(f"{where}: {way}.tf.frames is empty: name the child frames", field=f"{way}.tf.frames")
+            raise InvalidRequest(f"{where}: {way}.tf.frames is empty: list the child frames", field=f"{way}.tf.frames")

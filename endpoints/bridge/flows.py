@@ -1,4 +1,4 @@
-"""What a bridge carries. A flow joins an interface in the robot's ROS with one of the environment, while it is open."""
+"""Flows of a bridge, each of which connects an interface in the robot's ROS with one in the environment."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ import msgspec
 from twisted.logger import Logger
 
 from endpoints.bridge.config import BridgeConfig, Service, Topic, Transforms
-from endpoints.bridge.ends import CLOUD, CloudEnd, LocalRos, MakeInterface
-from endpoints.bridge.filters import Filter, Pace, as_picture, chosen_transforms, from_picture
+from endpoints.bridge.filters import Filter, RateLimit, image_decoder, image_encoder, transform_filter
+from endpoints.bridge.local_ros import CLOUD, CloudLink, LocalRos, MakeInterface
+from endpoints.data.frames import Message
+from endpoints.data.interface import error_of
 from endpoints.environment.interfaces import RosInterface
 from endpoints.environment.services import TIMEOUT, ServiceClientInterface, ServiceProviderInterface
 from endpoints.environment.topics import PublisherInterface, SubscriberInterface
-from endpoints.frames import Message
-from endpoints.interface import error_of
-from rce.blobs import Buffer
 from rce.client import Environment
 from rce.errors import ConversionError, RceError
-from rce.messages import Qos
+from rce.protocol.blobs import Buffer
+from rce.protocol.messages import Qos
 
 TF_TYPE = "tf2_msgs/TFMessage"
 STATIC = Qos(reliability="reliable", durability="transient_local", depth=100)
@@ -31,75 +31,78 @@ TF = Qos(depth=100)
 log = Logger()
 
 
-class Flow(CloudEnd, ABC):
-    """One thing that is carried; it is itself the peer of its interface in the robot's ROS."""
+class Flow(CloudLink, ABC):
+    """A topic or service that is forwarded; it is the link of its interface in the robot's ROS."""
 
     def __init__(self) -> None:
         super().__init__()
         self._local: LocalRos | None = None
-        self._near: RosInterface | None = None
+        self._interface: RosInterface | None = None
 
     @abstractmethod
     async def open(self, local: LocalRos, environment: Environment) -> None:
-        """Raises what one of the two ends says."""
+        """Create the interfaces at both ends; raise RceError if one of them is rejected."""
 
-    async def join(
+    async def add_local_interface(
         self, local: LocalRos, make: MakeInterface, type_name: str, address: str, qos: Qos | None = None
     ) -> None:
-        """Make the interface in the robot's ROS."""
-        self._local, self._near = local, await local.interface(make, type_name, address, self, qos)
+        """Create the interface in the robot's ROS."""
+        self._local, self._interface = local, await local.add_interface(make, type_name, address, self, qos)
 
     def deliver(self, message: Message) -> None:
-        """To the robot's ROS."""
-        if self._near is not None:
-            self._near.traffic.of(CLOUD).passed(len(message.payload))
-            self._near.receive(message, self)
+        """Pass a message of the environment to the robot's ROS."""
+        if self._interface is not None:
+            self._interface.traffic.of(CLOUD).count(len(message.payload))
+            self._interface.receive(message, self)
 
     def end(self) -> None:
-        """The interface in the robot's ROS goes; those of the environment go with the robot's session."""
-        if self._local is not None and self._near is not None:
-            self._local.remove(self._near)
-        self._near = None
+        """Remove the interface in the robot's ROS; that in the environment ends with the robot's session."""
+        if self._local is not None and self._interface is not None:
+            self._local.remove_interface(self._interface)
+        self._interface = None
 
 
-class _Complaints:
-    """Says each sentence once."""
+class _ErrorLog:
+    """Logs each error text once."""
 
     def __init__(self) -> None:
-        self._said: set[str] = set()
+        self._logged: set[str] = set()
 
-    def __call__(self, topic: str, error: RceError) -> None:
-        if str(error) not in self._said:
-            self._said.add(str(error))
+    def warn(self, topic: str, error: RceError) -> None:
+        """Log an error, unless the same text was logged before."""
+        if str(error) not in self._logged:
+            self._logged.add(str(error))
             log.warn("{topic}: {error}", topic=topic, error=str(error))
 
 
 class SentTopic(Flow):
-    """A topic of the robot that is published in the environment too."""
+    """A topic of the robot that is also published in the environment."""
 
     def __init__(self, topic: Topic, filter: Filter | None = None) -> None:
         super().__init__()
         self._topic = topic
-        self._filter = filter or (as_picture(topic.format) if topic.format else None)
-        self._pace = Pace(topic.rate)
-        self._complain = _Complaints()
+        self._filter = filter or (image_encoder(topic.format) if topic.format else None)
+        self._rate_limit = RateLimit(topic.rate)
+        self._errors = _ErrorLog()
 
     async def open(self, local: LocalRos, environment: Environment) -> None:
+        """Create the interfaces at both ends."""
         topic = self._topic
         raw = not topic.format
         format: Literal["png", "jpeg"] = topic.format or "png"
         self._out = await environment.publisher(
             topic.to or topic.topic, topic.type, qos=topic.qos, raw=raw, format=format
         )
-        await self.join(local, SubscriberInterface, topic.type, topic.topic, topic.qos)
+        await self.add_local_interface(local, SubscriberInterface, topic.type, topic.topic, topic.qos)
 
     def send(self, message: Message, keep: int | None) -> int:
-        if not self._pace.due():
+        """Filter a message of the robot and publish it in the environment; return the number of dropped ones."""
+        if not self._rate_limit.allows():
             return 0
         try:
             value = self._filter(message.payload) if self._filter else message.payload
         except ConversionError as error:
-            self._complain(self._topic.topic, error)
+            self._errors.warn(self._topic.topic, error)
             return 0
         if value is None:
             return 0
@@ -109,36 +112,37 @@ class SentTopic(Flow):
 
 
 class ReceivedTopic(Flow):
-    """A topic of the environment that is published at the robot too."""
+    """A topic of the environment that is also published at the robot."""
 
     def __init__(self, topic: Topic, filter: Filter | None = None) -> None:
         super().__init__()
         self._topic = topic
-        self._filter = filter or (from_picture() if topic.format else None)
-        self._pace = Pace(topic.rate)
-        self._complain = _Complaints()
+        self._filter = filter or (image_decoder() if topic.format else None)
+        self._rate_limit = RateLimit(topic.rate)
+        self._errors = _ErrorLog()
 
     async def open(self, local: LocalRos, environment: Environment) -> None:
+        """Create the interfaces at both ends."""
         topic = self._topic
-        await self.join(local, PublisherInterface, topic.type, topic.to or topic.topic, topic.qos)
+        await self.add_local_interface(local, PublisherInterface, topic.type, topic.to or topic.topic, topic.qos)
         format: Literal["png", "jpeg"] = topic.format or "png"
         await environment.subscriber(
             topic.topic,
             topic.type,
-            callback=self._take,
+            callback=self._receive,
             depth=topic.qos.depth,
             qos=topic.qos,
             raw=not topic.format,
             format=format,
         )
 
-    def _take(self, value: Buffer) -> None:
-        if not self._pace.due():
+    def _receive(self, value: Buffer) -> None:
+        if not self._rate_limit.allows():
             return
         try:
             payload = self._filter(value) if self._filter else value
         except ConversionError as error:
-            self._complain(self._topic.topic, error)
+            self._errors.warn(self._topic.topic, error)
             return
         if payload is not None:
             self.deliver(Message(CLOUD, "", payload))
@@ -153,11 +157,12 @@ class OfferedService(Flow):
         self._calls: dict[str, asyncio.Future[bytes]] = {}
 
     async def open(self, local: LocalRos, environment: Environment) -> None:
+        """Create the interfaces at both ends."""
         service = self._service
-        await self.join(local, ServiceClientInterface, service.type, service.service)
-        await environment.service_provider(service.to or service.service, service.type, self._ask, raw=True)
+        await self.add_local_interface(local, ServiceClientInterface, service.type, service.service)
+        await environment.service_provider(service.to or service.service, service.type, self._call, raw=True)
 
-    async def _ask(self, request: Buffer) -> bytes:
+    async def _call(self, request: Buffer) -> bytes:
         name = uuid.uuid4().hex
         answer = self._calls[name] = asyncio.get_running_loop().create_future()
         try:
@@ -168,7 +173,7 @@ class OfferedService(Flow):
             del self._calls[name]
 
     def send(self, message: Message, keep: int | None) -> int:
-        """An answer of the robot's service."""
+        """Complete a call with the response of the robot's service."""
         answer = self._calls.get(message.msg_id)
         if answer is not None and not answer.done():
             if message.error:
@@ -187,12 +192,13 @@ class CalledService(Flow):
         self._tasks: set[asyncio.Task[None]] = set()
 
     async def open(self, local: LocalRos, environment: Environment) -> None:
+        """Create the interfaces at both ends."""
         service = self._service
         self._client = await environment.service_client(service.service, service.type, raw=True)
-        await self.join(local, ServiceProviderInterface, service.type, service.to or service.service)
+        await self.add_local_interface(local, ServiceProviderInterface, service.type, service.to or service.service)
 
     def send(self, message: Message, keep: int | None) -> int:
-        """A request of a node of the robot."""
+        """Call the service of the environment for a node of the robot."""
         task = asyncio.create_task(self._call(message))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
@@ -207,13 +213,14 @@ class CalledService(Flow):
             self.deliver(Message(CLOUD, request.msg_id, answer))
 
     def end(self) -> None:
+        """Cancel all calls and remove the interface."""
         for task in self._tasks:
             task.cancel()
         super().end()
 
 
-def flows(config: BridgeConfig) -> Iterator[Flow]:
-    """All that a bridge carries."""
+def make_flows(config: BridgeConfig) -> Iterator[Flow]:
+    """Yield all flows of a bridge, not open yet."""
     for topic in config.send.topics:
         yield SentTopic(topic)
     for topic in config.receive.topics:
@@ -224,9 +231,9 @@ def flows(config: BridgeConfig) -> Iterator[Flow]:
         yield CalledService(service)
     for kind, transforms in ((SentTopic, config.send.tf), (ReceivedTopic, config.receive.tf)):
         if transforms is not None:
-            yield kind(Topic("/tf", TF_TYPE, qos=TF), _choose(transforms))
-            yield kind(Topic("/tf_static", TF_TYPE, qos=STATIC), _choose(Transforms(transforms.frames)))
+            yield kind(Topic("/tf", TF_TYPE, qos=TF), _tf_filter(transforms))
+            yield kind(Topic("/tf_static", TF_TYPE, qos=STATIC), _tf_filter(Transforms(transforms.frames)))
 
 
-def _choose(transforms: Transforms) -> Filter:
-    return chosen_transforms(transforms.frames, transforms.rate)
+def _tf_filter(transforms: Transforms) -> Filter:
+    return transform_filter(transforms.frames, transforms.rate)

@@ -1,4 +1,4 @@
-"""`/metrics` of a bridge: on a robot there is no Master to ask for them."""
+"""HTTP server for the metrics of a bridge, which no Master collects."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from twisted.internet.error import CannotListenError
 from twisted.web.resource import Resource
 from twisted.web.server import Request, Site
 
-from rce.errors import no_port
-from rce.exposition import CONTENT_TYPE, text
-from rce.metrics import Source, families
+from rce.errors import port_unavailable
+from rce.process.exposition import CONTENT_TYPE, prometheus_text
+from rce.process.metrics import Source, collect_families
 
 
 class _Metrics(Resource):
@@ -24,12 +24,16 @@ class _Metrics(Resource):
 
     def render_GET(self, request: Request) -> bytes:
         request.setHeader("content-type", CONTENT_TYPE)
-        return text(families("bridge", self._source))
+        return prometheus_text(collect_families("bridge", self._source))
 
 
 @contextlib.contextmanager
-def told(reactor: ReactorBase, port: int, source: Source) -> Iterator[None]:
-    """Tell whoever asks at this port, on all addresses; 0: nobody. Unavailable."""
+def serve_metrics(reactor: ReactorBase, port: int, source: Source) -> Iterator[None]:
+    """Serve `/metrics` at a port on all addresses; 0 for none.
+
+    Raises:
+        Unavailable: The port cannot be bound.
+    """
     if not port:
         yield
         return
@@ -38,7 +42,7 @@ def told(reactor: ReactorBase, port: int, source: Source) -> Iterator[None]:
     try:
         listening = reactor.listenTCP(port, Site(root))  # type: ignore[attr-defined]  # of IReactorTCP
     except CannotListenError as error:
-        raise no_port("", port, error.socketError) from None
+        raise port_unavailable("", port, error.socketError) from None
     try:
         yield
     finally:

@@ -1,4 +1,4 @@
-"""The program of an Environment endpoint: `python -P -m endpoints.environment`."""
+"""Entry point of an Environment endpoint: `python -P -m endpoints.environment`."""
 
 from __future__ import annotations
 
@@ -12,52 +12,52 @@ from pathlib import Path
 from twisted.internet.base import ReactorBase
 from twisted.logger import Logger
 
-from endpoints.data_port import DataPort
-from endpoints.environment import surroundings
-from endpoints.environment.nodelog import NodeLog
+from endpoints.data.port import DataPort
+from endpoints.environment import process_environment
+from endpoints.environment.output_log import OutputLog
 from endpoints.environment.settings import Settings
-from endpoints.host import listen
-from rce import __version__, logs, loop
-from rce.calls.call import Call, Nothing
-from rce.calls.joining import Hello, Welcome
-from rce.control import MasterLink
+from rce import __version__
+from rce.control.calls.call import Call, Nothing
+from rce.control.calls.joining import Hello, Welcome
+from rce.control.client import ControlClient
 from rce.errors import RceError
-from rce.host import host_identity
-from rce.settings import load_or_exit
-from rce.tls import load
+from rce.net.tls import load_tls
+from rce.process import logs, loop
+from rce.process.host import host_identity
+from rce.process.settings import load_or_exit
 
-SWITCH_INTERVAL = 0.0005  # seconds after which the loop lets the ROS thread in, and the other way round
-PAUSE = 0.02  # seconds between looks for a file, for which there is no event
+SWITCH_INTERVAL = 0.0005  # seconds after which the asyncio loop and the ROS thread hand the GIL to each other
+POLL_INTERVAL = 0.02  # seconds
 
 log = Logger()
 
 
 class Endpoint:
-    """Joins the Master's connection and the environment."""
+    """The program: an environment and its connection to the Master."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._token = settings.token
         self._addresses: list[str] = []
-        self._master: MasterLink
-        self._telling: set[asyncio.Task[None]] = set()
+        self._master: ControlClient
+        self._reports: set[asyncio.Task[None]] = set()
 
     async def run(self, reactor: ReactorBase) -> None:
-        """Until it is cancelled, or the Master refuses us."""
-        # Not before `surroundings.prepare`: they load ROS 2.
+        """Run until cancelled, or until the Master refuses this endpoint."""
+        # These load ROS 2, which needs the variables that `process_environment.prepare` has set.
         from endpoints.environment.endpoint import Environment
         from endpoints.environment.ros import RosThread
 
-        tls = load(self._settings.tls)
+        tls = load_tls(self._settings.tls)
         port = DataPort(self._settings.relay, tls)
         socket = self._settings.socket or self._settings.data_dir.absolute() / "data.sock"
-        self._addresses = await listen(port, socket, self._settings.listen)
+        self._addresses = await port.listen(socket, self._settings.listen)
         ros = RosThread(asyncio.get_running_loop())
         await ros.start()
-        output = NodeLog(self._settings.data_dir / "environment.log")
-        logs.also(lambda line: output.write(line.encode()))
-        environment = Environment(self._settings, ros, port, self.tell, output)
-        self._master = MasterLink(
+        output = OutputLog(self._settings.data_dir / "environment.log")
+        logs.add_text_observer(lambda line: output.write(line.encode()))
+        environment = Environment(self._settings, ros, port, self.report, output)
+        self._master = ControlClient(
             reactor, self._settings.master, self._hello, environment.handlers(), self._welcomed, tls
         )
         master = asyncio.create_task(self._master.run())
@@ -73,17 +73,17 @@ class Endpoint:
             if not task.cancelled():
                 task.result()
 
-    def tell(self, call: Call[Nothing]) -> None:
-        """Send a call to the Master; when that is away, once it is back, if that is soon."""
-        task = asyncio.create_task(self._tell(call))
-        self._telling.add(task)
-        task.add_done_callback(self._telling.discard)
+    def report(self, call: Call[Nothing]) -> None:
+        """Send a call to the Master; if it cannot be reached, the call waits a while for its return."""
+        task = asyncio.create_task(self._report(call))
+        self._reports.add(task)
+        task.add_done_callback(self._reports.discard)
 
-    async def _tell(self, call: Call[Nothing]) -> None:
+    async def _report(self, call: Call[Nothing]) -> None:
         try:
             await self._master.call(call)
         except RceError as error:
-            log.warn("{call} was not heard: {error}", call=type(call).__name__, error=str(error))
+            log.warn("{call} could not be reported to the Master: {error}", call=type(call).__name__, error=str(error))
 
     def _hello(self) -> Hello:
         return Hello(
@@ -96,7 +96,10 @@ class Endpoint:
         )
 
     def _relay_address(self) -> list[str]:
-        """Of its machine's relay, where that is not its task set's and so says it beside the gate."""
+        """Return the address by way of the relay of this machine, if the relay has written its own beside the gate.
+
+        Only relays that are not part of a task set do so.
+        """
         file = self._settings.relay.with_suffix(".address") if self._settings.relay else None
         return [f"{file.read_text()}/{self._settings.name}"] if file and file.exists() else []
 
@@ -104,17 +107,18 @@ class Endpoint:
         self._token = welcome.credential
 
 
-def _wait_for_way(master: str) -> None:
-    """In a swarm the agent of a node opens the way to the Master when all that this environment needs is there."""
+def _wait_for_control_socket(master: str) -> None:
+    """Wait until the control socket exists: in a swarm the node's agent creates it when all resources are ready."""
     while master.startswith("unix:") and not Path(master.removeprefix("unix:")).exists():
-        time.sleep(PAUSE)
+        time.sleep(POLL_INTERVAL)
 
 
 def main() -> int:
+    """Run the program; return its exit status."""
     settings = load_or_exit(Settings, "rce environment")
-    os.environ.pop("RCE_TOKEN", None)  # nodes shall not inherit it
-    _wait_for_way(settings.master)
-    surroundings.prepare(settings)
+    os.environ.pop("RCE_TOKEN", None)  # so that nodes do not inherit it
+    _wait_for_control_socket(settings.master)
+    process_environment.prepare(settings)
     sys.setswitchinterval(SWITCH_INTERVAL)
 
     def run(reactor: ReactorBase) -> Coroutine[None, None, None]:

@@ -1,4 +1,4 @@
-"""The command line of a node: its arguments with their substitutions, its ROS name and its parameters."""
+"""Command line of a node: its arguments with substitutions, its ROS name and its parameters."""
 
 from __future__ import annotations
 
@@ -9,18 +9,23 @@ from functools import cache
 from pathlib import Path
 
 from endpoints.environment.packages import Packages
-from rce.calls.endpoints import NodeSpec
+from rce.control.calls.endpoints import NodeSpec
 from rce.errors import InvalidName, InvalidRequest
-from rce.names import GUEST
+from rce.protocol.names import GUEST_PREFIX
 
-LONGEST = 100_000  # characters after substitution; Linux takes 128 KiB of one argument
+MAX_LENGTH = 100_000  # characters after substitution; Linux limits one argument to 128 KiB
 _SUBSTITUTION = re.compile(r"\$\(\s*(\w+)\s+([^)\s]+)\s*\)")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 _NAMESPACE = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*|/", re.ASCII)
 
 
 def substitute(text: str, packages: Packages, environment: Mapping[str, str], field: str = "args") -> str:
-    """`$(find PKG)` is the directory of a package, `$(env VAR)` a variable. InvalidRequest, NotFound."""
+    """Replace `$(find PKG)` by the directory of a package and `$(env VAR)` by a variable.
+
+    Raises:
+        InvalidRequest: A substitution is unknown, a variable is not set, or the result is too long.
+        NotFound: There is no such package.
+    """
     share = cache(packages.share)
 
     def value(match: re.Match[str]) -> str:
@@ -29,17 +34,19 @@ def substitute(text: str, packages: Packages, environment: Mapping[str, str], fi
             return str(share(name))
         if kind == "env" and name in environment:
             return environment[name]
-        reason = f"the environment has no variable {name}" if kind == "env" else "known are $(find PKG) and $(env VAR)"
+        reason = f"the environment has no variable {name}" if kind == "env" else "use $(find PKG) or $(env VAR)"
         raise InvalidRequest(f"{match[0]}: {reason}", field=field)
 
     found = _SUBSTITUTION.sub(value, text)
-    if len(found) > max(LONGEST, len(text)):
-        raise InvalidRequest(f"{field}: {len(found)} characters after substitution; {LONGEST} at most", field=field)
+    if len(found) > max(MAX_LENGTH, len(text)):
+        raise InvalidRequest(
+            f"{field} has {len(found)} characters after substitution; the limit is {MAX_LENGTH}", field=field
+        )
     return found
 
 
 def split(text: str) -> list[str]:
-    """The arguments as a shell would split them, without any other meaning of a shell. InvalidRequest."""
+    """Split arguments as a shell does, without other shell syntax; raise InvalidRequest for unbalanced quotes."""
     try:
         return shlex.split(text)
     except ValueError as error:
@@ -47,14 +54,23 @@ def split(text: str) -> list[str]:
 
 
 def enclave(tag: str) -> str:
-    """Of the node with this tag; those of guests' nodes (`@guest.node`) are no names for ROS as they are."""
-    return "/" + tag.replace(GUEST, "_").replace(".", "_")
+    """Return the enclave of the node with this tag; guests' tags (`@guest.node`) are made valid ROS names."""
+    return "/" + tag.replace(GUEST_PREFIX, "_").replace(".", "_")
 
 
 def ros_arguments(spec: NodeSpec, given: list[str], parameters: Path) -> list[str]:
-    """What ROS 2 must know of a node; InvalidName.
+    """Return the ROS arguments of a node.
 
-    Its enclave is how its tag is found again among the nodes of ROS. ROS's own log files would grow without limit.
+    The enclave identifies the node in the ROS graph by its tag. Log files of ROS are disabled, because they would grow
+    without limit.
+
+    Args:
+        spec: The node.
+        given: Arguments of the user, which may name another enclave.
+        parameters: Path of the node's parameter file.
+
+    Raises:
+        InvalidName: The name or the namespace is not valid in ROS 2.
     """
     arguments = ["--ros-args", "--disable-external-lib-logs", "--params-file", str(parameters)]
     if "--enclave" not in given and "-e" not in given:
@@ -68,5 +84,5 @@ def ros_arguments(spec: NodeSpec, given: list[str], parameters: Path) -> list[st
 
 def _checked(rule: re.Pattern[str], value: str, field: str) -> str:
     if not rule.fullmatch(value):
-        raise InvalidName(f"{field} {value[:80]!r} is not a legal {field} of a ROS 2 node", field=field)
+        raise InvalidName(f"{field} {value[:80]!r} is not a valid {field} of a ROS 2 node", field=field)
     return value

@@ -1,4 +1,4 @@
-"""The texts of message and service definitions that are installed, with all that they use."""
+"""Texts of the installed message and service definitions, with all definitions that they use."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from rce.errors import UnknownType
-from rce.names import TYPE, parse_type
+from rce.protocol.names import TYPE, parse_type
 
 _FIELD = re.compile(r"\s*([A-Za-z][A-Za-z0-9_]*(?:/[A-Za-z0-9_]+){0,2})(?:<=\d+)?(?:\[(?:<=)?\d*\])?\s+[a-zA-Z]")
 _BUILT_IN = frozenset(
@@ -32,25 +32,34 @@ _BUILT_IN = frozenset(
 
 
 class InstalledTypes:
-    """Looks in `prefixes` (as ROS 2 installs: `share/PKG/msg`) and `sources` (directories of packages: `PKG/msg`)."""
+    """Installed types.
+
+    Args:
+        prefixes: Install prefixes of ROS 2, with definitions in `share/PKG/msg`.
+        sources: Directories of package sources, with definitions in `PKG/msg`.
+    """
 
     def __init__(self, prefixes: Sequence[Path], sources: Sequence[Path] = ()) -> None:
         self._places = [prefix / "share" for prefix in prefixes] + list(sources)
 
     def find(self, package: str, sort: str, name: str) -> Path:
-        """The `.msg` or `.srv` file of a type; UnknownType."""
+        """Return the `.msg` or `.srv` file of a type; raise UnknownType if it is not installed."""
         for place in self._places:
             path = place / package / sort / f"{name}.{sort}"
             if path.is_file():
                 return path
         raise UnknownType(
-            f"no {'service' if sort == 'srv' else 'message'} type {package}/{name} in this environment: "
+            f"this environment has no {'service' if sort == 'srv' else 'message'} type {package}/{name}: "
             "check the spelling, or install its package",
             field="className",
         )
 
     def describe(self, name: str, service: bool) -> dict[str, str]:
-        """The texts of a type and of all that it uses, by `pkg/msg/Name` and `pkg/srv/Name`; UnknownType."""
+        """Return the definitions of a type and of all types that it uses, by `pkg/msg/Name` and `pkg/srv/Name`.
+
+        Raises:
+            UnknownType: One of the types is not installed.
+        """
         package, base = parse_type(name)
         wanted = [(package, "srv" if service else "msg", base)]
         texts: dict[str, str] = {}
@@ -64,7 +73,7 @@ class InstalledTypes:
 
 
 def _used(text: str, package: str) -> Iterable[tuple[str, str]]:
-    """Package and name of every message that the fields of a definition are of."""
+    """Yield package and name of every message type that the fields of a definition use."""
     for line in text.splitlines():
         field = _FIELD.match(line.partition("#")[0])
         if field is None or field[1] in _BUILT_IN:

@@ -1,4 +1,4 @@
-"""The Environment endpoint: carries out what the Master asks for, and reports what happens."""
+"""The Environment endpoint: executes the calls of the Master, and reports errors and dropped messages."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from collections.abc import Callable
 
 from twisted.logger import Logger
 
-from endpoints.data_port import DataPort
+from endpoints.data.interface import Interface
+from endpoints.data.port import DataPort
+from endpoints.data.switchboard import Switchboard
 from endpoints.environment.definitions import InstalledTypes
-from endpoints.environment.graph import read
-from endpoints.environment.interfaces import RosInterface, Surroundings
-from endpoints.environment.live import LiveParameters
-from endpoints.environment.nodelog import NodeLog
+from endpoints.environment.interfaces import RosContext, RosInterface
+from endpoints.environment.live_parameters import LiveParameters
 from endpoints.environment.nodes import Nodes
+from endpoints.environment.output_log import OutputLog
 from endpoints.environment.packages import Packages
-from endpoints.environment.parameters import Parameters, checked
+from endpoints.environment.parameters import Parameters, validate
+from endpoints.environment.process_environment import install_prefixes, node_variables
 from endpoints.environment.ros import RosThread
+from endpoints.environment.ros_graph import read_graph
 from endpoints.environment.services import ServiceClientInterface, ServiceProviderInterface
 from endpoints.environment.settings import Settings
-from endpoints.environment.surroundings import for_nodes, prefixes
 from endpoints.environment.topics import PublisherInterface, SubscriberInterface
-from endpoints.interface import Interface
-from endpoints.switchboard import Switchboard
-from rce.calls.call import Call, Nothing, Settled
-from rce.calls.endpoints import (
+from rce.control.calls.call import BatchResult, Call, Nothing
+from rce.control.calls.endpoints import (
     DropParameter,
     InterfaceSpec,
     LinkLost,
@@ -37,11 +37,11 @@ from rce.calls.endpoints import (
     StopNode,
     Sync,
 )
-from rce.calls.robots import Definitions, Describe
-from rce.calls.watching import Log, ReadGraph, ReadLog, RosGraph
-from rce.control import Handlers
+from rce.control.calls.robots import Definitions, DescribeType
+from rce.control.calls.watching import Log, ReadGraph, ReadLog, RosGraph
+from rce.control.connection import Handlers
 from rce.errors import ErrorInfo, InvalidRequest, RceError
-from rce.metrics import Family, gauge
+from rce.process.metrics import Family, gauge_family
 
 KINDS: dict[str, type[RosInterface]] = {
     "PublisherInterface": PublisherInterface,
@@ -49,48 +49,55 @@ KINDS: dict[str, type[RosInterface]] = {
     "ServiceClientInterface": ServiceClientInterface,
     "ServiceProviderInterface": ServiceProviderInterface,
 }
-TICK = 1.0
+TICK = 1.0  # seconds
 
 log = Logger()
-Tell = Callable[[Call[Nothing]], None]
+ReportCall = Callable[[Call[Nothing]], None]
 
 
 class Environment:
-    """What one environment has. `tell` sends a call to the Master, whenever that is there; what this process itself has
-    to say is in `log`.
-    """
+    """Interfaces, nodes and parameters of one environment."""
 
-    def __init__(self, settings: Settings, ros: RosThread, port: DataPort, tell: Tell, log: NodeLog) -> None:
-        installed = prefixes(settings)
+    def __init__(self, settings: Settings, ros: RosThread, port: DataPort, report: ReportCall, log: OutputLog) -> None:
+        """Create an empty environment.
+
+        Args:
+            settings: Settings of the process.
+            ros: Thread of ROS, which `run` stops at the end.
+            port: Data port of the process.
+            report: Sends a call to the Master as soon as it can be reached.
+            log: Log of this process, which users can read.
+        """
+        installed = install_prefixes(settings)
         packages = Packages(installed, settings.package_path)
-        self._tell = tell
+        self._send_report = report
         self._log = log
         self._ros = ros
         self._definitions = InstalledTypes(installed + packages.prefixes, packages.sources)
         self._parameters = Parameters()
-        self._live = LiveParameters(ros)
-        self._nodes = Nodes(settings.data_dir, packages, self._parameters, for_nodes(settings), tell)
-        self._switchboard = Switchboard(port, lambda link, reason: tell(LinkLost(link, reason)))
-        self._around = Surroundings(ros, self._switchboard.watch, self._definitions, self._report)
-        self._drops: dict[str, int] = {}
+        self._live_parameters = LiveParameters(ros)
+        self._nodes = Nodes(settings.data_dir, packages, self._parameters, node_variables(settings), report)
+        self._switchboard = Switchboard(port, lambda link, reason: report(LinkLost(link, reason)))
+        self._context = RosContext(ros, self._switchboard.hops, self._definitions, self._report_error)
+        self._reported_drops: dict[str, int] = {}  # by interface id
 
     def handlers(self) -> Handlers:
-        """What this process answers to the Master."""
+        """Return the handlers of the Master's calls."""
         handlers, board, nodes = Handlers(), self._switchboard, self._nodes
         handlers.on(Sync, self._sync)
-        board.add_to(handlers, self._make)
+        board.add_to(handlers, self._make_interface)
         handlers.do(StartNode, lambda call: nodes.start(call.node))
         handlers.do(StopNode, lambda call: nodes.stop(call.node))
         handlers.do(PutParameter, lambda call: self._put(call.parameter))
         handlers.do(DropParameter, lambda call: self._parameters.drop(call.key))
         handlers.on(ReadLog, self._read_log)
-        handlers.on(Describe, self._describe)
+        handlers.on(DescribeType, self._describe)
         handlers.on(ReadGraph, self._read_graph)
-        handlers.tell_metrics("environment", board.families, self._families)
+        handlers.serve_metrics("environment", board.families, self._families)
         return handlers
 
     async def run(self) -> None:
-        """What happens every second, until it is cancelled; then everything is stopped."""
+        """Run until cancelled; then stop all nodes and ROS."""
         try:
             while True:
                 await asyncio.sleep(TICK)
@@ -101,25 +108,25 @@ class Environment:
 
     # calls
 
-    async def _make(self, spec: InterfaceSpec) -> Interface:
+    async def _make_interface(self, spec: InterfaceSpec) -> Interface:
         kind = KINDS.get(spec.kind)
         if kind is None:
             raise InvalidRequest(
-                f"interface {spec.tag}: an environment has no {spec.kind}; it has {', '.join(KINDS)}",
+                f"interface {spec.tag}: an environment has no {spec.kind}; use one of {', '.join(KINDS)}",
                 field="interfaceType",
             )
-        interface = kind(spec, self._around)
+        interface = kind(spec, self._context)
         await interface.open()
         return interface
 
-    async def _sync(self, call: Sync) -> Settled:
+    async def _sync(self, call: Sync) -> BatchResult:
         failed = await self._sync_parameters(call.parameters)
         starting = asyncio.gather(*(self._start(spec, failed) for spec in call.nodes))
         for tag in set(self._nodes.specs) - {spec.tag for spec in call.nodes}:
             await self._nodes.stop(tag)
-        failed |= await self._switchboard.sync(call, self._make)
+        failed |= await self._switchboard.sync(call, self._make_interface)
         await starting
-        return Settled(failed)
+        return BatchResult(failed)
 
     async def _sync_parameters(self, specs: list[ParameterSpec]) -> dict[str, ErrorInfo]:
         failed: dict[str, ErrorInfo] = {}
@@ -139,16 +146,16 @@ class Environment:
             failed[f"node:{spec.tag}"] = error.info
 
     async def _put(self, spec: ParameterSpec) -> None:
-        spec = checked(self._nodes.resolved(spec))
+        spec = validate(self._nodes.resolve(spec))
         before = self._parameters.specs.get(spec.key)
         if before == spec:
             return
         self._parameters.put(spec)
         if not self._nodes.specs:
             return
-        young = self._nodes.young()
+        starting = self._nodes.starting()
         try:
-            await self._live.put(spec, young & {spec.node} if spec.node else young)
+            await self._live_parameters.put(spec, starting & {spec.node} if spec.node else starting)
         except InvalidRequest:
             self._parameters.drop(spec.key)
             if before is not None:
@@ -158,29 +165,29 @@ class Environment:
     async def _read_log(self, call: ReadLog) -> Log:
         log = self._nodes.log(call.node) if call.node else self._log
         if call.after:
-            return Log(*await log.more(call.after, call.wait))
+            return Log(*await log.wait_since(call.after, call.wait))
         return Log(log.last_lines(call.lines), log.end)
 
-    async def _describe(self, call: Describe) -> Definitions:
+    async def _describe(self, call: DescribeType) -> Definitions:
         return Definitions(self._definitions.describe(call.type, call.service))
 
     async def _read_graph(self, call: ReadGraph) -> RosGraph:
-        return await self._ros.run(lambda: read(self._ros.node))
+        return await self._ros.run(lambda: read_graph(self._ros.node))
 
     def _families(self) -> list[Family]:
-        return [gauge("rce_nodes", "Nodes that run", [], {(): len(self._nodes.specs)})]
+        return [gauge_family("rce_nodes", "Nodes that run", [], {(): len(self._nodes.specs)})]
 
     # reports
 
-    def _report(self, spec: InterfaceSpec, error: RceError) -> None:
-        self._tell(Report(spec.owner, spec.tag, error.info))
+    def _report_error(self, spec: InterfaceSpec, error: RceError) -> None:
+        self._send_report(Report(spec.owner, spec.tag, error.info))
 
     def _tick(self, now: float) -> None:
         for interface in list(self._switchboard.interfaces.values()):
             assert isinstance(interface, RosInterface)
             interface.tick(now)
-            if interface.dropped > self._drops.get(interface.spec.id, 0):
-                self._drops[interface.spec.id] = interface.dropped
-                self._tell(Report(interface.spec.owner, interface.spec.tag, drops=interface.dropped))
+            if interface.dropped > self._reported_drops.get(interface.spec.id, 0):
+                self._reported_drops[interface.spec.id] = interface.dropped
+                self._send_report(Report(interface.spec.owner, interface.spec.tag, drops=interface.dropped))
         present = {interface.spec.id for interface in self._switchboard.interfaces.values()}
-        self._drops = {id: count for id, count in self._drops.items() if id in present}
+        self._reported_drops = {id: count for id, count in self._reported_drops.items() if id in present}

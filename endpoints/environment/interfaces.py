@@ -1,4 +1,4 @@
-"""What the interfaces of an environment share, and which class an interface is of."""
+"""Base of the interfaces of an environment."""
 
 from __future__ import annotations
 
@@ -10,63 +10,70 @@ from rclpy.exceptions import InvalidServiceNameException, InvalidTopicNameExcept
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from twisted.logger import Logger
 
+from endpoints.data.hops import HopRecorder
+from endpoints.data.interface import Interface
 from endpoints.environment.definitions import InstalledTypes
-from endpoints.environment.ros import RosThread, Waited
-from endpoints.hops import Watch
-from endpoints.interface import Interface
-from rce.calls.endpoints import InterfaceSpec
+from endpoints.environment.ros import RosThread, Waitable
+from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import InvalidRequest, RceError
 
 log = Logger()
-W = TypeVar("W", bound=Waited)
+MAX_REPORTED = 100  # different errors that one interface reports
+W = TypeVar("W", bound=Waitable)
 
 
 @dataclass(frozen=True)
-class Surroundings:
-    """What an interface needs of its endpoint; `report` tells its owner of a failure."""
+class RosContext:
+    """Parts of the endpoint that its interfaces use. `report` sends an error to the owner of an interface."""
 
     ros: RosThread
-    watch: Watch
+    hops: HopRecorder
     definitions: InstalledTypes
     report: Callable[[InterfaceSpec, RceError], None]
 
 
 class RosInterface(Interface):
-    """An interface with an entity of ROS, which `open` makes."""
+    """Interface with a ROS entity, which `open` creates."""
 
-    def __init__(self, spec: InterfaceSpec, around: Surroundings) -> None:
-        super().__init__(spec, around.watch)
-        self._ros = around.ros
-        self._around = around
-        self._complaints: set[str] = set()
+    def __init__(self, spec: InterfaceSpec, context: RosContext) -> None:
+        super().__init__(spec, context.hops)
+        self._ros = context.ros
+        self._context = context
+        self._reported: set[str] = set()  # texts of reported errors
 
     async def open(self) -> None:
-        """UnknownType; InvalidRequest for an `addr` that ROS does not take."""
+        """Create the ROS entity.
+
+        Raises:
+            UnknownType: The type is not installed, or has no type support.
+            InvalidRequest: `addr` is not a valid ROS name.
+        """
         raise NotImplementedError
 
     def tick(self, now: float) -> None:
-        """Called every second."""
+        """Do what is due; called once a second with the monotonic time."""
 
-    async def _make(self, make: Callable[[], W]) -> W:
+    async def _create(self, create: Callable[[], W]) -> W:
         try:
-            return await self._ros.run(make)
+            return await self._ros.run(create)
         except (InvalidTopicNameException, InvalidServiceNameException, ValueError, _rclpy.RCLError) as error:
             reason = " ".join(str(error).split())
             raise InvalidRequest(
-                f"interface {self.spec.tag}: addr {self.spec.addr!r} cannot be used in ROS: {reason}", field="addr"
+                f"interface {self.spec.tag}: ROS rejects addr {self.spec.addr!r}: {reason}", field="addr"
             ) from None
 
-    def _complain(self, error: RceError) -> None:
-        """Log and report; what was said once is not said again."""
-        if str(error) not in self._complaints and len(self._complaints) < 100:
-            self._complaints.add(str(error))
+    def _report_once(self, error: RceError) -> None:
+        """Log and report an error, unless the same text was reported before."""
+        if str(error) not in self._reported and len(self._reported) < MAX_REPORTED:
+            self._reported.add(str(error))
             log.warn("{owner} {tag}: {error}", owner=self.spec.owner, tag=self.spec.tag, error=str(error))
-            self._around.report(self.spec, error)
+            self._context.report(self.spec, error)
 
-    def _complain_from_ros(self, kind: type[RceError], sentence: str) -> None:
-        """The same, called in the ROS thread."""
-        self._ros.deliver(lambda: self._complain(kind(f"interface {self.spec.tag}: {sentence}")))
+    def _report_from_ros(self, kind: type[RceError], reason: str) -> None:
+        """Report an error once; called in the ROS thread."""
+        self._ros.deliver(lambda: self._report_once(kind(f"interface {self.spec.tag}: {reason}")))
 
 
-def raw(payload: Any) -> bytes:
+def as_bytes(payload: Any) -> bytes:
+    """Return a payload as bytes, copied only if it is of another type."""
     return payload if isinstance(payload, bytes) else bytes(payload)

@@ -1,9 +1,9 @@
-"""Run as a program: becomes the command in its arguments, which dies with the process that started it.
+"""Program that executes a command which is killed when the process that started it dies.
 
     launcher.py PARENT REPORT COMMAND…
 
-PARENT is the pid of the process that starts it; REPORT a file descriptor, which is closed when the command runs, and
-gets the reason when it cannot. Run with `-I -S`, it is up in some 10 ms.
+PARENT is the pid of the starting process. REPORT is a file descriptor that is closed when the command runs, and gets
+the reason when it cannot be executed. With `-I -S` the program starts in about 10 ms.
 """
 
 import ctypes
@@ -15,9 +15,10 @@ PR_SET_PDEATHSIG = 1
 
 
 def main() -> None:
+    """Replace this process by the command."""
     parent, report, command = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3:]
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:  # it died before
+    if os.getppid() != parent:  # the parent died before prctl
         sys.exit(1)
     os.set_inheritable(report, False)
     try:

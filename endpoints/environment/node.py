@@ -1,4 +1,4 @@
-"""One node: a process in a group of its own, its output in a log."""
+"""Process of one node, in a process group of its own, with its output in a log."""
 
 from __future__ import annotations
 
@@ -12,24 +12,30 @@ from pathlib import Path
 
 from twisted.logger import Logger
 
-from endpoints.environment.nodelog import NodeLog
-from rce.calls.endpoints import NodeSpec
+from endpoints.environment.output_log import OutputLog
+from rce.control.calls.endpoints import NodeSpec
 from rce.errors import StartFailed
 
 LAUNCHER = Path(__file__).with_name("launcher.py")
 STOP_STEPS = ((signal.SIGINT, 5.0), (signal.SIGTERM, 2.0), (signal.SIGKILL, 2.0))
-LAST_WORDS = 0.5  # seconds for the rest of the output after the process has ended
-GROUP_PATIENCE = 2.0
+OUTPUT_TIMEOUT = 0.5  # seconds for the rest of the output after the process has ended
+GROUP_TIMEOUT = 2.0  # seconds until what is left of the process group is gone
 CHUNK = 64 * 1024
-LOOK = 0.01
+POLL_INTERVAL = 0.01  # seconds
 
 log = Logger()
 
 
 class NodeProcess:
-    """A running node. `ended` gets it when its process has ended, whoever ended it."""
+    """A running node.
 
-    def __init__(self, spec: NodeSpec, process: asyncio.subprocess.Process, output: NodeLog) -> None:
+    Attributes:
+        stopping: True once `stop` was called.
+        started: Monotonic time of the start.
+        over: Done with the exit status when the process and its group have ended.
+    """
+
+    def __init__(self, spec: NodeSpec, process: asyncio.subprocess.Process, output: OutputLog) -> None:
         self.spec = spec
         self.output = output
         self.stopping = False
@@ -44,10 +50,22 @@ class NodeProcess:
         command: Sequence[str],
         environment: Mapping[str, str],
         directory: Path,
-        output: NodeLog,
+        output: OutputLog,
         ended: Callable[[NodeProcess, int], None],
     ) -> NodeProcess:
-        """Returns when the command runs; StartFailed with the reason when it cannot."""
+        """Start a node; return when its command is executing.
+
+        Args:
+            spec: The node.
+            command: Command and arguments.
+            environment: Variables of the process.
+            directory: Working directory.
+            output: Log of the output, closed at the end.
+            ended: Called with the node and its exit status when it has ended, for whatever reason.
+
+        Raises:
+            StartFailed: The command cannot be executed.
+        """
         read, write = os.pipe()
         try:
             process = await asyncio.create_subprocess_exec(
@@ -74,21 +92,21 @@ class NodeProcess:
         return node
 
     async def stop(self) -> None:
-        """SIGINT, SIGTERM, SIGKILL, until nothing of the process group is left."""
+        """Send SIGINT, SIGTERM and SIGKILL in turn until the whole process group has ended."""
         self.stopping = True
-        for number, patience in STOP_STEPS:
+        for number, timeout in STOP_STEPS:
             self._signal(number)
             try:
-                await asyncio.wait_for(asyncio.shield(self.over), patience)
+                await asyncio.wait_for(asyncio.shield(self.over), timeout)
                 return
             except TimeoutError:
-                log.info("node {node} has not ended on {signal}", node=self.spec.tag, signal=number.name)
+                log.info("node {node} has not ended after {signal}", node=self.spec.tag, signal=number.name)
 
     async def _watch(self, ended: Callable[[NodeProcess, int], None]) -> int:
         copying = asyncio.create_task(self._copy())
         status = await self._process.wait()
         await self._end_group()
-        await asyncio.wait([copying], timeout=LAST_WORDS)
+        await asyncio.wait([copying], timeout=OUTPUT_TIMEOUT)
         copying.cancel()
         ended(self, status)
         self.output.close()
@@ -100,13 +118,13 @@ class NodeProcess:
             self.output.write(chunk)
 
     async def _end_group(self) -> None:
-        """What a node has started goes with it."""
-        until = time.monotonic() + GROUP_PATIENCE
-        while self._signal(signal.SIGKILL) and _lives(self._process.pid) and time.monotonic() < until:  # noqa: ASYNC110
-            await asyncio.sleep(LOOK)
+        """Kill the processes that the node has started and left behind."""
+        until = time.monotonic() + GROUP_TIMEOUT
+        while self._signal(signal.SIGKILL) and _has_running_members(self._process.pid) and time.monotonic() < until:  # noqa: ASYNC110
+            await asyncio.sleep(POLL_INTERVAL)
 
     def _signal(self, number: signal.Signals) -> bool:
-        """Send a signal to the process group; whether there was one."""
+        """Send a signal to the process group; return False if the group does not exist."""
         try:
             os.killpg(self._process.pid, number)
         except ProcessLookupError:
@@ -114,8 +132,8 @@ class NodeProcess:
         return True
 
 
-def _lives(group: int) -> bool:
-    """Whether a process group has members that are no zombies: these stay where process 1 does not collect them."""
+def _has_running_members(group: int) -> bool:
+    """Return True if a process group has members other than zombies, which stay where process 1 does not reap them."""
     for path in Path("/proc").glob("[0-9]*/stat"):
         try:
             state, _, member_of = path.read_text().rpartition(")")[2].split()[:3]

@@ -1,4 +1,4 @@
-"""Where the packages of ROS 2 nodes are, and the executables in them."""
+"""Packages of ROS 2 nodes and their executables."""
 
 from __future__ import annotations
 
@@ -11,23 +11,33 @@ from pathlib import Path
 from rce.errors import InvalidName, NotFound
 
 SHIPPED = Path(__file__).parents[2] / "containers" / "nodes"
-"""Nodes that come with RCE; they may import `rce`."""
+"""Packages that come with RCE; their nodes may import `rce`."""
 
 _PACKAGE = re.compile(r"[A-Za-z][A-Za-z0-9_-]*", re.ASCII)
 _PYTHON = re.compile(rb"#! ?/\S*/python3?(\.\d+)?\s*$")
-"""The first line of a program that was installed for the Python of another machine: it means the one that is here."""
+"""First line of a Python program; it may name the Python of another machine, so this machine's is used instead."""
 _FILE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*", re.ASCII)
 
 
 class Packages:
-    """Packages in `prefixes` (`lib/PKG/EXE`, `share/PKG`) and, as sources with a `package.xml`, in `roots`."""
+    """Packages that nodes of an environment can use.
+
+    Args:
+        prefixes: Install prefixes of ROS 2, with `lib/PKG/EXE` and `share/PKG`.
+        roots: More prefixes, or directories of package sources with a `package.xml`.
+    """
 
     def __init__(self, prefixes: Sequence[Path], roots: Sequence[Path]) -> None:
         self.prefixes = [path for path in (*prefixes, *roots) if (path / "share").is_dir()]
         self.sources = [path for path in (*roots, SHIPPED) if path not in self.prefixes]
 
     def share(self, package: str) -> Path:
-        """The directory that `$(find PKG)` stands for; InvalidName, NotFound."""
+        """Return the directory of a package with its `package.xml`, which `$(find PKG)` stands for.
+
+        Raises:
+            InvalidName: The name is not valid.
+            NotFound: There is no such package.
+        """
         _check(_PACKAGE, package, "pkg")
         for path in [prefix / "share" / package for prefix in self.prefixes] + [
             root / package for root in self.sources
@@ -36,13 +46,18 @@ class Packages:
                 return path
         places = ", ".join(str(path) for path in (*self.prefixes, *self.sources))
         raise NotFound(
-            f"no package {package} in this environment; looked in {places} (packages that were pushed are seen by the "
-            "environments that name them, in containerData.packages)",
+            f"this environment has no package {package} in {places}; a pushed package is available only if "
+            "the environment was created with it (`packages` in containerData, `--package` of `rce env create`)",
             field="pkg",
         )
 
     def command(self, package: str, executable: str) -> list[str]:
-        """How to run an executable of a package; `.py` may be left out. InvalidName, NotFound."""
+        """Return the command that runs an executable of a package; the name may omit `.py`.
+
+        Raises:
+            InvalidName: One of the names is not valid.
+            NotFound: There is no such package or executable.
+        """
         _check(_FILE, executable, "exe")
         share = self.share(package)
         for directory in self._directories(package, share):
@@ -56,6 +71,7 @@ class Packages:
         )
 
     def is_shipped(self, package: str) -> bool:
+        """Return True if the package comes with RCE."""
         return self.share(package).is_relative_to(SHIPPED)
 
     def _directories(self, package: str, share: Path) -> list[Path]:
@@ -67,12 +83,12 @@ class Packages:
 def _check(rule: re.Pattern[str], name: str, what: str) -> None:
     if not rule.fullmatch(name):
         raise InvalidName(
-            f"{what} {name[:80]!r} is not a legal name of a {'package' if what == 'pkg' else 'file'}", field=what
+            f"{what} {name[:80]!r} is not a valid name of a {'package' if what == 'pkg' else 'file'}", field=what
         )
 
 
 def _command(path: Path) -> list[str]:
-    if path.is_relative_to(SHIPPED):  # Python, and for the one that runs this
+    if path.is_relative_to(SHIPPED):  # written for the Python of RCE itself
         return [sys.executable, str(path)]
     executable = os.access(path, os.X_OK)
     with path.open("rb") as file:
@@ -81,7 +97,7 @@ def _command(path: Path) -> list[str]:
         return [sys.executable, str(path)]
     if executable:
         return [str(path)]
-    raise NotFound(f"{path} is not executable: make it so (chmod +x), or give it the ending .py", field="exe")
+    raise NotFound(f"{path} is not executable: use chmod +x, or rename it to .py", field="exe")
 
 
 def _programs(directory: Path) -> list[Path]:

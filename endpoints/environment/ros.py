@@ -1,9 +1,9 @@
-"""The thread that owns rclpy, from birth to death.
+"""The ROS thread, which owns rclpy.
 
-Everything of rclpy happens in this thread: entities are made, used and destroyed there (other threads that do so crash
-it sooner or later). In it runs a loop of our own over one wait set that is kept: rclpy's executors build a new one, and
-a task for each callback, at every wake, which costs 0.2 ms of each round trip. Work comes in through `post` and `run`;
-what is taken from ROS goes out to the asyncio loop through `deliver`, which wakes that loop once for many messages.
+All rclpy entities are created, used and destroyed in this thread; use from other threads crashes rclpy sooner or later.
+The thread runs a loop over one wait set that it keeps. rclpy's executors build a new wait set and a task for each
+callback at every wake-up, which costs 0.2 ms of each round trip. Other threads submit work by `post` and `run`. The
+thread passes results to the asyncio loop by `deliver`, which wakes that loop once for many of them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rclpy.signals import SignalHandlerOptions
 from twisted.logger import Logger
 
 NODE = "_rce_endpoint"  # a leading underscore hides it from lists of nodes
-RETRY = 0.005  # seconds between looks at what no event of ROS announces
+RETRY_INTERVAL = 0.005  # seconds between checks of conditions for which ROS has no event
 NANO = 1_000_000_000
 
 log = Logger()
@@ -30,8 +30,8 @@ T = TypeVar("T")
 Action = Callable[[], None]
 
 
-class Waited(Protocol):
-    """What the thread waits for: handles of ROS entities. All methods run in the thread."""
+class Waitable(Protocol):
+    """ROS entities on which the thread waits, with the number of their handles. All methods run in the thread."""
 
     subscriptions: int
     clients: int
@@ -39,42 +39,49 @@ class Waited(Protocol):
     events: int
 
     def add(self, wait_set: _rclpy.WaitSet) -> None:
-        """Put the handles into the wait set, or none of them for this time."""
+        """Add the handles to the wait set, or none of them this time."""
 
     def take(self, wait_set: _rclpy.WaitSet) -> None:
-        """Take what is ready."""
+        """Process what is ready in the wait set."""
 
     def destroy(self) -> None:
         """Destroy the handles."""
 
 
 class RosThread:
-    """One context, one node, one thread."""
+    """Thread with one rclpy context and one node.
+
+    Attributes:
+        loop: The asyncio loop that gets the results.
+        node: The node, once started.
+        prefix: First 12 bytes of the gids of all publishers of this process.
+    """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, name: str = NODE) -> None:
         self.loop = loop
         self._name = name
         self.node: Node
-        self.prefix: bytes  # what the gids of all our own publishers begin with
+        self.prefix: bytes
         self._context = Context()
         self._guard: _rclpy.GuardCondition
         self._thread = threading.Thread(target=self._run, name="ros", daemon=True)
         self._started: asyncio.Future[None] = loop.create_future()
         self._posted: deque[Action] = deque()
         self._delivered: deque[Action] = deque()
-        self._woken = False  # the guard condition is triggered already
-        self._delivering = False  # the loop is about to look at _delivered
-        self._waited: list[Waited] = []
-        self._again: dict[Action, None] = {}
-        self._ending = False
+        self._woken = False  # the guard condition has been triggered
+        self._delivering = False  # the loop is about to process _delivered
+        self._waitables: list[Waitable] = []
+        self._retries: dict[Action, None] = {}
+        self._stopping = False
 
     async def start(self) -> None:
-        """Raises what rclpy raises when it cannot join its ROS domain."""
+        """Start the thread; raise the error of rclpy if it cannot join its ROS domain."""
         self._thread.start()
         await self._started
 
     async def stop(self) -> None:
-        self.post(self._end)
+        """Destroy all entities and end the thread."""
+        self.post(self._stop)
         await asyncio.to_thread(self._thread.join)
 
     # from any thread
@@ -87,7 +94,7 @@ class RosThread:
             self._guard.trigger_guard_condition()
 
     async def run(self, action: Callable[[], T]) -> T:
-        """Run `action` in the thread; returns or raises what it does."""
+        """Run `action` in the thread; return its result or raise its error."""
         done: asyncio.Future[T] = self.loop.create_future()
 
         def act() -> None:
@@ -110,49 +117,51 @@ class RosThread:
             self._delivering = True
             self.loop.call_soon_threadsafe(self._drain)
 
-    def watch(self, waited: Waited) -> None:
-        self._waited = [*self._waited, waited]
+    def add_waitable(self, waitable: Waitable) -> None:
+        """Wait for the entities of a waitable from now on."""
+        self._waitables = [*self._waitables, waitable]
 
-    def unwatch(self, waited: Waited) -> None:
-        self._waited = [other for other in self._waited if other is not waited]
-        waited.destroy()
+    def remove_waitable(self, waitable: Waitable) -> None:
+        """Stop waiting for the entities of a waitable, and destroy them."""
+        self._waitables = [other for other in self._waitables if other is not waitable]
+        waitable.destroy()
 
-    def later(self, seconds: float, action: Action) -> None:
-        """Run `action` in the thread after that time."""
+    def call_later(self, seconds: float, action: Action) -> None:
+        """Run `action` in the thread after `seconds`."""
 
         def wait() -> None:
             self.loop.call_later(seconds, self.post, action)
 
         self.deliver(wait)
 
-    def again(self, action: Action) -> None:
-        """Run `action` once more in RETRY seconds: for conditions that ROS does not announce."""
-        self._again[action] = None
+    def retry(self, action: Action) -> None:
+        """Run `action` after RETRY_INTERVAL seconds, to check a condition for which ROS has no event."""
+        self._retries[action] = None
 
-    # the loop's end
+    # in the asyncio loop
 
     def _drain(self) -> None:
         self._delivering = False
         for _ in range(len(self._delivered)):
             _attempt(self._delivered.popleft())
 
-    # the thread
+    # in this thread
 
     def _run(self) -> None:
         try:
-            self._begin()
+            self._initialize()
         except Exception as error:  # noqa: BLE001  # it is raised in `start`
             self.loop.call_soon_threadsafe(self._started.set_exception, error)
             return
         self.loop.call_soon_threadsafe(self._started.set_result, None)
-        while not self._ending:
+        while not self._stopping:
             self._spin()
-        for waited in self._waited:
-            waited.destroy()
+        for waitable in self._waitables:
+            waitable.destroy()
         self.node.destroy_node()
         self._context.try_shutdown()
 
-    def _begin(self) -> None:
+    def _initialize(self) -> None:
         rclpy.init(context=self._context, args=[], signal_handler_options=SignalHandlerOptions.NO)
         self.node = rclpy.create_node(
             self._name,
@@ -170,42 +179,42 @@ class RosThread:
         self.prefix = bytes(own[0].endpoint_gid[:12])
 
     def _spin(self) -> None:
-        waited = self._waited
+        waitables = self._waitables
         wait_set = _rclpy.WaitSet(
-            sum(each.subscriptions for each in waited),
+            sum(each.subscriptions for each in waitables),
             1,
             0,
-            sum(each.clients for each in waited),
-            sum(each.services for each in waited),
-            sum(each.events for each in waited),
+            sum(each.clients for each in waitables),
+            sum(each.services for each in waitables),
+            sum(each.events for each in waitables),
             self._handle,
         )
-        while self._waited is waited and not self._ending:
+        while self._waitables is waitables and not self._stopping:
             wait_set.clear_entities()
             wait_set.add_guard_condition(self._guard)
-            for each in waited:
+            for each in waitables:
                 each.add(wait_set)
-            wait_set.wait(int(RETRY * NANO) if self._again else -1)
-            self._work()
-            for each in waited:
-                if self._waited is not waited:
+            wait_set.wait(int(RETRY_INTERVAL * NANO) if self._retries else -1)
+            self._run_posted()
+            for each in waitables:
+                if self._waitables is not waitables:
                     break
                 each.take(wait_set)
 
-    def _work(self) -> None:
+    def _run_posted(self) -> None:
         self._woken = False
-        for action in list(self._again):
-            del self._again[action]
+        for action in list(self._retries):
+            del self._retries[action]
             _attempt(action)
         for _ in range(len(self._posted)):
             _attempt(self._posted.popleft())
 
-    def _end(self) -> None:
-        self._ending = True
+    def _stop(self) -> None:
+        self._stopping = True
 
 
 def _attempt(action: Action) -> None:
     try:
         action()
-    except Exception:  # noqa: BLE001  # the thread, or the loop's other messages, must go on
-        log.failure("a defect beside ROS")
+    except Exception:  # noqa: BLE001  # one failing action must not stop the others
+        log.failure("defect in an action of the ROS thread")

@@ -1,4 +1,4 @@
-"""Publishers and subscriptions of serialized messages. All methods run in the ROS thread, unless said otherwise."""
+"""Publishers and subscriptions of serialized messages. All methods run in the ROS thread."""
 
 from __future__ import annotations
 
@@ -14,73 +14,81 @@ from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from endpoints.environment.qos import for_publisher, for_subscription, is_latched, mismatch, words
+from endpoints.data.frames import Buffer
+from endpoints.environment.qos import describe, for_publisher, for_subscription, is_latched, mismatch
 from endpoints.environment.ros import RosThread
-from endpoints.frames import Buffer
-from rce.messages import Qos
+from rce.protocol.messages import Qos
 
-AT_ONCE = 16  # messages taken of one entity before the others have their turn
+MAX_BATCH = 16  # messages taken of one entity before others have their turn
 LARGE = 256 * 1024  # bytes; publishing 10 MB takes 4 ms and more, so each such message is a turn of its own
-# A node that has just appeared may hear us before its own publishers have found those who listen to it: what it
-# answered to a message of this moment would be lost.
-SETTLING = 0.1  # seconds
-WINDOW = 32  # with keep_all: messages published before the subscribers must have confirmed them
+# A node that has just appeared may get our messages before its own publishers have discovered their subscriptions: its
+# replies to these messages would be lost.
+SETTLING_TIME = 0.1  # seconds
+WINDOW = 32  # with keep_all: unacknowledged messages at which publishing waits
 
 _NO_TIME = Duration()
 
 Message = Any  # an instance of a generated message class; their module is known only at run time
-Complain = Callable[[str], None]
-"""Takes a sentence for the owner of the interface; called in the ROS thread."""
+Report = Callable[[str], None]
+"""Reports an error to the owner of the interface; called in the ROS thread."""
 
 
 class _Topic:
-    """What publishers and subscriptions share: their events."""
+    """Base of publishers and subscriptions: handles their QoS events."""
 
     subscriptions = clients = services = 0
     events = 2
 
-    def __init__(self, ros: RosThread, kind: type[Message], topic: str, qos: Qos, complain: Complain) -> None:
+    def __init__(self, ros: RosThread, kind: type[Message], topic: str, qos: Qos, report: Report) -> None:
         self.topic = topic
         self._ros = ros
         self._kind = kind
         self._qos = qos
-        self._complain = complain
-        self._complaints: set[str] = set()
+        self._report = report
+        self._reported: set[str] = set()
         self._handlers: list[EventHandler] = []
 
     def add(self, wait_set: _rclpy.WaitSet) -> None:
+        """Add the event handlers to the wait set."""
         for handler in self._handlers:
             handler.add_to_wait_set(wait_set)
 
     def take(self, wait_set: _rclpy.WaitSet) -> None:
+        """Process the events that are ready."""
         changed = False
         for handler in self._handlers:
             if handler.is_ready(wait_set):
                 handler.take_data()
                 changed = True
         if changed:
-            self.changed()
+            self.peers_changed()
 
-    def changed(self) -> None:
-        """The other side of the topic has changed."""
+    def peers_changed(self) -> None:
+        """Handle a change of the publishers or subscriptions on the other side of the topic."""
 
     def _check(self, pairs: list[tuple[QoSProfile, QoSProfile]]) -> None:
-        """Complain, once each, of publishers and subscriptions that do not match."""
+        """Report pairs of publisher and subscription with incompatible QoS, each reason once."""
         for offered, requested in pairs:
             reason = mismatch(offered, requested)
-            if reason and reason not in self._complaints:
-                self._complaints.add(reason)
-                self._complain(
-                    f"topic {self.topic}: the publisher is {words(offered)}, the subscription {words(requested)}: "
-                    f"{reason}. Leave the interface's qos at auto, or set it to match"
+            if reason and reason not in self._reported:
+                self._reported.add(reason)
+                self._report(
+                    f"topic {self.topic}: the publisher is {describe(offered)}, "
+                    f"the subscription {describe(requested)}: {reason}. "
+                    "Leave the qos of the interface at auto, or set it to a matching one"
                 )
 
-    def _others(self, infos: list[TopicEndpointInfo]) -> list[TopicEndpointInfo]:
+    def _without_own(self, infos: list[TopicEndpointInfo]) -> list[TopicEndpointInfo]:
         return [info for info in infos if bytes(info.endpoint_gid[:12]) != self._ros.prefix]
 
 
 class RawPublisher(_Topic):
-    """Publishes CDR bytes; keeps them while nobody but ourselves subscribes."""
+    """Publisher of CDR bytes, which waits while only this process subscribes.
+
+    Attributes:
+        waiting: Messages to publish. The loop appends to the right, the ROS thread takes from the left and calls
+            `published` afterwards.
+    """
 
     def __init__(
         self,
@@ -88,20 +96,19 @@ class RawPublisher(_Topic):
         kind: type[Message],
         topic: str,
         qos: Qos,
-        complain: Complain,
+        report: Report,
         published: Callable[[], None],
     ) -> None:
-        super().__init__(ros, kind, topic, qos, complain)
+        super().__init__(ros, kind, topic, qos, report)
         self.waiting: deque[Buffer] = deque()
-        """Put in at the right by the loop, in order; taken out at the left here, after which `published` is called."""
         self._published = published
-        self._unconfirmed = 0
-        self._listening = self._heard = False  # somebody is there; and has been for a moment
-        self._make(for_publisher(qos, self._others(ros.node.get_subscriptions_info_by_topic(topic))))
-        ros.watch(self)
-        self.changed()
+        self._unacknowledged = 0
+        self._matched = self._settled = False  # there is a subscription; and it has been there for SETTLING_TIME
+        self._create(for_publisher(qos, self._without_own(ros.node.get_subscriptions_info_by_topic(topic))))
+        ros.add_waitable(self)
+        self.peers_changed()
 
-    def _make(self, profile: QoSProfile) -> None:
+    def _create(self, profile: QoSProfile) -> None:
         events = PublisherEventCallbacks(matched=_ignore, incompatible_qos=_ignore, use_default_callbacks=False)
         self._publisher: Publisher[Message] = self._ros.node.create_publisher(
             self._kind, self.topic, profile, event_callbacks=events
@@ -109,39 +116,40 @@ class RawPublisher(_Topic):
         self._profile = profile
         self._handlers = self._publisher.event_handlers
 
-    def changed(self) -> None:
+    def peers_changed(self) -> None:
+        """Adapt the QoS to the subscriptions and publish what waits, if there are any."""
         infos = self._ros.node.get_subscriptions_info_by_topic(self.topic)
-        listeners = self._others(infos)
-        profile = for_publisher(self._qos, listeners)
+        subscriptions = self._without_own(infos)
+        profile = for_publisher(self._qos, subscriptions)
         if is_latched(profile) and not is_latched(self._profile):
             self._ros.node.destroy_publisher(self._publisher)
-            self._make(profile)
-        self._check([(self._profile, info.qos_profile) for info in listeners])
-        own = [info for info in infos if info not in listeners and not mismatch(self._profile, info.qos_profile)]
+            self._create(profile)
+        self._check([(self._profile, info.qos_profile) for info in subscriptions])
+        own = [info for info in infos if info not in subscriptions and not mismatch(self._profile, info.qos_profile)]
         if self._publisher.get_subscription_count() <= len(own):
-            self._listening = self._heard = False
-        elif not self._listening:
-            self._listening = True
-            self._ros.later(SETTLING, self._begin)
+            self._matched = self._settled = False
+        elif not self._matched:
+            self._matched = True
+            self._ros.call_later(SETTLING_TIME, self._settling_over)
         self.flush()
 
-    def _begin(self) -> None:
-        self._heard = self._listening
+    def _settling_over(self) -> None:
+        self._settled = self._matched
         self.flush()
 
     def flush(self) -> None:
-        """Publish what waits, if there is somebody to hear it and, with keep_all, what went before is confirmed."""
-        if not self._heard:
+        """Publish what waits, once there are subscriptions and, with `keep_all`, they have acknowledged enough."""
+        if not self._settled:
             return
-        for _ in range(AT_ONCE):
+        for _ in range(MAX_BATCH):
             if not self.waiting:
                 break
             if self._must_wait():
-                self._ros.again(self.flush)
+                self._ros.retry(self.flush)
                 break
             payload = self.waiting.popleft()
             self._publisher.handle.publish_raw(payload)  # type: ignore[arg-type]  # its C++ takes bytes and bytearray
-            self._unconfirmed += 1
+            self._unacknowledged += 1
             if len(payload) >= LARGE:
                 self._ros.post(self.flush)
                 break
@@ -150,20 +158,25 @@ class RawPublisher(_Topic):
         self._published()
 
     def _must_wait(self) -> bool:
-        if self._qos.history != "keep_all" or self._unconfirmed < WINDOW:
+        if self._qos.history != "keep_all" or self._unacknowledged < WINDOW:
             return False
         if self._publisher.wait_for_all_acked(_NO_TIME):
-            self._unconfirmed = 0
-        return self._unconfirmed > 0
+            self._unacknowledged = 0
+        return self._unacknowledged > 0
 
     def destroy(self) -> None:
-        self._listening = self._heard = False
+        """Destroy the publisher and drop what waits."""
+        self._matched = self._settled = False
         self.waiting.clear()
         self._ros.node.destroy_publisher(self._publisher)
 
 
 class RawSubscription(_Topic):
-    """Takes CDR bytes of all publishers but ourselves; rests until `start`."""
+    """Subscription to CDR bytes of all publishers except those of this process; paused until `start`.
+
+    Attributes:
+        had_publishers: True if the topic had publishers when the subscription was created.
+    """
 
     subscriptions = 1
 
@@ -173,27 +186,26 @@ class RawSubscription(_Topic):
         kind: type[Message],
         topic: str,
         qos: Qos,
-        complain: Complain,
+        report: Report,
         taken: Callable[[bytes, bytes], bool],
     ) -> None:
-        super().__init__(ros, kind, topic, qos, complain)
-        self._taken = taken  # gets a message and the gid of its publisher, returns whether it takes more
-        self._flow = False
+        super().__init__(ros, kind, topic, qos, report)
+        self._taken = taken  # called with a message and the gid of its publisher; returns False to pause
+        self._active = False
         self._started = False
         self._seen: dict[bytes, int] = {}  # last sequence number of each publisher
-        speakers = self._speakers()
-        self.found_speakers = bool(speakers)
-        """Whether somebody published on the topic already."""
-        self._make(for_subscription(qos, speakers))
-        ros.watch(self)
-        self._check([(info.qos_profile, self._profile) for info in self._speakers()])
+        publishers = self._publishers()
+        self.had_publishers = bool(publishers)
+        self._create(for_subscription(qos, publishers))
+        ros.add_waitable(self)
+        self._check([(info.qos_profile, self._profile) for info in self._publishers()])
 
     @property
     def latched(self) -> bool:
-        """Whether late robots get what was published before."""
+        """True if late robots get earlier messages."""
         return is_latched(self._profile)
 
-    def _make(self, profile: QoSProfile) -> None:
+    def _create(self, profile: QoSProfile) -> None:
         events = SubscriptionEventCallbacks(matched=_ignore, incompatible_qos=_ignore, use_default_callbacks=False)
         self._subscription: Subscription[Message] = self._ros.node.create_subscription(
             self._kind, self.topic, _ignore, profile, event_callbacks=events, raw=True
@@ -201,70 +213,78 @@ class RawSubscription(_Topic):
         self._profile = profile
         self._handlers = self._subscription.event_handlers
 
-    def _speakers(self) -> list[TopicEndpointInfo]:
-        return self._others(self._ros.node.get_publishers_info_by_topic(self.topic))
+    def _publishers(self) -> list[TopicEndpointInfo]:
+        return self._without_own(self._ros.node.get_publishers_info_by_topic(self.topic))
 
-    def changed(self) -> None:
-        speakers = self._speakers()
-        gids = {bytes(info.endpoint_gid) for info in speakers}
+    def peers_changed(self) -> None:
+        """Adapt the QoS to the publishers."""
+        publishers = self._publishers()
+        gids = {bytes(info.endpoint_gid) for info in publishers}
         self._seen = {gid: number for gid, number in self._seen.items() if gid in gids}
-        profile = for_subscription(self._qos, speakers)
-        if speakers and profile != self._profile:
-            self._profile = profile  # what is taken now does not come again: if it is latched, it is to be kept
+        profile = for_subscription(self._qos, publishers)
+        if publishers and profile != self._profile:
+            # Set before _drain: the messages taken there do not come again, and must be kept if they are latched.
+            self._profile = profile
             self._drain()
             self._ros.node.destroy_subscription(self._subscription)
-            self._make(profile)
-        self._check([(info.qos_profile, self._profile) for info in speakers])
+            self._create(profile)
+        self._check([(info.qos_profile, self._profile) for info in publishers])
 
     def start(self) -> None:
-        """Take from now on. What came while there was no peer is only for latched topics.
+        """Take messages from now on, without those that came while there was no peer, unless the topic is latched.
 
-        The first time all is taken: the robot hears that it is connected a moment before this is called.
+        At the first start all messages are taken, because the robot is told that it is connected a moment before.
         """
         while self._started and not self.latched and self._next() is not None:
             pass
-        self._started = self._flow = True
+        self._started = self._active = True
 
     def resume(self) -> None:
-        """Take again, also what has come since `rest`."""
-        self._flow = True
+        """Take messages again, including those that came since `pause`."""
+        self._active = True
 
-    def rest(self) -> None:
-        """Leave messages in the middleware: it keeps the newest `depth`, or with keep_all makes publishers wait."""
-        self._flow = False
+    def pause(self) -> None:
+        """Leave messages in the middleware: it keeps the newest `depth`, or with `keep_all` makes publishers wait."""
+        self._active = False
 
     def add(self, wait_set: _rclpy.WaitSet) -> None:
-        """While it rests its events wait too: to Fast DDS they are one condition with the messages that are left there,
-        which would wake the thread again and again.
+        """Add the subscription and its events to the wait set, unless it is paused.
+
+        Events wait too, because Fast DDS has one condition for them and for messages: messages that are left there
+        would wake the thread again and again.
         """
         self._index = None
-        if self._flow:
+        if self._active:
             super().add(wait_set)
             self._index = wait_set.add_subscription(self._subscription.handle)
 
     def take(self, wait_set: _rclpy.WaitSet) -> None:
+        """Process events and take messages."""
         if self._index is None:
             return
-        super().take(wait_set)  # first who speaks, then what was said: only so it is known what to keep
+        super().take(wait_set)  # publishers first: they decide whether messages are latched
         if wait_set.is_ready("subscription", self._index):
-            self._drain(AT_ONCE)
+            self._drain(MAX_BATCH)
 
     def _drain(self, most: int = -1) -> None:
-        while self._flow and most:
+        while self._active and most:
             found = self._next()
             if found is None:
                 return
             if found[0] and not self._taken(*found):
-                self._flow = False
+                self._active = False
             most -= 1
 
     def _next(self) -> tuple[bytes, bytes] | None:
-        """The next message, empty if it is our own or was here before, and its publisher; None if there is none."""
+        """Return the next message and the gid of its publisher; None if there is none.
+
+        The message is empty if this process published it, or if it was taken before.
+        """
         found = self._subscription.handle.take_message(self._kind, True)
         if found is None:
             return None
         payload, info = found
-        assert info["publisher_gid"] is not None  # Fast DDS has both
+        assert info["publisher_gid"] is not None  # Fast DDS provides both
         assert info["publication_sequence_number"] is not None
         gid: bytes = info["publisher_gid"]["data"]
         number = info["publication_sequence_number"]
@@ -274,6 +294,7 @@ class RawSubscription(_Topic):
         return bytes(payload), gid
 
     def destroy(self) -> None:
+        """Destroy the subscription."""
         self._ros.node.destroy_subscription(self._subscription)
 
 

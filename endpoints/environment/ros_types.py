@@ -1,4 +1,4 @@
-"""Message and service classes by their ROS names."""
+"""Classes of message and service types, by their ROS names."""
 
 from __future__ import annotations
 
@@ -9,40 +9,48 @@ from rclpy.type_support import check_is_valid_msg_type, check_is_valid_srv_type
 
 from endpoints.environment.definitions import InstalledTypes
 from rce.errors import UnknownType
-from rce.names import parse_type
+from rce.protocol.names import parse_type
 
 
 def message_class(name: str, definitions: InstalledTypes) -> type[Any]:
-    """UnknownType when there is no such message here, or no type support for it."""
+    """Return the class of a message type.
+
+    Raises:
+        UnknownType: The type is not installed, or has no type support.
+    """
     kind = _load(name, "msg", definitions)
     try:
         check_is_valid_msg_type(kind)
     except (RuntimeError, AttributeError, ImportError) as error:
-        raise _lacking(name, str(error)) from None
+        raise _no_type_support(name, str(error)) from None
     return kind
 
 
 def service_class(name: str, definitions: InstalledTypes) -> type[Any]:
-    """UnknownType when there is no such service here, or no type support for it."""
+    """Return the class of a service type.
+
+    Raises:
+        UnknownType: The type is not installed, or has no type support.
+    """
     kind = _load(name, "srv", definitions)
     try:
         check_is_valid_srv_type(kind)
     except (RuntimeError, AttributeError, ImportError) as error:
-        raise _lacking(name, str(error)) from None
+        raise _no_type_support(name, str(error)) from None
     return kind
 
 
 def _load(name: str, sort: str, definitions: InstalledTypes) -> type[Any]:
     package, base = parse_type(name)
-    definitions.find(package, sort, base)  # nothing is imported but packages of interfaces
+    definitions.find(package, sort, base)  # raises UnknownType, so that only packages with interfaces are imported
     try:
         kind: type[Any] = getattr(importlib.import_module(f"{package}.{sort}"), base)
     except (ImportError, AttributeError) as error:
-        raise _lacking(name, str(error)) from None
+        raise _no_type_support(name, str(error)) from None
     return kind
 
 
-def _lacking(name: str, reason: str) -> UnknownType:
+def _no_type_support(name: str, reason: str) -> UnknownType:
     return UnknownType(
         f"type {name} is defined in this environment, but its type support cannot be loaded ({reason}); "
         "build it with `python -m provisioning.typesupport`",

@@ -1,4 +1,4 @@
-"""The service interfaces of an environment: many requests at a time, each with a time limit."""
+"""Service interfaces of an environment; each request has a timeout."""
 
 from __future__ import annotations
 
@@ -7,58 +7,65 @@ from collections import deque
 from dataclasses import dataclass
 from uuid import uuid4
 
-from endpoints.environment.interfaces import RosInterface, Surroundings, raw
+from endpoints.data.frames import Message
+from endpoints.data.interface import MAX_REQUESTS, error_of
+from endpoints.data.link import Link
+from endpoints.environment.interfaces import RosContext, RosInterface, as_bytes
 from endpoints.environment.ros_services import Header, RawClient, RawService
-from endpoints.environment.ros_topics import SETTLING
+from endpoints.environment.ros_topics import SETTLING_TIME
 from endpoints.environment.ros_types import service_class
-from endpoints.frames import Message
-from endpoints.interface import MAX_REQUESTS, error_of
-from endpoints.link import Link
-from rce.calls.endpoints import InterfaceSpec
+from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import ConversionError, LimitExceeded, NotConnected, NotFound, RceError, TimedOut
 
-TIMEOUT = 30.0  # seconds that an answer may take
-APPEAR = 5.0  # seconds that a request waits for its service to appear
-IN_FLIGHT = 8  # ROS 2 servers keep 10 requests that they have not taken up; what comes beyond these is lost
+TIMEOUT = 30.0  # seconds for a response
+DISCOVERY_TIMEOUT = 5.0  # seconds for which a request waits until its service appears
+MAX_IN_FLIGHT = 8  # ROS 2 servers queue 10 requests and lose all beyond
 
 
 @dataclass
 class _Request:
+    """Request of a peer, with the monotonic time at which it came."""
+
     message: Message
     since: float
 
 
 class ServiceClientInterface(RosInterface):
-    """Calls a ROS service for its peers. A peer gets the response, or an error."""
+    """Calls a ROS service for its peers, which get the response or an error."""
 
     _client: RawClient
 
-    def __init__(self, spec: InterfaceSpec, around: Surroundings) -> None:
-        super().__init__(spec, around)
-        self._unanswered = 0  # the rest belongs to the ROS thread
+    def __init__(self, spec: InterfaceSpec, context: RosContext) -> None:
+        super().__init__(spec, context)
+        self._unanswered = 0
+        # The ROS thread owns these:
         self._waiting: deque[_Request] = deque()
-        self._asked: dict[int, _Request] = {}
+        self._in_flight: dict[int, _Request] = {}
         self._settled = self._settling = False
 
     async def open(self) -> None:
-        kind = service_class(self.spec.type, self._around.definitions)
-        self._client = await self._make(lambda: RawClient(self._ros, kind, self.spec.addr, self._answered))
+        """Create the ROS entity."""
+        kind = service_class(self.spec.type, self._context.definitions)
+        self._client = await self._create(lambda: RawClient(self._ros, kind, self.spec.addr, self._answered))
 
     def receive(self, message: Message, link: Link) -> None:
+        """Queue a request, or refuse it when too many are unanswered."""
         self._unanswered += 1
         if self._unanswered > MAX_REQUESTS:
-            self._refuse(message, LimitExceeded(f"{self._named} has {MAX_REQUESTS} requests that wait for an answer"))
+            self._refuse(message, LimitExceeded(f"{self._label} has {MAX_REQUESTS} unanswered requests: send fewer"))
         else:
             self._ros.post(lambda: self._accept(_Request(message, time.monotonic())))
 
     def tick(self, now: float) -> None:
+        """End requests that have timed out."""
         self._ros.post(lambda: self._expire(now))
 
     def close(self) -> None:
-        self._ros.post(self._end)
+        """Destroy the client; its requests get no answer."""
+        self._ros.post(self._destroy)
 
     @property
-    def _named(self) -> str:
+    def _label(self) -> str:
         return f"interface {self.spec.tag}: service {self.spec.addr}"
 
     # in the ROS thread
@@ -68,7 +75,7 @@ class ServiceClientInterface(RosInterface):
         self._send()
 
     def _send(self) -> None:
-        while self._waiting and len(self._asked) < IN_FLIGHT:
+        while self._waiting and len(self._in_flight) < MAX_IN_FLIGHT:
             if not self._client.available():
                 self._settled = False
                 self._wait_for_service()
@@ -78,45 +85,46 @@ class ServiceClientInterface(RosInterface):
                 return
             request = self._waiting.popleft()
             try:
-                self._asked[self._client.ask(raw(request.message.payload))] = request
-                self.watch.ended(self.id, request.message)
+                self._in_flight[self._client.call(as_bytes(request.message.payload))] = request
+                self.hops.delivered(self.id, request.message)
             except ConversionError as error:
                 self._fail(request, error)
 
     def _settle(self) -> None:
-        """A server that has just been found may not have found us: its answers of this moment would be lost."""
+        """Wait until a server that was just discovered has discovered this client: earlier responses would be lost."""
         if not self._settling:
             self._settling = True
-            self._ros.later(SETTLING, self._go_on)
+            self._ros.call_later(SETTLING_TIME, self._settling_over)
 
-    def _go_on(self) -> None:
+    def _settling_over(self) -> None:
         self._settling, self._settled = False, True
         self._send()
 
     def _wait_for_service(self) -> None:
-        while self._waiting and self._waiting[0].since + APPEAR < time.monotonic():
-            self._fail(self._waiting.popleft(), NotFound(f"{self._named} has not appeared in {APPEAR:g} s"))
-        self._ros.again(self._send)
+        while self._waiting and self._waiting[0].since + DISCOVERY_TIMEOUT < time.monotonic():
+            error = NotFound(f"{self._label} did not appear within {DISCOVERY_TIMEOUT:g} s")
+            self._fail(self._waiting.popleft(), error)
+        self._ros.retry(self._send)
 
     def _answered(self, number: int, payload: bytes) -> None:
-        request = self._asked.pop(number, None)
-        if request is not None:  # else it came too late
+        request = self._in_flight.pop(number, None)
+        if request is not None:  # else it has timed out
             since = time.perf_counter()
             self._ros.deliver(lambda: self._respond(request.message, payload, since))
             self._send()
 
     def _expire(self, now: float) -> None:
-        late = [number for number, request in self._asked.items() if request.since + TIMEOUT < now]
+        late = [number for number, request in self._in_flight.items() if request.since + TIMEOUT < now]
         for number in late:
-            self._fail(self._asked.pop(number), TimedOut(f"{self._named} has not answered in {TIMEOUT:g} s"))
+            self._fail(self._in_flight.pop(number), TimedOut(f"{self._label} did not answer within {TIMEOUT:g} s"))
         while self._waiting and self._waiting[0].since + TIMEOUT < now:
-            self._fail(self._waiting.popleft(), TimedOut(f"{self._named} was busy for {TIMEOUT:g} s"))
+            self._fail(self._waiting.popleft(), TimedOut(f"{self._label} was busy for {TIMEOUT:g} s"))
         self._send()
 
-    def _end(self) -> None:
+    def _destroy(self) -> None:
         self._waiting.clear()
-        self._asked.clear()
-        self._ros.unwatch(self._client)
+        self._in_flight.clear()
+        self._ros.remove_waitable(self._client)
 
     def _fail(self, request: _Request, error: RceError) -> None:
         self._ros.deliver(lambda: self._refuse(request.message, error))
@@ -127,81 +135,87 @@ class ServiceClientInterface(RosInterface):
         self._unanswered -= 1
         if request.source in self.peers:
             try:
-                answer = Message(self.id, request.msg_id, payload, destination=request.source, since=since)
+                answer = Message(self.id, request.msg_id, payload, destination=request.source, entered_at=since)
                 self.request(answer)
             except LimitExceeded as error:
-                self._complain(error)
+                self._report_once(error)
 
     def _refuse(self, request: Message, error: RceError) -> None:
         self._unanswered -= 1
         try:
             self.fail(request, error)
         except LimitExceeded as full:
-            self._complain(full)
+            self._report_once(full)
 
 
 class ServiceProviderInterface(RosInterface):
-    """Offers a ROS service that its one peer answers.
+    """Offers a ROS service that its peer answers.
 
-    ROS services cannot fail: a node whose request fails gets no answer, and the owner of the interface is told why.
+    ROS services cannot return errors: when a request fails, the calling node gets no response, and the error is
+    reported to the owner of the interface.
     """
 
     _service: RawService
 
-    def __init__(self, spec: InterfaceSpec, around: Surroundings) -> None:
-        super().__init__(spec, around)
-        self._asked: dict[str, tuple[Header, float]] = {}  # by message id
+    def __init__(self, spec: InterfaceSpec, context: RosContext) -> None:
+        super().__init__(spec, context)
+        self._requests: dict[str, tuple[Header, float]] = {}  # unanswered, by message id, with their deadlines
 
     async def open(self) -> None:
-        kind = service_class(self.spec.type, self._around.definitions)
-        self._service = await self._make(
+        """Create the ROS entity."""
+        kind = service_class(self.spec.type, self._context.definitions)
+        self._service = await self._create(
             lambda: RawService(
                 self._ros,
                 kind,
                 self.spec.addr,
-                lambda header, payload: self._ros.deliver(lambda: self._ask(header, payload)),
+                lambda header, payload: self._ros.deliver(lambda: self._forward(header, payload)),
             )
         )
 
-    def _ask(self, header: Header, payload: bytes) -> None:
+    def _forward(self, header: Header, payload: bytes) -> None:
         name = uuid4().hex
-        self._asked[name] = header, time.monotonic() + TIMEOUT
+        self._requests[name] = header, time.monotonic() + TIMEOUT
         try:
             self.request(Message(self.id, name, payload))
         except (NotConnected, LimitExceeded) as error:
-            del self._asked[name]
-            self._failed(error)
+            del self._requests[name]
+            self._request_failed(error)
 
     def receive(self, message: Message, link: Link) -> None:
-        header, _ = self._asked.pop(message.msg_id, (None, 0))
+        """Send the response of the peer to the calling node, or report its error."""
+        header, _ = self._requests.pop(message.msg_id, (None, 0))
         if header is None:
-            self._failed(NotFound("it is not known, or was answered already, or the answer came too late"))
+            self._request_failed(NotFound("the response belongs to no request, or came too late, or is the second one"))
         elif message.error:
-            self._failed(error_of(message))
+            self._request_failed(error_of(message))
         else:
-            self._ros.post(lambda: self._answer(header, message))
+            self._ros.post(lambda: self._respond(header, message))
 
-    def _answer(self, header: Header, message: Message) -> None:
-        """In the ROS thread."""
+    def _respond(self, header: Header, message: Message) -> None:
+        """Send a response; called in the ROS thread."""
         try:
-            self._service.answer(header, raw(message.payload))
-            self.watch.ended(self.id, message)
+            self._service.answer(header, as_bytes(message.payload))
+            self.hops.delivered(self.id, message)
         except ConversionError as error:
-            self._complain_from_ros(ConversionError, str(error))
+            self._report_from_ros(ConversionError, str(error))
 
-    def _failed(self, error: RceError) -> None:
-        self._complain(type(error)(f"interface {self.spec.tag}: a request to {self.spec.addr} failed: {error}"))
+    def _request_failed(self, error: RceError) -> None:
+        self._report_once(type(error)(f"interface {self.spec.tag}: a request to {self.spec.addr} failed: {error}"))
 
     def stopped(self) -> None:
-        if self._asked:
-            self._failed(NotConnected(f"the connection went with {len(self._asked)} requests unanswered"))
-            self._asked.clear()
+        """Report the requests that the last peer has left unanswered."""
+        if self._requests:
+            self._request_failed(NotConnected(f"the connection ended with {len(self._requests)} requests unanswered"))
+            self._requests.clear()
 
     def tick(self, now: float) -> None:
-        late = [name for name, (_, until) in self._asked.items() if until < now]
+        """Report requests that have timed out."""
+        late = [name for name, (_, until) in self._requests.items() if until < now]
         for name in late:
-            del self._asked[name]
-            self._failed(TimedOut(f"no answer in {TIMEOUT:g} s"))
+            del self._requests[name]
+            self._request_failed(TimedOut(f"no response within {TIMEOUT:g} s"))
 
     def close(self) -> None:
-        self._ros.post(lambda: self._ros.unwatch(self._service))
+        """Destroy the server."""
+        self._ros.post(lambda: self._ros.remove_waitable(self._service))

@@ -1,4 +1,4 @@
-"""`python -P -m endpoints.robot`: a Robot endpoint."""
+"""Entry point of a Robot endpoint: `python -P -m endpoints.robot`."""
 
 from __future__ import annotations
 
@@ -13,19 +13,18 @@ from twisted.internet.base import ReactorBase
 from twisted.logger import Logger
 
 import rce
-from endpoints.data_port import DataPort
-from endpoints.host import listen as listen_data
+from endpoints.data.port import DataPort
 from endpoints.memory import keep_large_blocks
-from endpoints.robot.door import ServerLimits
 from endpoints.robot.endpoint import Options, RobotEndpoint
 from endpoints.robot.server import listen
-from rce import loop, settings
-from rce.calls.joining import Hello, Welcome
-from rce.control import MasterLink
-from rce.credential import Credential, stay_joined
-from rce.host import host_identity
-from rce.ready import Ready, announce
-from rce.tls import load, public
+from endpoints.robot.session_manager import ServerLimits
+from rce.control.calls.joining import Hello, Welcome
+from rce.control.client import ControlClient
+from rce.control.credential import Credential, stay_joined
+from rce.net.tls import load_tls, public_tls_context
+from rce.process import loop, settings
+from rce.process.host import host_identity
+from rce.process.ready import Ready, announce
 
 MEGABYTE = 1024 * 1024
 
@@ -41,34 +40,36 @@ class Settings(Struct):
         "tcp:127.0.0.1:8080"
     )
     token: Annotated[str, Meta(description="one-time join token; better given as RCE_TOKEN")] = ""
-    ws_host: Annotated[str, Meta(description="address on which robots are served")] = "127.0.0.1"
-    ws_port: Annotated[int, Meta(ge=0, le=65535, description="port for robots; 0 takes a free one")] = 9010
-    public_url: Annotated[str, Meta(description="what robots are told, wss://host:port/; else from their request")] = ""
+    ws_host: Annotated[str, Meta(description="address on which to serve robots")] = "127.0.0.1"
+    ws_port: Annotated[int, Meta(ge=0, le=65535, description="port for robots; 0: any free one")] = 9010
+    public_url: Annotated[str, Meta(description="URL given to robots, wss://host:port/; empty: from their request")] = (
+        ""
+    )
     certificate: Annotated[str, Meta(description="PEM file for wss")] = ""
-    private_key: Annotated[str, Meta(description="PEM file of its key")] = ""
+    private_key: Annotated[str, Meta(description="PEM file of the certificate's key")] = ""
     data_host: Annotated[str, Meta(description="address for data links from other machines; empty: none")] = ""
-    data_port: Annotated[int, Meta(ge=0, le=65535, description="port for them; 0 takes a free one")] = 0
-    data_address: Annotated[str, Meta(description="name or address by which they dial it; empty: data_host")] = ""
+    data_port: Annotated[int, Meta(ge=0, le=65535, description="port for data links; 0: any free one")] = 0
+    data_address: Annotated[str, Meta(description="name or address by which others dial it; empty: data_host")] = ""
     tls: Annotated[
         Path | None, Meta(description="directory with ca.pem, cert.pem and key.pem, for TLS between machines")
     ] = None
-    host: Annotated[str, Meta(description="identity of this machine; empty: found out")] = ""
+    host: Annotated[str, Meta(description="identity of this machine; empty: detected")] = ""
     grace: Annotated[float, Meta(ge=0, description="seconds for which a robot without a socket keeps its session")] = 10
     service_timeout: Annotated[float, Meta(gt=0, description="seconds until a service call fails")] = 30
     message_size: Annotated[int, Meta(ge=1, le=1024, description="largest message in MB")] = 64
-    bad_messages: Annotated[int, Meta(ge=0, description="bad messages a minute that close a socket; 0: never")] = 100
-    unfinished_blobs: Annotated[int, Meta(ge=1, description="blobs of a robot that may be unfinished")] = 64
-    unfinished_size: Annotated[int, Meta(ge=1, description="their size in MB")] = 256
+    bad_messages: Annotated[int, Meta(ge=0, description="bad messages a minute that close a socket; 0: no limit")] = 100
+    unfinished_blobs: Annotated[int, Meta(ge=1, description="unfinished blobs that a robot may have")] = 64
+    unfinished_size: Annotated[int, Meta(ge=1, description="total size of unfinished blobs in MB")] = 256
 
 
 async def serve(reactor: ReactorBase, options: Settings) -> None:
     """Run until cancelled, or until the Master refuses this endpoint."""
     options.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
     credential = Credential(options.data_dir / "credential", options.token)
-    tls = load(options.tls)
+    tls = load_tls(options.tls)
     port = DataPort(tls=tls)
     socket = options.data_dir.absolute() / "data.sock"
-    addresses = await listen_data(port, socket, options.data_host, options.data_port, options.data_address)
+    addresses = await port.listen(socket, options.data_host, options.data_port, options.data_address)
     limits = ServerLimits(
         options.message_size * MEGABYTE,
         options.bad_messages,
@@ -76,7 +77,9 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
         options.unfinished_size * MEGABYTE,
     )
     endpoint = RobotEndpoint(port, Options(limits, options.grace, options.service_timeout))
-    server = await listen(endpoint, options.ws_host, options.ws_port, public(options.certificate, options.private_key))
+    server = await listen(
+        endpoint, options.ws_host, options.ws_port, public_tls_context(options.certificate, options.private_key)
+    )
     url = options.public_url or f"{'wss' if options.certificate else 'ws'}://:{server.sockets[0].getsockname()[1]}/"
     incarnation = secrets.token_hex(16)
 
@@ -98,7 +101,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
         credential.keep(welcome)
         announce(Ready("robot", url))
 
-    endpoint.master = MasterLink(reactor, options.master, hello, endpoint.handlers(), welcomed, tls)
+    endpoint.master = ControlClient(reactor, options.master, hello, endpoint.handlers(), welcomed, tls)
     log.info("Robot endpoint {name} serves robots at {url}", name=options.name, url=url)
     try:
         await stay_joined(endpoint.master, credential)
@@ -108,6 +111,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
 
 
 def main() -> int:
+    """Run the program; return its exit status."""
     options = settings.load_or_exit(Settings, "rce robot")
     os.environ.pop("RCE_TOKEN", None)
     keep_large_blocks()

@@ -1,4 +1,4 @@
-"""The Robot endpoint: the sessions of its robots, and the Master's calls about their interfaces."""
+"""The Robot endpoint: manages robots' sessions and handles the Master's calls about their interfaces."""
 
 from __future__ import annotations
 
@@ -9,31 +9,41 @@ from functools import partial
 from msgspec import Struct
 from twisted.logger import Logger
 
-from endpoints.data_port import DataPort
-from endpoints.interface import Interface
-from endpoints.robot.door import Admitted, Greeting, ServerLimits
-from endpoints.robot.interfaces import make
-from endpoints.robot.session import Session
+from endpoints.data.interface import Interface
+from endpoints.data.port import DataPort
+from endpoints.data.switchboard import Switchboard
+from endpoints.robot.interfaces import make_interface
+from endpoints.robot.session import RobotSession
+from endpoints.robot.session_manager import LoginRequest, LoginResult, ServerLimits
 from endpoints.robot.types import UserTypes
-from endpoints.switchboard import Switchboard
-from rce import logs
-from rce.blobs import Buffer
-from rce.calls.call import Settled
-from rce.calls.endpoints import InterfaceSpec, LinkLost, Sync
-from rce.calls.robots import Definitions, Describe, DropRobot, Leave, LoggedIn, Login, SocketMoved, Tell
-from rce.control import Handlers, MasterLink
+from rce.control.calls.call import BatchResult
+from rce.control.calls.endpoints import InterfaceSpec, LinkLost, Sync
+from rce.control.calls.robots import (
+    Definitions,
+    DescribeType,
+    DropRobot,
+    LoggedIn,
+    Login,
+    SendStatus,
+    SessionExpired,
+    SocketStatus,
+)
+from rce.control.client import ControlClient
+from rce.control.connection import Handlers
 from rce.errors import NotFound, RceError, Unavailable
-from rce.messages import DataMessage
-from rce.metrics import Family, gauge
+from rce.process import logs
+from rce.process.metrics import Family, gauge_family
+from rce.protocol.blobs import Buffer
+from rce.protocol.messages import DataMessage
 
-LEAVE_RETRY = 1.0
-LOGIN_WAIT = 5.0  # for a Master that is away: less than robots wait, so that they hear the reason
+EXPIRY_RETRY = 1.0  # seconds
+LOGIN_WAIT = 5.0  # seconds for the Master to come back; shorter than robots wait, so that they get the reason
 
 log = Logger()
 
 
 class Options(Struct, frozen=True):
-    """Times in seconds."""
+    """Options of a Robot endpoint; times in seconds."""
 
     limits: ServerLimits
     grace: float
@@ -41,28 +51,34 @@ class Options(Struct, frozen=True):
 
 
 class RobotEndpoint:
-    """See `endpoints.robot`. `master` is set before robots are let in."""
+    """Manager of robots' sessions, and their end of the data path.
 
-    master: MasterLink
+    Attributes:
+        master: Connection to the Master, set before robots are served.
+        sessions: Sessions by the names of their robots.
+    """
+
+    master: ControlClient
 
     def __init__(self, port: DataPort, options: Options) -> None:
         self.limits = options.limits
         self.grace = options.grace
         self._timeout = options.service_timeout
         self.switchboard = Switchboard(port, self._link_lost)
-        self.sessions: dict[str, Session] = {}
-        self._types: dict[str, UserTypes] = {}  # by user: one user's types are no business of another's
-        self._away: dict[str, asyncio.TimerHandle] = {}
-        self._leaving: dict[str, asyncio.Task[None]] = {}
+        self.sessions: dict[str, RobotSession] = {}
+        self._types: dict[str, UserTypes] = {}  # by user: users do not see each other's types
+        self._grace_timers: dict[str, asyncio.TimerHandle] = {}  # of sessions without a socket
+        self._expiring: dict[str, asyncio.Task[None]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
 
     def handlers(self) -> Handlers:
+        """Return the handlers of the Master's calls."""
         handlers = Handlers()
         handlers.on(Sync, self._sync)
-        self.switchboard.add_to(handlers, self._make)
-        handlers.do(Tell, self._tell)
+        self.switchboard.add_to(handlers, self._make_interface)
+        handlers.do(SendStatus, self._send_status)
         handlers.do(DropRobot, self._drop_robot)
-        handlers.tell_metrics("robot", self.switchboard.families, self._families)
+        handlers.serve_metrics("robot", self.switchboard.families, self._families)
         return handlers
 
     def _families(self) -> list[Family]:
@@ -71,104 +87,109 @@ class RobotEndpoint:
         states: dict[tuple[str, ...], float] = {("connected",): connected, ("away",): len(sessions) - connected}
         queued = sum(each.outbox.waiting for each in sessions)
         return [
-            gauge("rce_sessions", "Robots with a session here, by whether their socket is open", ["state"], states),
-            gauge("rce_queued_frames", "Messages, statuses and errors that wait for robots", [], {(): queued}),
+            gauge_family("rce_sessions", "Sessions of robots, with an open socket or away", ["state"], states),
+            gauge_family("rce_queued_frames", "Messages, statuses and errors queued for robots", [], {(): queued}),
         ]
 
     # --- robots -------------------------------------------------------------------------------------------------------
 
-    async def login(self, greeting: Greeting) -> Admitted:
-        name = greeting.name
-        connection = logs.enter()
-        if name in self._leaving:  # the Master must not end the session that it is about to give
-            await asyncio.wait([self._leaving[name]])
-        timer = self._away.pop(name, None)
+    async def login(self, request: LoginRequest) -> LoginResult:
+        """Have the Master authenticate a robot; return its new or resumed session."""
+        name = request.name
+        connection = logs.set_request_id()
+        if name in self._expiring:  # else the end of the old session would end the new one
+            await asyncio.wait([self._expiring[name]])
+        timer = self._grace_timers.pop(name, None)
         if timer is not None:
             timer.cancel()
         try:
-            answer = await self._ask(greeting)
+            answer = await self._login_at_master(request)
         except BaseException:
             if timer is not None and name in self.sessions:
-                self._expect(self.sessions[name], timer.when())
+                self._start_grace(self.sessions[name], timer.when())
             raise
         session = self.sessions.get(name)
         if session is None or (session.token and not answer.resumed):
-            session = self._begin(name)
-        session.features, session.connection = greeting.features, connection
-        if name in self._away:
-            self._away.pop(name).cancel()
-        how = "resumes" if answer.resumed else "comes"
-        log.info("robot {robot} {how} from {address}", robot=name, how=how, address=greeting.address)
-        return Admitted(session, answer.token, answer.resumed)
+            session = self._create_session(name)
+        session.features, session.connection = request.features, connection
+        if name in self._grace_timers:
+            self._grace_timers.pop(name).cancel()
+        how = "resumed its session" if answer.resumed else "connected"
+        log.info("robot {robot} {how} from {address}", robot=name, how=how, address=request.address)
+        return LoginResult(session, answer.token, answer.resumed)
 
-    async def _ask(self, greeting: Greeting) -> LoggedIn:
+    async def _login_at_master(self, request: LoginRequest) -> LoggedIn:
         return await self.master.call(
             Login(
-                greeting.user,
-                greeting.robot,
-                greeting.secret,
-                greeting.resume,
-                sorted(greeting.features),
-                greeting.address,
-                greeting.owner,
+                request.user,
+                request.robot,
+                request.secret,
+                request.resume,
+                sorted(request.features),
+                request.address,
+                request.owner,
             ),
             wait=LOGIN_WAIT,
         )
 
-    def _begin(self, name: str) -> Session:
+    def _create_session(self, name: str) -> RobotSession:
         old = self.sessions.pop(name, None)
         if old is not None:
-            old.end("the session is over")
-        session = self.sessions[name] = Session(name, self.master)
-        self._grace_begins(session)
+            old.end("the session has ended")
+        session = self.sessions[name] = RobotSession(name, self.master)
+        self._start_grace(session)
         return session
 
     def away(self) -> list[str]:
-        """The robots that have a session and no socket."""
+        """Return the names of the robots that have a session but no socket."""
         return [name for name, session in self.sessions.items() if session.socket is None]
 
-    def connected(self, session: Session) -> None:
-        """Its socket is open."""
-        self._later(self._report(SocketMoved(session.name, True)))
+    def connected(self, session: RobotSession) -> None:
+        """Report to the Master that the robot has an open socket."""
+        self._start_task(self._report(SocketStatus(session.name, True)))
 
-    def disconnected(self, session: Session) -> None:
-        """Its grace time begins."""
+    def disconnected(self, session: RobotSession) -> None:
+        """Report to the Master that the robot lost its socket, and start its grace time."""
         if self.sessions.get(session.name) is session:
-            self._later(self._report(SocketMoved(session.name, False)))
-            self._grace_begins(session)
+            self._start_task(self._report(SocketStatus(session.name, False)))
+            self._start_grace(session)
 
-    def _grace_begins(self, session: Session) -> None:
-        self._expect(session, asyncio.get_running_loop().time() + self.grace)
+    def _start_grace(self, session: RobotSession, until: float | None = None) -> None:
+        loop = asyncio.get_running_loop()
+        if session.name in self._grace_timers:
+            self._grace_timers[session.name].cancel()
+        end = loop.time() + self.grace if until is None else until
+        self._grace_timers[session.name] = loop.call_at(end, self._expire, session)
 
-    def _expect(self, session: Session, until: float) -> None:
-        if session.name in self._away:
-            self._away[session.name].cancel()
-        self._away[session.name] = asyncio.get_running_loop().call_at(until, self._grace_over, session)
-
-    def _grace_over(self, session: Session) -> None:
-        self._away.pop(session.name, None)
+    def _expire(self, session: RobotSession) -> None:
+        self._grace_timers.pop(session.name, None)
         if self.sessions.get(session.name) is session and session.socket is None:
-            task = self._leaving[session.name] = asyncio.create_task(self._leave(session))
-            task.add_done_callback(lambda _: self._leaving.pop(session.name))
+            task = self._expiring[session.name] = asyncio.create_task(self._end_session(session))
+            task.add_done_callback(lambda _: self._expiring.pop(session.name))
 
-    def finished(self, session: Session) -> None:
-        """The robot has said goodbye: its session ends without a grace time."""
-        log.info("robot {robot} leaves", robot=session.name)
-        self._grace_over(session)
+    def finished(self, session: RobotSession) -> None:
+        """End a session without a grace time, because the robot closed its socket normally."""
+        log.info("robot {robot} closed its connection: its session ends", robot=session.name)
+        self._expire(session)
 
-    async def _leave(self, session: Session) -> None:
+    async def _end_session(self, session: RobotSession) -> None:
         while self.sessions.get(session.name) is session and session.socket is None:
             try:
-                await self.master.call(Leave(session.name))
+                await self.master.call(SessionExpired(session.name))
             except Unavailable:
-                await asyncio.sleep(LEAVE_RETRY)
+                await asyncio.sleep(EXPIRY_RETRY)
                 continue
             if self.sessions.get(session.name) is session and session.socket is None:
                 del self.sessions[session.name]
                 session.end("")
             return
 
-    def data(self, session: Session, message: DataMessage, blobs: dict[str, Buffer]) -> None:
+    def data(self, session: RobotSession, message: DataMessage, blobs: dict[str, Buffer]) -> None:
+        """Pass a data message of a robot to its interface.
+
+        Raises:
+            NotFound: The robot has no such interface.
+        """
         interface = session.interfaces.get(message.iTag)
         if interface is None:
             raise NotFound(f"this robot has no interface {message.iTag[:80]!r}: add it first", field="iTag")
@@ -176,22 +197,23 @@ class RobotEndpoint:
 
     # --- the Master's calls -------------------------------------------------------------------------------------------
 
-    async def _sync(self, call: Sync) -> Settled:
+    async def _sync(self, call: Sync) -> BatchResult:
         for name in set(self.sessions) - set(call.robots):
-            self.sessions.pop(name).end("the session is over")
-        return Settled(await self.switchboard.sync(call, self._make))
+            self.sessions.pop(name).end("the session has ended")
+        return BatchResult(await self.switchboard.sync(call, self._make_interface))
 
-    async def _make(self, spec: InterfaceSpec) -> Interface:
-        # Without a session the robot's login is under way: the Master binds what it has before it answers.
-        session = self.sessions.get(spec.owner) or self._begin(spec.owner)
+    async def _make_interface(self, spec: InterfaceSpec) -> Interface:
+        # Without a session the robot's login is in progress: the Master binds its interfaces before it answers.
+        session = self.sessions.get(spec.owner) or self._create_session(spec.owner)
         user = spec.owner.partition("/")[0]
-        types = self._types.setdefault(user, UserTypes(partial(self._describe, user)))
-        return make(spec, self.switchboard.watch, session, await types.of(spec), self._timeout)
+        types = self._types.setdefault(user, UserTypes(partial(self._describe_type, user)))
+        registry = await types.registry_for(spec)
+        return make_interface(spec, self.switchboard.hops, session, registry, self._timeout)
 
-    async def _describe(self, user: str, name: str, service: bool) -> Definitions:
-        return await self.master.call(Describe(user, name, service))
+    async def _describe_type(self, user: str, name: str, service: bool) -> Definitions:
+        return await self.master.call(DescribeType(user, name, service))
 
-    def _tell(self, call: Tell) -> None:
+    def _send_status(self, call: SendStatus) -> None:
         session = self.sessions.get(call.robot)
         if session is not None:
             if call.status is not None:
@@ -207,15 +229,15 @@ class RobotEndpoint:
                 self.switchboard.unbind(interface.spec.id)
 
     def _link_lost(self, link: str, reason: str) -> None:
-        self._later(self._report(LinkLost(link, reason)))
+        self._start_task(self._report(LinkLost(link, reason)))
 
-    def _later(self, work: Coroutine[None, None, None]) -> None:
+    def _start_task(self, work: Coroutine[None, None, None]) -> None:
         task = asyncio.create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _report(self, call: LinkLost | SocketMoved) -> None:
+    async def _report(self, call: LinkLost | SocketStatus) -> None:
         try:
             await self.master.call(call)
-        except RceError as error:  # when this endpoint joins again, its Hello says who is away, and Sync finds links
+        except RceError as error:  # made up for when this endpoint joins again, by its Hello and by Sync
             log.info("{call} could not be reported: {error}", call=type(call).__name__, error=str(error))

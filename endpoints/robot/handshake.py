@@ -1,11 +1,11 @@
-"""The request that opens a robot's WebSocket: what it says, and the HTTP status that refuses it."""
+"""Parsing of the HTTP request that opens a robot's WebSocket, and the HTTP status of its refusal."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from endpoints.robot.door import Greeting
+from endpoints.robot.session_manager import LoginRequest
 from rce.errors import (
     AlreadyExists,
     Forbidden,
@@ -18,25 +18,29 @@ from rce.errors import (
     Unauthorized,
     Unavailable,
 )
-from rce.messages import FEATURES
+from rce.protocol.messages import FEATURES
 
 
 class Request(Protocol):
-    """A request as Autobahn has it."""
+    """HTTP request as Autobahn represents it."""
 
-    peer: Any  # its address, as tcp4:HOST:PORT
-    headers: Mapping[str, Any]  # in lower case
-    params: Mapping[str, list[Any]]  # of the query, each with all its values
+    peer: Any  # address of the client, as tcp4:HOST:PORT
+    headers: Mapping[str, Any]  # names in lower case
+    params: Mapping[str, list[Any]]  # query parameters, each with all its values
 
 
-def read_request(request: Request) -> Greeting:
-    """InvalidRequest if a parameter is missing or repeated."""
+def parse_login(request: Request) -> LoginRequest:
+    """Return the login parameters of a request.
+
+    Raises:
+        InvalidRequest: A parameter is missing, repeated or has an unknown value.
+    """
     header = str(request.headers.get("authorization", ""))
     scheme, _, bearer = header.partition(" ")
     secret = bearer.strip() if scheme.lower() == "bearer" else _one(request, "password", "key")
     offered = _optional(request, "features").split(",")
     user = _one(request, "userID")
-    return Greeting(
+    return LoginRequest(
         user=user,
         robot=_one(request, "robotID"),
         secret=secret,
@@ -62,22 +66,29 @@ def _optional(request: Request, name: str) -> str:
     return str(values[0])
 
 
-def hears_by_closing(request: Request) -> bool:
-    """Browsers tell scripts neither status nor reason of a handshake that was refused, but those of a closed socket."""
+def wants_close_code(request: Request) -> bool:
+    """Return True if the client asks for a refusal as a close code after the handshake.
+
+    Browsers hide the status and reason of a refused handshake from scripts, but not those of a closed socket.
+    """
     return "close" in request.params.get("refuse", [])
 
 
 def _compress(value: str) -> bool:
     if value not in ("", "deflate"):
-        raise InvalidRequest(f"parameter compress may be deflate, not {value[:40]!r}")
+        raise InvalidRequest(f"parameter compress must be deflate or absent, not {value[:40]!r}")
     return bool(value)
 
 
 def refusal_status(error: RceError, features: frozenset[str]) -> int:
-    """Clients of the original know 400 and 401; those with features can tell a robotID in use from a bad request."""
+    """Return the HTTP status with which a login is refused.
+
+    Clients of the original protocol know 400 and 401 only. Clients with features get 409 for a robotID in use and 404
+    for an unknown owner.
+    """
     if isinstance(error, AlreadyExists) and features:
         return 409
-    if isinstance(error, NotFound) and features:  # no such owner
+    if isinstance(error, NotFound) and features:  # the owner does not exist
         return 404
     if isinstance(error, Unauthorized):
         return 401

@@ -1,6 +1,6 @@
-"""The WebSocket server for robots: their sockets open, live, and close; turns to read and to write.
+"""WebSocket server for robots.
 
-Autobahn is known in this file only.
+This is the only module that uses Autobahn.
 """
 
 from __future__ import annotations
@@ -13,27 +13,27 @@ import txaio
 from twisted.logger import Logger
 from websockets.speedups import apply_mask
 
-from endpoints.robot.door import Admitted, Door
-from endpoints.robot.handshake import hears_by_closing, read_request, refusal_status
-from endpoints.robot.intake import Intake
-from endpoints.robot.session import Piece, Session
-from rce.blobs import BinaryFrame, Buffer
-from rce.errors import RceError, no_port
-from rce.sockets import tune
+from endpoints.robot.frame_receiver import FrameReceiver
+from endpoints.robot.handshake import parse_login, refusal_status, wants_close_code
+from endpoints.robot.session import Piece, RobotSession
+from endpoints.robot.session_manager import LoginResult, SessionManager
+from rce.errors import RceError, port_unavailable
+from rce.net.sockets import tune
+from rce.protocol.blobs import BinaryFrame, Buffer
 
-txaio.use_asyncio()  # before Autobahn is imported: it asks once which of the two it runs on
+txaio.use_asyncio()  # before Autobahn is imported, which chooses its framework then
 from autobahn.asyncio.websocket import WebSocketServerFactory, WebSocketServerProtocol  # noqa: E402
 from autobahn.websocket import protocol  # noqa: E402
 from autobahn.websocket.compress import PerMessageDeflateOffer, PerMessageDeflateOfferAccept  # noqa: E402
 from autobahn.websocket.types import ConnectionDeny, ConnectionRequest  # noqa: E402
 
-HIGH_WATER = 256 * 1024  # bytes in the transport at which the outbox keeps what follows, where it can be overtaken
-MAX_REQUEST = 64 * 1024  # bytes before a robot is let in
-PIECE = 64 * 1024  # bytes: smaller pieces of a message are put together as they come
-SLICE = 0.0005  # seconds for which one robot's frames may be worked on at a stretch
-TICK = 10.0  # seconds: a robot from which nothing came for so long is pinged, and given up after as long again
-NORMAL = 1000  # the close code of a peer that has done all it wanted
-REFUSED = 4000  # plus the HTTP status: the close code of a robot that is refused and asked to hear it so
+HIGH_WATER = 256 * 1024  # bytes; while the transport holds more, messages wait in the outbox, where they take turns
+MAX_REQUEST = 64 * 1024  # bytes of the opening HTTP request
+CHUNK = 64 * 1024  # bytes; smaller fragments of a message are joined as they come
+SLICE = 0.0005  # seconds for which the frames of one robot may be processed at a stretch
+TICK = 10.0  # seconds; a robot that is silent for one tick is pinged, after two its socket is closed
+NORMAL = 1000  # close code of a normal closure (RFC 6455, section 7.4.1)
+REFUSED = 4000  # plus the HTTP status: close code of a refusal after the handshake
 
 log = Logger()
 
@@ -43,8 +43,8 @@ def _accept_deflate(offers: list[Any]) -> PerMessageDeflateOfferAccept | None:
     return PerMessageDeflateOfferAccept(offer) if offer is not None else None
 
 
-class _Masker:
-    """Takes the mask off a frame (RFC 6455, section 5.3) in one pass; Autobahn's own masker makes four."""
+class _Unmasker:
+    """Unmasks a frame (RFC 6455, section 5.3) in one pass over the data; Autobahn's own masker makes four."""
 
     def __init__(self, mask: Buffer, _length: int) -> None:
         self._mask = bytes(mask)
@@ -59,87 +59,90 @@ class _Masker:
         return apply_mask(data, self._mask[turn:] + self._mask[:turn])
 
 
-protocol.create_xor_masker = _Masker  # type: ignore[attr-defined, assignment]  # its parser asks there
+protocol.create_xor_masker = _Unmasker  # type: ignore[attr-defined, assignment]  # its parser takes the function from there
 
 
 class RobotSocket(WebSocketServerProtocol):
-    """One robot's WebSocket."""
+    """WebSocket of one robot."""
 
-    def __init__(self, door: Door) -> None:
+    def __init__(self, manager: SessionManager) -> None:
         super().__init__()
-        self._door = door
-        self._admitted: Admitted | None = None
-        self._session: Session | None = None
-        self._denied: ConnectionDeny | None = None  # what a robot hears by closing
+        self._manager = manager
+        self._login: LoginResult | None = None
+        self._session: RobotSession | None = None
+        self._denied: ConnectionDeny | None = None  # refusal to be sent as a close code
         self._full = False
         self._reason = ""
         self._timer: asyncio.TimerHandle | None = None
-        self._hold: asyncio.Future[None] | None = None  # until when nothing is taken from the robot
-        self._heard = False  # since the last tick
-        self._silent = 0  # ticks
-        self._left = 0  # bytes that waited to leave at the last tick
-        self._pinged: bytes | None = None  # by what, while there is no room for the answer
+        self._paused_until: asyncio.Future[None] | None = None  # set while reading is paused
+        self._data_received = False  # since the last tick
+        self._silent_ticks = 0
+        self._unsent = 0  # bytes in the write buffer at the last tick
+        self._pending_pong: bytes | None = None  # payload of a ping that came while the write buffer was full
 
     # --- handshake ----------------------------------------------------------------------------------------------------
 
-    async def onConnect(  # type: ignore[override]  # a coroutine may stand for the value
+    async def onConnect(  # type: ignore[override]  # Autobahn accepts a coroutine
         self, request: ConnectionRequest
     ) -> tuple[None, dict[str, str]]:
+        """Log the robot in, or refuse the handshake."""
         features: frozenset[str] = frozenset()
         try:
-            greeting = read_request(request)
-            features = greeting.features
-            self._admitted = await self._door.login(greeting)
+            login = parse_login(request)
+            features = login.features
+            self._login = await self._manager.login(login)
         except RceError as error:
             denial = ConnectionDeny(refusal_status(error, features), str(error))
-            if not hears_by_closing(request):
+            if not wants_close_code(request):
                 raise denial from None
             self._denied = denial
             return None, {}
-        if greeting.compress:  # browsers offer it always; it costs more than it gains unless the line is slow
+        if login.compress:  # only on request: browsers always offer it, and it helps only on slow networks
             self.perMessageCompressionAccept = _accept_deflate
-        session = self._admitted.session
+        session = self._login.session
         if self.transport is None:
-            self._door.disconnected(session)
-            raise ConnectionDeny(400, "it hung up while it was looked up")
+            self._manager.disconnected(session)
+            raise ConnectionDeny(400, "the robot closed its connection during the login")
         return None, {"RCE-Features": ",".join(sorted(session.features))} if session.features else {}
 
     def onOpen(self) -> None:
+        """Attach the socket to its session, or close it if the login was refused."""
         if self._denied is not None:
             self._close(REFUSED + self._denied.code, str(self._denied.reason))
             return
-        assert self._admitted is not None
-        session = self._session = self._admitted.session
-        self._intake = Intake(self._door, session, self.end)
+        assert self._login is not None
+        session = self._session = self._login.session
+        self._receiver = FrameReceiver(self._manager, session, self.end)
         self._timer = asyncio.get_running_loop().call_later(TICK, self._tick)
         self.transport.set_write_buffer_limits(high=HIGH_WATER)
         tune(self.transport)
         previous = session.socket
         if previous is not None:
-            previous.end("the robot has another connection now")
-        session.attach(self, self._admitted.token, self._admitted.resumed, self._door.grace)
-        self._door.connected(session)
+            previous.end("the robot has a newer connection")
+        session.attach(self, self._login.token, self._login.resumed, self._manager.grace)
+        self._manager.connected(session)
 
     def onClose(self, wasClean: bool, code: int | None, reason: str | None) -> None:
+        """Detach the socket from its session; a normal closure ends the session of a client with features."""
         if self._timer is not None:
             self._timer.cancel()
         session = self._session
-        if session is None and self._admitted is not None:
-            session = self._admitted.session  # admitted, but never open
+        if session is None and self._login is not None:
+            session = self._login.session  # logged in, but the handshake was not completed
             if session.socket is None:
-                self._door.disconnected(session)
+                self._manager.disconnected(session)
         elif session is not None and session.detach(self):
             if wasClean and code == NORMAL and session.features:
-                self._door.finished(session)  # clients of the original are used to the grace time in any case
+                self._manager.finished(session)  # clients of the original protocol always have the grace time
                 return
             log.info("robot {robot} lost its socket: {reason}", robot=session.name, reason=self._reason or reason)
-            self._door.disconnected(session)
+            self._manager.disconnected(session)
 
     # --- from the robot -----------------------------------------------------------------------------------------------
 
     def data_received(self, data: bytes) -> None:
-        """Straight to Autobahn's parser, past the queue and future that its asyncio adapter puts in between."""
-        self._heard = True
+        """Pass data directly to Autobahn's parser, without the queue and the future of its asyncio adapter."""
+        self._data_received = True
         if self.state == self.STATE_CONNECTING and len(self.data) + len(data) > MAX_REQUEST:
             self.dropConnection(abort=True)
             return
@@ -147,19 +150,22 @@ class RobotSocket(WebSocketServerProtocol):
             if self.state == self.STATE_CONNECTING:
                 self._dataReceived(data)
                 return
-            if data:  # a view, because the parser cuts frames out of it again and again
+            if data:  # a view, because the parser slices it for every frame
                 self.data = memoryview(b"".join((self.data, data)) if self.data else data)  # type: ignore[assignment]
             self.consumeData()
-        except Exception:  # noqa: BLE001  # as its adapter does: a defect closes this socket and no other
+        except Exception:  # noqa: BLE001  # a defect closes this socket only, as in Autobahn's adapter
             log.failure("defect while reading from {peer}", peer=self.peer)
             self.dropConnection(abort=True)
 
     def onMessageFrameData(self, payload: bytes) -> None:
-        """Autobahn keeps each piece by itself until the message ends: of one byte, or none, there may be millions."""
+        """Join small fragments of a message as they come.
+
+        Autobahn keeps every fragment as an object until the message ends, and a client may send millions of empty ones.
+        """
         if self.failedByMe or not payload:
             return
         pieces: list[Any] = self.message_data
-        if len(payload) >= PIECE or not pieces or len(pieces[-1]) >= PIECE:
+        if len(payload) >= CHUNK or not pieces or len(pieces[-1]) >= CHUNK:
             pieces.append(payload)
         elif isinstance(pieces[-1], bytearray):
             pieces[-1] += payload
@@ -167,42 +173,49 @@ class RobotSocket(WebSocketServerProtocol):
             pieces[-1] = bytearray(pieces[-1]) + payload
 
     def onPing(self, payload: bytes) -> None:
-        """Of several pings that wait for an answer the last has it (RFC 6455, section 5.5.3)."""
+        """Answer a ping; while the write buffer is full, only the last one (RFC 6455, section 5.5.3)."""
         if self._full:
-            self._pinged = payload
+            self._pending_pong = payload
         else:
             super().onPing(payload)
 
     def onMessage(self, payload: bytes, isBinary: bool) -> None:
+        """Handle a complete message."""
         if self._session is None or self._reason:
             return
         if isBinary:
-            self._intake.binary(payload)
+            self._receiver.binary(payload)
         else:
-            self._intake.text(payload)
+            self._receiver.text(payload)
 
     def _tick(self) -> None:
         self._timer = asyncio.get_running_loop().call_later(TICK, self._tick)
         if self._session is not None:
-            self._intake.sweep()
+            self._receiver.sweep()
         if self.state == self.STATE_OPEN:
-            self._see_whether_it_lives()
+            self._check_liveness()
 
-    def _see_whether_it_lives(self) -> None:
-        """Autobahn's pings know only whole frames: they end robots that send or take a large one over a slow line."""
-        left = self.transport.get_write_buffer_size()
-        held = not left and self._hold is not None  # we do not listen
-        self._silent = 0 if self._heard or held or left < self._left else self._silent + 1
-        self._heard, self._left = False, left
-        if self._silent == 1:
+    def _check_liveness(self) -> None:
+        """Ping a silent robot, and drop its connection if it stays silent.
+
+        Autobahn's own pings count complete frames only, so they would drop a robot that is sending or receiving a large
+        frame over a slow network.
+        """
+        unsent = self.transport.get_write_buffer_size()
+        not_reading = not unsent and self._paused_until is not None
+        alive = self._data_received or not_reading or unsent < self._unsent
+        self._silent_ticks = 0 if alive else self._silent_ticks + 1
+        self._data_received, self._unsent = False, unsent
+        if self._silent_ticks == 1:
             self.sendPing()
-        elif self._silent:
-            self._reason = f"no sign of life for {2 * TICK:g} s"
+        elif self._silent_ticks:
+            self._reason = f"nothing was received for {2 * TICK:g} s"
             self.dropConnection(abort=True)
 
     # --- Socket -------------------------------------------------------------------------------------------------------
 
     def write(self, piece: Piece) -> bool:
+        """Send the messages of a piece; return True if there is room for more."""
         for frame in piece:
             if self.state != self.STATE_OPEN:
                 return False
@@ -213,7 +226,7 @@ class RobotSocket(WebSocketServerProtocol):
         return not self._full
 
     def _send_binary(self, frame: BinaryFrame) -> None:
-        """As `sendMessage`, which would copy the frame twice (RFC 6455, section 5.2: one final, unmasked frame)."""
+        """Send one final, unmasked frame (RFC 6455, section 5.2); `sendMessage` would copy it twice."""
         if self._perMessageCompress is not None:
             self.sendMessage(frame.join(), True)
             return
@@ -226,93 +239,107 @@ class RobotSocket(WebSocketServerProtocol):
             length = b"\x7f" + size.to_bytes(8)
         self.transport.writelines((b"\x82" + length + frame.head, frame.data))
 
-    def hold(self, until: asyncio.Future[None]) -> None:
+    def pause_reading(self, until: asyncio.Future[None]) -> None:
+        """Stop reading from the robot until the future is done."""
         transport = self.transport
-        if self._hold is None and transport is not None and not transport.is_closing():
-            self._hold = until
+        if self._paused_until is None and transport is not None and not transport.is_closing():
+            self._paused_until = until
             transport.pause_reading()
-            until.add_done_callback(self._go_on)
+            until.add_done_callback(self._continue_reading)
 
-    def _go_on(self, _: asyncio.Future[None]) -> None:
-        self._hold = None
+    def _continue_reading(self, _: asyncio.Future[None]) -> None:
+        self._paused_until = None
         transport = self.transport
         if transport is not None and not transport.is_closing():
             transport.resume_reading()
             self.data_received(b"")
 
     def consumeData(self) -> None:
-        """Work off what has come, but no longer than a slice of time: there are other robots."""
+        """Process received frames for one slice of time, then let other robots have their turn."""
         if self.state == self.STATE_CONNECTING:
             super().consumeData()
             return
         loop = asyncio.get_running_loop()
         end = time.monotonic() + SLICE
-        while self._hold is None and self.state != self.STATE_CLOSED and self.processData():
+        while self._paused_until is None and self.state != self.STATE_CLOSED and self.processData():
             if time.monotonic() > end:
                 turn = loop.create_future()
                 loop.call_soon(turn.set_result, None)
-                self.hold(turn)
+                self.pause_reading(turn)
 
     def end(self, reason: str) -> None:
+        """Close the socket with this reason."""
         self._reason = reason
         if self.state == self.STATE_OPEN:
             self._close(1008, reason)
 
     def _close(self, code: int, reason: str) -> None:
-        """Not `sendClose`: that one takes the codes of applications only."""
+        """Send a close frame; Autobahn's `sendClose` accepts codes of applications only."""
         self.sendCloseFrame(code, reason.encode()[:120].decode(errors="ignore").encode(), isReply=False)
 
     def sendCloseFrame(self, *args: Any, **more: Any) -> None:
-        """Whoever closes: what is for the robot waits for its next socket from here on."""
+        """Keep messages for the robot's next socket once either side begins to close this one."""
         if self._session is not None and self._session.socket is self:
             self._session.outbox.pause()
         super().sendCloseFrame(*args, **more)
 
     def sendData(self, data: bytes, sync: bool = False, chopsize: int | None = None) -> None:
-        """Autobahn answers handshakes of peers that are gone."""
+        """Send bytes unless the connection is gone: Autobahn answers handshakes even then."""
         if self.transport is not None:
             super().sendData(data, sync, chopsize)
 
     def pause_writing(self) -> None:
+        """Keep messages in the outbox while the transport is full."""
         self._full = True
         if self._session is not None and self._session.socket is self:
             self._session.outbox.pause()
 
     def resume_writing(self) -> None:
+        """Answer a pending ping and let messages leave the outbox again."""
         self._full = False
-        if self._pinged is not None:
-            pinged, self._pinged = self._pinged, None
-            self.onPing(pinged)
+        if self._pending_pong is not None:
+            payload, self._pending_pong = self._pending_pong, None
+            self.onPing(payload)
         if self._session is not None and self._session.socket is self and self.state == self.STATE_OPEN:
             self._session.outbox.resume()
 
 
 class _Factory(WebSocketServerFactory):
-    def __init__(self, door: Door, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, manager: SessionManager, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__(server="RCE", loop=loop)
-        self._door = door
+        self._manager = manager
 
     def __call__(self) -> RobotSocket:
-        made = RobotSocket(self._door)
-        made.factory = self  # type: ignore[attr-defined]  # as its base class does
-        return made
+        socket = RobotSocket(self._manager)
+        socket.factory = self  # type: ignore[attr-defined]  # as the base class does
+        return socket
 
 
-async def listen(door: Door, host: str, port: int, tls: Any) -> asyncio.Server:
-    """Take robots at `host:port`; `tls` is an SSLContext, or None for plain ws. Unavailable."""
+async def listen(manager: SessionManager, host: str, port: int, tls: Any) -> asyncio.Server:
+    """Serve robots at `host:port`.
+
+    Args:
+        manager: Manager of the robots' sessions.
+        host: Local address.
+        port: Port; 0 for any free one.
+        tls: SSLContext for wss; None for ws.
+
+    Raises:
+        Unavailable: The port cannot be bound.
+    """
     loop = asyncio.get_running_loop()
     txaio.config.loop = loop  # type: ignore[attr-defined]  # Autobahn's ping and handshake timers run on it
-    factory = _Factory(door, loop)
+    factory = _Factory(manager, loop)
     factory.setProtocolOptions(
-        maxMessagePayloadSize=door.limits.message,
-        maxFramePayloadSize=door.limits.message,
-        allowNullOrigin=True,  # of a page from a file; unless said so, setting options forbids it
+        maxMessagePayloadSize=manager.limits.message,
+        maxFramePayloadSize=manager.limits.message,
+        allowNullOrigin=True,  # the origin of a page from a file; setProtocolOptions would reset it
         openHandshakeTimeout=30,
-        closeHandshakeTimeout=1,  # one that is cut off is gone by then
-        failByDrop=False,  # a robot that breaks a rule is told which
-        utf8validateIncoming=False,  # the decoders check it: the robot gets an error and keeps its socket
+        closeHandshakeTimeout=1,  # a connection that was cut off is gone by then
+        failByDrop=False,  # tell the robot which rule it broke
+        utf8validateIncoming=False,  # the decoders validate it, so the robot gets an error and keeps its socket
     )
     try:
         return await loop.create_server(factory, host, port, ssl=tls)
     except OSError as error:
-        raise no_port(host, port, error) from None
+        raise port_unavailable(host, port, error) from None

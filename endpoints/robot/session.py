@@ -1,4 +1,7 @@
-"""A robot's session: it outlives its socket by the grace time, and keeps the order of the robot's commands."""
+"""A robot's session at the Robot endpoint.
+
+A session outlives its socket by the grace time, queues messages to the robot, and keeps the order of its commands.
+"""
 
 from __future__ import annotations
 
@@ -12,24 +15,24 @@ import msgspec
 from msgspec import UNSET, Raw, UnsetType
 from twisted.logger import Logger
 
-from rce import logs
-from rce import messages as m
-from rce.blobs import BinaryFrame, Buffer
-from rce.calls.call import Nothing
-from rce.calls.endpoints import InterfaceSpec
-from rce.calls.robots import Execute
-from rce.control import MasterLink
+from rce.control.calls.call import Nothing
+from rce.control.calls.endpoints import InterfaceSpec
+from rce.control.calls.robots import Execute
+from rce.control.client import ControlClient
 from rce.errors import InvalidRequest, LimitExceeded, Lost, RceError
-from rce.metrics import errors
-from rce.outbox import Outbox
+from rce.net.outbox import Outbox
+from rce.process import logs
+from rce.process.metrics import errors
+from rce.protocol import messages as m
+from rce.protocol.blobs import BinaryFrame, Buffer
 
 Piece = Sequence[bytes | BinaryFrame]
-"""WebSocket messages that go out together, each with whether it is binary."""
+"""WebSocket messages that are written together: text as bytes, binary messages as BinaryFrame."""
 
-CONTROL = b""  # the outbox's source for statuses and errors
-MAX_COMMANDS = 1000  # of one robot, under way
-MAX_COMMAND_SIZE = 4 * 1024 * 1024  # of all of them
-TURN = 20  # commands after which others on the loop have theirs
+CONTROL = b""  # source of statuses and errors in the outbox
+MAX_COMMANDS = 1000  # of one robot that are in progress
+MAX_COMMAND_SIZE = 4 * 1024 * 1024  # bytes of all these commands
+YIELD_EVERY = 20  # commands after which other tasks of the loop get a turn
 MAX_TRIES = 3
 
 log = Logger()
@@ -39,44 +42,54 @@ class Socket(Protocol):
     """The robot's socket as the session sees it."""
 
     def write(self, piece: Piece) -> bool:
-        """Send; returns whether there is room for more."""
+        """Send a piece; return True if there is room for more."""
 
-    def hold(self, until: asyncio.Future[None]) -> None:
-        """Take nothing from the robot until then."""
+    def pause_reading(self, until: asyncio.Future[None]) -> None:
+        """Stop receiving from the robot until the future is done."""
 
     def end(self, reason: str) -> None:
-        """Close with this reason."""
+        """Close the socket with this reason."""
 
 
-class Sink(Protocol):
-    """An interface of the robot, as far as its session is concerned."""
+class SessionInterface(Protocol):
+    """An interface of the robot as the session sees it."""
 
     spec: InterfaceSpec
 
     @property
     def connected(self) -> bool:
-        """Whether it has a peer."""
+        """True if the interface has a peer."""
 
     def from_robot(self, message: m.DataMessage, blobs: dict[str, Buffer]) -> None:
-        """Take a data message that the robot sent. Raises what the robot shall hear."""
+        """Handle a data message of the robot; errors raised are sent to the robot."""
 
 
-class Session:
-    """`name` is `userID/robotID`; `features` are those that robot and server both know."""
+class RobotSession:
+    """Session of one robot.
 
-    def __init__(self, name: str, master: MasterLink) -> None:
+    Attributes:
+        name: Name of the robot, `userID/robotID`.
+        features: Protocol features that both the robot and the server support.
+        interfaces: Interfaces of the robot, by tag.
+        socket: The open socket; None during the grace time.
+        token: Secret with which a later socket resumes the session.
+        connection: Id of the connection, which marks log lines about its commands.
+        outbox: Messages to the robot.
+    """
+
+    def __init__(self, name: str, master: ControlClient) -> None:
         self.name = name
         self.features: frozenset[str] = frozenset()
-        self.interfaces: dict[str, Sink] = {}  # by tag
+        self.interfaces: dict[str, SessionInterface] = {}
         self.socket: Socket | None = None
         self.token = ""
-        self.connection = ""  # id of the socket, for the log
+        self.connection = ""
         self.outbox: Outbox[Piece] = Outbox(self._write)
         self.outbox.pause()
         self._master = master
         self._order = asyncio.Lock()
         self._count = itertools.count(1)
-        self._commands: dict[asyncio.Task[None], tuple[int, int]] = {}  # how many items, how many bytes
+        self._commands: dict[asyncio.Task[None], tuple[int, int]] = {}  # number of items, number of bytes
         self._drops: dict[tuple[str, str], int] = {}
         self._drop_timer: asyncio.TimerHandle | None = None
 
@@ -84,12 +97,13 @@ class Session:
 
     @property
     def parts(self) -> bool:
+        """True if large messages are split into parts (feature `parts`)."""
         return "parts" in self.features
 
     def attach(self, socket: Socket, token: str, resumed: bool, grace: float) -> None:
-        """The robot is here; what waited for it leaves now."""
+        """Use a new socket: send the session's status, then the messages that wait."""
         self.socket, self.token = socket, token
-        self.outbox.abandon()  # an earlier socket may still have it
+        self.outbox.abort_current()  # a message of which an earlier socket sent a part is not sent again
         if self.features:
             resumable = "resume" in self.features
             statuses = {tag: interface.connected for tag, interface in self.interfaces.items()} if resumed else {}
@@ -100,19 +114,20 @@ class Session:
         self.outbox.resume()
 
     def detach(self, socket: Socket) -> bool:
-        """The socket is closed; False if the session has another one already."""
+        """Handle that a socket is closed; return False if the session has another socket already."""
         if self.socket is not socket:
             return False
         self.socket = None
         self.outbox.pause()
         return True
 
-    def hold(self, until: asyncio.Future[None]) -> None:
+    def pause_reading(self, until: asyncio.Future[None]) -> None:
+        """Stop receiving from the robot until the future is done."""
         if self.socket is not None:
-            self.socket.hold(until)
+            self.socket.pause_reading(until)
 
     def end(self, reason: str) -> None:
-        """The session is over."""
+        """End the session: cancel its commands, drop its messages, and close its socket with the reason."""
         for task in self._commands:
             task.cancel()
         if self._drop_timer is not None:
@@ -127,25 +142,26 @@ class Session:
     # --- to the robot -------------------------------------------------------------------------------------------------
 
     def interface_status(self, tag: str, status: bool) -> None:
+        """Send the status of an interface: True while it has a peer."""
         self.status(m.InterfaceStatus(tag, status))
 
     def status(self, data: m.StatusData, id: m.FrameId | UnsetType = UNSET) -> None:
-        """Send an ST; topics beyond `iu` and acknowledgements go to robots with the feature `events` only."""
+        """Send an ST; topics other than `iu` and acknowledgements go only to robots with the feature `events`."""
         if isinstance(data, m.InterfaceStatus | m.Ack) or "events" in self.features:
-            self._tell(_piece(m.Status(data, id)))
+            self._send(_piece(m.Status(data, id)))
 
     def error(self, error: RceError, id: m.FrameId | UnsetType = UNSET) -> None:
-        """Send an ER about what is wrong with the robot's frame itself."""
-        self._tell(self.error_piece(error, id))
+        """Send an ER about a malformed or rejected frame of the robot."""
+        self._send(self.error_piece(error, id))
 
-    def _tell(self, piece: Piece) -> None:
-        """Statuses and errors are not dropped: a robot that does not take them is not listened to."""
+    def _send(self, piece: Piece) -> None:
+        """Send a status or an error, which is never dropped; while too many wait, the robot's frames are not read."""
         self.outbox.put(CONTROL, iter([piece]), None)
-        if (room := self.outbox.room(CONTROL)) is not None:
-            self.hold(room)
+        if (room := self.outbox.wait_for_room(CONTROL)) is not None:
+            self.pause_reading(room)
 
     def error_piece(self, error: RceError, id: m.FrameId | UnsetType = UNSET) -> Piece:
-        """As in the original, only what the Robot process itself finds invalid begins with these words."""
+        """Return the ER for an error that this endpoint found; the original protocol prefixes invalid requests."""
         text = f"Invalid Request: {error}" if isinstance(error, InvalidRequest) else str(error)
         return self._failure(text, error, id)
 
@@ -156,16 +172,22 @@ class Session:
         return _piece(m.Failure(text, id, error.info))
 
     def call_failed(self, tag: str, msg_id: str, error: RceError) -> None:
-        """A service call of the robot failed."""
-        self.error(error.about(iTag=tag, msgID=msg_id))
+        """Send an ER about a service call of the robot that failed."""
+        self.error(error.with_fields(iTag=tag, msgID=msg_id))
 
     def dropped(self, tag: str, count: int, where: str) -> None:
-        """Messages were dropped, `count` in all; told once a second at most."""
+        """Report dropped messages, at most once a second.
+
+        Args:
+            tag: The interface.
+            count: Number of all messages dropped so far.
+            where: Direction in which they were dropped, as the robot shall read it.
+        """
         self._drops[tag, where] = count
         if self._drop_timer is None:
-            self._drop_timer = asyncio.get_running_loop().call_later(1.0, self._tell_drops)
+            self._drop_timer = asyncio.get_running_loop().call_later(1.0, self._report_drops)
 
-    def _tell_drops(self) -> None:
+    def _report_drops(self) -> None:
         self._drop_timer = None
         for (tag, where), count in self._drops.items():
             self.status(m.DropEvent(tag, count, where))
@@ -174,24 +196,28 @@ class Session:
     # --- commands -----------------------------------------------------------------------------------------------------
 
     def command(self, frame: m.Frame) -> None:
-        """Carry out a CC, DC, CN or CX: its items go to the Master in order, errors and the ack follow.
+        """Execute a CC, DC, CN or CX frame.
 
-        Raises InvalidRequest where an item is malformed; those before it are carried out. LimitExceeded: none is.
+        Its items go to the Master in order. Errors of the Master and the acknowledgement are sent when they come.
+
+        Raises:
+            InvalidRequest: An item is malformed; the items before it are executed.
+            LimitExceeded: Too many commands are in progress; no item is executed.
         """
         size = len(memoryview(frame.data))
         room = MAX_COMMANDS - sum(count for count, _ in self._commands.values())
         if size + sum(size for _, size in self._commands.values()) > MAX_COMMAND_SIZE or room <= 0:
             raise LimitExceeded(
-                f"more than {MAX_COMMANDS} commands, or of more than {MAX_COMMAND_SIZE} bytes, would be under way: "
-                "wait for some to complete"
+                f"more than {MAX_COMMANDS} commands or {MAX_COMMAND_SIZE} bytes of commands would be in progress: "
+                "wait until some complete"
             )
         items: list[tuple[str, m.Command]] = []
         complete = False
         try:
-            items.extend(islice(_items(frame), room + 1))  # keeps what came before the error
+            items.extend(islice(_items(frame), room + 1))  # keeps the items before a malformed one
             if len(items) > room:
                 items.clear()
-                raise LimitExceeded(f"more than {MAX_COMMANDS} commands would be under way: wait for some to complete")
+                raise LimitExceeded(f"more than {MAX_COMMANDS} commands would be in progress: wait until some complete")
             complete = True
         finally:
             task = asyncio.create_task(self._run(frame, items, complete))
@@ -200,14 +226,14 @@ class Session:
 
     async def _run(self, frame: m.Frame, items: list[tuple[str, m.Command]], good: bool) -> None:
         answers: list[asyncio.Task[None]] = []
-        logs.enter(f"{self.connection}.{next(self._count)}")
+        logs.set_request_id(f"{self.connection}.{next(self._count)}")
         async with self._order:
             try:
                 for item, command in items:
                     answers.append(await self._issue(item, command))
-                    if len(answers) % TURN == 0:
+                    if len(answers) % YIELD_EVERY == 0:
                         await asyncio.sleep(0)
-            except RceError as error:  # the Master is away
+            except RceError as error:  # the Master cannot be reached
                 good = False
                 self._failed(error, frame)
         for answer in answers:
@@ -220,9 +246,9 @@ class Session:
             self.status(m.Ack(), frame.id)
 
     def _failed(self, error: RceError, frame: m.Frame) -> None:
-        """Send an ER about a command that the Master could not carry out."""
+        """Send an ER about a command that the Master could not execute."""
         piece = self._failure(str(error), error, frame.id if "ack" in self.features else UNSET)
-        self._tell(piece)
+        self._send(piece)
 
     async def _issue(self, item: str, command: m.Command) -> asyncio.Task[None]:
         log.info("robot {robot}: {command}", robot=self.name, command=type(command).__name__)
@@ -230,7 +256,7 @@ class Session:
         return asyncio.create_task(self._finish(item, command, answer))
 
     async def _finish(self, item: str, command: m.Command, answer: asyncio.Task[Nothing]) -> None:
-        """Await the answer to a command; if the Master was lost meanwhile, ask the next one what became of it."""
+        """Await the answer to a command; after a lost connection, repeat the command at the Master that joins next."""
         for tries_left in reversed(range(MAX_TRIES)):
             try:
                 await answer
@@ -240,7 +266,7 @@ class Session:
                     raise
                 answer = await self._master.issue(Execute.of(self.name, command, again=True))
             except RceError as error:
-                raise error.at(item) from None
+                raise error.with_item(item) from None
 
 
 def _piece(message: m.Status | m.Failure) -> Piece:
@@ -248,7 +274,11 @@ def _piece(message: m.Status | m.Failure) -> Piece:
 
 
 def _items(frame: m.Frame) -> Iterator[tuple[str, m.Command]]:
-    """The commands of a frame in their order, each with its place in it; raises InvalidRequest at the first bad one."""
+    """Yield the commands of a frame in order, each with its position in the frame.
+
+    Raises:
+        InvalidRequest: The next command is malformed.
+    """
     if frame.type == "CC":
         yield "", m.decode_as(m.CreateContainer, frame.data, "data")
     elif frame.type == "DC":
@@ -260,7 +290,7 @@ def _items(frame: m.Frame) -> Iterator[tuple[str, m.Command]]:
         pairs = m.decode_as(m.ConfigureConnections, frame.data, "data")
         yield from _listed(m.CX_ITEMS, {name: getattr(pairs, name) for name in m.CX_ITEMS})
     else:
-        raise InvalidRequest(f"message type {frame.type[:40]!r} is not supported: it is CC, DC, CN, CX or DM")
+        raise InvalidRequest(f"message type {frame.type[:40]!r} is not supported: use CC, DC, CN, CX or DM")
 
 
 def _listed(kinds: dict[str, type[m.Command]], lists: dict[str, list[Raw]]) -> Iterator[tuple[str, m.Command]]:
@@ -270,4 +300,4 @@ def _listed(kinds: dict[str, type[m.Command]], lists: dict[str, list[Raw]]) -> I
             try:
                 yield item, m.decode_as(kind, raw, item)
             except InvalidRequest as error:
-                raise error.at(item) from None
+                raise error.with_item(item) from None

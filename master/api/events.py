@@ -1,4 +1,4 @@
-"""`/api/v1/events`: what happens on the platform, as server-sent events."""
+"""`/api/v1/events`: events of the platform as server-sent events."""
 
 from __future__ import annotations
 
@@ -7,50 +7,51 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from master import rights
-from master.api.acting import listing, principal
-from master.api.calls import Answer, Call, Everybodys
+from master.access import rights
+from master.access.rights import EVERYBODY, NOBODY, Principal
+from master.api.principals import authorize_list, principal_of
+from master.api.request import Answer, Call, OwnerOrAll
 from master.api.router import Api, Route
-from master.api.streams import Piece, Streams
-from master.records import State
-from master.rights import EVERYBODY, NOBODY, Principal
+from master.api.streams import EventStreams, ServerSentEvent
+from master.graph.state import State
 from master.service import Master
-from rce.views import Event
+from rce.api.views import Event
 
-LAST = "Last-Event-ID"
+LAST_EVENT_ID = "Last-Event-ID"
 
 
-class Followed(Struct, frozen=True, forbid_unknown_fields=True):
-    """Which events."""
+class EventsQuery(Struct, frozen=True, forbid_unknown_fields=True):
+    """Filters of events."""
 
-    user: Everybodys = ""
-    type: Annotated[str, Meta(max_length=40, description="those of this type, or kind of type: `environment`")] = ""
-    after: Annotated[str, Meta(max_length=40, description="those after this id, as the header Last-Event-ID")] = ""
+    user: OwnerOrAll = ""
+    type: Annotated[str, Meta(max_length=40, description="of this type, or of this kind: `environment`")] = ""
+    after: Annotated[str, Meta(max_length=40, description="after this id, as the header Last-Event-ID")] = ""
 
 
 class EventsApi:
-    """The route of events."""
+    """Route of events."""
 
-    def __init__(self, master: Master, streams: Streams) -> None:
+    def __init__(self, master: Master, streams: EventStreams) -> None:
         self._master = master
         self._streams = streams
 
     def add_to(self, api: Api) -> None:
-        summary = "What happens from now on, or since the event Last-Event-ID"
-        api.add(Route("GET", "/events", self.follow, summary, Followed, answer=AsyncIterator[Event]))
+        """Add the routes."""
+        summary = "Events from now on, or after the one in Last-Event-ID"
+        api.add(Route("GET", "/events", self._follow, summary, EventsQuery, answer=AsyncIterator[Event]))
 
-    async def follow(self, call: Call) -> Answer:
-        asked = call.asked(Followed)
-        user = listing(call, "feed.read", asked.user)
-        position = self._master.events.position(call.header(LAST) or asked.after)
-        pieces = self._pieces(principal(call), user, asked.type, position)
-        return Answer(self._streams.stream(principal(call), pieces))
+    async def _follow(self, call: Call) -> Answer:
+        query = call.query(EventsQuery)
+        user = authorize_list(call, "feed.read", query.user)
+        position = self._master.events.position(call.header(LAST_EVENT_ID) or query.after)
+        events = self._events(principal_of(call), user, query.type, position)
+        return Answer(self._streams.stream(principal_of(call), events))
 
-    async def _pieces(self, who: Principal, user: str, type: str, position: int) -> AsyncIterator[Piece]:
+    async def _events(self, who: Principal, user: str, type: str, position: int) -> AsyncIterator[ServerSentEvent]:
         async for event in self._master.events.follow(position):
             wanted = type in ("", event.type, event.type.partition(".")[0]) or event.type == "missed"
             if wanted and _sees(who, self._master.state, user, event):
-                yield Piece(event.id, event.type, event)
+                yield ServerSentEvent(event.id, event.type, event)
 
 
 def _sees(who: Principal, state: State, user: str, event: Event) -> bool:
@@ -67,7 +68,10 @@ def _sees(who: Principal, state: State, user: str, event: Event) -> bool:
 
 
 def _is_tied_to(who: Principal, state: State, user: str, tag: str) -> bool:
-    """Of what is gone it is not known any more whether it was a robot: it is told to keys that name it."""
+    """Return whether a restricted key names this robot or environment, or may see it as one that exists.
+
+    What is gone cannot be looked up any more, so only keys that name it are told.
+    """
     if tag == who.scopes.robot or tag in who.scopes.environments:
         return True
     there = f"{user}/{tag}" in state.environments or f"{user}/{tag}" in state.robots

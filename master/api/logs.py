@@ -1,4 +1,4 @@
-"""`…/log`: the output of nodes and environments, read where it is: at the Environment endpoint."""
+"""`…/log`: output of nodes and environments, read from the Environment endpoint, which keeps it."""
 
 from __future__ import annotations
 
@@ -7,57 +7,58 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from master.api.acting import acting, principal
-from master.api.calls import Answer, Call, One
-from master.api.events import LAST
+from master.api.events import LAST_EVENT_ID
+from master.api.principals import authorize, principal_of
+from master.api.request import Answer, Call, OwnerQuery
 from master.api.router import Api, Route
-from master.api.streams import Piece, Streams
+from master.api.streams import EventStreams, ServerSentEvent
 from master.service import Master
-from rce.calls.watching import Log, ReadLog
+from rce.api.views import LogLines
+from rce.control.calls.watching import Log, ReadLog
 from rce.errors import NotFound
-from rce.views import LogLines
 
 AT = "/environments/{environment}"
-WAIT = 10.0  # seconds after which the environment is asked again, whether it has said something or not
+POLL_TIMEOUT = 10.0  # seconds for which the environment waits for new lines before it answers without
 
 
-class Lines(One, frozen=True, forbid_unknown_fields=True):
-    """Which lines."""
+class LogQuery(OwnerQuery, frozen=True, forbid_unknown_fields=True):
+    """Query of a log."""
 
-    lines: Annotated[int, Meta(ge=0, le=10_000, description="the last ones, so many at most")] = 100
-    follow: Annotated[bool, Meta(description="go on, as server-sent events")] = False
-    after: Annotated[str, Meta(max_length=40, description="`next` of an earlier answer: what has come since")] = ""
+    lines: Annotated[int, Meta(ge=0, le=10_000, description="maximum number of lines, the last ones")] = 100
+    follow: Annotated[bool, Meta(description="go on with new lines, as server-sent events")] = False
+    after: Annotated[str, Meta(max_length=40, description="`next` of an earlier answer: lines that came since")] = ""
 
 
 class LogsApi:
-    """The routes of logs."""
+    """Routes of logs."""
 
-    def __init__(self, master: Master, streams: Streams) -> None:
+    def __init__(self, master: Master, streams: EventStreams) -> None:
         self._master = master
         self._streams = streams
 
     def add_to(self, api: Api) -> None:
+        """Add the routes."""
         read = (LogLines, AsyncIterator[LogLines])
-        of_node = "What a node has printed, also one that has ended"
+        of_node = "Output of a node, also after its end"
         api.add(
-            Route("GET", AT + "/log", self.environment, "What the environment itself logs", Lines, answer=read),
-            Route("GET", AT + "/nodes/{node}/log", self.node, of_node, Lines, answer=read),
+            Route("GET", AT + "/log", self._read_environment, "Log of the environment itself", LogQuery, answer=read),
+            Route("GET", AT + "/nodes/{node}/log", self._read_node, of_node, LogQuery, answer=read),
         )
 
-    async def environment(self, call: Call) -> Answer:
+    async def _read_environment(self, call: Call) -> Answer:
         return await self._read(call, "environment.log", "")
 
-    async def node(self, call: Call) -> Answer:
+    async def _read_node(self, call: Call) -> Answer:
         return await self._read(call, "node.log", call.path["node"])
 
     async def _read(self, call: Call, operation: str, node: str) -> Answer:
-        asked, tag = call.asked(Lines), call.path["environment"]
-        user = acting(call, operation, asked.user, environment=tag)
+        query, tag = call.query(LogQuery), call.path["environment"]
+        user = authorize(call, operation, query.user, environment=tag)
         name = f"{user}/{tag}"
-        log = await self._ask(name, ReadLog(node, asked.lines, call.header(LAST) or asked.after))
-        if not asked.follow:
+        log = await self._ask(name, ReadLog(node, query.lines, call.header(LAST_EVENT_ID) or query.after))
+        if not query.follow:
             return Answer(LogLines(log.lines, log.next))
-        return Answer(self._streams.stream(principal(call), self._follow(name, node, log)))
+        return Answer(self._streams.stream(principal_of(call), self._follow(name, node, log)))
 
     async def _ask(self, name: str, question: ReadLog) -> Log:
         environment = self._master.state.environments.get(name)
@@ -65,8 +66,8 @@ class LogsApi:
             raise NotFound(f"there is no environment {name.partition('/')[2][:80]!r}", field="environment")
         return await self._master.ask(environment, question)
 
-    async def _follow(self, name: str, node: str, log: Log) -> AsyncIterator[Piece]:
+    async def _follow(self, name: str, node: str, log: Log) -> AsyncIterator[ServerSentEvent]:
         while True:
             if log.lines:
-                yield Piece(log.next, "", LogLines(log.lines, log.next))
-            log = await self._ask(name, ReadLog(node, after=log.next, wait=WAIT))
+                yield ServerSentEvent(log.next, "", LogLines(log.lines, log.next))
+            log = await self._ask(name, ReadLog(node, after=log.next, wait=POLL_TIMEOUT))

@@ -1,4 +1,4 @@
-"""`/api/v1/openapi.json`: what the API offers, out of its routes and their types."""
+"""`/api/v1/openapi.json`: the OpenAPI document of the API, from its routes and their types."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from typing import Any
 import msgspec
 
 from master.api import live
-from master.api.calls import LONGEST, Answer, Call
-from master.api.events import LAST
-from master.api.repeats import HEADER
+from master.api.events import LAST_EVENT_ID
+from master.api.idempotency import HEADER
+from master.api.request import MAX_HEADER, Answer, Call
 from master.api.router import PREFIX, Api, Route
-from rce import openapi
-from rce.messages import Tag
-from rce.openapi import Operation, Parameter
+from rce.protocol.messages import Tag
+from rce.web import openapi
+from rce.web.openapi import Operation, Parameter
 
 PATH = "/openapi.json"
 DESCRIPTION = (
-    "Everything that the platform is made of: users and keys, robots, environments, what is in them, and what connects "
-    "them. Lists come in pages: `next` of one goes into `after` of the next. Errors are problem+json (RFC 9457) with a "
-    "`code` for programs and the `field` at fault. What is made with an Idempotency-Key is made once, however often "
-    "the request is sent with it."
+    "All resources of the platform: users and keys, robots, environments, nodes, parameters, interfaces and "
+    "connections. Lists come in pages: `next` of one goes into `after` of the next. Errors are problem+json (RFC 9457) "
+    "with a `code` for programs and the `field` at fault. A request with an Idempotency-Key takes effect once, however "
+    "often it is sent."
 )
 PARAMETERS = {
     "robot": "robotID",
@@ -32,28 +32,29 @@ PARAMETERS = {
     "interfaceA": "interfaceTag",
     "ownerB": "robotID or containerTag",
     "interfaceB": "interfaceTag",
-    "group": "of containerData",
+    "group": "group of containerData",
     "id": "id of an API key",
 }
 TAGS = ("robot", "environment", "node", "owner", "interface", "ownerA", "interfaceA", "ownerB", "interfaceB")
 TAG = msgspec.json.schema(Tag)
-TICKET = {"type": "http", "scheme": "bearer", "description": "a ticket, as the request before got it"}
-VISIBLE = {"type": "string", "pattern": "^[!-~]+$", "maxLength": LONGEST}
+TICKET = {"type": "http", "scheme": "bearer", "description": "a ticket from an earlier answer"}
+HEADER_TEXT = {"type": "string", "pattern": "^[!-~]+$", "maxLength": MAX_HEADER}
 
 
 class OpenApi:
-    """The document; to be added last, for it has what was added before."""
+    """Route of the document, to be added after all routes that it describes."""
 
     def add_to(self, api: Api) -> None:
-        api.add(Route("GET", PATH, self.show, "This document", answer=dict[str, Any], for_all=True))
+        """Add the routes."""
+        api.add(Route("GET", PATH, self._show, "This document", answer=dict[str, Any], public=True))
         self._document = msgspec.Raw(msgspec.json.encode(document(api)))
 
-    async def show(self, call: Call) -> Answer:
+    async def _show(self, call: Call) -> Answer:
         return Answer(self._document)
 
 
 def document(api: Api) -> dict[str, Any]:
-    """The OpenAPI 3.1 document of all that was added."""
+    """Return the OpenAPI 3.1 document of the routes of an API."""
     schemes = {"key": openapi.KEY, "password": openapi.PASSWORD, "ticket": TICKET}
     table = [*map(_operation, api.routes), _live()]
     return openapi.document("RCE", DESCRIPTION, table, schemes, ("key", "password"))
@@ -66,16 +67,29 @@ def _operation(route: Route) -> Operation:
     if route.query is not None:
         parameters += openapi.query_parameters(route.query)
     if route.method == "POST":
-        parameters.append(Parameter("header", HEADER, "of this request and its repetitions", VISIBLE, False))
+        parameters.append(Parameter("header", HEADER, "the same for all retries of a request", HEADER_TEXT, False))
     if any(get.__name__ == "AsyncIterator" for each in answers if (get := getattr(each, "__origin__", None))):
-        parameters.append(Parameter("header", LAST, "go on after this one", VISIBLE, False))
-    security = (() if route.path == PATH else ("ticket",)) if route.for_all else None
-    told = {"Location": "string"} if route.status == 201 and route.query is not None else {}
+        parameters.append(
+            Parameter("header", LAST_EVENT_ID, "id of the last event that the client has", HEADER_TEXT, False)
+        )
+    security = (() if route.path == PATH else ("ticket",)) if route.public else None
+    headers = {"Location": "string"} if route.status == 201 and route.query is not None else {}
     return Operation(
-        *(route.method, path, route.summary, route.status, route.body, True, answers, tuple(parameters), told, security)
+        *(
+            route.method,
+            path,
+            route.summary,
+            route.status,
+            route.body,
+            True,
+            answers,
+            tuple(parameters),
+            headers,
+            security,
+        )
     )
 
 
 def _live() -> Operation:
-    summary = f"A WebSocket: send a Greeting within {live.GREETING:g} s; Deltas come, the first a snapshot"
+    summary = f"WebSocket: send a Greeting within {live.GREETING_TIMEOUT:g} s; Deltas follow, the first a snapshot"
     return Operation("GET", f"{PREFIX}/live", summary, 101, security=())

@@ -1,14 +1,15 @@
-"""All that the API offers, one file for each family of resources."""
+"""Assembly of the API out of its families of resources, one module each."""
 
 from __future__ import annotations
 
+from master.access.enrolment import Inviter
 from master.api.audit import AuditApi
 from master.api.environments import EnvironmentsApi
 from master.api.events import EventsApi
 from master.api.interfaces import InterfacesApi
 from master.api.jobs import JobsApi
 from master.api.keys import KeysApi
-from master.api.live import Live
+from master.api.live import LiveFeed
 from master.api.logs import LogsApi
 from master.api.machines import MachinesApi
 from master.api.monitoring import Monitoring
@@ -17,27 +18,27 @@ from master.api.packages import PackagesApi
 from master.api.robots import RobotsApi
 from master.api.ros import RosApi
 from master.api.router import Api
-from master.api.sockets import SocketResource
-from master.api.streams import Streams
+from master.api.streams import EventStreams
 from master.api.traces import TracesApi
 from master.api.users import UsersApi
-from master.depot import Depot
-from master.machines import Inviter
 from master.service import Master
+from master.storage.depot import Depot
 
 
 def make_api(master: Master, depot: Depot, inviter: Inviter | None = None) -> Api:
-    """The API of this Master; without an inviter no machines are invited."""
+    """Return the API of this Master; without an inviter no machines can be invited."""
     api = Api(master.users, master.audit)
     for family in (UsersApi, KeysApi, AuditApi, RobotsApi, EnvironmentsApi, InterfacesApi, RosApi, JobsApi):
         family(master).add_to(api)
     MachinesApi(master, inviter).add_to(api)
     PackagesApi(master, depot).add_to(api)
-    streams = Streams(master.guard)
+    streams = EventStreams(master.guard)
     EventsApi(master, streams).add_to(api)
     LogsApi(master, streams).add_to(api)
     TracesApi(master, streams).add_to(api)
-    OpenApi().add_to(api)
+    OpenApi().add_to(api)  # after all that it describes
     Monitoring(master).add_to(api)
-    api.mount("/live", SocketResource(Live(master).listener))
+    live = LiveFeed(master)
+    api.mount("/live", live.handle)
+    api.on_stop += [streams.stop, live.stop]
     return api

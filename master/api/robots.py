@@ -1,4 +1,4 @@
-"""`/api/v1/robots`."""
+"""`/api/v1/robots`: robots that have a session."""
 
 from __future__ import annotations
 
@@ -6,58 +6,66 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from master import rights
-from master.api.acting import acting, listing, page, principal
-from master.api.calls import Answer, Call, Listing, One
+from master.access import rights
+from master.api.principals import authorize, authorize_list, page_of_records, principal_of
+from master.api.request import Answer, Call, ListQuery, OwnerQuery
 from master.api.router import Api, Route
-from master.records import Robot
+from master.graph.records import Robot
 from master.service import Master
+from rce.api.views import Page, RobotView
 from rce.errors import NotFound
-from rce.views import Page, RobotView
 
 
-class Robots(Listing, frozen=True, forbid_unknown_fields=True):
-    """Which robots."""
+class RobotsQuery(ListQuery, frozen=True, forbid_unknown_fields=True):
+    """Filters of robots."""
 
-    endpoint: Annotated[str, Meta(max_length=600, description="those at this Robot endpoint")] = ""
+    endpoint: Annotated[str, Meta(max_length=600, description="at this Robot endpoint")] = ""
 
 
 class RobotsApi:
-    """Robots that have a session."""
+    """Routes of robots."""
 
     def __init__(self, master: Master) -> None:
         self._master = master
 
     def add_to(self, api: Api) -> None:
+        """Add the routes."""
         api.add(
-            Route("GET", "/robots", self.list, "Robots that have a session", Robots, answer=Page[RobotView]),
-            Route("GET", "/robots/{robot}", self.show, "A robot", One, answer=RobotView),
+            Route("GET", "/robots", self._list, "Robots that have a session", RobotsQuery, answer=Page[RobotView]),
+            Route("GET", "/robots/{robot}", self._show, "A robot", OwnerQuery, answer=RobotView),
             Route(
-                "DELETE", "/robots/{robot}", self.disconnect, "End its session and close its socket", One, status=204
+                "DELETE",
+                "/robots/{robot}",
+                self._disconnect,
+                "End the session of a robot and close its socket",
+                OwnerQuery,
+                status=204,
             ),
         )
 
-    async def list(self, call: Call) -> Answer:
-        asked = call.asked(Robots)
-        user = listing(call, "robot.read", asked.user)
+    async def _list(self, call: Call) -> Answer:
+        query = call.query(RobotsQuery)
+        user = authorize_list(call, "robot.read", query.user)
 
         def keep(each: RobotView) -> bool:
-            seen = rights.may(principal(call), "robot.read", each.user, robot=each.robotID)
-            return seen and asked.endpoint in ("", each.endpoint)
+            seen = rights.may(principal_of(call), "robot.read", each.user, robot=each.robotID)
+            return seen and query.endpoint in ("", each.endpoint)
 
-        return page(self._master.state.robots, user, asked, self._master.shown.robot, keep)
+        return page_of_records(self._master.state.robots, user, query, self._master.presenter.robot, keep)
 
-    async def show(self, call: Call) -> Answer:
-        return Answer(self._master.shown.robot(self._robot(call, "robot.read")))
+    async def _show(self, call: Call) -> Answer:
+        return Answer(self._master.presenter.robot(self._find(call, "robot.read")))
 
-    async def disconnect(self, call: Call) -> Answer:
-        robot = self._robot(call, "robot.disconnect")
+    async def _disconnect(self, call: Call) -> Answer:
+        robot = self._find(call, "robot.disconnect")
         await self._master.sessions.disconnect(robot.name, f"disconnected by {call.user}")
         return Answer(status=204)
 
-    def _robot(self, call: Call, operation: str) -> Robot:
+    def _find(self, call: Call, operation: str) -> Robot:
         tag = call.path["robot"]
-        robot = self._master.state.robots.get(f"{acting(call, operation, call.asked(One).user, robot=tag)}/{tag}")
+        robot = self._master.state.robots.get(
+            f"{authorize(call, operation, call.query(OwnerQuery).user, robot=tag)}/{tag}"
+        )
         if robot is None:
             raise NotFound(f"there is no robot {tag[:80]!r}", field="robotID")
         return robot

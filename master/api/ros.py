@@ -1,45 +1,46 @@
-"""`/api/v1/environments/{environment}/topics` and `…/services`: what ROS has there, asked of the environment itself."""
+"""`/api/v1/environments/{environment}/topics` and `…/services`: the ROS graph that the environment sees."""
 
 from __future__ import annotations
 
-from master.api.acting import acting, cut
-from master.api.calls import Answer, Call, Paging, Whose
+from master.api.principals import authorize, page_of_views
+from master.api.request import Answer, Call, Owner, PageQuery
 from master.api.router import Api, Route
 from master.service import Master
-from rce.calls.watching import ReadGraph, RosGraph, RosName
+from rce.api.views import Page
+from rce.control.calls.watching import ReadGraph, RosGraph, RosName
 from rce.errors import NotFound
-from rce.views import Page
 
 AT = "/environments/{environment}"
 
 
-class RosNames(Paging, frozen=True, forbid_unknown_fields=True):
-    """A part of the names."""
+class RosQuery(PageQuery, frozen=True, forbid_unknown_fields=True):
+    """Query of a list of names."""
 
-    user: Whose = ""
+    user: Owner = ""
 
 
 class RosApi:
-    """Names and types of topics and services, by which the topic of an interface is found."""
+    """Routes of ROS topics and services: their names and types, to choose the topic of an interface by."""
 
     def __init__(self, master: Master) -> None:
         self._master = master
 
     def add_to(self, api: Api) -> None:
+        """Add the routes."""
         api.add(
-            Route("GET", AT + "/topics", self.topics, "Its ROS topics", RosNames, answer=Page[RosName]),
-            Route("GET", AT + "/services", self.services, "Its ROS services", RosNames, answer=Page[RosName]),
+            Route("GET", AT + "/topics", self._list_topics, "Its ROS topics", RosQuery, answer=Page[RosName]),
+            Route("GET", AT + "/services", self._list_services, "Its ROS services", RosQuery, answer=Page[RosName]),
         )
 
-    async def topics(self, call: Call) -> Answer:
-        return cut(((each.name, each) for each in (await self._graph(call)).topics), call.asked(RosNames))
+    async def _list_topics(self, call: Call) -> Answer:
+        return page_of_views(((each.name, each) for each in (await self._graph(call)).topics), call.query(RosQuery))
 
-    async def services(self, call: Call) -> Answer:
-        return cut(((each.name, each) for each in (await self._graph(call)).services), call.asked(RosNames))
+    async def _list_services(self, call: Call) -> Answer:
+        return page_of_views(((each.name, each) for each in (await self._graph(call)).services), call.query(RosQuery))
 
     async def _graph(self, call: Call) -> RosGraph:
         tag = call.path["environment"]
-        user = acting(call, "interface.read", call.asked(RosNames).user, environment=tag)
+        user = authorize(call, "interface.read", call.query(RosQuery).user, environment=tag)
         environment = self._master.state.environments.get(f"{user}/{tag}")
         if environment is None:
             raise NotFound(f"there is no environment {tag[:80]!r}", field="environment")

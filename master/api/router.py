@@ -1,41 +1,42 @@
-"""Which function answers a request, who asks it, and how an answer or an error goes out."""
+"""Routing of API requests to their handlers, with authentication, audit, idempotency and errors as problem+json."""
 
 from __future__ import annotations
 
 import asyncio
-import os
 import re
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import parse_qs, unquote
 
 import msgspec
+from aiohttp import web
 from msgspec import Struct
 from twisted.logger import Logger
-from twisted.protocols.basic import FileSender
-from twisted.web.resource import Resource
-from twisted.web.server import NOT_DONE_YET, Request
 
-from master.api.calls import Answer, Call, Handler, Trail
-from master.api.door import Door, authorization
-from master.api.problems import MethodNotAllowed, UnsupportedMediaType, refuse, write
-from master.api.repeats import Repeats
-from master.api.streams import Stream
-from master.audit import Audit
-from master.users import Users
-from rce import logs
+from master.access.audit import Audit
+from master.access.users import Users
+from master.api.authentication import Authenticator, authorization
+from master.api.idempotency import IdempotencyCache
+from master.api.request import Answer, AuditDetails, Call, Handler
+from master.api.streams import EventStream
+from master.storage.depot import Upload
 from rce.errors import InternalError, InvalidRequest, NotFound, RceError
+from rce.process import logs
+from rce.web.problems import MethodNotAllowed, UnsupportedMediaType, problem_response
+from rce.web.requests import header, raw_path, raw_query
 
 PREFIX = "/api/v1"
 JSON = "application/json"
-READS = (b"GET", b"HEAD")
+READ_METHODS = ("GET", "HEAD")
+RawHandler = Callable[[web.BaseRequest], Awaitable[web.StreamResponse]]
 log = Logger()
 
 
 class Route(NamedTuple):
-    """What one method does at one path, with all that its description needs.
+    """A method of a path, its handler, and all that the OpenAPI document says about it.
 
-    `query`, `body` and `answer` are types; `for_all`: who asks is not asked for, tickets say it.
+    `query`, `body` and `answer` are types. A `public` route takes no credentials, or tickets in their place.
     """
 
     method: str
@@ -46,143 +47,145 @@ class Route(NamedTuple):
     body: Any = None
     answer: Any = None
     status: int = 200
-    for_all: bool = False
+    public: bool = False
 
     def pattern(self, prefix: str) -> re.Pattern[str]:
+        """Return what matches the paths of this route."""
         return re.compile(re.sub(r"\\\{(\w+)\\\}", r"(?P<\1>[^/]+)", re.escape(prefix + self.path)))
 
 
-class Api(Resource):
-    """Answers what routes were added for, below PREFIX."""
-
-    isLeaf = True
+class Api:
+    """Routes below PREFIX, and some beside it."""
 
     def __init__(self, users: Users, audit: Audit) -> None:
-        super().__init__()  # type: ignore[no-untyped-call]  # Twisted's
-        self._door = Door(users, audit)
-        self._repeats = Repeats()
         self.routes: list[Route] = []
+        self.on_stop: list[Callable[[], Awaitable[None]]] = []
+        self._authenticator = Authenticator(users, audit)
+        self._idempotency = IdempotencyCache()
         self._patterns: list[tuple[re.Pattern[str], Route]] = []
-        self._mounted: dict[bytes, Resource] = {}
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._mounted: dict[str, RawHandler] = {}
 
     def add(self, *routes: Route) -> None:
-        """`{word}` in a path stands for any one part."""
+        """Add routes below PREFIX; `{word}` in a path stands for any one segment."""
         self.routes += routes
         self._patterns += [(route.pattern(PREFIX), route) for route in routes]
 
-    def add_beside(self, *routes: Route) -> None:
-        """The same for paths of their own, which are no part of the API and its description."""
+    def add_outside_prefix(self, *routes: Route) -> None:
+        """Add routes with complete paths, which are not part of the API's description."""
         self._patterns += [(route.pattern(""), route) for route in routes]
 
-    def mount(self, path: str, resource: Resource) -> None:
-        """Let a resource answer at this path by itself."""
-        self._mounted[(PREFIX + path).encode()] = resource
+    def mount(self, path: str, handler: RawHandler) -> None:
+        """Give all requests for a path below PREFIX to a handler that authenticates them itself."""
+        self._mounted[PREFIX + path] = handler
 
-    def render(self, request: Request) -> Any:
-        if request.path in self._mounted:
-            return self._mounted[request.path].render(request)
-        task = asyncio.ensure_future(self._serve(request))
-        self._tasks.add(task)
-        task.add_done_callback(self._ended)
-        request.notifyFinish().addErrback(lambda _: task.cancel())
-        return NOT_DONE_YET
+    async def stop(self) -> None:
+        """End the answers that would go on for ever: the server stops."""
+        await asyncio.gather(*(stop() for stop in self.on_stop))
 
-    def _ended(self, task: asyncio.Task[None]) -> None:
-        self._tasks.discard(task)
-        if not task.cancelled() and (error := task.exception()) is not None:
-            log.info("an answer did not reach who asked: {error}", error=str(error))
-
-    async def _serve(self, request: Request) -> None:
-        request.setHeader("x-request-id", logs.enter(request.getHeader("x-request-id") or ""))
+    async def handle(self, request: web.BaseRequest, content: bytes, upload: Upload | None) -> web.StreamResponse:
+        """Answer a request whose body has been received."""
+        mounted = self._mounted.get(raw_path(request))
+        if mounted is not None:
+            return await mounted(request)
+        headers = {"X-Request-Id": logs.set_request_id(header(request, "X-Request-Id") or "")}
+        status = 499  # the client disconnected before there was an answer
         try:
-            await self._respond(request)
+            response = await self._respond(request, content, upload, headers)
+            status = response.status
+            return response
         finally:
-            if request.method not in READS:
-                method, path = request.method.decode("ascii", "replace"), request.path.decode("ascii", "replace")
-                log.info("{method} {path}: {status}", method=method[:20], path=path[:500], status=request.code)
+            if request.method not in READ_METHODS:
+                path = raw_path(request)[:500]
+                log.info("{method} {path}: {status}", method=request.method[:20], path=path, status=status)
 
-    async def _respond(self, request: Request) -> None:
+    async def _respond(
+        self, request: web.BaseRequest, content: bytes, upload: Upload | None, headers: dict[str, str]
+    ) -> web.StreamResponse:
         try:
-            answer = await self._answer(request)
+            return await self._send(request, await self._answer(request, content, upload), headers)
         except RceError as error:
-            return refuse(request, error)
-        except Exception:  # noqa: BLE001  # the asker must hear of a defect; the traceback is in the log
-            log.failure("defect while answering {method} {path}", method=request.method, path=request.path)
-            return refuse(request, InternalError("a defect while answering; see the Master's log"))
-        request.setResponseCode(answer.status)
-        for name, value in answer.headers.items():
-            request.setHeader(name, value)
-        match answer.body:
-            case Path() as path:
-                await _send(request, path)
-            case Stream() as stream:
-                await stream.run(request)
-            case bytes() as text:
-                write(request, text, answer.headers["content-type"])
-            case None:
-                request.finish()
-            case body:
-                write(request, msgspec.json.encode(body), JSON)
+            response = problem_response(error)
+        except ConnectionError:
+            raise  # the client disconnected
+        except Exception:  # noqa: BLE001  # the client is told of the defect; the traceback goes to the log
+            log.failure("defect while answering {method} {path}", method=request.method, path=raw_path(request))
+            response = problem_response(InternalError("internal error; the Master's log has the traceback"))
+        response.headers.update(headers)
+        return response
 
-    async def _answer(self, request: Request) -> Answer:
-        path = request.path.decode("ascii", "replace")
-        found_here = [(route, match) for pattern, route in self._patterns if (match := pattern.fullmatch(path))]
-        if not found_here:
-            raise NotFound(f"there is nothing at {path[:200]}")
-        exact = [(route, match) for route, match in found_here if not match.groups()]
-        matches = {route.method: (route, match) for route, match in exact or found_here}
-        method = request.method.decode("ascii", "replace")
-        found = matches.get("GET" if method == "HEAD" else method)
-        if found is None:
-            allowed = ", ".join(sorted([*matches, *(["HEAD"] if "GET" in matches else [])]))
-            request.setHeader("allow", allowed)
-            raise MethodNotAllowed(f"{path[:200]} takes {allowed}, not {method[:20]}")
-        route, match = found
-        principal = None if route.for_all else await self._door.enter(request)
+    async def _send(self, request: web.BaseRequest, answer: Answer, headers: dict[str, str]) -> web.StreamResponse:
+        status, headers = answer.status, headers | answer.headers
+        match answer.body:
+            case EventStream() as stream:
+                return await stream.send(request, headers)
+            case Path() as path:
+                return web.FileResponse(path, headers=headers | {"Content-Type": "application/octet-stream"})
+            case bytes() as text:
+                return web.Response(status=status, body=text, headers=headers)
+            case None:
+                return web.Response(status=status, headers=headers)
+            case body:
+                content = msgspec.json.encode(body)
+                return web.Response(status=status, body=content, content_type=JSON, headers=headers)
+
+    async def _answer(self, request: web.BaseRequest, content: bytes, upload: Upload | None) -> Answer:
+        route, variables = self._find(request)
+        principal = None if route.public else await self._authenticator.authenticate(request)
         if route.body is not None:
-            _check_kind(request)
-        parts = {name: _unquoted(part, path) for name, part in match.groupdict().items()}
+            _check_media_type(request)
         user = principal.user if principal else ""
         _, token = authorization(request)
-        made = Call(user, principal, parts, token, request.content, _query(request), request, Trail())
+        parameters = _parameters(request)
+        call = Call(user, principal, variables, token, content, upload, parameters, request, AuditDetails())
 
         async def handler(call: Call) -> Answer:
-            return await self._door.audited(call, route.handler)
+            return await self._authenticator.audited(call, route.handler)
 
-        return await (self._repeats.answer(made, handler) if method == "POST" else handler(made))
+        return await (self._idempotency.answer(call, handler) if route.method == "POST" else handler(call))
+
+    def _find(self, request: web.BaseRequest) -> tuple[Route, dict[str, str]]:
+        """Return the route of a request and the variables in its path; paths without variables take precedence."""
+        path, method = raw_path(request), request.method
+        found = [(route, match) for pattern, route in self._patterns if (match := pattern.fullmatch(path))]
+        if not found:
+            raise NotFound(f"there is nothing at {path[:200]}")
+        exact = [(route, match) for route, match in found if not match.groups()]
+        by_method = {route.method: (route, match) for route, match in exact or found}
+        chosen = by_method.get("GET" if method == "HEAD" else method)
+        if chosen is None:
+            allowed = ", ".join(sorted([*by_method, *(["HEAD"] if "GET" in by_method else [])]))
+            message = f"{path[:200]} takes {allowed}, not {method[:20]}"
+            raise MethodNotAllowed(message, headers={"Allow": allowed})
+        route, match = chosen
+        return route, {name: _unquoted(segment, path) for name, segment in match.groupdict().items()}
 
 
-def _unquoted(part: str, path: str) -> str:
+def _unquoted(segment: str, path: str) -> str:
     try:
-        return unquote(part, errors="strict")
+        return unquote(segment, errors="strict")
     except UnicodeDecodeError:
         raise NotFound(f"there is nothing at {path[:200]}") from None
 
 
-def _query(request: Request) -> dict[str, str]:
-    """Each parameter of the address once; a form in the body is none."""
+def _parameters(request: web.BaseRequest) -> dict[str, str]:
+    """Return the parameters of the query; a form in the body has none.
+
+    Raises:
+        InvalidRequest: The query is not percent-encoded UTF-8, or a parameter is given several times.
+    """
+    query = raw_query(request)
     try:
-        words = parse_qs(request.uri.partition(b"?")[2].decode("ascii"), keep_blank_values=True, errors="strict")
+        found = parse_qs(query.encode("ascii").decode(), keep_blank_values=True, errors="strict")
     except ValueError:
         raise InvalidRequest("query: it is not percent-encoded UTF-8", field="query") from None
-    for name, values in words.items():
+    for name, values in found.items():
         if len(values) > 1:
             raise InvalidRequest(f"query.{name[:80]}: given {len(values)} times", field=name[:80])
-    return {name: values[0] for name, values in words.items()}
+    return {name: values[0] for name, values in found.items()}
 
 
-def _check_kind(request: Request) -> None:
-    """A browser that knows a user's password sends forms for whoever asks it to; JSON it does not."""
-    kind = (request.getHeader("content-type") or JSON).partition(";")[0].strip().lower()
+def _check_media_type(request: web.BaseRequest) -> None:
+    """Refuse forms, which another site can have a browser send with the password that it knows; JSON it cannot."""
+    kind = (header(request, "Content-Type") or JSON).partition(";")[0].strip().lower()
     if kind != JSON:
         raise UnsupportedMediaType(f"the body must be {JSON}, not {kind[:80]}")
-
-
-async def _send(request: Request, path: Path) -> None:
-    """A file, as fast as it is taken; ends with an exception when the other side goes away."""
-    with path.open("rb") as file:
-        request.setHeader("content-type", "application/octet-stream")
-        request.setHeader("content-length", str(os.fstat(file.fileno()).st_size))
-        await FileSender().beginFileTransfer(file, request).asFuture(asyncio.get_running_loop())
-    request.finish()

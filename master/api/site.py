@@ -1,60 +1,130 @@
-"""The site at the entry: API and dashboard under their prefixes, else robots; archives go straight to disk."""
+"""The HTTP server of one Master: the API and the dashboard under their prefixes, the robots' entry everywhere else.
+
+Bodies are limited before any of them is read: uploads that were announced go straight to disk, all others must be
+small. A large body for a service is redirected to it. Clients that send `Expect: 100-continue`, as curl does, have sent
+nothing of it by then.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+import asyncio
 
-from twisted.web.resource import Resource
-from twisted.web.server import Request
-from twisted.web.util import Redirect
+from aiohttp import web
+from twisted.logger import Logger
 
 from master import dashboard
-from master.api.door import authorization
-from master.api.router import PREFIX
-from master.depot import Depot
+from master.api.authentication import authorization
+from master.api.router import PREFIX, Api
 from master.entry import Entry
-from master.redirect import EntryRequest, EntrySite
+from master.graph.state import State
+from master.redirect import ServiceRedirects
+from master.storage.depot import UPLOAD_PATH, Depot, Upload
+from rce.errors import Unavailable, describe_os_error
+from rce.web.problems import problem_response
+from rce.web.requests import accept_body, declared_length, raw_path, read_body
+from rce.web.server import Endpoint, listen, serve_handler
 
-BESIDE = (b"healthz", b"readyz", b"metrics")
+MAX_BODY = 65_536  # bytes, except of uploads
+UPLOAD_IDLE = 60.0  # seconds without a byte after which an upload is broken off
+OUTSIDE_PREFIX = ("healthz", "readyz", "metrics")  # of the API, as monitoring expects them
 
-
-class ApiRequest(EntryRequest):
-    """A request whose body goes to the depot if it is an upload that was announced."""
-
-    def gotLength(self, length: int | None) -> None:
-        channel: Any = self.channel
-        depot: Depot = channel.site.depot
-        kind, token = authorization(self)
-        upload = depot.begin(token, length) if kind == "bearer" else None
-        if upload is None:
-            super().gotLength(length)
-        else:
-            self.content = upload
+log = Logger()
 
 
-class ApiSite(EntrySite):
-    """`entry` answers everything that is neither the API's nor the dashboard's."""
+class Site:
+    """Routes requests by their paths."""
 
-    requestFactory = ApiRequest
-
-    def __init__(self, entry: Entry, api: Resource, depot: Depot) -> None:
-        super().__init__(entry)
-        self.depot = depot
-        self.resource = _Root(entry, api)
-
-
-class _Root(Resource):
-    def __init__(self, entry: Entry, api: Resource) -> None:
-        super().__init__()  # type: ignore[no-untyped-call]  # Twisted's
-        self._entry = entry
+    def __init__(self, state: State, api: Api, depot: Depot) -> None:
         self._api = api
-        self._dashboard = dashboard.Dashboard(entry.state)
+        self._depot = depot
+        self._entry = Entry(state)
+        self._dashboard = dashboard.Dashboard(state)
+        self._redirects = ServiceRedirects(state)
+        self._runner = serve_handler(self.handle)
 
-    def getChild(self, path: bytes, request: Request) -> Resource:
-        if request.path.startswith(PREFIX.encode() + b"/") or request.path.split(b"/")[1] in BESIDE:
-            return self._api
-        if request.path.startswith(dashboard.PREFIX):
-            return self._dashboard
-        if request.path == dashboard.PREFIX.rstrip(b"/") or dashboard.wants_dashboard(request):
-            return Redirect(dashboard.PREFIX)
-        return self._entry
+    async def start(self, endpoint: Endpoint) -> tuple[str, int]:
+        """Listen, and return the host and port.
+
+        Raises:
+            Unavailable: The port is in use or cannot be bound.
+        """
+        return await listen(self._runner, endpoint)
+
+    async def stop(self) -> None:
+        """Close the listening socket and all connections."""
+        await self._api.stop()
+        await self._runner.cleanup()
+
+    async def handle(self, request: web.BaseRequest) -> web.StreamResponse:
+        """Answer a request."""
+        upload = self._begin_upload(request)
+        if upload is not None:
+            try:
+                await _receive(request, upload)
+                return await self._api.handle(request, b"", upload)
+            except ConnectionError:
+                raise  # the client disconnected
+            except OSError as error:
+                log.error("an upload cannot be stored: {error}", error=describe_os_error(error))
+                return problem_response(Unavailable(f"the upload cannot be stored: {describe_os_error(error)}"))
+            finally:
+                upload.close()
+        length = declared_length(request)
+        if length is None or length > MAX_BODY:
+            return self._refuse_body(request)
+        return await self._route(request, await read_body(request) if length else b"")
+
+    async def _route(self, request: web.BaseRequest, content: bytes) -> web.StreamResponse:
+        path = raw_path(request)
+        if path.startswith(PREFIX + "/") or path.removeprefix("/").partition("/")[0] in OUTSIDE_PREFIX:
+            return await self._api.handle(request, content, None)
+        if path.startswith(dashboard.PREFIX):
+            return self._dashboard.handle(request)
+        if path == dashboard.PREFIX.rstrip("/") or dashboard.wants_dashboard(request):
+            return web.Response(status=302, headers={"Location": dashboard.PREFIX})
+        try:
+            location = self._redirects.location(request)
+        except Unavailable as error:
+            return web.Response(status=503, text=f"{error}\n")
+        if location:
+            return web.Response(status=307, headers={"Location": location})
+        return self._entry.handle(request)
+
+    def _begin_upload(self, request: web.BaseRequest) -> Upload | None:
+        """Return where the body goes if the request is an upload that was announced, of the announced size."""
+        if request.method != "PUT" or raw_path(request) != UPLOAD_PATH:
+            return None
+        scheme, token = authorization(request)
+        return self._depot.begin(token, declared_length(request)) if scheme == "bearer" else None
+
+    def _refuse_body(self, request: web.BaseRequest) -> web.Response:
+        """Redirect a large body to the service that it is for, or refuse it, and close the connection."""
+        try:
+            location = self._redirects.location(request)
+        except Unavailable:
+            response = web.Response(status=503)
+        else:
+            if location:
+                response = web.Response(status=307, headers={"Location": location})
+            else:
+                response = web.Response(status=413, reason="Content Too Large")
+        response.force_close()
+        return response
+
+
+async def _receive(request: web.BaseRequest, upload: Upload) -> None:
+    """Write the body to disk as it comes.
+
+    Raises:
+        web.HTTPRequestTimeout: Nothing came for some time.
+    """
+    await accept_body(request)
+    while True:
+        try:
+            async with asyncio.timeout(UPLOAD_IDLE):
+                data = await request.content.readany()
+        except TimeoutError:
+            raise web.HTTPRequestTimeout from None
+        if not data:
+            return
+        upload.write(data)

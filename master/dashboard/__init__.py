@@ -1,4 +1,7 @@
-"""The dashboard at `/ui/`: the files of `web/`, as they are, and those of the JavaScript client below `/ui/rce/`."""
+"""The dashboard at `/ui/`: the files of `web/` as they are, and those of the JavaScript client below `/ui/rce/`.
+
+Pages of the browser belong into `web/`; this module serves them and has no logic of theirs.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +10,17 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
-from twisted.web import http
-from twisted.web.resource import Resource
-from twisted.web.server import Request
+from aiohttp import web
 
 import rce
-from master.entry import absolute
-from master.records import State
+from master.entry import query_parameters, text_response
+from master.graph.state import State
+from master.redirect import absolute_url
+from rce.web.requests import header, host_name, raw_path, raw_query
 
-PREFIX = b"/ui/"
+PREFIX = "/ui/"
 HOST = re.compile(r"[A-Za-z0-9.:\[\]-]+", re.ASCII)
-KINDS = {
+MEDIA_TYPES = {
     ".html": "text/html; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
     ".css": "text/css; charset=utf-8",
@@ -25,69 +28,78 @@ KINDS = {
     ".ts": "text/plain; charset=utf-8",
 }
 FOLDERS = {"": Path(__file__).parent / "web", "rce/": Path(rce.__file__).parent / "js"}
-POLICY = (
-    "default-src 'self'; connect-src {places}; base-uri 'none'; form-action 'self'; frame-ancestors 'none'; "
+CONTENT_SECURITY_POLICY = (
+    "default-src 'self'; connect-src {sources}; base-uri 'none'; form-action 'self'; frame-ancestors 'none'; "
     "object-src 'none'"
 )
 
 
-class _File(NamedTuple):
+class StaticFile(NamedTuple):
+    """A file that is served, with its media type and entity tag."""
+
     body: bytes
-    kind: str
-    tag: str
+    media_type: str
+    etag: str
 
 
-def files() -> dict[str, _File]:
-    """What is served, by its path below PREFIX."""
-    found: dict[str, _File] = {}
+def load_files() -> dict[str, StaticFile]:
+    """Return the files that are served, by their paths below PREFIX."""
+    found: dict[str, StaticFile] = {}
     for prefix, folder in FOLDERS.items():
         for path in folder.rglob("*"):
-            if path.suffix in KINDS:
+            if path.suffix in MEDIA_TYPES:
                 body = path.read_bytes()
-                tag = f'"{hashlib.sha256(body).hexdigest()[:32]}"'
-                found[prefix + path.relative_to(folder).as_posix()] = _File(body, KINDS[path.suffix], tag)
+                etag = f'"{hashlib.sha256(body).hexdigest()[:32]}"'
+                name = prefix + path.relative_to(folder).as_posix()
+                found[name] = StaticFile(body, MEDIA_TYPES[path.suffix], etag)
     return found
 
 
-class Dashboard(Resource):
-    """Pages may speak to the Master that they came from and to the Robot endpoints of `state`, and to nobody else."""
-
-    isLeaf = True
+class Dashboard:
+    """Files of the dashboard. Pages may connect to this Master and to the Robot endpoints of `state` only."""
 
     def __init__(self, state: State) -> None:
-        super().__init__()  # type: ignore[no-untyped-call]  # Twisted's
         self._state = state
-        self._files = files()
+        self._files = load_files()
 
-    def render_GET(self, request: Request) -> bytes:
-        name = request.path.removeprefix(PREFIX).decode("ascii", "replace") or "index.html"
+    def handle(self, request: web.BaseRequest) -> web.Response:
+        """Answer a request for a path below PREFIX."""
+        if request.method not in ("GET", "HEAD"):
+            response = text_response(405, "the dashboard is only read: use GET")
+            response.headers["Allow"] = "GET, HEAD"
+            return response
+        name = raw_path(request).removeprefix(PREFIX) or "index.html"
         file = self._files.get(name)
         if file is None:
-            request.setResponseCode(http.NOT_FOUND)
-            request.setHeader("content-type", "text/plain; charset=utf-8")
-            return f"the dashboard has no {name[:200]}\n".encode()
-        request.setHeader("content-type", file.kind)
-        request.setHeader("content-security-policy", POLICY.format(places=self._places(request)))
-        request.setHeader("x-content-type-options", "nosniff")
-        request.setHeader("referrer-policy", "no-referrer")
-        request.setHeader("cache-control", "no-cache")  # the browser keeps it and asks whether it is still the same
-        if request.setETag(file.tag.encode()) is http.CACHED:
-            return b""
-        return file.body
+            return text_response(404, f"the dashboard has no {name[:200]}".encode("ascii", "replace").decode())
+        headers = {
+            "Content-Type": file.media_type,
+            "Content-Security-Policy": CONTENT_SECURITY_POLICY.format(sources=self._connect_sources(request)),
+            "X-Content-Type-Options": "nosniff",
+            "Referrer-Policy": "no-referrer",
+            "Cache-Control": "no-cache",  # the browser keeps it, and asks each time whether it has changed
+            "ETag": file.etag,
+        }
+        known = {
+            tag for value in request.headers.getall("If-None-Match", []) for tag in value.replace(",", " ").split()
+        }
+        if known & {file.etag, "*"}:
+            return web.Response(status=304, headers=headers)
+        return web.Response(body=file.body, headers=headers)
 
-    def _places(self, request: Request) -> str:
-        """Not every browser takes 'self' for WebSockets too."""
-        places = ["'self'"]
-        host = request.getHeader("host") or ""
-        if HOST.fullmatch(host):  # else it could say more than a host to the policy
-            places.append(f"{'wss' if request.isSecure() else 'ws'}://{host}")
-            name = request.getRequestHostname()
-            places += (absolute(each.url, name).rstrip("/") for each in self._state.processes.by("robot"))
-        return " ".join(dict.fromkeys(places))
+    def _connect_sources(self, request: web.BaseRequest) -> str:
+        """Return the addresses that pages may connect to: not every browser applies 'self' to WebSockets too."""
+        sources = ["'self'"]
+        host = header(request, "Host") or ""
+        if HOST.fullmatch(host):  # otherwise it could add directives to the policy
+            sources.append(f"{'wss' if request.secure else 'ws'}://{host}")
+            name = host_name(request)
+            sources += (absolute_url(each.url, name).rstrip("/") for each in self._state.processes.by("robot"))
+        return " ".join(dict.fromkeys(sources))
 
 
-def wants_dashboard(request: Request) -> bool:
-    """Whether a person looks at the bare entry with a browser; to robots it answers as the original does."""
-    asked = request.args or {}
-    html = "text/html" in (request.getHeader("accept") or "")
-    return request.path == b"/" and html and b"userID" not in asked and b"version" not in asked
+def wants_dashboard(request: web.BaseRequest) -> bool:
+    """Return whether a person opens the bare entry in a browser; robots are answered as the original does."""
+    parameters = query_parameters(raw_query(request))
+    html = "text/html" in (header(request, "Accept") or "")
+    return raw_path(request) == "/" and html and "userID" not in parameters and "version" not in parameters

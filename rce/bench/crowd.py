@@ -1,6 +1,6 @@
-"""A Master with a crowd around it: robots with an environment each, in traffic, of which only the Master is real.
+"""Real Master with a simulated crowd of robots, each with an environment, and traffic between them.
 
-The Robot endpoint is in this process, the environments are those of a task set with the fake engine (the program
+The robot endpoint runs in this process; the environments are those of a task set with the fake engine (the program
 `containers.hollow`).
 """
 
@@ -15,34 +15,40 @@ from typing import IO, Any, NamedTuple
 
 from twisted.internet.base import ReactorBase
 
-from rce import messages as m
-from rce import views
-from rce.api import Api
+from rce.api import views
+from rce.api.client import ApiClient
 from rce.bench.hollow import join
-from rce.calls.robots import Execute, Login
-from rce.control import Control
-from rce.ready import Ready
-from rce.up import Part
+from rce.control.calls.robots import Execute, Login
+from rce.control.connection import Control
+from rce.process.ready import Ready
+from rce.process.supervisor import ManagedProcess
+from rce.protocol import messages as m
 
-USER = "testUser"  # of a Master for development
-AT_ONCE = 20
+USER = "testUser"  # user of a Master in development mode
+MAX_CONCURRENT = 20  # calls at a time
 TYPE = "std_msgs/String"
 SIDES = (("robot", "SubscriberConverter"), ("brain", "PublisherInterface"))
 
 
 class Size(NamedTuple):
-    """`each`: interfaces of each robot and of each environment, of which all but one are connected."""
+    """Size of a crowd.
+
+    Attributes:
+        robots: Number of robots, each with one environment.
+        each: Number of interfaces of each robot and of each environment; all but one are connected.
+    """
 
     robots: int
     each: int
 
     @property
     def interfaces(self) -> int:
+        """Number of all interfaces."""
         return 2 * self.robots * self.each
 
 
 class Crowded(NamedTuple):
-    """The Master: its entry, the id of its process, and an API key of USER."""
+    """Running Master: its URL, the id of its process, and an API key of USER."""
 
     url: str
     pid: int
@@ -51,17 +57,27 @@ class Crowded(NamedTuple):
 
 @asynccontextmanager
 async def crowd(reactor: ReactorBase, directory: Path, size: Size, log: IO[str]) -> AsyncIterator[Crowded]:
-    """Keeps what it has in `directory`, and its logs in `log`; gone with the context. StartFailed."""
+    """Run a Master with a crowd.
+
+    Args:
+        reactor: Twisted's reactor.
+        directory: Directory for the data.
+        size: Size of the crowd.
+        log: File for the logs of the programs.
+
+    Raises:
+        StartFailed: A program did not start.
+    """
     tokens = {"robot": secrets.token_hex(32), "container": secrets.token_hex(32)}
     allowed = f"robot:west:{tokens['robot']},container:hollow:{tokens['container']}"
-    master = Part("master", lambda: _master(directory), {"RCE_TOKENS": allowed}, log)
+    master = ManagedProcess("master", lambda: _master(directory), {"RCE_TOKENS": allowed}, log)
     ready: Ready | None = None
 
     def machine_words() -> list[str]:
         assert ready is not None
         return [f"--data-dir={directory / 'container'}", f"--master={ready.control}", f"--size={size.robots}"]
 
-    machine = Part("hollow-machine", machine_words, {"RCE_TOKEN": tokens["container"]}, log)
+    machine = ManagedProcess("hollow-machine", machine_words, {"RCE_TOKEN": tokens["container"]}, log)
     try:
         ready = await master.start()
         await machine.start()
@@ -83,11 +99,13 @@ def _master(directory: Path) -> list[str]:
 
 
 def _key(url: str) -> str:
-    api = Api(url, user=USER, password=USER)
-    return api.post(views.MadeKey, "keys", body=views.NewKey("user", "bench")).secret
+    """Create an API key; return its secret."""
+    api = ApiClient(url, user=USER, password=USER)
+    return api.post(views.CreatedKey, "keys", body=views.NewKey("user", "bench")).secret
 
 
 async def _fill(robots: Control, key: str, size: Size) -> None:
+    """Log the robots in, and create their environments, interfaces and connections."""
     numbers, tags = range(size.robots), range(size.each)
 
     def execute(number: int, command: m.Command) -> Callable[[], Awaitable[Any]]:
@@ -108,8 +126,8 @@ async def _fill(robots: Control, key: str, size: Size) -> None:
 
 
 async def _all(work: Iterable[Callable[[], Awaitable[Any]]]) -> None:
-    """A few at a time."""
-    gate = asyncio.Semaphore(AT_ONCE)
+    """Run calls, MAX_CONCURRENT at a time."""
+    gate = asyncio.Semaphore(MAX_CONCURRENT)
 
     async def one(each: Callable[[], Awaitable[Any]]) -> None:
         async with gate:

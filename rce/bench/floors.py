@@ -1,4 +1,4 @@
-"""Round trips with nothing in between: what a bare TCP and a bare Autobahn echo, in a process of its own, need."""
+"""Lower bounds of round trips: bare TCP and bare Autobahn echoes, each in its own process."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 
 from websockets.asyncio.client import connect
 
-SOCKET_BUFFER = 4 * 1024 * 1024  # as the data links have
+SOCKET_BUFFER = 4 * 1024 * 1024  # bytes, as in the data links
 STREAM_LIMIT = 16 * 1024 * 1024
 MAX_SIZE = 64 * 1024 * 1024
 
@@ -20,17 +20,17 @@ Sample = Callable[[int], Awaitable[float]]
 
 @contextlib.asynccontextmanager
 async def tcp() -> AsyncIterator[Sample]:
-    """Probe of a bare TCP echo."""
+    """Yield the sample function of a bare TCP echo."""
     async with _server("tcp") as port:
         reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=STREAM_LIMIT)
-        widen(writer.get_extra_info("socket"))
+        enlarge_buffers(writer.get_extra_info("socket"))
 
         async def sample(size: int) -> float:
             payload = bytes(size)
-            began = time.perf_counter()
+            started = time.perf_counter()
             writer.write(payload)
             await reader.readexactly(size)
-            return time.perf_counter() - began
+            return time.perf_counter() - started
 
         try:
             yield sample
@@ -40,7 +40,7 @@ async def tcp() -> AsyncIterator[Sample]:
 
 @contextlib.asynccontextmanager
 async def autobahn() -> AsyncIterator[Sample]:
-    """Probe of a bare Autobahn echo: its server on asyncio over uvloop, and the client that robots have."""
+    """Yield the sample function of a bare Autobahn echo: a server on uvloop, and the WebSocket client of robots."""
     async with (
         _server("autobahn") as port,
         connect(f"ws://127.0.0.1:{port}/", compression=None, max_size=MAX_SIZE, proxy=None) as socket,
@@ -48,22 +48,23 @@ async def autobahn() -> AsyncIterator[Sample]:
 
         async def sample(size: int) -> float:
             payload = bytes(size)
-            began = time.perf_counter()
+            started = time.perf_counter()
             await socket.send(payload)
             await socket.recv()
-            return time.perf_counter() - began
+            return time.perf_counter() - started
 
         yield sample
 
 
-def widen(sock: socket.socket) -> None:
+def enlarge_buffers(sock: socket.socket) -> None:
+    """Set the buffers of a socket to SOCKET_BUFFER."""
     for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
         sock.setsockopt(socket.SOL_SOCKET, option, SOCKET_BUFFER)
 
 
 @contextlib.asynccontextmanager
 async def _server(kind: str) -> AsyncIterator[int]:
-    """The port of an echo server in a process of its own."""
+    """Run an echo server in its own process; yield its port."""
     words = [sys.executable, "-P", "-m", "rce.bench.echo", kind]
     process = await asyncio.create_subprocess_exec(*words, stdout=asyncio.subprocess.PIPE)
     assert process.stdout is not None

@@ -1,6 +1,7 @@
-"""Endpoints without robots and ROS 2: they join the Master, do at once what it asks, and count what nobody sends.
+"""Simulated endpoints without robots and ROS 2, for benchmarks of the Master alone.
 
-For benches of the Master alone. What an endpoint counts grows ever faster, so that every figure that is shown changes.
+They join the Master, answer each call at once, and report traffic that does not exist. The traffic grows ever faster,
+so that each number on display changes.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ from typing import Any
 from twisted.internet.base import ReactorBase
 
 from rce import __version__
-from rce.calls.call import Call, Nothing, Settled
-from rce.calls.endpoints import (
+from rce.control.calls.call import BatchResult, Call, Nothing
+from rce.control.calls.endpoints import (
     AddRoute,
     Bind,
     CloseLink,
@@ -26,30 +27,56 @@ from rce.calls.endpoints import (
     Sync,
     Unbind,
 )
-from rce.calls.joining import Hello
-from rce.calls.robots import DropRobot, Tell
-from rce.calls.watching import Counts, CountTraffic, InterfaceTraffic, Traffic
-from rce.control import Control, Handlers, connect
+from rce.control.calls.joining import Hello
+from rce.control.calls.robots import DropRobot, SendStatus
+from rce.control.calls.watching import Counts, CountTraffic, InterfaceTraffic, Traffic
+from rce.control.client import connect
+from rce.control.connection import Control, Handlers
 
-DONE = (Unbind, OpenLink, CloseLink, RemoveRoute, StartNode, StopNode, PutParameter, DropParameter, Tell, DropRobot)
-"""Asked of an endpoint, and done without doing anything."""
+DONE = (
+    Unbind,
+    OpenLink,
+    CloseLink,
+    RemoveRoute,
+    StartNode,
+    StopNode,
+    PutParameter,
+    DropParameter,
+    SendStatus,
+    DropRobot,
+)
+"""Calls that a simulated endpoint answers without any effect."""
 
 
 async def join(reactor: ReactorBase, master: str, role: str, name: str, token: str, url: str = "") -> Control:
-    """A hollow endpoint of this role joins the Master at this control address. Unavailable, or why it is refused."""
-    said = Hello(role, name, token, __version__, url=url, addresses=["unix:/hollow"], incarnation=secrets.token_hex(4))
-    control, _ = await connect(reactor, master, said, Hollow().handlers())
+    """Join the Master at a control address as a simulated endpoint.
+
+    Args:
+        reactor: Twisted's reactor.
+        master: Control address of the Master.
+        role: Role of the endpoint.
+        name: Name of the endpoint.
+        token: Token of the endpoint.
+        url: URL that robots connect to, for a robot endpoint.
+
+    Raises:
+        Unavailable: The Master does not answer. If it rejects the endpoint, its own error is raised.
+    """
+    hello = Hello(role, name, token, __version__, url=url, addresses=["unix:/hollow"], incarnation=secrets.token_hex(4))
+    control, _ = await connect(reactor, master, hello, Hollow().handlers())
     return control
 
 
 class Hollow:
-    """What such an endpoint answers; it knows its interfaces, by id, and the peers of each."""
+    """Handlers of a simulated endpoint, which knows its interfaces and the peers of each."""
 
     def __init__(self) -> None:
+        """Start without interfaces."""
         self._peers: dict[str, set[str]] = {}
-        self._began = time.monotonic()
+        self._started = time.monotonic()
 
     def handlers(self) -> Handlers:
+        """Return the handlers of all calls to the endpoint."""
         handlers = Handlers()
         for kind in DONE:
             handlers.on(kind, done)
@@ -68,16 +95,17 @@ class Hollow:
         return Nothing()
 
     async def _count(self, _: CountTraffic) -> Traffic:
-        passed = time.monotonic() - self._began
-        each = Counts(int(passed**2), int(1000 * passed**2))
+        elapsed = time.monotonic() - self._started
+        each = Counts(int(elapsed**2), int(1000 * elapsed**2))
         return Traffic(
             {key: InterfaceTraffic(each, each, dict.fromkeys(peers, each)) for key, peers in self._peers.items()}
         )
 
 
 async def done(call: Call[Any]) -> Nothing:
+    """Answer a call that has no effect."""
     return Nothing()
 
 
-async def _settled(call: Call[Any]) -> Settled:
-    return Settled()
+async def _settled(call: Call[Any]) -> BatchResult:
+    return BatchResult()

@@ -1,4 +1,7 @@
-"""A recording of several GB through the map service: its memory, the speed of the upload, and another user's job."""
+"""Benchmark of the map service with a recording of several GB.
+
+It measures the memory of the service, the speed of the upload, and the job of another user meanwhile.
+"""
 
 from __future__ import annotations
 
@@ -16,23 +19,36 @@ from typing import Any
 import numpy as np
 from msgspec import Struct
 
-from rce import programs
-from rce.client.map_service import MapService
-from rce.commands.platform import DEV_USER, own_platform
+from rce.api.map_jobs import FINAL_STATES, Job
+from rce.cli.arguments import DEV_USER
+from rce.cli.platform import own_platform
+from rce.client.map_service import MapServiceClient
 from rce.errors import InternalError, NotFound
-from rce.map_jobs import OVER, Job
-from rce.mapping.simulation import simulate
+from rce.mapping.evaluation.simulation import simulate
+from rce.process import programs
 
 MEGABYTE = 1_000_000
-OTHER = "benchUser"
-SMALL_SCANS = 60
-LOOK_EVERY = 0.05  # seconds between looks at the memory
-PROGRAM = b"rce.mapservice\0"
+OTHER_USER = "benchUser"
+SMALL_SCANS = 60  # scans of the small recording
+SAMPLE_INTERVAL = 0.05  # seconds between samples of the memory
+PROGRAM = b"rce.mapservice\0"  # in the command line of the map service
 
 
 class Result(Struct, frozen=True):
-    """Sizes in bytes, times in seconds. `copy`: the mean of one before the upload and one after it. `meanwhile`: the
-    large job was still being mapped when the small one ended."""
+    """Results.
+
+    Attributes:
+        size: Bytes of the large recording.
+        copy: Seconds of a copy on the same disk, the mean of one before and one after the upload.
+        upload: Seconds of the upload.
+        check: Seconds until the job was accepted.
+        idle: Bytes of memory before the upload.
+        peak: Most bytes of memory meanwhile.
+        small: Seconds of the job of the other user.
+        small_scans: Scans of that job.
+        meanwhile: Whether the large recording was still being mapped when that job ended.
+        large_scans: Scans of the large recording mapped by then.
+    """
 
     size: int
     copy: float
@@ -47,7 +63,7 @@ class Result(Struct, frozen=True):
 
 
 def line(number: int, scan: Any) -> str:
-    """A scan as CARMEN's ROBOTLASER1, which knows every field of view."""
+    """Return a scan as a ROBOTLASER1 line of CARMEN, which supports any field of view."""
     ranges = np.where(np.isfinite(scan.ranges), scan.ranges, scan.range_max)
     x, y, theta = scan.odometry
     view = scan.angle_increment * (len(ranges) - 1)
@@ -58,7 +74,7 @@ def line(number: int, scan: Any) -> str:
 
 
 def write(directory: Path, size: int) -> tuple[Path, Path]:
-    """A small recording, and one of `size` bytes by repetition of a simulated one."""
+    """Write a small recording, and one of `size` bytes that repeats a simulated one; return their paths."""
     lines = [line(number, scan).encode() for number, scan in enumerate(simulate())]
     small, large = directory / "small.log", directory / "large.log"
     small.write_bytes(b"".join(lines[:SMALL_SCANS]))
@@ -70,7 +86,17 @@ def write(directory: Path, size: int) -> tuple[Path, Path]:
 
 
 async def measure(directory: Path, size: int, engine: str) -> Result:
-    """`directory` is on the disk in question; what is written there is removed again."""
+    """Run the benchmark.
+
+    Args:
+        directory: Directory on the disk to measure; files written there are removed.
+        size: Bytes of the large recording.
+        engine: Engine of the platform.
+
+    Raises:
+        InternalError: A job ended in an unexpected state.
+        NotFound: The platform runs without its map service.
+    """
     with contextlib.ExitStack() as stack:
         place = directory / f"rce-bench-{os.getpid()}"
         place.mkdir(parents=True)
@@ -78,32 +104,34 @@ async def measure(directory: Path, size: int, engine: str) -> Result:
         small, large = await asyncio.to_thread(write, place, size)
         async with own_platform(place / "platform", engine) as entry:
             password = await asyncio.to_thread(add_user, place / "platform" / "master")
-            ours = MapService(entry.url, user=DEV_USER, password=DEV_USER)
-            other = MapService(entry.url, user=OTHER, password=password)
+            ours = MapServiceClient(entry.url, user=DEV_USER, password=DEV_USER)
+            other = MapServiceClient(entry.url, user=OTHER_USER, password=password)
             return await _measure(large, small, ours, other, service_process())
 
 
-async def _measure(large: Path, small: Path, ours: MapService, other: MapService, process: int) -> Result:
+async def _measure(large: Path, small: Path, ours: MapServiceClient, other: MapServiceClient, process: int) -> Result:
     for service in (ours, other):
-        await asyncio.to_thread(service.jobs)  # what the first request loads is not the recording's
+        await asyncio.to_thread(service.jobs)  # the first request loads code, whose memory is not that of the recording
     idle = resident(process)
-    before = await _copied(large)
+    before = await _time_copy(large)
     async with watched(process) as peak:
-        began = time.perf_counter()
+        started = time.perf_counter()
         upload = await asyncio.to_thread(ours.upload, large)
-        sent = time.perf_counter() - began
-        after = await _copied(large)
-        began = time.perf_counter()
+        sent = time.perf_counter() - started
+        after = await _time_copy(large)
+        started = time.perf_counter()
         job = await asyncio.to_thread(ours.submit, [upload.id])
-        checked = time.perf_counter() - began
-        began = time.perf_counter()
+        checked = time.perf_counter() - started
+        started = time.perf_counter()
         done = await asyncio.to_thread(_whole_job, other, small)
-        needed = time.perf_counter() - began
+        needed = time.perf_counter() - started
         seen = await asyncio.to_thread(_when_mapping, ours, job.id)
         await asyncio.to_thread(ours.cancel, job.id)
         last = await asyncio.to_thread(_until_over, ours, job.id)
     if done.state != "done" or last.state != "cancelled":
-        raise InternalError(f"the small job is {done.state}, and the large one, which was cancelled, {last.state}")
+        raise InternalError(
+            f"unexpected states of jobs: the small one is {done.state}, the cancelled large one {last.state}"
+        )
     await asyncio.to_thread(ours.remove, job.id)
     meanwhile = seen.state == "running" and seen.stage == "mapping"
     return Result(
@@ -111,42 +139,48 @@ async def _measure(large: Path, small: Path, ours: MapService, other: MapService
     )
 
 
-async def _copied(file: Path) -> float:
-    """Seconds that `cp` takes on the same disk; neither it nor what comes next pays for what was written before."""
+async def _time_copy(file: Path) -> float:
+    """Return the seconds that `cp` takes on the same disk, without the cost of earlier or later writes."""
     copy = file.with_suffix(".copy")
     await asyncio.to_thread(os.sync)
-    began = time.perf_counter()
+    started = time.perf_counter()
     await asyncio.to_thread(subprocess.run, ["cp", str(file), str(copy)], check=True)
-    passed = time.perf_counter() - began
+    elapsed = time.perf_counter() - started
     copy.unlink()
     await asyncio.to_thread(os.sync)
-    return passed
+    return elapsed
 
 
-def _when_mapping(service: MapService, job: str) -> Job:
-    """The job as soon as scans of it are mapped, or when it is over."""
-    return next(seen for seen in service.watch(job) if seen.scans > 0 or seen.state in OVER)
+def _when_mapping(service: MapServiceClient, job: str) -> Job:
+    """Return the job as soon as scans of it are mapped, or when it is over."""
+    return next(seen for seen in service.watch(job) if seen.scans > 0 or seen.state in FINAL_STATES)
 
 
-def _until_over(service: MapService, job: str) -> Job:
+def _until_over(service: MapServiceClient, job: str) -> Job:
+    """Wait until a job is over."""
     *_, last = service.watch(job)
     return last
 
 
-def _whole_job(service: MapService, recording: Path) -> Job:
+def _whole_job(service: MapServiceClient, recording: Path) -> Job:
+    """Upload and map a recording."""
     return _until_over(service, service.submit([service.upload(recording).id]).id)
 
 
 def add_user(directory: Path) -> str:
-    """Make another user in the Master's database; the password."""
-    words = [*programs.command("user"), "--data-dir", str(directory), "add", OTHER]
+    """Add OTHER_USER to the database of the Master; return the password."""
+    words = [*programs.command("user"), "--data-dir", str(directory), "add", OTHER_USER]
     password = secrets.token_hex(16)
     subprocess.run(words, input=password.encode(), check=True, capture_output=True)
     return password
 
 
 def service_process() -> int:
-    """The map service that this process has started. NotFound."""
+    """Return the id of the map service that this process has started.
+
+    Raises:
+        NotFound: There is none.
+    """
     for place in Path("/proc").iterdir():
         with contextlib.suppress(OSError):
             if place.name.isdigit() and PROGRAM in (place / "cmdline").read_bytes():
@@ -157,22 +191,22 @@ def service_process() -> int:
 
 
 def resident(process: int) -> int:
-    """Bytes of memory that a process holds."""
+    """Return the resident memory of a process in bytes."""
     pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 @contextlib.asynccontextmanager
 async def watched(process: int) -> AsyncIterator[list[int]]:
-    """The most memory that the process held meanwhile, as the only item of a list."""
+    """Sample the memory of a process meanwhile; yield a list whose only item is the peak in bytes."""
     peak = [resident(process)]
 
-    async def look() -> None:
+    async def sample() -> None:
         while True:
             peak[0] = max(peak[0], resident(process))
-            await asyncio.sleep(LOOK_EVERY)
+            await asyncio.sleep(SAMPLE_INTERVAL)
 
-    watcher = asyncio.create_task(look())
+    watcher = asyncio.create_task(sample())
     try:
         yield peak
     finally:
@@ -180,19 +214,21 @@ async def watched(process: int) -> AsyncIterator[list[int]]:
 
 
 def as_data(result: Result) -> dict[str, Any]:
+    """Return the results for JSON."""
     return {field: getattr(result, field) for field in result.__struct_fields__}
 
 
 def as_text(result: Result) -> str:
+    """Return the results as text."""
     size, grown = result.size / MEGABYTE, (result.peak - result.idle) / MEGABYTE
     copy, upload = size / result.copy, size / result.upload
-    still = "was still being mapped" if result.meanwhile else "was over by then"
+    still = "was still being mapped" if result.meanwhile else "was no longer being mapped"
     return "\n".join(
         [
             f"recording         {size:.0f} MB",
             f"memory            {result.idle / MEGABYTE:.0f} MB idle, {grown:.0f} MB more at most",
             f"upload            {upload:.0f} MB/s, {upload / copy:.2f} of a copy on the same disk ({copy:.0f} MB/s)",
             f"check             {result.check:.1f} s until the job was accepted",
-            f"another's job     {result.small_scans} scans in {result.small:.1f} s; the large one {still}",
+            f"other user's job  {result.small_scans} scans in {result.small:.1f} s; the large one {still}",
         ]
     )

@@ -1,7 +1,8 @@
-"""Recordings and what becomes of them: how long it takes to send them and to have them mapped by the map service
-(RoboWS, Table 2 and Figure 3b), and what each mapper needs by itself and how good its map is.
+"""Benchmark of maps of recordings.
 
-The mapper by itself runs in a process of its own, so that its memory is its own; compiling is not counted.
+It measures the times of upload and mapping by the map service (RoboWS, table 2 and figure 3b), and the cost and
+accuracy of each mapper alone. A mapper alone runs in its own process, so that its memory can be measured; compiling is
+not counted.
 """
 
 from __future__ import annotations
@@ -18,16 +19,16 @@ from typing import Any, Literal, get_args
 import numpy as np
 from msgspec import Struct
 
-from rce.client.map_service import MapService
+from rce.api.map_jobs import MapOptions
+from rce.api.map_jobs import Mapper as MapperName
+from rce.client.map_service import MapServiceClient
 from rce.errors import InvalidRequest, RceError
-from rce.map_jobs import MapOptions
-from rce.map_jobs import Mapper as MapperName
+from rce.mapping.evaluation.trials import Endless, Odometry, Relations, read_relations, run
+from rce.mapping.evaluation.trials import endless as run_endless
+from rce.mapping.evaluation.trials.endless import resident
+from rce.mapping.files.outputs import write_outputs
+from rce.mapping.files.recordings import open_recording
 from rce.mapping.mappers import MAPPERS
-from rce.mapping.outputs import write_outputs
-from rce.mapping.recordings import open_recording
-from rce.mapping.trials import Endless, Odometry, Relations, read_relations, run
-from rce.mapping.trials import endless as run_endless
-from rce.mapping.trials.endless import resident
 
 OdometryName = Literal["recorded", "noisy", "worse", "none"]
 ODOMETRY: dict[OdometryName, Odometry] = {
@@ -43,7 +44,17 @@ RESET_PEAK = Path("/proc/self/clear_refs")
 
 
 class Recorded(Struct, frozen=True):
-    """A recording; `messages` are its scans and poses of the odometry, `size` bytes, `way` metres by the odometry."""
+    """Recording to measure.
+
+    Attributes:
+        name: Name of the file.
+        path: Path of the file or directory.
+        size: Bytes.
+        scans: Number of scans.
+        messages: Number of scans and of poses of the odometry.
+        way: Metres by the odometry.
+        relations: File of true relations beside the recording, if there is one.
+    """
 
     name: str
     path: Path
@@ -51,11 +62,18 @@ class Recorded(Struct, frozen=True):
     scans: int
     messages: int
     way: float
-    relations: Path | None  # the file of true relations that lies beside it
+    relations: Path | None
 
 
 class Served(Struct, frozen=True):
-    """By the map service: seconds from the first byte to the last, and from there until the map was mapped."""
+    """Result of the map service.
+
+    Attributes:
+        recording: Name of the recording.
+        mapper: Name of the mapper.
+        transmission: Seconds from the first byte to the last.
+        mapping: Seconds from there until the recording was mapped.
+    """
 
     recording: str
     mapper: MapperName
@@ -64,9 +82,17 @@ class Served(Struct, frozen=True):
 
 
 class Mapped(Struct, frozen=True):
-    """By the mapper itself: CPU seconds of all its threads, elapsed seconds, and bytes that it took beyond what its
-    process had before. `errors` by kind of relation: metres, degrees (`rce.mapping.trials.relations`); `benchmark`
-    are those of the file beside the recording.
+    """Result of a mapper alone.
+
+    Attributes:
+        recording: Name of the recording.
+        mapper: Name of the mapper.
+        odometry: Name of the odometry.
+        cpu: CPU seconds of all threads.
+        elapsed: Elapsed seconds.
+        memory: Bytes beyond the memory of the process before.
+        errors: Metres and degrees by kind of relation; `benchmark` is the file beside the recording.
+        closed: Whether loops are closed, None if there are none.
     """
 
     recording: str
@@ -80,13 +106,20 @@ class Mapped(Struct, frozen=True):
 
 
 class Results(Struct, frozen=True):
+    """Results of all recordings."""
+
     recordings: list[Recorded]
     served: list[Served]
     mapped: list[Mapped]
 
 
-def look(path: Path) -> Recorded:
-    """Read a recording once. InvalidRequest, NotFound."""
+def inspect_recording(path: Path) -> Recorded:
+    """Read a recording once to count its messages.
+
+    Raises:
+        NotFound: The file does not exist.
+        InvalidRequest: It is not a recording, or damaged.
+    """
     scans, messages, way, last = 0, 0, 0.0, None
     for scan in open_recording(path):
         scans += 1
@@ -95,22 +128,29 @@ def look(path: Path) -> Recorded:
             way += math.hypot(scan.odometry[0] - last[0], scan.odometry[1] - last[1])
         last = scan.odometry
     files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
-    beside = path.with_name(path.name.partition(".")[0] + RELATIONS)
+    relations = path.with_name(path.name.partition(".")[0] + RELATIONS)
     size = sum(file.stat().st_size for file in files)
-    return Recorded(path.name, path, size, scans, messages, way, beside if beside.exists() else None)
+    return Recorded(path.name, path, size, scans, messages, way, relations if relations.exists() else None)
 
 
 def odometries(recording: Recorded, wanted: Sequence[OdometryName]) -> Sequence[OdometryName]:
-    """Those that are wanted; else the recorded one, or a noisy one where the recorded one has to be the truth."""
+    """Return the odometries to measure.
+
+    By default this is the recorded one, or a noisy one if the recorded one has to serve as the truth.
+    """
     return wanted or (["recorded"] if recording.relations else ["noisy"])
 
 
-async def serve(service: MapService, recording: Recorded, mapper: MapperName) -> Served:
-    """Have it mapped by the map service. RceError if the job fails."""
+async def serve(service: MapServiceClient, recording: Recorded, mapper: MapperName) -> Served:
+    """Map a recording by the map service.
+
+    Raises:
+        RceError: The job failed.
+    """
     files = sorted(recording.path.iterdir()) if recording.path.is_dir() else [recording.path]
-    began = time.perf_counter()
+    started = time.perf_counter()
     uploads = [(await asyncio.to_thread(service.upload, file)).id for file in files]
-    sent = time.perf_counter() - began
+    sent = time.perf_counter() - started
     job = await asyncio.to_thread(service.submit, uploads, MapOptions(mapper=mapper), recording.name)
     *_, last = await asyncio.to_thread(lambda: list(service.watch(job.id)))
     if last.state != "done":
@@ -122,7 +162,14 @@ async def serve(service: MapService, recording: Recorded, mapper: MapperName) ->
 def trials(
     recordings: Sequence[Recorded], mappers: Sequence[MapperName], wanted: Sequence[OdometryName], out: Path | None
 ) -> Iterator[Mapped]:
-    """Each mapper on each recording with each odometry, one after the other, each in a process of its own."""
+    """Yield the results of each mapper on each recording with each odometry, each in its own process.
+
+    Args:
+        recordings: The recordings.
+        mappers: Names of the mappers.
+        wanted: Names of the odometries; empty for the default.
+        out: Directory for the maps; None for no maps.
+    """
     for recording in recordings:
         for mapper in mappers:
             for odometry in odometries(recording, wanted):
@@ -132,14 +179,14 @@ def trials(
 
 
 def trial(recording: Recorded, mapper: MapperName, odometry: OdometryName, out: Path | None) -> Mapped:
-    """One mapper on one recording; its map is written to `out`."""
+    """Measure one mapper on one recording, and write its map to `out` unless it is None."""
     scans = list(open_recording(recording.path))
     before = resident()
     RESET_PEAK.write_text("5")
-    began = time.perf_counter()
+    started = time.perf_counter()
     done = run(MAPPERS[mapper], scans, ODOMETRY[odometry], _relations(recording, scans))
-    elapsed = time.perf_counter() - began
-    memory = most_resident() - before
+    elapsed = time.perf_counter() - started
+    memory = peak_resident() - before
     if out is not None:
         write_outputs(out, done.grid, done.trajectory)
     errors = {
@@ -150,14 +197,14 @@ def trial(recording: Recorded, mapper: MapperName, odometry: OdometryName, out: 
     return Mapped(recording.name, mapper, odometry, done.cpu, elapsed, memory, errors, done.closed)
 
 
-def most_resident() -> int:
-    """The most bytes of memory that this process had since the last reset. Linux."""
+def peak_resident() -> int:
+    """Return the peak of the resident memory of this process since the last reset, bytes (Linux)."""
     status = Path("/proc/self/status").read_text().splitlines()
     return next(int(line.split()[1]) for line in status if line.startswith("VmHWM:")) * KILOBYTE
 
 
 def endless(path: Path, mapper: MapperName, scans: int) -> Endless:
-    """So many scans of a recording, forward, back, forward…, in a process of its own."""
+    """Map `scans` scans of a recording, forward, backward, forward ..., in its own process."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
         return process.submit(_endless, path, mapper, scans).result()
 
@@ -167,6 +214,7 @@ def _endless(path: Path, mapper: MapperName, scans: int) -> Endless:
 
 
 def _relations(recording: Recorded, scans: Sequence[Any]) -> dict[str, Relations] | None:
+    """Return the true relations of a recording, if there are any."""
     if recording.relations is None:
         return None
     return {"benchmark": read_relations(recording.relations, np.array([scan.stamp for scan in scans]))}

@@ -1,4 +1,4 @@
-"""Pictures of `rce bench map` and `rce bench endless`. Needs the extra `bench`."""
+"""Plots of `rce bench map` and `rce bench endless`. Needs the extra `bench`."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from matplotlib.figure import Figure
 
 from rce.bench.maps import Results
 from rce.bench.maps_report import baselines
-from rce.mapping.trials import Endless
+from rce.mapping.evaluation.trials import Endless
 
-HOUR = 3600 * 10  # scans
+HOUR = 3600 * 10  # scans at 10 Hz
 MEGA, MILLI = 1e6, 1e3
 
 
 def plot(results: Results, path: Path) -> None:
-    """Times of sending and mapping (RoboWS, Figure 3b) beside the error of each map and those of others."""
+    """Plot times of upload and mapping (RoboWS, figure 3b), and the errors of maps and of other systems."""
     figure = Figure(figsize=(13, 5), layout="constrained")
     left, right = figure.subplots(1, 2)
     _times(left, results)
@@ -30,6 +30,7 @@ def plot(results: Results, path: Path) -> None:
 
 
 def _times(axes: Any, results: Results) -> None:
+    """Plot the times of the map service as bars."""
     names = [each.name for each in results.recordings]
     mappers = list(dict.fromkeys(each.mapper for each in results.served))
     width = 0.8 / (len(mappers) + 1)
@@ -48,12 +49,13 @@ def _times(axes: Any, results: Results) -> None:
 
 
 def _errors(axes: Any, results: Results) -> None:
+    """Plot the errors of maps as bars, those of other systems in grey."""
     rows: list[tuple[str, float, str]] = []
     for each in results.mapped:
         kind = next((kind for kind in ("benchmark", "loop", "far") if kind in each.errors), "")
         if kind:
-            what = f"{each.recording.partition('.')[0]}, {each.mapper}, {each.odometry} ({kind})"
-            rows.append((what, each.errors[kind][0], "C0"))
+            label = f"{each.recording.partition('.')[0]}, {each.mapper}, {each.odometry} ({kind})"
+            rows.append((label, each.errors[kind][0], "C0"))
     for recording in results.recordings:
         if recording.relations:
             rows += [(other.system, other.translation, "C7") for other in baselines(recording.name)]
@@ -65,7 +67,7 @@ def _errors(axes: Any, results: Results) -> None:
 
 
 def plot_endless(runs: Mapping[str, Endless], path: Path) -> None:
-    """Memory, and time a scan, over hours of scans."""
+    """Plot memory and time a scan over hours of scans."""
     figure = Figure(figsize=(12, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
     for name, each in runs.items():

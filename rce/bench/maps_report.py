@@ -1,4 +1,4 @@
-"""What `rce bench map` found, as text for people and as data for programs, beside what others reach."""
+"""Results of `rce bench map` and `rce bench endless` as text and as JSON, with those of other systems."""
 
 from __future__ import annotations
 
@@ -9,14 +9,21 @@ import msgspec
 
 from rce.bench.maps import Mapped, Results
 from rce.bench.report import aligned, machine
-from rce.mapping.trials import Endless, flatness
+from rce.mapping.evaluation.trials import Endless, flatness
 
 MEGA, MILLI = 1e6, 1e3
 KINDS = {"benchmark": "benchmark", "near": "2 m apart", "far": "20 m and more", "loop": "revisited"}
 
 
 class Baseline(NamedTuple):
-    """Mean errors that others reach on the same relations: metres, degrees; CPU seconds where they were measured."""
+    """Mean errors of another system on the same relations.
+
+    Attributes:
+        system: Name of the system.
+        translation: Metres.
+        rotation: Degrees.
+        cpu: CPU seconds; None if not measured.
+    """
 
     system: str
     translation: float
@@ -24,7 +31,7 @@ class Baseline(NamedTuple):
     cpu: float | None
 
 
-BASELINES: dict[str, tuple[Baseline, ...]] = {  # measured on a machine with 2 shared cores, unless it says published
+BASELINES: dict[str, tuple[Baseline, ...]] = {  # measured on a machine with 2 shared cores unless marked as published
     "mit-csail": (
         Baseline("odometry alone", 1.68, 5.07, None),
         Baseline("GMapping, 30 particles, every 1 m", 0.0432, 2.06, 47.5),
@@ -36,28 +43,30 @@ BASELINES: dict[str, tuple[Baseline, ...]] = {  # measured on a machine with 2 s
 
 
 def baselines(recording: str) -> tuple[Baseline, ...]:
+    """Return the results of other systems on a recording."""
     return BASELINES.get(recording.partition(".")[0], ())
 
 
 def as_data(results: Results) -> dict[str, Any]:
+    """Return the results for JSON."""
     data: dict[str, Any] = msgspec.to_builtins({"machine": machine(), **msgspec.structs.asdict(results)}, enc_hook=str)
     return data
 
 
 def as_text(results: Results) -> str:
-    """RoboWS' Table 2 with the times of its Figure 3b, then what each mapper needs and how good its map is."""
+    """Return tables of the map service (RoboWS, table 2 with the times of figure 3b) and of each mapper alone."""
     host = machine()
     title = f"Maps of recordings; {host['processor']}, {host['cores']} cores, load {host['load']:.1f}"
-    lines = [title, "", *aligned(_sent(results))]
-    lines += ["", "the mappers by themselves; mean errors in metres, degrees", *aligned(_mapped(results.mapped))]
+    lines = [title, "", *aligned(_service_table(results))]
+    lines += ["", "mappers alone; mean errors in metres, degrees", *aligned(_mapper_table(results.mapped))]
     for recording in results.recordings:
         known = baselines(recording.name)
         if known and recording.relations:
-            lines += ["", f"{recording.name}, others", *aligned(_others(known))]
+            lines += ["", f"{recording.name}, other systems", *aligned(_baseline_table(known))]
     return "\n".join(lines)
 
 
-def _sent(results: Results) -> list[list[str]]:
+def _service_table(results: Results) -> list[list[str]]:
     mappers = list(dict.fromkeys(each.mapper for each in results.served))
     times = {(each.recording, each.mapper): each for each in results.served}
     head = ["recording", "MB", "scans", "messages", "way m"]
@@ -73,19 +82,19 @@ def _sent(results: Results) -> list[list[str]]:
     return rows
 
 
-def _mapped(mapped: Sequence[Mapped]) -> list[list[str]]:
+def _mapper_table(mapped: Sequence[Mapped]) -> list[list[str]]:
     kinds = [kind for kind in KINDS if any(kind in each.errors for each in mapped)]
     rows = [["recording", "mapper", "odometry", "CPU s", "MB", *(KINDS[kind] for kind in kinds), "loops"]]
     for each in mapped:
         errors = [each.errors.get(kind) for kind in kinds]
-        shown = [f"{error[0]:.3f} {error[1]:.2f}°" if error else "" for error in errors]
+        cells = [f"{error[0]:.3f} {error[1]:.2f}°" if error else "" for error in errors]
         loops = {None: "", True: "closed", False: "OPEN"}[each.closed]
         memory = f"{each.memory / MEGA:.0f}"
-        rows.append([each.recording, each.mapper, each.odometry, f"{each.cpu:.1f}", memory, *shown, loops])
+        rows.append([each.recording, each.mapper, each.odometry, f"{each.cpu:.1f}", memory, *cells, loops])
     return rows
 
 
-def _others(known: Sequence[Baseline]) -> list[list[str]]:
+def _baseline_table(known: Sequence[Baseline]) -> list[list[str]]:
     rows = [["system", "CPU s", "m", "degrees"]]
     for each in known:
         cpu = "" if each.cpu is None else f"{each.cpu:.1f}"
@@ -94,7 +103,7 @@ def _others(known: Sequence[Baseline]) -> list[list[str]]:
 
 
 def endless_text(runs: Mapping[str, Endless]) -> str:
-    """Memory at the start, after a quarter and at the end, and times a scan."""
+    """Return a table of the memory at the start, after a quarter and at the end, and of times a scan."""
     rows = [
         ["", "scans", "MB at first", "after a quarter", "at last", "ms CPU a scan", "last quarter / second", "longest"]
     ]
@@ -115,6 +124,7 @@ def endless_text(runs: Mapping[str, Endless]) -> str:
 
 
 def endless_data(runs: Mapping[str, Endless]) -> dict[str, Any]:
+    """Return the measurements of endless runs for JSON."""
     columns = ("scans", "seconds", "longest", "memory")
     return {
         "machine": machine(),

@@ -1,4 +1,4 @@
-"""The nodes of the benchmark, which take round trips between themselves, and what the routes that use them share."""
+"""Nodes of the benchmark, which measure round trips between themselves, and helpers of the routes."""
 
 from __future__ import annotations
 
@@ -14,13 +14,21 @@ from rce.bench.payloads import IMAGE, ROW
 from rce.client import Environment, Publisher, Robot, Subscriber
 from rce.errors import TimedOut
 
-ECHO_TIMEOUT = 30.0
-PATIENCE = 0.5  # seconds until an unanswered message is sent again, while nodes start
+ECHO_TIMEOUT = 30.0  # seconds
+RETRY_INTERVAL = 0.5  # seconds after which an unanswered message is sent again while nodes start
 PACKAGE = "rce_bench"
 
 
 class Probe(NamedTuple):
-    """`sample` takes one round trip of a message of that size and returns the seconds; `size` if it has only one."""
+    """One kind of round trip to measure.
+
+    Attributes:
+        name: Route and kind of message.
+        transport: `topic`, `service` or `floor` (a bare echo).
+        sample: Measures one round trip of a message of a size in bytes; returns the seconds.
+        beside: Name of the probe that it is compared with, or empty.
+        size: The only size of its messages, if it has only one.
+    """
 
     name: str
     transport: str
@@ -30,7 +38,14 @@ class Probe(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where a route is laid: what it needs from `stack` is taken down with it."""
+    """Robot and environment that routes use.
+
+    Attributes:
+        robot: Connected robot.
+        environment: Environment of the nodes.
+        stack: Context of everything that routes create.
+        features: Special features of machines, for routes between machines.
+    """
 
     robot: Robot
     environment: Environment
@@ -38,15 +53,24 @@ class Place(NamedTuple):
     features: Sequence[str] = ()
 
 
-async def between(measure: Environment, echo: Environment, namespace: str, kinds: Sequence[str]) -> MeasuringNode:
-    """A measuring node in one environment and its echo in the same or another; they are in one ROS graph."""
+async def start_connected(
+    measure: Environment, echo: Environment, namespace: str, kinds: Sequence[str]
+) -> MeasuringNode:
+    """Start a measuring node and its echo in environments of one ROS graph, and wait until they are connected."""
     node = await start(measure, echo, namespace, kinds)
-    await node.found(kinds)
+    await node.wait_for_echo(kinds)
     return node
 
 
 async def start(measure: Environment, echo: Environment, namespace: str, kinds: Sequence[str]) -> MeasuringNode:
-    """The same, before the two have found each other."""
+    """Start a measuring node and its echo.
+
+    Args:
+        measure: Environment of the measuring node.
+        echo: Environment of the echo.
+        namespace: Namespace of both.
+        kinds: Kinds of messages.
+    """
     echoes = " ".join(f"{kind}:{kind}" for kind in kinds)
     await echo.add_node(f"{namespace}_echo", PACKAGE, "echo", args=echoes, namespace=namespace)
     await measure.add_node(f"{namespace}_measure", PACKAGE, "measure", args=" ".join(kinds), namespace=namespace)
@@ -56,15 +80,16 @@ async def start(measure: Environment, echo: Environment, namespace: str, kinds: 
 
 
 class MeasuringNode:
-    """The node `measure`, as ordered by the robot: it takes the round trip and the time."""
+    """Client of a node `measure`, which measures a round trip for each order."""
 
     def __init__(self, orders: Publisher, reports: Subscriber) -> None:
+        """Use these topics of the node."""
         self._orders = orders
         self._reports = reports
         self._numbers = itertools.count(1)
 
     def probes(self, route: str, kinds: Sequence[str], beside: str = "") -> list[Probe]:
-        """Those of a route, to be compared with those of the route `beside`."""
+        """Return the probes of a route, to be compared with those of the route `beside`."""
         return [
             Probe(
                 f"{route} {kind}",
@@ -82,13 +107,18 @@ class MeasuringNode:
 
         return sample
 
-    async def found(self, kinds: Sequence[str]) -> None:
-        """Wait until the two nodes have found each other, on every topic and service."""
+    async def wait_for_echo(self, kinds: Sequence[str]) -> None:
+        """Wait until the two nodes are connected on each topic and service.
+
+        Raises:
+            TimedOut: They are not within ECHO_TIMEOUT.
+        """
         for kind in kinds:
-            await eventually(partial(self._order, kind, ROW))
+            await retry(partial(self._order, kind, ROW))
         await drain(self._reports)
 
     async def _order(self, kind: str, size: int, timeout: float) -> float:  # noqa: ASYNC109  # as Subscriber.get
+        """Order one round trip; return its seconds."""
         number = next(self._numbers)
         await self._orders.publish({"data": json.dumps({"number": number, "kind": kind, "size": size})})
         while True:
@@ -97,21 +127,25 @@ class MeasuringNode:
                 return float(report["seconds"])
 
 
-async def eventually(attempt: Callable[[float], Awaitable[object]]) -> None:
-    """Repeat until it is answered: nodes need time to start and to find each other. TimedOut."""
-    for _ in range(round(ECHO_TIMEOUT / PATIENCE)):
+async def retry(attempt: Callable[[float], Awaitable[object]]) -> None:
+    """Repeat an attempt until it is answered: nodes need time to start and to discover each other.
+
+    Raises:
+        TimedOut: There is no answer within ECHO_TIMEOUT.
+    """
+    for _ in range(round(ECHO_TIMEOUT / RETRY_INTERVAL)):
         try:
-            await attempt(PATIENCE)
+            await attempt(RETRY_INTERVAL)
             return
         except TimedOut:
             continue
-    raise TimedOut(f"the nodes of the benchmark have not answered within {ECHO_TIMEOUT:g} s")
+    raise TimedOut(f"the nodes of the benchmark did not answer within {ECHO_TIMEOUT:g} s")
 
 
 async def drain(subscriber: Subscriber) -> None:
-    """Take late answers to what had been given up, so that they are not taken for later ones."""
+    """Discard late answers to attempts that timed out, so that later ones are not confused with them."""
     try:
         while True:
-            await subscriber.get(PATIENCE)
+            await subscriber.get(RETRY_INTERVAL)
     except TimedOut:
         return

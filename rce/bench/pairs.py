@@ -1,8 +1,8 @@
-"""Routes between two environments: the node that takes the time is in one, the echo node in the other."""
+"""Routes between two environments: the measuring node is in one, the echo node in the other."""
 
 from __future__ import annotations
 
-from rce.bench.nodes import MeasuringNode, Place, Probe, between, start
+from rce.bench.nodes import MeasuringNode, Place, Probe, start, start_connected
 from rce.bench.payloads import SERVICE_TYPE
 from rce.client import Environment, Robot
 from rce.errors import InvalidRequest
@@ -12,29 +12,36 @@ KINDS = [*TYPES, "service"]
 
 
 async def c2c(place: Place) -> list[Probe]:
-    """By the platform's own path: interfaces of the environments are connected (C2C-1 of the Rapyuta paper)."""
+    """Connect two environments on one machine through interfaces of the platform (C2C-1 in the Rapyuta paper)."""
     other = await _environment(place, "c2c")
     node = await _connected(place.robot, place.environment, other, "c2c")
     return node.probes("c2c", KINDS, beside="n2n")
 
 
 async def c2c2(place: Place) -> list[Probe]:
-    """The same on two machines (C2C-2)."""
+    """Connect two environments on two machines through interfaces of the platform (C2C-2 in the Rapyuta paper).
+
+    Raises:
+        InvalidRequest: `features` does not name two machines.
+    """
     if len(place.features) != 2:
-        raise InvalidRequest("the route c2c2 needs --features ONE,OTHER: special features, each of one machine only")
+        raise InvalidRequest(
+            "the route c2c2 needs --features ONE,OTHER: two special features, each of a single machine"
+        )
     one, other = [await _environment(place, f"on_{feature}", features=[feature]) for feature in place.features]
     node = await _connected(place.robot, one, other, "c2c2")
     return node.probes("c2c2", KINDS, beside="n2n")
 
 
 async def group(place: Place) -> list[Probe]:
-    """By ROS 2 alone, over the network of a group."""
+    """Connect two environments by ROS 2 alone, over the network of a group."""
     one, other = [await _environment(place, f"group{number}", group=place.environment.tag) for number in range(2)]
-    node = await between(one, other, "group", KINDS)
+    node = await start_connected(one, other, "group", KINDS)
     return node.probes("group", KINDS, beside="n2n")
 
 
 async def _environment(place: Place, name: str, group: str = "", features: list[str] | None = None) -> Environment:
+    """Create an environment that is destroyed with the place."""
     made = place.robot.environment(
         f"{place.environment.tag}_{name}", group=group, special_features=features or [], restart="no"
     )
@@ -42,7 +49,7 @@ async def _environment(place: Place, name: str, group: str = "", features: list[
 
 
 async def _connected(robot: Robot, one: Environment, other: Environment, route: str) -> MeasuringNode:
-    """What `one` publishes comes out at `other`, and back; calls of `one` are answered by `other`."""
+    """Connect topics of two environments in both directions, and a service of the other to the one; start the nodes."""
     for kind, type_name in TYPES.items():
         for sender, receiver, topic in ((one, other, kind), (other, one, f"{kind}_back")):
             address = f"/{route}/{topic}"
@@ -54,5 +61,5 @@ async def _connected(robot: Robot, one: Environment, other: Environment, route: 
     await robot.add_interface(other.tag, "service", "ServiceClientInterface", SERVICE_TYPE, addr=address)
     await robot.connect(f"{one.tag}/service", f"{other.tag}/service")
     node = await start(one, other, route, KINDS)
-    await node.found(KINDS)
+    await node.wait_for_echo(KINDS)
     return node

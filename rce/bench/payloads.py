@@ -1,4 +1,4 @@
-"""What the benchmark sends: sizes, and for each form of a message the value that a robot sends."""
+"""Payloads of the benchmark: sizes, and the value that a robot sends for each form of a message."""
 
 from __future__ import annotations
 
@@ -20,17 +20,30 @@ SERVICE_TYPE = "diagnostic_msgs/AddDiagnostics"
 
 
 def sizes(count: int) -> list[int]:
-    """`count` sizes in bytes from 10 B to 10 MB, log-uniform, both ends included. InvalidRequest if `count` < 2."""
+    """Return `count` sizes in bytes from 10 B to 10 MB, log-uniform, both ends included.
+
+    Raises:
+        InvalidRequest: `count` is less than 2.
+    """
     if count < 2:
-        raise InvalidRequest(f"{count} sizes are no range: take 2 or more", field="sizes")
+        raise InvalidRequest(f"the number of sizes is {count}; it must be at least 2", field="sizes")
     return [round(SMALLEST * (LARGEST / SMALLEST) ** (index / (count - 1))) for index in range(count)]
 
 
 class Payload(NamedTuple):
-    """One form in which a robot sends a message of a topic and gets it back.
+    """One form in which a robot sends a message of a topic and receives it back.
 
-    `kind` is what the nodes call the type. `make` gives the value that carries `size` bytes, `read` the content of the
-    answer; both are timed, because a robot has to do them (what needs no work at the robot is cached).
+    `make` and `read` are part of the measured time, since a robot has to do this work; work that it would not do is
+    cached.
+
+    Attributes:
+        name: Name of the form.
+        type_name: Type of the message.
+        kind: Name of the type in the nodes.
+        make: Returns the value that carries a number of bytes.
+        read: Returns the content of the answer.
+        raw: Whether messages are raw CDR.
+        format: Format of images in the answer.
     """
 
     name: str
@@ -43,7 +56,7 @@ class Payload(NamedTuple):
 
 
 class Call(NamedTuple):
-    """One form in which a robot calls a service that answers a string with itself; see `Payload`."""
+    """One form in which a robot calls a service that returns the string of the request; see `Payload`."""
 
     name: str
     make: Callable[[int], Any]
@@ -53,34 +66,37 @@ class Call(NamedTuple):
 
 @functools.lru_cache(2)
 def text(size: int) -> str:
+    """Return a string of `size` characters."""
     return "x" * size
 
 
 @functools.lru_cache(2)
 def data(size: int) -> bytes:
+    """Return `size` zero bytes."""
     return bytes(size)
 
 
 @functools.lru_cache(2)
 def string_cdr(size: int) -> bytes:
-    """A message whose only field is a string of `size` characters."""
+    """Return the CDR of a message whose only field is a string of `size` characters."""
     return b"".join((CDR, struct.pack("<I", size + 1), text(size).encode(), b"\0"))
 
 
 @functools.lru_cache(2)
 def bytes_cdr(size: int) -> bytes:
-    """`std_msgs/UInt8MultiArray` without dimensions."""
+    """Return the CDR of a `std_msgs/UInt8MultiArray` without dimensions."""
     return b"".join((CDR, struct.pack("<III", 0, 0, size), data(size)))
 
 
 @functools.lru_cache(2)
 def image_cdr(size: int) -> bytes:
-    """`sensor_msgs/Image`, rgb8 with 640 columns, without stamp and frame."""
+    """Return the CDR of a `sensor_msgs/Image`, rgb8 with 640 columns, without stamp and frame."""
     head = struct.pack("<iII4sIII5s3xII", 0, 0, 1, b"\0", size // ROW, WIDTH, 5, b"rgb8\0", ROW, size)
     return b"".join((CDR, head, data(size)))
 
 
 def image_json(size: int) -> dict[str, Any]:
+    """Return a `sensor_msgs/Image` as JSON, rgb8 with 640 columns."""
     pixels = base64.b64encode(data(size)).decode()
     return {"height": size // ROW, "width": WIDTH, "encoding": "rgb8", "step": ROW, "data": pixels}
 

@@ -1,4 +1,4 @@
-"""The round trips as a picture like Figure 9 of the Rapyuta paper. Needs the extra `bench`."""
+"""Plot of round trips like figure 9 of the Rapyuta paper. Needs the extra `bench`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ MILLI = 1e3
 
 
 def plot(all_series: Sequence[Series], path: Path) -> None:
-    """Medians over sizes on logarithmic axes, topics beside services, bare echoes in both; the suffix says how."""
+    """Plot medians over sizes on logarithmic axes: topics and services side by side, bare echoes in both.
+
+    The suffix of `path` determines the format.
+    """
     figure = Figure(figsize=(12, 5), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     for axes, transport, title in ((left, "topic", "(a) topics"), (right, "service", "(b) services")):

@@ -1,4 +1,4 @@
-"""The round trips as text for people and as data for programs."""
+"""Round trips as text and as JSON."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ GROUPS = {"floor": "bare echoes", "topic": "topics", "service": "services"}
 
 
 def machine() -> dict[str, Any]:
-    """What figures have to be read with."""
+    """Return processor, cores, load and Python version: the conditions of a measurement."""
     lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
     model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "unknown")
     return {
@@ -29,16 +29,19 @@ def machine() -> dict[str, Any]:
 
 
 def as_data(all_series: Sequence[Series]) -> dict[str, Any]:
-    """Every sample, in seconds, by series and size."""
+    """Return all samples in seconds, by series and size, for JSON."""
     data: dict[str, Any] = msgspec.to_builtins({"machine": machine(), "series": all_series}, str_keys=True)
     return data
 
 
 def as_text(all_series: Sequence[Series]) -> str:
-    """Medians in milliseconds, each with its ratio to the series beside it, and at last those of all up to 10 kB."""
+    """Return tables of medians in milliseconds with their ratio to the series that they are compared with.
+
+    The last rows summarise all sizes up to 10 kB.
+    """
     host = machine()
     lines = [
-        f"Round trips, medians in ms (ratio to the nodes' own); {host['processor']}, {host['cores']} cores, "
+        f"Round trips, medians in ms (ratio to those between nodes); {host['processor']}, {host['cores']} cores, "
         f"load {host['load']:.1f}, Python {host['python']}"
     ]
     by_name = {series.name: series for series in all_series}
@@ -81,7 +84,7 @@ def _tail(found: Summary | None) -> str:
 
 
 def aligned(rows: Iterable[Sequence[str]]) -> Iterable[str]:
-    """Columns as wide as their widest cell, flush right."""
+    """Return rows as lines with right-aligned columns, each as wide as its widest cell."""
     rows = list(rows)
     widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
     return ("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows)

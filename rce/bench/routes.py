@@ -1,4 +1,4 @@
-"""The routes by which round trips are taken; each gives one probe for every form of a message."""
+"""Routes of round trips; each returns one probe for each form of a message."""
 
 from __future__ import annotations
 
@@ -8,31 +8,31 @@ from collections.abc import Awaitable, Callable, Sized
 
 from rce.bench import floors, pairs
 from rce.bench.floors import Sample
-from rce.bench.nodes import ECHO_TIMEOUT, PACKAGE, Place, Probe, between, drain, eventually
+from rce.bench.nodes import ECHO_TIMEOUT, PACKAGE, Place, Probe, drain, retry, start_connected
 from rce.bench.payloads import IMAGE, IMAGES, ROW, SERVICE_TYPE, SERVICES, TOPICS, Call, Payload
 from rce.client import Subscriber
 from rce.errors import ConversionError
 
 
 async def tcp(place: Place) -> list[Probe]:
-    """A bare echo over a TCP connection."""
+    """Return the probe of a bare echo over a TCP connection."""
     return [Probe("tcp", "floor", await place.stack.enter_async_context(floors.tcp()))]
 
 
 async def autobahn(place: Place) -> list[Probe]:
-    """A bare echo of binary frames by Autobahn."""
+    """Return the probe of a bare echo of binary WebSocket messages by Autobahn."""
     return [Probe("autobahn", "floor", await place.stack.enter_async_context(floors.autobahn()))]
 
 
 async def n2n(place: Place) -> list[Probe]:
-    """Two rclpy nodes in the environment."""
+    """Return the probes between two rclpy nodes in the environment."""
     kinds = ["string", "bytes", "image", "service"]
-    node = await between(place.environment, place.environment, "n2n", kinds)
+    node = await start_connected(place.environment, place.environment, "n2n", kinds)
     return node.probes("n2n", kinds)
 
 
 async def r2c(place: Place) -> list[Probe]:
-    """A robot, and a node in the environment."""
+    """Return the probes between the robot and a node in the environment."""
     topics = (*TOPICS, *IMAGES)
     echoes = [f"{payload.name}:{payload.kind}" for payload in topics]
     echoes += [f"call_{call.name}:service" for call in SERVICES]
@@ -59,29 +59,29 @@ ROUTES: dict[str, Callable[[Place], Awaitable[list[Probe]]]] = {
     "c2c2": pairs.c2c2,
     "group": pairs.group,
 }
-USUAL = ("tcp", "autobahn", "n2n", "r2c")
+DEFAULT_ROUTES = ("tcp", "autobahn", "n2n", "r2c")
 
 
 async def topic_echo(place: Place, payload: Payload, topic: str) -> Sample:
-    """Publish on `topic` and await the answer on `topic`_back."""
+    """Return the sample function that publishes on `topic` and waits for the answer on `topic`_back."""
     out = await place.environment.publisher(topic, payload.type_name, raw=payload.raw)
     back = await subscriber(place, payload, f"{topic}_back")
 
     async def take(size: int, timeout: float) -> float:  # noqa: ASYNC109  # as Subscriber.get
-        began = time.perf_counter()
+        started = time.perf_counter()
         await out.publish(payload.make(size))
         content = payload.read(await back.get(timeout))
-        seconds = time.perf_counter() - began
+        seconds = time.perf_counter() - started
         check(topic, content, size)
         return seconds
 
-    await eventually(lambda timeout: take(ROW, timeout))
+    await retry(lambda timeout: take(ROW, timeout))
     await drain(back)
     return lambda size: take(size, ECHO_TIMEOUT)
 
 
 async def subscriber(place: Place, payload: Payload, topic: str) -> Subscriber:
-    """As `Environment.subscriber`, with the format in which images come."""
+    """Create a subscriber as `Environment.subscriber`, with a choice of the format of images."""
     robot, environment, tag = place.robot, place.environment.tag, f"back_{payload.name}"
     await robot.add_interface(environment, tag, "SubscriberInterface", payload.type_name, addr=topic)
     return await robot.subscriber(
@@ -90,13 +90,13 @@ async def subscriber(place: Place, payload: Payload, topic: str) -> Subscriber:
 
 
 async def service_echo(place: Place, call: Call, service: str) -> Sample:
-    """Call `service` and await its response."""
+    """Return the sample function that calls `service` and waits for the response."""
     client = await place.environment.service_client(service, SERVICE_TYPE, raw=call.raw)
 
     async def take(size: int) -> float:
-        began = time.perf_counter()
+        started = time.perf_counter()
         content = call.read(await client.call(call.make(size), ECHO_TIMEOUT))
-        seconds = time.perf_counter() - began
+        seconds = time.perf_counter() - started
         check(service, content, size)
         return seconds
 
@@ -105,6 +105,10 @@ async def service_echo(place: Place, call: Call, service: str) -> Sample:
 
 
 def check(where: str, content: Sized, size: int) -> None:
-    """ConversionError if the answer is not as large as what was sent."""
+    """Check the size of an answer.
+
+    Raises:
+        ConversionError: The answer is shorter than the message.
+    """
     if len(content) < size:
-        raise ConversionError(f"{where}: {len(content)} of {size} bytes came back")
+        raise ConversionError(f"{where}: the answer has {len(content)} of {size} bytes")

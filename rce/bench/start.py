@@ -1,6 +1,7 @@
-"""From CC to an environment that is ready, beside a bare container of the same image that imports rclpy.
+"""Benchmark of the start of environments, compared with a bare container of the same image that imports rclpy.
 
-Ready is what the acknowledgement of CC says: the environment's endpoint is up in ROS 2 and has joined the Master.
+The time is from the message CC to its acknowledgement: the endpoint of the environment is up in ROS 2 and has joined
+the Master.
 """
 
 from __future__ import annotations
@@ -23,10 +24,15 @@ Samples = dict[str, list[float]]  # seconds, by engine or BARE
 
 
 async def measure(robots: Mapping[str, Robot], image: str, samples: int) -> Samples:
-    """One start of each engine in turn, so that what else the machine does hits all alike; the first does not count.
+    """Measure one start of each engine in turn, so that other load affects all alike; the first start is discarded.
 
-    `robots` are at platforms, by the names of their engines. The bare container is left out where there is no program
-    `docker`. StartFailed if it fails.
+    Args:
+        robots: Robots connected to platforms, by the names of the engines.
+        image: Image of the bare container, which is measured only if `docker` is installed.
+        samples: Number of samples.
+
+    Raises:
+        StartFailed: The bare container failed.
     """
     taken: Samples = {name: [] for name in robots}
     if "docker" in robots and shutil.which("docker"):
@@ -40,24 +46,31 @@ async def measure(robots: Mapping[str, Robot], image: str, samples: int) -> Samp
 
 
 async def _start(robot: Robot) -> float:
+    """Return the seconds that the start of an environment takes."""
     tag = f"start_{secrets.token_hex(4)}"
-    began = time.monotonic()
+    started = time.monotonic()
     await robot.create_environment(tag, restart="no")
-    seconds = time.monotonic() - began
+    seconds = time.monotonic() - started
     await robot.destroy_environment(tag)
     return seconds
 
 
 async def _bare(image: str) -> float:
+    """Return the seconds that a bare container takes."""
     name = f"rce-bench-{secrets.token_hex(4)}"
-    began = time.monotonic()
+    started = time.monotonic()
     await _docker("run", "--name", name, "--network", "none", image, *COMMAND)
-    seconds = time.monotonic() - began
+    seconds = time.monotonic() - started
     await _docker("rm", name)
     return seconds
 
 
 async def _docker(*words: str) -> None:
+    """Run a command of Docker.
+
+    Raises:
+        StartFailed: It failed.
+    """
     pipe = asyncio.subprocess.PIPE
     process = await asyncio.create_subprocess_exec("docker", *words, stdout=pipe, stderr=pipe)
     _, errors = await process.communicate()
@@ -66,7 +79,7 @@ async def _docker(*words: str) -> None:
 
 
 def as_text(taken: Samples) -> str:
-    """Medians and extremes in seconds, with their ratios to the bare container."""
+    """Return a table of medians and extremes in seconds, with the ratio to the bare container."""
     host = machine()
     title = f"CC to ready; {host['processor']}, {host['cores']} cores, load {host['load']:.1f}"
     bare = statistics.median(taken[BARE]) if taken.get(BARE) else 0.0
@@ -85,5 +98,5 @@ def _row(name: str, seconds: Sequence[float], bare: float) -> list[str]:
 
 
 def as_data(taken: Samples) -> dict[str, Any]:
-    """Every sample, in seconds."""
+    """Return all samples in seconds, for JSON."""
     return {"machine": machine(), "seconds": taken}

@@ -1,4 +1,4 @@
-"""Round trips as they are taken and what is said of them. Times in seconds."""
+"""Samples of round trips and their statistics. Times are in seconds."""
 
 from __future__ import annotations
 
@@ -8,28 +8,42 @@ from collections.abc import Iterable, Sequence
 
 from msgspec import Struct, field
 
-SMALL = 10_000  # bytes up to which round-trip times hardly depend on the size (section V of the paper)
-ENOUGH = 100  # samples from which a 99th percentile means something
+SMALL = 10_000  # bytes up to which round-trip times hardly depend on the size (section V of the Rapyuta paper)
+MIN_FOR_P99 = 100  # samples from which on a 99th percentile is meaningful
 
 
 class Series(Struct):
-    """The round trips of one kind of message by one route; `beside` names the series that it is compared with."""
+    """Round trips of one kind of message by one route.
+
+    Attributes:
+        name: Name of the probe.
+        transport: `topic`, `service` or `floor`.
+        beside: Name of the series that it is compared with, or empty.
+        seconds: Samples by size in bytes.
+    """
 
     name: str
     transport: str
     beside: str = ""
-    seconds: dict[int, list[float]] = field(default_factory=dict)  # by size in bytes
+    seconds: dict[int, list[float]] = field(default_factory=dict)
 
     def add(self, size: int, seconds: float) -> None:
+        """Add a sample."""
         self.seconds.setdefault(size, []).append(seconds)
 
     def small(self) -> list[float]:
-        """All samples of messages up to 10 kB."""
+        """Return all samples of messages up to 10 kB."""
         return [each for size, taken in self.seconds.items() if size <= SMALL for each in taken]
 
 
 class Summary(Struct):
-    """`p99` is None where there are too few samples; `ratio` is that of the medians, None where nothing is beside."""
+    """Statistics of samples.
+
+    Attributes:
+        median: Median.
+        p99: 99th percentile; None if there are too few samples.
+        ratio: Ratio of the medians to those of the series compared with; None without one.
+    """
 
     median: float
     p99: float | None
@@ -37,15 +51,15 @@ class Summary(Struct):
 
 
 def summary(taken: Sequence[float], beside: Sequence[float]) -> Summary | None:
-    """None without samples."""
+    """Return the statistics of samples and their ratio to others; None without samples."""
     if not taken:
         return None
     median = statistics.median(taken)
-    tail = percentile(taken, 99) if len(taken) >= ENOUGH else None
+    tail = percentile(taken, 99) if len(taken) >= MIN_FOR_P99 else None
     return Summary(median, tail, median / statistics.median(beside) if beside else None)
 
 
 def percentile(taken: Iterable[float], percent: float) -> float:
-    """The smallest sample that at least `percent` of all do not exceed (nearest rank)."""
+    """Return the smallest sample that at least `percent` of all samples do not exceed (nearest rank)."""
     ordered = sorted(taken)
     return ordered[max(0, math.ceil(len(ordered) * percent / 100) - 1)]

@@ -1,8 +1,15 @@
-"""The client library: a robot at the platform, with asyncio or (`BlockingRobot`) without.
+"""Python client library: a robot that exchanges messages and commands with an RCE platform.
 
-Needs neither ROS nor more than the base install; `rce.client.images` wants the extra `images`. Errors are those of
-`rce.errors`. It works with servers of the original RoboEarth Cloud Engine too: their commands end when they are sent,
-and what goes wrong shows in `Robot.events()`.
+`Robot` is the asyncio client and `BlockingRobot` the same for plain threads. Both keep their session alive: after a
+broken socket they reconnect, restore their interfaces and connections, and repeat the commands that have no answer yet.
+The library needs neither ROS nor any of the optional extras, except `rce.client.images`, which needs the extra
+`images`. Errors are those of `rce.errors`.
+
+Servers of the original RoboEarth Cloud Engine work too. They do not acknowledge commands, so a command returns as soon
+as it has been sent, and its errors arrive in `Robot.events()`.
+
+This package holds what runs inside a robot's own program: the WebSocket session, the robot's interfaces, robot files
+(`rce run`) and the client of the map service. The client of the HTTP API is `rce.api.client`.
 """
 
 from rce.client.blocking import BlockingRobot

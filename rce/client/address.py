@@ -1,4 +1,4 @@
-"""From the platform's address to an open WebSocket: the Master's HTTP entry, then the Robot endpoint's handshake."""
+"""Connection set-up: the Master's HTTP entry, which assigns a Robot endpoint, and that endpoint's handshake."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ import msgspec
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import InvalidHandshake, InvalidStatus, InvalidURI
 
-from rce.assembler import Limits
-from rce.blobs import PART
 from rce.errors import AlreadyExists, Forbidden, InvalidRequest, NotFound, RceError, Unauthorized, Unavailable
-from rce.messages import CURRENT_VERSION, FEATURES
+from rce.protocol.assembler import Limits
+from rce.protocol.blobs import PART
+from rce.protocol.messages import CURRENT_VERSION, FEATURES
 
 FEATURES_HEADER = "RCE-Features"
 OPEN_TIMEOUT = 10.0
 WRITE_LIMIT = 64 * 1024
-"""Bytes that may wait below the outbox, in the library and in the kernel: what is there cannot be overtaken."""
+"""Bytes that may be buffered below the outbox, in the library and in the kernel. Small frames cannot overtake them."""
 
-_KINDS: dict[int, type[RceError]] = {
+_ERROR_BY_STATUS: dict[int, type[RceError]] = {
     400: InvalidRequest,
     401: Unauthorized,
     403: Forbidden,
@@ -37,18 +37,24 @@ _KINDS: dict[int, type[RceError]] = {
     501: InvalidRequest,
 }
 
-# At DEBUG websockets logs the request line, in which the credentials stand.
+# At DEBUG, websockets logs the request line, which contains the credentials.
 log = logging.getLogger("rce.client.websocket")
 log.setLevel(logging.INFO)
 
 
 @dataclass(frozen=True)
 class Address:
-    """Where the platform is and who wants in. `url` is that of the Master's entry (http or https).
+    """Address of a platform and the credentials of a robot.
 
-    Give `password` (in clear; its SHA-256 is sent, as in the original) or `key` (an API key). `compress` asks for
-    deflated messages. `ssl` replaces the system's certificates for https and wss. `owner` is whose guest the robot is,
-    empty for the user's own.
+    Attributes:
+        url: URL of the Master's entry (http or https).
+        user: User name.
+        robot: robotID.
+        password: Password in clear; its SHA-256 is sent, as the original protocol requires. Give this or `key`.
+        key: API key.
+        compress: Compress messages (permessage-deflate) in both directions.
+        ssl: TLS context for https and wss in place of the system's certificates.
+        owner: User whose data a guest takes part in; empty for the user's own.
     """
 
     url: str
@@ -64,10 +70,15 @@ class Address:
         if urlsplit(self.url).scheme not in ("http", "https"):
             raise InvalidRequest(f"url {self.url!r} must begin with http:// or https://", field="url")
         if (self.password is None) == (self.key is None):
-            raise InvalidRequest("give a password or a key, one of the two", field="password")
+            raise InvalidRequest("give either a password or an API key", field="password")
 
     async def locate(self) -> str:
-        """Ask the entry for the WebSocket address of a Robot endpoint."""
+        """Ask the Master's entry for the WebSocket address of a Robot endpoint.
+
+        Raises:
+            Unavailable: The entry cannot be reached or is not that of an RCE platform.
+            RceError: The entry refuses the request, for example an unknown user.
+        """
         parts = urlsplit(self.url)
         query = urlencode({"userID": self.user, "version": CURRENT_VERSION})
         url = urlunsplit((parts.scheme, parts.netloc, parts.path or "/", query, ""))
@@ -75,7 +86,9 @@ class Address:
         try:
             return msgspec.json.decode(body, type=dict[str, str])["url"]
         except (msgspec.DecodeError, KeyError) as error:
-            raise Unavailable(f"{self.url} is not the entry of a platform: it answered no url ({error})") from None
+            raise Unavailable(
+                f"{self.url} is not the entry of an RCE platform: its answer contains no url ({error})"
+            ) from None
 
     def _get(self, url: str) -> bytes:
         proxy = urllib.request.ProxyHandler({} if _is_loopback(url) else None)
@@ -86,15 +99,24 @@ class Address:
                 return body
         except urllib.error.HTTPError as error:
             with error:
-                raise _refusal(error.code, error.read(4096).decode(errors="replace")) from None
+                raise _error_of_status(error.code, error.read(4096).decode(errors="replace")) from None
         except (OSError, HTTPException, ValueError) as error:
             raise Unavailable(f"cannot reach {self.url}: {getattr(error, 'reason', error)}") from None
 
     async def dial(self, endpoint: str, token: str) -> ClientConnection:
-        """Open the WebSocket of a Robot endpoint; `token` asks for the interfaces of an earlier socket.
+        """Open the WebSocket of a Robot endpoint.
 
-        Raises Unauthorized, Forbidden, Unavailable, InvalidRequest, and for a name that is in use AlreadyExists (by a
-        server of the original InvalidRequest).
+        Args:
+            endpoint: WebSocket URL, as returned by `locate`.
+            token: Resumption token of an earlier connection, or an empty string for a new session.
+
+        Raises:
+            Unauthorized: The credentials are wrong.
+            Forbidden: The credentials do not permit this robot.
+            NotFound: `owner` does not exist.
+            AlreadyExists: The robotID is in use. A server of the original raises InvalidRequest instead.
+            InvalidRequest: The server rejects the request for another reason.
+            Unavailable: The endpoint cannot be reached.
         """
         secret = {"key": self.key} if self.key is not None else {"password": _hash(self.password or "")}
         query = {"userID": self.user, "robotID": self.robot, **secret, "features": ",".join(sorted(FEATURES))}
@@ -107,7 +129,7 @@ class Address:
         parts = urlsplit(endpoint)
         uri = urlunsplit((parts.scheme, parts.netloc, parts.path or "/", urlencode(query), ""))
         try:
-            opened = await connect(
+            connection = await connect(
                 uri,
                 ssl=(self.ssl or True) if parts.scheme == "wss" else None,
                 proxy=None if _is_loopback(endpoint) else True,
@@ -120,17 +142,19 @@ class Address:
                 logger=log,
             )
         except InvalidStatus as error:
-            answer = error.response
-            body = bytes(answer.body or b"").decode(errors="replace")
-            if answer.status_code == 404 and body:
+            response = error.response
+            body = bytes(response.body or b"").decode(errors="replace")
+            if response.status_code == 404 and body:
                 raise NotFound(body.strip()[:500], field="owner") from None
-            raise _refusal(answer.status_code, body or answer.reason_phrase) from None
+            raise _error_of_status(response.status_code, body or response.reason_phrase) from None
         except InvalidURI:
-            raise Unavailable(f"the entry named {endpoint!r}, which is not a WebSocket address") from None
+            raise Unavailable(
+                f"the entry {self.url} assigned the endpoint {endpoint!r}, which is not a WebSocket URL"
+            ) from None
         except (OSError, TimeoutError, InvalidHandshake) as error:
             raise Unavailable(f"cannot reach {endpoint}: {error or 'no answer'}") from None
-        _keep_kernel_buffer_small(opened)
-        return opened
+        _limit_kernel_buffer(connection)
+        return connection
 
 
 def _hash(password: str) -> str:
@@ -145,12 +169,12 @@ def _is_loopback(url: str) -> bool:
         return host == "localhost"
 
 
-def _refusal(status: int, reason: str) -> RceError:
-    return _KINDS.get(status, Unavailable)(reason.strip()[:500] or f"HTTP status {status}")
+def _error_of_status(status: int, reason: str) -> RceError:
+    return _ERROR_BY_STATUS.get(status, Unavailable)(reason.strip()[:500] or f"HTTP status {status}")
 
 
-def _keep_kernel_buffer_small(connection: ClientConnection) -> None:
-    """Let the kernel take only what it can send at once: the rest waits where a small frame may overtake it."""
+def _limit_kernel_buffer(connection: ClientConnection) -> None:
+    """Limit the unsent bytes in the kernel: the rest stays in the outbox, where small frames can overtake it."""
     option = getattr(socket, "TCP_NOTSENT_LOWAT", None)
     sock = connection.transport.get_extra_info("socket")
     if option is not None and sock is not None:

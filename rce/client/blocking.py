@@ -1,7 +1,7 @@
-"""The client library for scripts: the same operations, which block, from any thread and without an event loop.
+"""Blocking client: the operations of the asyncio client for scripts and plain threads, without an event loop.
 
-A thread of its own runs the asyncio robot. Callbacks and handlers run in other threads, so they may block and may use
-the robot themselves.
+The asyncio robot runs in a background thread. Callbacks and handlers run in further threads, so they may block and may
+use the robot themselves.
 """
 
 from __future__ import annotations
@@ -20,48 +20,66 @@ from rce.client.robot import Robot
 from rce.client.services import ServiceClient, ServiceProvider
 from rce.client.threads import Blocking, BlockingStream, LoopThread, blocking
 from rce.client.topics import Publisher, Subscriber
-from rce.messages import Qos
+from rce.protocol.messages import Qos
 
 I = TypeVar("I", bound=Interface)  # noqa: E741
 
 
 class BlockingInterface(Blocking[I]):
-    """See `Interface`."""
+    """Common base of the blocking interfaces; see `Interface`."""
 
     @property
     def connected(self) -> bool:
+        """True while the robot is online and the interface has a peer that is online too."""
         return self.inner.connected
 
     @property
     def tag(self) -> str:
+        """Name of the interface."""
         return self.inner.tag
 
     def wait_connected(self, timeout: float = 10.0) -> None:
-        """Wait for a peer. Raises NotConnected after `timeout` seconds."""
+        """Wait until the interface has a peer.
+
+        Args:
+            timeout: Seconds to wait.
+
+        Raises:
+            NotConnected: There was no peer for `timeout` seconds.
+            RceError: The interface or the robot was closed, or the platform refused the robot.
+        """
         self._thread.wait(self.inner.wait_connected(timeout))
 
     def close(self) -> None:
-        """Remove the interface and its connections."""
+        """Remove the interface and its connections from the platform.
+
+        Raises:
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, for example `NotFound` if the interface was removed already.
+        """
         self._thread.wait(self.inner.close())
 
 
 class BlockingPublisher(BlockingInterface[Publisher]):
-    """See `Publisher`."""
+    """Blocking `Publisher`."""
 
     publish = blocking(Publisher.publish)
+    """Send a message, after waiting for a peer and for room in the send queue; see `Publisher.publish`."""
 
     def offer(self, value: Any, keep: int = 1) -> bool:
-        """See `Publisher.offer`."""
+        """Send a message without waiting; see `Publisher.offer`."""
         return self._thread.call(lambda: self.inner.offer(value, keep))
 
 
 class BlockingSubscriber(BlockingInterface[Subscriber]):
-    """See `Subscriber`: iterate over it, or `get` the next message."""
+    """Blocking `Subscriber`: iterate over it, or `get` the next message. Several threads may read it."""
 
     get = blocking(Subscriber.get)
+    """Return the next message; see `Subscriber.get`."""
 
     @property
     def dropped(self) -> int:
+        """Number of messages that were dropped because too many were unread."""
         return self.inner.dropped
 
     def __iter__(self) -> Iterator[Any]:
@@ -69,26 +87,33 @@ class BlockingSubscriber(BlockingInterface[Subscriber]):
 
 
 class BlockingServiceClient(BlockingInterface[ServiceClient]):
-    """See `ServiceClient`."""
+    """Blocking `ServiceClient`."""
 
     call = blocking(ServiceClient.call)
+    """Call the service and return its response; see `ServiceClient.call`."""
 
 
 class BlockingServiceProvider(BlockingInterface[ServiceProvider]):
-    """See `ServiceProvider`."""
+    """Blocking `ServiceProvider`."""
 
 
 class BlockingEnvironment(Blocking[Environment]):
-    """See `Environment`: as a context it is created, and destroyed at the end."""
+    """Blocking `Environment`: as a context manager it creates the environment and destroys it at the end."""
 
     destroy = blocking(Environment.destroy)
+    """Stop the environment and remove everything in it; see `Environment.destroy`."""
     add_node = blocking(Environment.add_node)
+    """Start a ROS 2 node; see `Environment.add_node`."""
     remove_node = blocking(Environment.remove_node)
+    """Stop a node; see `Environment.remove_node`."""
     set_parameter = blocking(Environment.set_parameter)
+    """Set a ROS 2 parameter; see `Environment.set_parameter`."""
     delete_parameter = blocking(Environment.delete_parameter)
+    """Remove a parameter; see `Environment.delete_parameter`."""
 
     @property
     def tag(self) -> str:
+        """Name of the environment."""
         return self.inner.tag
 
     def __enter__(self) -> Self:
@@ -101,9 +126,9 @@ class BlockingEnvironment(Blocking[Environment]):
         self.destroy()
 
     def publisher(self, topic: str, type_name: str, *, qos: Qos | None = None, raw: bool = False) -> BlockingPublisher:
-        """See `Environment.publisher`."""
-        made = self._thread.wait(self.inner.publisher(topic, type_name, qos=qos, raw=raw))
-        return BlockingPublisher(self._thread, made)
+        """Publish on a topic of the environment; see `Environment.publisher`."""
+        publisher = self._thread.wait(self.inner.publisher(topic, type_name, qos=qos, raw=raw))
+        return BlockingPublisher(self._thread, publisher)
 
     def subscriber(
         self,
@@ -115,38 +140,85 @@ class BlockingEnvironment(Blocking[Environment]):
         qos: Qos | None = None,
         raw: bool = False,
     ) -> BlockingSubscriber:
-        """See `Environment.subscriber`."""
+        """Subscribe to a topic of the environment; see `Environment.subscriber`.
+
+        A callback runs in another thread, for one message after the other, and may block.
+        """
         call = _in_thread(callback) if callback is not None else None
-        made = self._thread.wait(self.inner.subscriber(topic, type_name, callback=call, depth=depth, qos=qos, raw=raw))
-        return BlockingSubscriber(self._thread, made)
+        subscriber = self._thread.wait(
+            self.inner.subscriber(topic, type_name, callback=call, depth=depth, qos=qos, raw=raw)
+        )
+        return BlockingSubscriber(self._thread, subscriber)
 
     def service_client(self, service: str, type_name: str, *, raw: bool = False) -> BlockingServiceClient:
-        """See `Environment.service_client`."""
-        made = self._thread.wait(self.inner.service_client(service, type_name, raw=raw))
-        return BlockingServiceClient(self._thread, made)
+        """Return a client of a service of the environment; see `Environment.service_client`."""
+        client = self._thread.wait(self.inner.service_client(service, type_name, raw=raw))
+        return BlockingServiceClient(self._thread, client)
 
     def service_provider(
         self, service: str, type_name: str, handler: Callable[[Any], Any], *, raw: bool = False
     ) -> BlockingServiceProvider:
-        """See `Environment.service_provider`; calls run at the same time."""
-        made = self._thread.wait(self.inner.service_provider(service, type_name, _in_thread(handler), raw=raw))
-        return BlockingServiceProvider(self._thread, made)
+        """Offer a service to the nodes of the environment; see `Environment.service_provider`.
+
+        The handler runs in other threads, concurrently for concurrent calls, and may block.
+        """
+        provider = self._thread.wait(self.inner.service_provider(service, type_name, _in_thread(handler), raw=raw))
+        return BlockingServiceProvider(self._thread, provider)
 
 
 class BlockingRobot(Blocking[Robot]):
-    """See `Robot`. Use it as `with BlockingRobot(…) as robot`."""
+    """Blocking `Robot` for scripts and plain threads.
+
+    Use it as a context manager, which opens and closes it:
+
+        with BlockingRobot("https://rce.example.org/", user="ann", robot="r2d2", key=key) as robot:
+            with robot.environment("brain") as brain:
+                scan = brain.publisher("/scan", "sensor_msgs/LaserScan")
+                scan.publish(message)
+
+    Its methods have the arguments, results and errors of those of `Robot`, and the same behaviour while offline, but
+    they block until they are done. They may be called from any thread, by several at once. Ctrl-C interrupts a blocked
+    call. Before `open` and after `close` they raise `Unavailable`. Callbacks and handlers run in threads of their own
+    and may use the robot.
+
+    Args:
+        url: URL of the Master's entry (http or https).
+        user: User name.
+        robot: robotID; one that begins with `@` is a guest (see `Robot`).
+        password: Password in clear. Give either this or `key`.
+        key: API key.
+        timeout: Seconds after which a command without an answer raises `TimedOut`.
+        compress: Compress all messages in both directions, for links on which that is faster.
+        ssl: TLS context for https and wss in place of the system's certificates.
+        owner: User whose guest the robot is; empty for `user` itself.
+
+    Raises:
+        InvalidName: `user` or `robot` is not a legal name.
+        InvalidRequest: The URL is not http or https, or not exactly one of `password` and `key` is given.
+    """
 
     create_environment = blocking(Robot.create_environment)
+    """Start an environment; see `Robot.create_environment`."""
     destroy_environment = blocking(Robot.destroy_environment)
+    """Stop an environment and remove everything in it; see `Robot.destroy_environment`."""
     add_node = blocking(Robot.add_node)
+    """Start a ROS 2 node; see `Robot.add_node`."""
     remove_node = blocking(Robot.remove_node)
+    """Stop a node; see `Robot.remove_node`."""
     set_parameter = blocking(Robot.set_parameter)
+    """Set a ROS 2 parameter; see `Robot.set_parameter`."""
     delete_parameter = blocking(Robot.delete_parameter)
+    """Remove a parameter; see `Robot.delete_parameter`."""
     add_interface = blocking(Robot.add_interface)
+    """Add an interface to an environment or a robot; see `Robot.add_interface`."""
     remove_interface = blocking(Robot.remove_interface)
+    """Remove an interface and its connections; see `Robot.remove_interface`."""
     connect = blocking(Robot.connect)
+    """Connect two interfaces; see `Robot.connect`."""
     disconnect = blocking(Robot.disconnect)
+    """Remove the connection between two interfaces; see `Robot.disconnect`."""
     configure = blocking(Robot.configure)
+    """Execute several commands in their order; see `Robot.configure`."""
 
     def __init__(
         self,
@@ -161,7 +233,6 @@ class BlockingRobot(Blocking[Robot]):
         ssl: tls.SSLContext | None = None,
         owner: str = "",
     ) -> None:
-        """As `Robot`."""
         inner = Robot(
             url,
             user=user,
@@ -185,7 +256,12 @@ class BlockingRobot(Blocking[Robot]):
         self.close()
 
     def open(self) -> None:
-        """Connect; see `Robot.open`. A robot that was closed cannot be opened again."""
+        """Connect to the platform. Once only: after a failure or `close`, make a new robot.
+
+        Raises:
+            InvalidRequest: The robot has been opened before, or the platform rejects the request.
+            RceError: The connection failed; see `Robot.open`.
+        """
         self._thread.start()
         try:
             self._thread.wait(self.inner.open())
@@ -194,7 +270,10 @@ class BlockingRobot(Blocking[Robot]):
             raise
 
     def close(self) -> None:
-        """Send what is queued and leave; see `Robot.close`."""
+        """Send the queued messages (for 5 s at most) and leave the platform; see `Robot.close`.
+
+        Calls that block in other threads end with `Unavailable`, iterations end. Closing twice does nothing.
+        """
         if not self._thread.running:
             return
         try:
@@ -204,30 +283,36 @@ class BlockingRobot(Blocking[Robot]):
 
     @property
     def name(self) -> str:
+        """The robotID."""
         return self.inner.name
 
     @property
     def connected(self) -> bool:
+        """True while the robot is online."""
         return self.inner.connected
 
     @property
     def features(self) -> frozenset[str]:
+        """Protocol features that the server granted; empty while offline and with a server of the original."""
         return self.inner.features
 
     def events(self) -> BlockingStream[Event]:
-        """What happens from now on; see `Robot.events`."""
+        """Return a stream of the events from now on, to be iterated over; see `Robot.events`."""
         return BlockingStream(self._thread, self._thread.call(self.inner.events))
 
     def environment(self, tag: str, **options: Unpack[EnvironmentOptions]) -> BlockingEnvironment:
-        """See `Robot.environment`."""
+        """Return a handle of an environment; see `Robot.environment`.
+
+        `with robot.environment(...)` creates it and destroys it at the end.
+        """
         return BlockingEnvironment(self._thread, self.inner.environment(tag, **options))
 
     def publisher(
         self, tag: str, type_name: str, *, to: str = "", raw: bool = False, format: Format = "png"
     ) -> BlockingPublisher:
-        """See `Robot.publisher`."""
-        made = self._thread.wait(self.inner.publisher(tag, type_name, to=to, raw=raw, format=format))
-        return BlockingPublisher(self._thread, made)
+        """Add an interface through which the robot sends messages; see `Robot.publisher`."""
+        publisher = self._thread.wait(self.inner.publisher(tag, type_name, to=to, raw=raw, format=format))
+        return BlockingPublisher(self._thread, publisher)
 
     def subscriber(
         self,
@@ -240,25 +325,32 @@ class BlockingRobot(Blocking[Robot]):
         raw: bool = False,
         format: Format = "png",
     ) -> BlockingSubscriber:
-        """See `Robot.subscriber`."""
+        """Add an interface through which the robot receives messages; see `Robot.subscriber`.
+
+        A callback runs in another thread, for one message after the other, and may block.
+        """
         call = _in_thread(callback) if callback is not None else None
-        made = self._thread.wait(
+        subscriber = self._thread.wait(
             self.inner.subscriber(tag, type_name, to=to, callback=call, depth=depth, raw=raw, format=format)
         )
-        return BlockingSubscriber(self._thread, made)
+        return BlockingSubscriber(self._thread, subscriber)
 
     def service_client(self, tag: str, type_name: str, *, to: str = "", raw: bool = False) -> BlockingServiceClient:
-        """See `Robot.service_client`."""
-        made = self._thread.wait(self.inner.service_client(tag, type_name, to=to, raw=raw))
-        return BlockingServiceClient(self._thread, made)
+        """Add an interface through which the robot calls a service; see `Robot.service_client`."""
+        client = self._thread.wait(self.inner.service_client(tag, type_name, to=to, raw=raw))
+        return BlockingServiceClient(self._thread, client)
 
     def service_provider(
         self, tag: str, type_name: str, handler: Callable[[Any], Any], *, to: str = "", raw: bool = False
     ) -> BlockingServiceProvider:
-        """See `Robot.service_provider`; calls run at the same time."""
-        made = self._thread.wait(self.inner.service_provider(tag, type_name, _in_thread(handler), to=to, raw=raw))
-        return BlockingServiceProvider(self._thread, made)
+        """Add an interface through which the robot offers a service; see `Robot.service_provider`.
+
+        The handler runs in other threads, concurrently for concurrent calls, and may block.
+        """
+        provider = self._thread.wait(self.inner.service_provider(tag, type_name, _in_thread(handler), to=to, raw=raw))
+        return BlockingServiceProvider(self._thread, provider)
 
 
 def _in_thread(function: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Return a coroutine function that runs `function` in a thread."""
     return lambda value: asyncio.to_thread(function, value)

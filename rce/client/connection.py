@@ -1,4 +1,8 @@
-"""One WebSocket to a Robot endpoint: frames out in turns between the interfaces, frames in with their blobs."""
+"""WebSocket connection to a Robot endpoint.
+
+Outgoing frames go through an outbox that takes turns between the interfaces; incoming text frames are joined with their
+blobs.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +16,12 @@ import msgspec
 from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed
 
-from rce.assembler import Assembled, Assembler, Outcome
-from rce.blobs import Buffer, binary_frames
 from rce.client.address import FEATURES_HEADER, Address
 from rce.errors import InvalidRequest, RceError, TimedOut, Unavailable
-from rce.messages import (
+from rce.net.outbox import Outbox
+from rce.protocol.assembler import Assembled, Assembler, Outcome
+from rce.protocol.blobs import Buffer, binary_frames
+from rce.protocol.messages import (
     FEATURES,
     DataMessage,
     Failure,
@@ -27,9 +32,8 @@ from rce.messages import (
     decode_as,
     decode_frame,
 )
-from rce.outbox import Outbox
 
-SWEEP = 15.0
+SWEEP_INTERVAL = 15.0
 SESSION_TIMEOUT = 10.0
 FLUSH_TIMEOUT = 5.0
 
@@ -37,14 +41,14 @@ log = logging.getLogger("rce.client")
 
 
 class Message(NamedTuple):
-    """A DM with its blobs."""
+    """Data message (DM frame) with its blobs by id."""
 
     data: DataMessage
     blobs: Mapping[str, Buffer]
 
 
 class Piece(NamedTuple):
-    """One WebSocket message."""
+    """One WebSocket message of an outgoing frame."""
 
     payload: bytes
     text: bool
@@ -54,7 +58,13 @@ Incoming = Message | Status | Failure | RceError
 
 
 class Connection:
-    """An open WebSocket. `features` are those that the server granted: none means the original server."""
+    """Open WebSocket with its session.
+
+    Attributes:
+        features: Protocol features that the server granted; empty for a server of the original.
+        endpoint: URL of the Robot endpoint.
+        session: Session status, the first frame of a server with features.
+    """
 
     def __init__(self, socket: ClientConnection, features: frozenset[str], endpoint: str) -> None:
         self.features = features
@@ -70,89 +80,102 @@ class Connection:
 
     @staticmethod
     async def open(address: Address, endpoint: str, token: str) -> Connection:
-        """Dial and wait for the session status of a server that knows features."""
+        """Open the WebSocket and, if the server grants features, wait for its session status.
+
+        Args:
+            address: Platform and credentials.
+            endpoint: WebSocket URL of the Robot endpoint.
+            token: Resumption token of an earlier connection, or an empty string.
+
+        Raises:
+            Unavailable: The endpoint cannot be reached or sends no session status.
+            RceError: The endpoint refuses the robot; see `Address.dial`.
+        """
         socket = await address.dial(endpoint, token)
-        given = socket.response.headers.get(FEATURES_HEADER) if socket.response is not None else None
-        features = FEATURES & {name.strip() for name in (given or "").split(",")}
+        header = socket.response.headers.get(FEATURES_HEADER) if socket.response is not None else None
+        features = FEATURES & {name.strip() for name in (header or "").split(",")}
         connection = Connection(socket, features, endpoint)
-        if given is not None:
+        if header is not None:
             try:
-                connection.session = await connection._first_status()
+                connection.session = await connection._receive_session()
             except BaseException:
                 await connection.close()
                 raise
         return connection
 
-    async def _first_status(self) -> Session:
+    async def _receive_session(self) -> Session:
         try:
             async with asyncio.timeout(SESSION_TIMEOUT):
-                first = self._text(await self._socket.recv(decode=False))
+                first = self._decode_text(await self._socket.recv(decode=False))
         except (TimeoutError, ConnectionClosed) as error:
-            raise Unavailable(f"{self.endpoint} did not open a session: {error or 'no answer'}") from None
+            raise Unavailable(f"{self.endpoint} sent no session status: {error or 'no answer'}") from None
         if isinstance(first, Status) and isinstance(first.data, Session):
             return first.data
-        raise Unavailable(f"{self.endpoint} grants features, but its first frame is not the session status")
+        raise Unavailable(f"{self.endpoint} grants features, but its first frame is not a session status")
 
     def put(self, source: str, pieces: Iterator[Piece], keep: int | None = None) -> int:
-        """Queue frames of one source; see `Outbox.put`."""
+        """Queue the frames of one message; see `Outbox.put`."""
         return self._outbox.put(source.encode(), pieces, keep)
 
     def put_message(self, source: str, text: bytes, blobs: Mapping[str, Buffer], keep: int | None = None) -> int:
-        """Queue a text frame and its blobs."""
+        """Queue a text frame with its blobs; return how many older messages of the source were dropped for it."""
         return self.put(source, self._pieces(text, blobs), keep)
 
-    def put_text(self, source: str, text: bytes, sent: Callable[[], None]) -> None:
-        """Queue a text frame; `sent` is called when it has been written."""
+    def put_text(self, source: str, text: bytes, on_sent: Callable[[], None]) -> None:
+        """Queue a text frame and call `on_sent` once it has been written."""
 
         def pieces() -> Iterator[Piece]:
             yield Piece(text, True)
-            sent()
+            on_sent()
 
         self.put(source, pieces())
 
     def room(self, source: str) -> asyncio.Future[None] | None:
-        """See `Outbox.room`."""
-        return self._outbox.room(source.encode())
+        """Return None if the source may send now, else a future that completes when its queue is empty."""
+        return self._outbox.wait_for_room(source.encode())
 
     async def receive(self) -> AsyncGenerator[Incoming, None]:
-        """What comes in, until the socket is gone; errors are the server's faults, which do not end the connection."""
+        """Send the queued frames and yield what arrives, until the socket is closed.
+
+        Yielded errors are malformed or incomplete messages of the server; they do not end the connection.
+        """
         sender = asyncio.create_task(self._send())
         try:
             while True:
                 payload = await self._socket.recv(decode=False)
                 try:
-                    incoming = self._take(payload)
+                    incoming = self._decode(payload)
                 except RceError as error:
                     incoming = error
                 if incoming is not None:
                     yield incoming
-                for late in self._sweep():
-                    yield late
+                for timed_out in self._sweep():
+                    yield timed_out
         except ConnectionClosed:
             return
         finally:
             sender.cancel()
             await asyncio.wait([sender])
-            self._outbox.clear()  # last, so that nobody waits for room in it after this
+            self._outbox.clear()  # last: no sender may wait for room afterwards
             self._written.set()
 
     async def flush(self) -> None:
-        """Wait until all that is queued has been written, or until that takes too long or the socket is gone."""
+        """Wait until the queued frames have been written, for `FLUSH_TIMEOUT` seconds at most."""
         try:
             async with asyncio.timeout(FLUSH_TIMEOUT):
                 while not self._outbox.empty:
                     self._written.clear()
                     await self._written.wait()
         except TimeoutError:
-            log.warning("%s does not take what is queued; it is lost", self.endpoint)
+            log.warning("%s did not accept the queued frames within %g s; they are lost", self.endpoint, FLUSH_TIMEOUT)
 
     async def close(self) -> None:
-        """Close with code 1000: the robot is leaving for good."""
+        """Close with code 1000, which ends the session."""
         await self._socket.close()
 
     @property
     def reason(self) -> str:
-        """Why the socket was closed, as far as it is known."""
+        """Reason of the close frame, or the close code if there is none."""
         return self._socket.close_reason or f"code {self._socket.close_code or 1006}"
 
     def _pieces(self, text: bytes, blobs: Mapping[str, Buffer]) -> Iterator[Piece]:
@@ -163,7 +186,7 @@ class Connection:
     def _next(self, piece: Piece) -> bool:
         self._piece = piece
         self._has_piece.set()
-        return False  # one at a time: the next is chosen when this one has left
+        return False  # one at a time: the outbox chooses the next one when this one has been written
 
     async def _send(self) -> None:
         while True:
@@ -175,28 +198,30 @@ class Connection:
             except ConnectionClosed:
                 return
             except Exception:
-                self._socket.transport.abort()  # a socket on which nothing is sent any more must not look alive
+                self._socket.transport.abort()  # without its sender the connection is of no use: reconnect
                 raise
             self._written.set()
 
-    def _take(self, payload: bytes) -> Incoming | None:
-        """Text and binary frames are told apart by their first byte: JSON objects do not begin with a hex digit."""
+    def _decode(self, payload: bytes) -> Incoming | None:
+        """Distinguish text from binary frames by the first byte: a blob id begins with a hex digit, JSON does not."""
         if payload[:1] in (b"{", b" ", b"\t", b"\n", b"\r"):
-            return self._text(payload)
-        return self._whole(self._assembler.blob(payload))
+            return self._decode_text(payload)
+        return self._message_of(self._assembler.add_blob(payload))
 
-    def _text(self, payload: bytes) -> Incoming | None:
+    def _decode_text(self, payload: bytes) -> Incoming | None:
         frame = decode_frame(payload)
         if frame.type == "DM":
-            # Without a star there are no blobs to look for, which takes longer.
-            return self._whole(self._assembler.frame(frame) if b"*" in payload else Outcome(Assembled(frame, {})))
+            # A key that refers to a blob ends in a star; without one the search for references can be skipped.
+            return self._message_of(
+                self._assembler.add_frame(frame) if b"*" in payload else Outcome(Assembled(frame, {}))
+            )
         if frame.type == "ST":
             return _status(frame)
         if frame.type == "ER":
             return decode_as(Failure, payload, "ER")
-        raise InvalidRequest(f"the server sent a frame of the unknown type {frame.type!r}")
+        raise InvalidRequest(f"the server sent a frame of unknown type {frame.type!r}")
 
-    def _whole(self, outcome: Outcome) -> Incoming | None:
+    def _message_of(self, outcome: Outcome) -> Incoming | None:
         if outcome.dropped:
             return outcome.dropped[0].error
         if outcome.complete is None:
@@ -206,16 +231,17 @@ class Connection:
 
     def _sweep(self) -> list[RceError]:
         now = time.monotonic()
-        if now - self._swept < SWEEP:
+        if now - self._swept < SWEEP_INTERVAL:
             return []
         self._swept = now
         return [
-            TimedOut(f"a message of the server never got its blobs: {each.error}") for each in self._assembler.sweep()
+            TimedOut(f"the blobs of a message from the server did not arrive: {each.error}")
+            for each in self._assembler.sweep()
         ]
 
 
 def _status(frame: Frame) -> Status | None:
-    """None for a topic that this version does not know: later servers may have more."""
+    """Decode an ST frame; returns None for an unknown topic, since later servers may have more."""
     kind = _topics.get(decode_as(_Topic, frame.data, "ST").topic)
     return Status(decode_as(kind, frame.data, "ST"), frame.id) if kind is not None else None
 

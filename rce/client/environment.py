@@ -1,4 +1,4 @@
-"""An environment of the platform, with the ends of its topics and services that one robot uses."""
+"""Handle of an environment, through which one robot uses its topics and services."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from rce.errors import AlreadyExists
-from rce.messages import InterfaceType, ParameterValue, Qos
-from rce.names import is_guest
+from rce.protocol.messages import InterfaceType, ParameterValue, Qos
+from rce.protocol.names import is_guest
 
-if TYPE_CHECKING:  # the robot makes environments
+if TYPE_CHECKING:  # Robot imports this module
     from rce.client.operations import EnvironmentOptions, Format
     from rce.client.robot import Robot
     from rce.client.services import ServiceClient, ServiceProvider
@@ -20,11 +20,22 @@ if TYPE_CHECKING:  # the robot makes environments
 
 
 class Environment:
-    """An environment, as one robot uses it. As an asynchronous context it is created, and destroyed at the end.
+    """Environment as one robot uses it; made by `Robot.environment`.
 
-    `publisher` and its like wire a topic or service of the environment to the robot in one step. The interface in the
-    environment gets a tag made from the topic's name; the robot's gets the same with the environment's name before it.
-    Several robots may use one topic: the interface in the environment is then shared. A guest has its own.
+    As an asynchronous context manager it creates the environment on entry and destroys it on exit. For an environment
+    that exists already, use the handle without `async with`.
+
+    `publisher`, `subscriber`, `service_client` and `service_provider` connect the robot to a topic or service of the
+    environment in one step: each adds an interface to the environment and one to the robot and connects the two. The
+    tag of the former is made from the topic's name, that of the latter additionally has the environment's name before
+    it. Robots that use the same topic share the interface in the environment; a guest has its own, which is removed
+    with it.
+
+    The commands behave as those of `Robot`, also while the robot is offline.
+
+    Attributes:
+        robot: The robot that uses the environment.
+        tag: Name of the environment.
     """
 
     def __init__(self, robot: Robot, tag: str, options: EnvironmentOptions) -> None:
@@ -42,31 +53,102 @@ class Environment:
         await self.destroy()
 
     async def destroy(self) -> None:
-        """Stop the environment with all that is in it."""
+        """Stop the environment and remove its nodes, parameters, interfaces and connections.
+
+        Raises:
+            NotFound: It does not exist.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
+        """
         await self.robot.destroy_environment(self.tag)
 
     async def add_node(
         self, tag: str, pkg: str, exe: str, *, args: str = "", name: str = "", namespace: str = ""
     ) -> None:
-        """See `Robot.add_node`."""
+        """Start a ROS 2 node in the environment.
+
+        Args:
+            tag: Name by which the platform knows the node, unique within the environment.
+            pkg: ROS package.
+            exe: Executable of the package.
+            args: Command line arguments. `$(find PKG)` and `$(env VAR)` are substituted.
+            name: ROS name of the node in place of the one in its code.
+            namespace: ROS namespace of the node.
+
+        Raises:
+            AlreadyExists: The environment has a node with this tag.
+            StartFailed: The node did not start.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
+        """
         await self.robot.add_node(self.tag, tag, pkg, exe, args=args, name=name, namespace=namespace)
 
     async def remove_node(self, tag: str) -> None:
-        """Stop a node."""
+        """Stop a node.
+
+        Args:
+            tag: Name of the node, as given to `add_node`.
+
+        Raises:
+            NotFound: There is no such node.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
+        """
         await self.robot.remove_node(self.tag, tag)
 
     async def set_parameter(self, name: str, value: ParameterValue, *, node: str = "") -> None:
-        """See `Robot.set_parameter`."""
+        """Set a ROS 2 parameter.
+
+        Args:
+            name: Name of the parameter.
+            value: A bool, number, string or a list of one of these.
+            node: Tag of the only node that gets the parameter. Without it, all nodes that are started later get it,
+                and so do running ones that have declared it.
+
+        Raises:
+            NotFound: The environment or the node does not exist.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
+        """
         await self.robot.set_parameter(self.tag, name, value, node=node)
 
     async def delete_parameter(self, name: str, *, node: str = "") -> None:
-        """Forget a parameter."""
+        """Remove a parameter that was set with `set_parameter`; nodes that are started later do not get it.
+
+        Args:
+            name: Name of the parameter.
+            node: Tag of the node for which it was set, if it was set for one only.
+
+        Raises:
+            NotFound: There is no such parameter.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
+        """
         await self.robot.delete_parameter(self.tag, name, node=node)
 
     async def publisher(
         self, topic: str, type_name: str, *, qos: Qos | None = None, raw: bool = False, format: Format = "png"
     ) -> Publisher:
-        """The robot publishes on a topic of the environment."""
+        """Publish on a topic of the environment.
+
+        Args:
+            topic: ROS topic, for example `/scan`.
+            type_name: ROS message type, for example `sensor_msgs/LaserScan`.
+            qos: Quality of service of the ROS publisher, and history and depth of the queue at the platform.
+            raw: Send serialized ROS messages (CDR) as bytes instead of dicts.
+            format: Encoding of `sensor_msgs/Image` messages: PNG or JPEG bytes, or dicts (`json`).
+
+        Returns:
+            A connected publisher.
+
+        Raises:
+            AlreadyExists: The robot uses this topic in the same way already.
+            NotFound: The environment does not exist.
+            NotConnectable: Another robot uses the topic with another type.
+            NotConnected: The connection was not ready within 10 s.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
+        """
         to = await self._interface(topic, "pub", "PublisherInterface", type_name, qos)
         return await self.robot.publisher(self._own_tag(to), type_name, to=to, raw=raw, format=format, qos=qos)
 
@@ -81,34 +163,71 @@ class Environment:
         raw: bool = False,
         format: Format = "png",
     ) -> Subscriber:
-        """The robot receives what is published on a topic of the environment."""
+        """Subscribe to a topic of the environment.
+
+        Args:
+            topic: ROS topic.
+            type_name: ROS message type.
+            callback: Function or coroutine function to call with each message; see `Robot.subscriber`.
+            depth: Unread messages to keep; when there are more, the oldest is dropped.
+            qos: Quality of service of the ROS subscription, and history and depth of the queue at the platform.
+            raw: Receive serialized ROS messages (CDR) as bytes instead of dicts.
+            format: Encoding in which `sensor_msgs/Image` messages arrive: PNG or JPEG bytes, or dicts (`json`).
+
+        Returns:
+            A connected subscriber.
+
+        Raises:
+            RceError: The same errors as `publisher`, for the same reasons.
+        """
         to = await self._interface(topic, "sub", "SubscriberInterface", type_name, qos)
         return await self.robot.subscriber(
             self._own_tag(to), type_name, to=to, callback=callback, depth=depth, raw=raw, format=format, qos=qos
         )
 
     async def service_client(self, service: str, type_name: str, *, raw: bool = False) -> ServiceClient:
-        """The robot calls a service of the environment."""
+        """Return a client of a service that a node of the environment offers.
+
+        Args:
+            service: ROS service, for example `/get_map`.
+            type_name: ROS service type, for example `nav_msgs/GetMap`.
+            raw: Exchange serialized ROS messages (CDR) as bytes instead of dicts.
+
+        Raises:
+            RceError: The same errors as `publisher`, for the same reasons.
+        """
         to = await self._interface(service, "call", "ServiceClientInterface", type_name)
         return await self.robot.service_client(self._own_tag(to), type_name, to=to, raw=raw)
 
     async def service_provider(
         self, service: str, type_name: str, handler: Callable[[Any], Any], *, raw: bool = False
     ) -> ServiceProvider:
-        """The robot offers a service to the nodes of the environment."""
+        """Offer a service to the nodes of the environment.
+
+        Args:
+            service: ROS service.
+            type_name: ROS service type.
+            handler: Function or coroutine function that gets the request and returns the response; see
+                `Robot.service_provider`.
+            raw: Exchange serialized ROS messages (CDR) as bytes instead of dicts.
+
+        Raises:
+            RceError: The same errors as `publisher`, for the same reasons.
+        """
         to = await self._interface(service, "serve", "ServiceProviderInterface", type_name)
         return await self.robot.service_provider(self._own_tag(to), type_name, handler, to=to, raw=raw)
 
     async def _interface(
         self, address: str, verb: str, interface_type: InterfaceType, type_name: str, qos: Qos | None = None
     ) -> str:
-        """The `endpoint/interface` for an address of the environment, added unless it is there."""
-        begin = f"{self.robot.name}." if is_guest(self.robot.name) else ""
-        tag = f"{begin}{verb}_{re.sub(r'[^A-Za-z0-9_]+', '_', address).strip('_')}"
-        with suppress(AlreadyExists):  # another robot's, or of an earlier run; of another type, connecting it fails
+        """Add the environment's interface for a topic or service unless it exists; return `endpoint/interface`."""
+        prefix = f"{self.robot.name}." if is_guest(self.robot.name) else ""
+        tag = f"{prefix}{verb}_{re.sub(r'[^A-Za-z0-9_]+', '_', address).strip('_')}"
+        # It may be another robot's or left from an earlier run. If its type differs, connecting to it fails.
+        with suppress(AlreadyExists):
             await self.robot.add_interface(self.tag, tag, interface_type, type_name, addr=address, qos=qos)
         return f"{self.tag}/{tag}"
 
     def _own_tag(self, to: str) -> str:
-        """The tag of the robot's end."""
+        """Return the tag of the robot's interface that is connected to `to`."""
         return to.replace(f"{self.robot.name}.", "").replace("/", "_")

@@ -1,24 +1,42 @@
-"""What a robot hears beside its messages: environments, nodes, drops, limits, its own connection, errors."""
+"""Events of a robot besides its messages: environments, nodes, drops, limits, its own connection, errors."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 from rce.errors import RceError
-from rce.messages import DropEvent, EnvironmentEvent, LimitEvent, NodeEvent
+from rce.protocol.messages import DropEvent, EnvironmentEvent, LimitEvent, NodeEvent
 
 
 class Disconnected(NamedTuple):
-    """The socket broke; the robot is connecting again."""
+    """The socket broke. The robot reconnects by itself until it succeeds, is closed, or is refused by the platform.
+
+    Attributes:
+        reason: Reason of the close frame, or the close code if there is none.
+    """
 
     reason: str
 
 
 class Reconnected(NamedTuple):
-    """The robot is back. If not `resumed`, it is declaring its interfaces and connections again."""
+    """The robot has a connection again.
+
+    Attributes:
+        resumed: True if the platform kept the session with its interfaces and connections. False if it is a new
+            session, in which the robot is now declaring them again. Environments and nodes exist independently of it.
+    """
 
     resumed: bool
 
 
 Event = EnvironmentEvent | NodeEvent | DropEvent | LimitEvent | Disconnected | Reconnected | RceError
-"""An RceError is one that answers no command: a message that could not be converted, or any of the original server."""
+"""Item of the stream that `Robot.events` returns.
+
+- `EnvironmentEvent`: an environment is ready, failed to start, was lost, or is gone.
+- `NodeEvent`: a node ended; with its exit status and the last lines of its output.
+- `DropEvent`: the platform dropped messages of one of the robot's interfaces, with their number and the place.
+- `LimitEvent`: a limit of the user was reached.
+- `Disconnected` and `Reconnected`: changes of the robot's own connection.
+- `RceError`: an error that answers no command of this client, for example of a message that could not be converted.
+  A server of the original reports all errors this way.
+"""

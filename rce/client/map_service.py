@@ -1,7 +1,7 @@
-"""A client of the map service: sends recordings, has maps made of them, fetches the maps. Blocking, no dependencies.
+"""Blocking client of the map service: uploads recordings, runs mapping jobs, downloads maps.
 
-What breaks off is resumed: an upload continues where the file on the other side ends, also by another run of the
-program, because the service keeps the fingerprint of each file.
+Interrupted uploads are resumed at the offset that the service has received, also by a later run of the program: the
+service keeps a fingerprint of each file. Only the standard library and msgspec are needed.
 """
 
 from __future__ import annotations
@@ -21,30 +21,34 @@ from urllib.parse import urlsplit
 
 import msgspec
 
+from rce.api.http import Problem
+from rce.api.map_jobs import FINAL_STATES, PREFIX, Job, JobRequest, MapOptions, Upload
 from rce.errors import ErrorInfo, InvalidRequest, NotFound, RceError, TimedOut, Unavailable
-from rce.map_jobs import OVER, PREFIX, Job, JobRequest, MapOptions, Problem, Upload
 
-FIRST_PIECE = 65_536  # bytes by which the service sees what a file is
-PIECE = 8 * 1024 * 1024
-SAMPLE = 1024 * 1024  # bytes at both ends of a file that its fingerprint is made of
+FIRST_CHUNK = 65_536  # bytes from which the service recognizes the file format
+CHUNK = 8 * 1024 * 1024
+FINGERPRINT_SAMPLE = 1024 * 1024  # bytes at each end of a file that are part of its fingerprint
 TIMEOUT = 60.0
-PAUSE_FIRST, PAUSE_MOST = 0.2, 5.0
+MIN_DELAY, MAX_DELAY = 0.2, 5.0  # seconds between retries
 OFFSET_MISMATCH = "offset_mismatch"
 
 T = TypeVar("T")
-Told = Callable[[int], None]
+Progress = Callable[[int], None]
 
 
 class Answer(NamedTuple):
+    """HTTP response that has been read."""
+
     status: int
     headers: http.client.HTTPMessage
     body: bytes
 
 
-class MapService:
-    """`url` is the platform's entry, which tells where the service is, or the service itself.
+class MapServiceClient:
+    """Client of one platform's map service. All methods block, and connect anew for each request.
 
-    Give `user` and `password` (in clear), or `key`. `patience`: seconds for which a broken connection is tried again.
+    All methods raise `Unavailable` if the service cannot be reached, and otherwise the error with which it answers, for
+    example `Unauthorized` or `NotFound`. `upload` and `watch` retry a broken connection; the others do not.
     """
 
     def __init__(
@@ -57,50 +61,71 @@ class MapService:
         patience: float = 60.0,
         ssl: tls.SSLContext | None = None,
     ) -> None:
+        """Prepare a client; nothing is sent yet.
+
+        Args:
+            url: URL of the platform's entry, which redirects to the service, or of the service itself.
+            user: User name, with a password.
+            password: Password in clear. Give either this or `key`.
+            key: API key.
+            patience: Seconds for which a broken connection is retried without progress.
+            ssl: TLS context for https in place of the system's certificates.
+
+        Raises:
+            InvalidRequest: The URL is not http or https, or not exactly one of `password` and `key` is given.
+        """
         if urlsplit(url).scheme not in ("http", "https"):
             raise InvalidRequest(f"url {url!r} must begin with http:// or https://", field="url")
         if (password is None) == (key is None):
-            raise InvalidRequest("give a password or a key, one of the two", field="password")
+            raise InvalidRequest("give either a password or an API key", field="password")
         secret = f"Bearer {key}" if key else "Basic " + base64.b64encode(f"{user}:{password}".encode()).decode()
         self._headers = {"Authorization": secret}
         self._patience = patience
         self._ssl = ssl
         self._base = url.rstrip("/").removesuffix(PREFIX)
-        self._found = False
+        self._located = False
 
     # --- jobs --------------------------------------------------------------------------------------------------------
 
     def submit(self, uploads: list[str], options: MapOptions | None = None, name: str = "") -> Job:
-        """Have a map made of uploads, the files of one recording; `name` is what it is called."""
+        """Start a mapping job.
+
+        Args:
+            uploads: Ids of finished uploads, the files of one recording.
+            options: Mapper and its settings.
+            name: Name of the recording; by default that of its file.
+        """
         body = msgspec.json.encode(JobRequest(uploads, options or MapOptions(), name))
         return self._value(self._ask("POST", "/jobs", body, {"Content-Type": "application/json"}), Job)
 
     def job(self, job: str) -> Job:
+        """Return a job by its id."""
         return self._value(self._ask("GET", f"/jobs/{job}"), Job)
 
     def jobs(self) -> list[Job]:
-        """The newest first."""
+        """Return the user's jobs, newest first."""
         return self._value(self._ask("GET", "/jobs"), list[Job])
 
     def cancel(self, job: str) -> Job:
+        """Cancel a job and return its new state."""
         return self._value(self._ask("POST", f"/jobs/{job}/cancel"), Job)
 
     def remove(self, job: str) -> None:
-        """Remove a job that is over, with its files."""
+        """Remove a finished job with its files."""
         self._ask("DELETE", f"/jobs/{job}")
 
     def watch(self, job: str) -> Iterator[Job]:
-        """The job now and after each change, until it is over."""
+        """Yield the job now and after each change, until it has ended."""
         deadline = time.monotonic() + self._patience
         while True:
             try:
-                for seen in self._events(job):
+                for current in self._events(job):
                     deadline = time.monotonic() + self._patience
-                    yield seen
-                    if seen.state in OVER:
+                    yield current
+                    if current.state in FINAL_STATES:
                         return
             except (OSError, http.client.HTTPException, Unavailable) as error:
-                _wait(deadline, PAUSE_MOST / 5, error)
+                _wait(deadline, MAX_DELAY / 5, error)
 
     def _events(self, job: str) -> Iterator[Job]:
         with self._connected() as connection:
@@ -113,7 +138,13 @@ class MapService:
                     yield msgspec.json.decode(line[6:], type=Job)
 
     def fetch(self, job: str, name: str, file: Path) -> None:
-        """Store a result under this path, which appears whole or not at all."""
+        """Download a result.
+
+        Args:
+            job: Id of the job.
+            name: Name of the result, as in `Job.files`.
+            file: Path to store it under. It is written under a temporary name and then renamed.
+        """
         draft = file.with_name(f".{file.name}.part")
         with self._connected() as connection:
             connection.request("GET", f"{PREFIX}/jobs/{job}/files/{name}", headers=self._headers)
@@ -121,43 +152,49 @@ class MapService:
             if response.status != 200:
                 raise _error(Answer(response.status, response.headers, response.read()))
             with draft.open("wb") as out:
-                while piece := response.read(PIECE):
-                    out.write(piece)
+                while chunk := response.read(CHUNK):
+                    out.write(chunk)
         draft.rename(file)
 
     # --- uploads -----------------------------------------------------------------------------------------------------
 
-    def upload(self, path: Path, told: Told = lambda _: None, name: str = "") -> Upload:
-        """Send a file, or what of it is not there yet; `told` hears how many bytes are there. `name` instead of the
-        file's own: letters, digits, '.', '_' and '-'.
+    def upload(self, path: Path, progress: Progress = lambda _: None, name: str = "") -> Upload:
+        """Upload a file, or the part of it that the service has not received yet.
 
-        Raises InvalidRequest as soon as the service sees that it is no recording, and Unavailable or TimedOut when
-        nothing goes on for as long as the patience lasts.
+        Args:
+            path: File of a recording.
+            progress: Function that is called with the number of bytes that have been sent.
+            name: Name in place of the file's own; letters, digits, `.`, `_` and `-`.
+
+        Raises:
+            InvalidRequest: The file is not a recording; detected after the first 64 KiB.
+            Unavailable: There was no progress for the time of the client's patience.
+            TimedOut: The same, if the connection timed out.
         """
         upload = self._retry(lambda: self._begin(path, name or path.name))
-        place = f"/uploads/{upload.id}"
-        told(upload.offset)
-        deadline, pause = time.monotonic() + self._patience, PAUSE_FIRST
+        resource = f"/uploads/{upload.id}"
+        progress(upload.offset)
+        deadline, delay = time.monotonic() + self._patience, MIN_DELAY
         while upload.offset < upload.length:
             before = upload.offset
             error: Exception | None = None
             try:
-                self._send(path, upload, told)
+                self._send(path, upload, progress)
             except (OSError, http.client.HTTPException, Unavailable) as broken:
                 error = broken
-            except RceError as refused:
-                if refused.info.code != OFFSET_MISMATCH:
+            except RceError as refusal:
+                if refusal.info.code != OFFSET_MISMATCH:
                     raise
-            upload = self._retry(lambda: self._value(self._ask("GET", place), Upload))
+            upload = self._retry(lambda: self._value(self._ask("GET", resource), Upload))
             if upload.offset > before:
-                deadline, pause = time.monotonic() + self._patience, PAUSE_FIRST
+                deadline, delay = time.monotonic() + self._patience, MIN_DELAY
             elif error is not None:
-                _wait(deadline, pause, error)
-                pause = min(2 * pause, PAUSE_MOST)
+                _wait(deadline, delay, error)
+                delay = min(2 * delay, MAX_DELAY)
         return upload
 
     def _begin(self, path: Path, name: str) -> Upload:
-        """What is there of the file already, or a new upload."""
+        """Return the upload of an earlier attempt, or a new one."""
         length, mark = path.stat().st_size, fingerprint(path)
         for known in self._value(self._ask("GET", "/uploads"), list[Upload]):
             if (known.name, known.length, known.fingerprint) == (name, length, mark):
@@ -167,11 +204,11 @@ class MapService:
         headers = {"Tus-Resumable": "1.0.0", "Upload-Length": str(length), "Upload-Metadata": metadata}
         return self._value(self._ask("POST", "/uploads", None, headers), Upload)
 
-    def _send(self, path: Path, upload: Upload, told: Told) -> None:
-        """One request with the rest of the file; the first one is small, to be refused early."""
+    def _send(self, path: Path, upload: Upload, progress: Progress) -> None:
+        """Send the rest of the file in one request; the first request is small, so that refusals come early."""
         count = upload.length - upload.offset
         if upload.offset == 0:
-            count = min(count, FIRST_PIECE)
+            count = min(count, FIRST_CHUNK)
         with self._connected() as connection, path.open("rb") as file:
             connection.putrequest("PATCH", f"{PREFIX}/uploads/{upload.id}")
             headers = {"Content-Type": "application/offset+octet-stream", "Tus-Resumable": "1.0.0"}
@@ -183,10 +220,10 @@ class MapService:
             sent = 0
             try:
                 while sent < count:
-                    sent += connection.sock.sendfile(file, upload.offset + sent, min(PIECE, count - sent))
-                    told(upload.offset + sent)
+                    sent += connection.sock.sendfile(file, upload.offset + sent, min(CHUNK, count - sent))
+                    progress(upload.offset + sent)
             except (BrokenPipeError, ConnectionResetError):
-                pass  # the answer may say why
+                pass  # the response may have the reason
             response = connection.getresponse()
             answer = Answer(response.status, response.headers, response.read())
         if answer.status != 204:
@@ -195,16 +232,16 @@ class MapService:
     # --- requests ----------------------------------------------------------------------------------------------------
 
     def _retry(self, work: Callable[[], T]) -> T:
-        deadline, pause = time.monotonic() + self._patience, PAUSE_FIRST
+        deadline, delay = time.monotonic() + self._patience, MIN_DELAY
         while True:
             try:
                 return work()
             except (OSError, http.client.HTTPException, Unavailable) as error:
-                _wait(deadline, pause, error)
-                pause = min(2 * pause, PAUSE_MOST)
+                _wait(deadline, delay, error)
+                delay = min(2 * delay, MAX_DELAY)
 
     def _ask(self, method: str, path: str, body: bytes | None = None, headers: dict[str, str] | None = None) -> Answer:
-        """Unavailable where there is no answer, else the error that the answer tells."""
+        """Make a request; raises Unavailable without a response, and the error of a response that has one."""
         try:
             with self._connected() as connection:
                 connection.request(method, PREFIX + path, body, self._headers | (headers or {}))
@@ -218,9 +255,9 @@ class MapService:
 
     @contextlib.contextmanager
     def _connected(self) -> Iterator[http.client.HTTPConnection]:
-        if not self._found:
+        if not self._located:
             self._base = self._locate()
-            self._found = True
+            self._located = True
         connection = self._connection(self._base)
         try:
             yield connection
@@ -234,7 +271,7 @@ class MapService:
         return http.client.HTTPConnection(parts.netloc, timeout=TIMEOUT)
 
     def _locate(self) -> str:
-        """Ask the entry where the service is."""
+        """Return the URL of the service, to which the platform's entry redirects."""
         connection = self._connection(self._base)
         try:
             connection.request("GET", PREFIX + "/")
@@ -244,13 +281,13 @@ class MapService:
             raise Unavailable(f"cannot reach {self._base}: {error or type(error).__name__}") from None
         finally:
             connection.close()
-        place = response.headers.get("Location", "")
-        if response.status == 307 and place:
-            return place.rstrip("/").removesuffix(PREFIX)
+        location = response.headers.get("Location", "")
+        if response.status == 307 and location:
+            return location.rstrip("/").removesuffix(PREFIX)
         if response.status == 200:
             return self._base
         if response.status == 503:
-            raise Unavailable(f"the map service of {self._base} is away at present; try again in a moment")
+            raise Unavailable(f"the map service of {self._base} is not connected at present; try again in a moment")
         raise NotFound(f"the platform at {self._base} has no map service: start `rce map-service` there", field="url")
 
     @staticmethod
@@ -259,29 +296,29 @@ class MapService:
 
 
 def fingerprint(path: Path) -> str:
-    """A mark of a file's size, time and content, for which only its ends are read."""
+    """Return a hash of a file's size, modification time and first and last MiB."""
     state = path.stat()
-    mark = hashlib.sha256(f"{state.st_size} {state.st_mtime_ns}".encode())
+    digest = hashlib.sha256(f"{state.st_size} {state.st_mtime_ns}".encode())
     with path.open("rb") as file:
-        mark.update(file.read(SAMPLE))
-        file.seek(max(0, state.st_size - SAMPLE), os.SEEK_SET)
-        mark.update(file.read(SAMPLE))
-    return mark.hexdigest()
+        digest.update(file.read(FINGERPRINT_SAMPLE))
+        file.seek(max(0, state.st_size - FINGERPRINT_SAMPLE), os.SEEK_SET)
+        digest.update(file.read(FINGERPRINT_SAMPLE))
+    return digest.hexdigest()
 
 
-def _wait(deadline: float, pause: float, error: Exception) -> None:
-    """Wait before the next try, or raise the error if there was no luck for too long."""
-    if time.monotonic() + pause > deadline:
+def _wait(deadline: float, delay: float, error: Exception) -> None:
+    """Wait before the next attempt, or raise the error if the deadline would pass meanwhile."""
+    if time.monotonic() + delay > deadline:
         if isinstance(error, RceError):
             raise error
         kind = TimedOut if isinstance(error, TimeoutError) else Unavailable
-        raise kind(f"the connection to the map service breaks again and again: {error}") from None
-    time.sleep(pause)
+        raise kind(f"the connection to the map service keeps breaking: {error}") from None
+    time.sleep(delay)
 
 
 def _error(answer: Answer) -> RceError:
     try:
         problem = msgspec.json.decode(answer.body, type=Problem)
     except msgspec.DecodeError:
-        return Unavailable(f"the map service answers with status {answer.status}")
+        return Unavailable(f"the map service answered with HTTP status {answer.status}")
     return RceError.from_info(ErrorInfo(problem.code, problem.detail, "", problem.field, problem.fields))

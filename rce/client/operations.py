@@ -1,7 +1,4 @@
-"""The commands of a robot: each waits until it is carried out, or raises the error that says why not.
-
-With a server of the original they end when they are sent.
-"""
+"""Commands of a robot."""
 
 from __future__ import annotations
 
@@ -10,10 +7,10 @@ from typing import Literal, TypedDict, Unpack
 
 import msgspec
 
-from rce.client.commands import Declared
-from rce.client.session import Session
+from rce.client.declarations import Declarations
+from rce.client.session import ClientSession
 from rce.errors import AlreadyExists, InvalidRequest, RceError
-from rce.messages import (
+from rce.protocol.messages import (
     AddInterface,
     AddNode,
     Command,
@@ -36,11 +33,26 @@ Format = Literal["png", "jpeg", "json"]
 
 
 class EnvironmentOptions(TypedDict, total=False):
-    """What an environment may be asked for; see `containerData` in docs/protocol.md.
+    """Options of an environment. All are optional; what is left out is set by the limits of the user and the slots.
 
-    The `image` that it runs, `size` in slots of a machine, `cpu` in cores, `pids` as processes and threads, `memory`
-    and `disk` in bytes, `bandwidth` and `io` in bytes a second, `env` for its nodes, `packages` of ROS 2, the network
-    `group` it joins with `group_ip` in it, and whether it is started again when lost.
+    docs/protocol.md has the details (`containerData`).
+
+    Attributes:
+        image: Container image to run, one of those that the user may use.
+        size: Slots of a machine.
+        cpu: Cores, also fractions.
+        memory: Bytes, including files in `/tmp` and shared memory.
+        pids: Processes and threads.
+        disk: Bytes of the home directory.
+        bandwidth: Bytes per second that the environment may send.
+        io: Bytes per second that it may read from and write to its disk.
+        gpus: Number of GPUs.
+        special_features: Features that the machine must offer.
+        env: Environment variables of the nodes.
+        packages: The users' own packages to make available, each `name` or `user/name`, optionally with `@version`.
+        group: Network group to join; groups are private to the user.
+        group_ip: Address in the network group.
+        restart: `always` (the default) starts an environment that dies again with all that it had.
     """
 
     image: str
@@ -61,16 +73,44 @@ class EnvironmentOptions(TypedDict, total=False):
 
 
 class Operations:
-    """What a robot may ask of the platform."""
+    """Commands that a robot gives to the platform.
 
-    def __init__(self, session: Session, declared: Declared) -> None:
+    Each command waits until the platform has executed it. While the robot is offline, a command waits for the next
+    connection; one whose answer was lost is repeated, and counts as successful if the first attempt was executed.
+
+    All commands raise:
+
+    - `TimedOut` if there is no answer within the robot's `timeout`. The command may have been executed.
+    - `Unavailable` if the robot has not been opened or has been closed.
+    - Otherwise the error with which the platform answers, for example `NotFound`, `AlreadyExists`, `InvalidRequest`,
+      `LimitExceeded` or `Forbidden`.
+
+    With a server of the original, a command returns once it has been sent, and its error arrives in `Robot.events()`.
+    """
+
+    def __init__(self, session: ClientSession, declarations: Declarations) -> None:
         self._session = session
-        self._declared = declared
+        self._declarations = declarations
 
     async def create_environment(
         self, tag: str, *, exist_ok: bool = False, **options: Unpack[EnvironmentOptions]
     ) -> None:
-        """Start an environment; with `exist_ok` one of that name that is there already will do."""
+        """Start an environment.
+
+        Args:
+            tag: Name of the environment, unique among those of the user.
+            exist_ok: Accept an environment of that name that exists already, whatever its options.
+            **options: See `EnvironmentOptions`.
+
+        Raises:
+            AlreadyExists: The name is in use and `exist_ok` is false.
+            InvalidRequest: An option is wrong.
+            LimitExceeded: The user may not have that much.
+            NoCapacity: No machine has room for it.
+            StartFailed: The environment did not start.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
+        """
         try:
             await self.configure(CreateContainer(tag, _container_data(options)))
         except AlreadyExists:
@@ -78,25 +118,85 @@ class Operations:
                 raise
 
     async def destroy_environment(self, tag: str) -> None:
-        """Stop an environment with all that is in it."""
+        """Stop an environment and remove its nodes, parameters, interfaces and connections.
+
+        Args:
+            tag: Name of the environment.
+
+        Raises:
+            NotFound: There is no such environment.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
+        """
         await self.configure(DestroyContainer(tag))
 
     async def add_node(
         self, environment: str, tag: str, pkg: str, exe: str, *, args: str = "", name: str = "", namespace: str = ""
     ) -> None:
-        """Start the executable `exe` of the ROS package `pkg`. `args` may use `$(find PKG)` and `$(env VAR)`."""
+        """Start a ROS 2 node in an environment.
+
+        Args:
+            environment: Name of the environment.
+            tag: Name by which the platform knows the node, unique within the environment.
+            pkg: ROS package.
+            exe: Executable of the package.
+            args: Command line arguments. `$(find PKG)` and `$(env VAR)` are substituted.
+            name: ROS name of the node in place of the one in its code.
+            namespace: ROS namespace of the node.
+
+        Raises:
+            NotFound: The environment does not exist.
+            AlreadyExists: The environment has a node with this tag.
+            StartFailed: The node did not start, for example because the package or executable does not exist.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
+        """
         await self.configure(AddNode(environment, tag, pkg, exe, args, name, namespace))
 
     async def remove_node(self, environment: str, tag: str) -> None:
-        """Stop a node."""
+        """Stop a node.
+
+        Args:
+            environment: Name of the environment.
+            tag: Name of the node, as given to `add_node`.
+
+        Raises:
+            NotFound: The environment or the node does not exist.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
+        """
         await self.configure(RemoveNode(environment, tag))
 
     async def set_parameter(self, environment: str, name: str, value: ParameterValue, *, node: str = "") -> None:
-        """Set a parameter for nodes started later and running ones that declare it, or for `node` alone."""
+        """Set a ROS 2 parameter.
+
+        Args:
+            environment: Name of the environment.
+            name: Name of the parameter.
+            value: A bool, number, string or a list of one of these.
+            node: Tag of the only node that gets the parameter. Without it, all nodes that are started later get it,
+                and so do running ones that have declared it.
+
+        Raises:
+            NotFound: The environment or the node does not exist.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
+        """
         await self.configure(SetParameter(environment, name, value, node))
 
     async def delete_parameter(self, environment: str, name: str, *, node: str = "") -> None:
-        """Forget a parameter."""
+        """Remove a parameter that was set with `set_parameter`; nodes that are started later do not get it.
+
+        Args:
+            environment: Name of the environment.
+            name: Name of the parameter.
+            node: Tag of the node for which it was set, if it was set for one only.
+
+        Raises:
+            NotFound: The environment, node or parameter does not exist.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
+        """
         await self.configure(DeleteParameter(environment, name, node))
 
     async def add_interface(
@@ -110,34 +210,97 @@ class Operations:
         qos: Qos | None = None,
         format: Format = "png",
     ) -> None:
-        """Add an interface to an environment or a robot; `publisher` and its like do this for the robot's own."""
+        """Add an interface to an environment or a robot.
+
+        For the robot's own interfaces use `Robot.publisher` and its siblings; for those of an environment
+        `Environment.publisher` and its siblings add both ends and connect them.
+
+        Args:
+            endpoint: Name of the environment or the robotID.
+            tag: Name of the interface, unique within the endpoint.
+            interface_type: `PublisherInterface`, `SubscriberInterface`, `ServiceClientInterface` or
+                `ServiceProviderInterface` in an environment; the same with `Converter` or `Forwarder` for a robot.
+            type_name: ROS message or service type.
+            addr: ROS topic or service name, for environments only.
+            qos: ROS 2 quality of service.
+            format: Encoding in which a robot gets images.
+
+        Raises:
+            NotFound: The endpoint does not exist.
+            AlreadyExists: The endpoint has an interface with this tag.
+            UnknownType: The platform does not know the type.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
+        """
         await self.configure(AddInterface(endpoint, tag, interface_type, type_name, addr, qos or Qos(), format))
 
     async def remove_interface(self, endpoint: str, tag: str) -> None:
-        """Remove an interface and its connections."""
+        """Remove an interface and its connections.
+
+        Args:
+            endpoint: Name of the environment or the robotID.
+            tag: Name of the interface.
+
+        Raises:
+            NotFound: There is no such interface.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
+        """
         await self.configure(RemoveInterface(endpoint, tag))
 
     async def connect(self, a: str, b: str) -> None:
-        """Connect two interfaces, each `endpoint/interface`, in either order."""
+        """Connect two interfaces, so that messages pass from one to the other.
+
+        Args:
+            a: One interface as `endpoint/interface`, for example `brain/scan`.
+            b: The other one; the order does not matter.
+
+        Raises:
+            NotFound: One of the interfaces does not exist.
+            NotConnectable: Their kinds are not opposites or their types differ.
+            AlreadyExists: They are connected already.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
+        """
         await self.configure(Connect(a, b))
 
     async def disconnect(self, a: str, b: str) -> None:
-        """Take a connection away."""
+        """Remove the connection between two interfaces.
+
+        Args:
+            a: One interface as `endpoint/interface`.
+            b: The other one; the order does not matter.
+
+        Raises:
+            NotFound: There is no such connection.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
+        """
         await self.configure(Disconnect(a, b))
 
     async def configure(self, *commands: Command) -> None:
-        """Carry out many commands at once, in their order, without waiting for one before the next is sent.
+        """Execute several commands in their order, without waiting for one before the next is sent.
 
-        All are tried; then the first error is raised, and its `item` (`commands[2]`) says which it was.
+        A failed command does not stop the others.
+
+        Args:
+            *commands: Commands of `rce.protocol.messages`, such as `AddInterface` and `Connect`.
+
+        Raises:
+            RceError: The first error after all commands have ended; its `item` (`commands[2]`) names the command if
+                there are several. `TimedOut` if the platform did not answer within the robot's `timeout`,
+                `Unavailable` if the robot is not open.
         """
-        outcomes = await asyncio.gather(*map(self._session.carry_out, commands), return_exceptions=True)
+        outcomes = await asyncio.gather(*map(self._session.execute, commands), return_exceptions=True)
         failed: list[BaseException] = []
         for index, (command, outcome) in enumerate(zip(commands, outcomes, strict=True)):
             if outcome is None:
-                self._declared.note(command)
+                self._declarations.record(command)
             else:
-                many = len(commands) > 1
-                failed.append(outcome.at(f"commands[{index}]") if many and isinstance(outcome, RceError) else outcome)
+                several = len(commands) > 1
+                failed.append(
+                    outcome.with_item(f"commands[{index}]") if several and isinstance(outcome, RceError) else outcome
+                )
         if failed:
             raise failed[0]
 
@@ -147,4 +310,4 @@ def _container_data(options: EnvironmentOptions) -> ContainerData:
     try:
         return msgspec.convert({names.get(name, name): value for name, value in options.items()}, ContainerData)
     except msgspec.ValidationError as error:
-        raise InvalidRequest(f"options of an environment: {error}") from None
+        raise InvalidRequest(f"options of the environment: {error}") from None

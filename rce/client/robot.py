@@ -1,47 +1,86 @@
-"""A robot: its session with the platform, its commands, and its ends of topics and services."""
+"""Asyncio client of a robot: its session with the platform, its commands, and its interfaces."""
 
 from __future__ import annotations
 
-import logging
 import ssl as tls
-from collections.abc import Awaitable, Callable, Iterable, Mapping
+from collections.abc import Awaitable, Callable
 from types import TracebackType
 from typing import Any, Self, TypeVar, Unpack
 
 from rce.client.address import Address
-from rce.client.commands import Declared
-from rce.client.connection import Connection, Message
+from rce.client.connection import Connection
+from rce.client.declarations import Declarations
+from rce.client.dispatcher import Dispatcher
 from rce.client.environment import Environment
-from rce.client.events import Disconnected, Event, Reconnected
+from rce.client.events import Event
 from rce.client.interface import Interface
 from rce.client.operations import EnvironmentOptions, Format, Operations
 from rce.client.services import ServiceClient, ServiceProvider
-from rce.client.session import Session
+from rce.client.session import ClientSession
 from rce.client.stream import Stream
 from rce.client.topics import Publisher, Subscriber
 from rce.errors import AlreadyExists, RceError
-from rce.messages import (
-    AddInterface,
-    Command,
-    FrameId,
-    InterfaceStatus,
-    Qos,
-    StatusData,
-)
-from rce.names import check_robot, check_tag
-
-EVENTS = 1000  # that one reader may leave unread
+from rce.protocol.messages import AddInterface, Qos
+from rce.protocol.names import check_robot_id, check_tag
 
 I = TypeVar("I", bound=Interface)  # noqa: E741
 
-log = logging.getLogger("rce.client")
-
 
 class Robot(Operations):
-    """A robot at the platform whose entry is at `url`.
+    """Robot that is connected to an RCE platform.
 
-    Use it as `async with Robot(…) as robot`. It stays connected by itself: when the socket breaks it comes back, takes
-    its interfaces and connections over or declares them again, and repeats the commands that were under way.
+    Use it as an asynchronous context manager, which opens and closes it:
+
+        async with Robot("https://rce.example.org/", user="ann", robot="r2d2", key=key) as robot:
+            async with robot.environment("brain") as brain:
+                await brain.add_node("mapper", "my_mapping", "mapper.py")
+                scan = await brain.publisher("/scan", "sensor_msgs/LaserScan")
+                await scan.publish(message)
+
+    The robot stays connected until it is closed. When the socket breaks it reconnects, at once and then with
+    exponential backoff from 0.1 s to 10 s. Within the platform's grace period it resumes its session, so its interfaces
+    and connections are as they were; afterwards it declares them again in a new session. Environments and nodes exist
+    independently of the connection. While the robot is offline:
+
+    - Commands wait for the next connection. A command whose answer was lost is repeated, and succeeds if its first
+      attempt was executed.
+    - `Publisher.publish` waits, `Publisher.offer` drops; messages that were lost with the socket are not sent again.
+    - Service calls under way raise `Unavailable`, new ones wait.
+    - `events()` reports `Disconnected` and `Reconnected`.
+
+    If the platform refuses the robot on a reconnection (`Unauthorized`, `Forbidden`, or `NotFound` for `owner`), the
+    robot ends: everything that waits raises that error, and so does every later command.
+
+    A command waits until the platform has executed it. All commands raise:
+
+    - `TimedOut` if there is no answer within `timeout`. The command may have been executed.
+    - `Unavailable` if the robot has not been opened or has been closed.
+    - Otherwise the error with which the platform answers, for example `NotFound`, `AlreadyExists`, `InvalidRequest`,
+      `LimitExceeded` or `Forbidden`.
+
+    With a server of the original, a command returns once it has been sent, and its error arrives in `events()`.
+
+    A robot cannot be opened again after it was closed. All methods must be called on the event loop on which the robot
+    was opened; for plain threads there is `BlockingRobot`.
+
+    Args:
+        url: URL of the Master's entry (http or https).
+        user: User name.
+        robot: robotID, unique among the user's robots. One that begins with `@` is a guest: it takes part in the
+            data of `owner` for as long as it is connected, and what it makes is removed with it.
+        password: Password in clear. Give either this or `key`.
+        key: API key.
+        timeout: Seconds after which a command without an answer raises `TimedOut`.
+        compress: Compress all messages in both directions, for links on which that is faster.
+        ssl: TLS context for https and wss in place of the system's certificates.
+        owner: User whose guest the robot is; empty for `user` itself.
+
+    Raises:
+        InvalidName: `user` or `robot` is not a legal name.
+        InvalidRequest: The URL is not http or https, or not exactly one of `password` and `key` is given.
+
+    Attributes:
+        name: The robotID.
     """
 
     def __init__(
@@ -57,17 +96,12 @@ class Robot(Operations):
         ssl: tls.SSLContext | None = None,
         owner: str = "",
     ) -> None:
-        """`password` in clear or an API `key`; `timeout` in seconds is for each command; `ssl` for own certificates.
-
-        `compress` deflates all messages both ways, for lines that are slower than that. One whose name begins with `@`
-        is a guest, for as long as it is connected: it takes part in the data of `owner`, the user's own if empty.
-        """
         check_tag(user, "user")
-        self.name = check_robot(robot, "robot")
-        session = Session(Address(url, user, robot, password, key, compress, ssl, owner), self, timeout)
-        super().__init__(session, Declared(robot))
-        self._interfaces: dict[str, Interface] = {}
-        self._readers: set[Stream[Event]] = set()
+        self.name = check_robot_id(robot, "robot")
+        declarations = Declarations(robot)
+        self._dispatcher = Dispatcher(robot, declarations)
+        address = Address(url, user, robot, password, key, compress, ssl, owner)
+        super().__init__(ClientSession(address, self._dispatcher, timeout), declarations)
 
     async def __aenter__(self) -> Self:
         await self.open()
@@ -79,46 +113,78 @@ class Robot(Operations):
         await self.close()
 
     async def open(self) -> None:
-        """Connect. Raises Unauthorized, Forbidden, Unavailable, InvalidRequest, AlreadyExists (for a name in use)."""
+        """Connect to the platform. After a failure it may be called again.
+
+        Raises:
+            Unauthorized: The credentials are wrong.
+            Forbidden: The credentials do not permit this robot.
+            NotFound: `owner` does not exist.
+            AlreadyExists: A robot of this name is connected, or was until a moment ago and may still resume.
+            Unavailable: The platform cannot be reached.
+            InvalidRequest: The robot has been opened before, or the platform rejects the request.
+        """
         await self._session.open()
 
     async def close(self) -> None:
-        """Send what is queued and leave. Environments stay until they are destroyed."""
+        """Send the queued messages (for 5 s at most) and leave the platform.
+
+        The robot's interfaces and connections are removed; environments stay until they are destroyed. Pending commands
+        and calls raise `Unavailable`, subscribers and event streams end. Closing twice does nothing.
+        """
         await self._session.close()
 
     @property
     def connection(self) -> Connection | None:
-        """None while the robot is not connected."""
+        """The open connection to a Robot endpoint, or None while the robot is offline."""
         return self._session.connection
 
     @property
     def connected(self) -> bool:
+        """True while the robot is online."""
         return self.connection is not None
 
     @property
     def features(self) -> frozenset[str]:
-        """What the server granted: none means an original server, whose commands end when they are sent."""
+        """Protocol features that the server granted; empty while offline and with a server of the original."""
         return self.connection.features if self.connection is not None else frozenset()
 
     def events(self) -> Stream[Event]:
-        """What happens from now on; read it with `async for`. Every call gives a stream of its own."""
-        stream: Stream[Event] = Stream(EVENTS)
-        self._readers.add(stream)
-        return stream
+        """Subscribe to the robot's events.
+
+        Returns:
+            A new stream of the events from now on, to be read with `async for`. It keeps the newest 1000 unread events
+            and ends with the robot. If the platform refuses the robot, reading it raises that error.
+        """
+        return self._dispatcher.events()
 
     def environment(self, tag: str, **options: Unpack[EnvironmentOptions]) -> Environment:
-        """The environment of that tag, by which its topics and services are used.
+        """Return a handle of an environment, through which the robot uses its topics, services and nodes.
 
-        `async with robot.environment(…)` creates it with these options and destroys it at the end.
+        This sends nothing; the environment may exist already. `async with robot.environment(...)` creates it with the
+        given options and destroys it at the end.
+
+        Args:
+            tag: Name of the environment.
+            **options: See `EnvironmentOptions`.
         """
         return Environment(self, tag, options)
 
-    # --- the robot's ends of topics and services
+    # --- interfaces
 
     async def remove_interface(self, endpoint: str, tag: str) -> None:
-        """Remove an interface and its connections."""
-        if endpoint == self.name and tag in self._interfaces:
-            self._interfaces.pop(tag).ended(None)
+        """Remove an interface and its connections; for one of the robot's own, pending reads and calls end at once.
+
+        Args:
+            endpoint: Name of the environment or the robotID.
+            tag: Name of the interface.
+
+        Raises:
+            NotFound: There is no such interface.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
+        """
+        if endpoint == self.name and tag in self._dispatcher.interfaces:
+            self._dispatcher.interfaces.pop(tag)._end(None)
         await super().remove_interface(endpoint, tag)
 
     async def publisher(
@@ -131,10 +197,29 @@ class Robot(Operations):
         format: Format = "png",
         qos: Qos | None = None,
     ) -> Publisher:
-        """An interface that sends messages; `to` is the `endpoint/interface` that takes them, connected at once.
+        """Add an interface through which the robot sends messages.
 
-        `raw` messages are the bytes of the serialized ROS message (CDR), else they are dicts. `format` is for images;
-        of `qos`, history and depth are for the queue at the platform.
+        Args:
+            tag: Name of the interface, unique within the robot.
+            type_name: ROS message type, for example `std_msgs/String`.
+            to: Interface to connect it to, as `endpoint/interface`: one of an environment that publishes on a ROS
+                topic, or one of another robot that receives. Without it the interface is not connected yet.
+            raw: Send serialized ROS messages (CDR) as bytes instead of dicts.
+            format: Encoding of `sensor_msgs/Image` messages: PNG or JPEG bytes, or dicts (`json`).
+            qos: History and depth of the queue at the platform.
+
+        Returns:
+            The publisher, with a peer if `to` is given.
+
+        Raises:
+            AlreadyExists: The robot has an interface with this tag.
+            NotFound: The interface `to` does not exist.
+            NotConnectable: `to` is not a receiving interface or has another type.
+            NotConnected: `to` is not ready within 10 s.
+            UnknownType: The platform does not know the type.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open. After any error the
+                interface does not exist.
         """
         return await self._add(Publisher(self, tag, type_name), "Subscriber", to, raw, format, qos)
 
@@ -150,37 +235,81 @@ class Robot(Operations):
         format: Format = "png",
         qos: Qos | None = None,
     ) -> Subscriber:
-        """An interface that receives messages of the interface `to`; see `Subscriber`."""
+        """Add an interface through which the robot receives messages.
+
+        Args:
+            tag: Name of the interface, unique within the robot.
+            type_name: ROS message type.
+            to: Interface to connect it to, as `endpoint/interface`: one of an environment that subscribes to a ROS
+                topic, or one of another robot that sends. Without it the interface is not connected yet.
+            callback: Function or coroutine function to call with each message, one after the other. Without it,
+                messages are read from the subscriber.
+            depth: Unread messages to keep; when there are more, the oldest is dropped.
+            raw: Receive serialized ROS messages (CDR) as bytes instead of dicts.
+            format: Encoding in which `sensor_msgs/Image` messages arrive: PNG or JPEG bytes, or dicts (`json`).
+            qos: History and depth of the queue at the platform.
+
+        Returns:
+            The subscriber, with a peer if `to` is given.
+
+        Raises:
+            RceError: The same errors as `publisher`, for the same reasons.
+        """
         subscriber = Subscriber(self, tag, type_name, depth)
         if callback is not None:
             subscriber.call(callback)
         return await self._add(subscriber, "Publisher", to, raw, format, qos)
 
     async def service_client(self, tag: str, type_name: str, *, to: str = "", raw: bool = False) -> ServiceClient:
-        """An interface that calls the service of the interface `to`."""
+        """Add an interface through which the robot calls a service.
+
+        Args:
+            tag: Name of the interface, unique within the robot.
+            type_name: ROS service type, for example `std_srvs/SetBool`.
+            to: Interface to connect it to, as `endpoint/interface`: one of an environment that calls a ROS service, or
+                a service provider of another robot.
+            raw: Exchange serialized ROS messages (CDR) as bytes instead of dicts.
+
+        Raises:
+            RceError: The same errors as `publisher`, for the same reasons.
+        """
         return await self._add(ServiceClient(self, tag, type_name), "ServiceProvider", to, raw)
 
     async def service_provider(
         self, tag: str, type_name: str, handler: Callable[[Any], Any], *, to: str = "", raw: bool = False
     ) -> ServiceProvider:
-        """An interface that answers the calls of the interface `to` with what `handler` (plain or async) returns."""
+        """Add an interface through which the robot offers a service.
+
+        Args:
+            tag: Name of the interface, unique within the robot.
+            type_name: ROS service type.
+            handler: Function or coroutine function that gets the request and returns the response. An exception is sent
+                to the caller as an error with its message.
+            to: Interface to connect it to, as `endpoint/interface`: one of an environment that offers a ROS service, or
+                a service client of another robot.
+            raw: Exchange serialized ROS messages (CDR) as bytes instead of dicts.
+
+        Raises:
+            RceError: The same errors as `publisher`, for the same reasons.
+        """
         return await self._add(ServiceProvider(self, tag, type_name, handler), "ServiceClient", to, raw)
 
     async def _add(
         self, interface: I, kind: str, to: str, raw: bool, format: Format = "png", qos: Qos | None = None
     ) -> I:
-        """Add the interface and connect it; when that fails it is as if it had never been."""
+        """Add the interface and connect it to `to`; remove it again if that fails."""
         tag = interface.tag
-        if tag in self._interfaces:
+        interfaces = self._dispatcher.interfaces
+        if tag in interfaces:
             raise AlreadyExists(f"{self.name}/{tag} exists already: close it first or use another tag")
-        self._interfaces[tag] = interface
+        interfaces[tag] = interface
         kind += "Forwarder" if raw else "Converter"
         try:
             await self.configure(
                 AddInterface(self.name, tag, kind, interface.type_name, qos=qos or Qos(), format=format)
             )
         except RceError:
-            self._interfaces.pop(tag).ended(None)
+            interfaces.pop(tag)._end(None)
             raise
         if to:
             try:
@@ -190,53 +319,3 @@ class Robot(Operations):
                 await interface.close()
                 raise
         return interface
-
-    # --- what the session tells
-
-    def received(self, message: Message) -> None:
-        interface = self._interfaces.get(message.data.iTag)
-        if interface is None:
-            log.debug("a message of the unknown interface %s", message.data.iTag)
-            return
-        try:
-            interface.received(message)
-        except RceError as error:
-            self.failed(error, None)
-
-    def status(self, status: StatusData) -> None:
-        if isinstance(status, InterfaceStatus):
-            if status.iTag in self._interfaces:
-                self._interfaces[status.iTag].status(status.status)
-        else:
-            self._tell(status)  # type: ignore[arg-type]
-
-    def failed(self, error: RceError, frame_id: FrameId | None) -> None:
-        call = error.info.fields.get("msgID")
-        if call is not None and any(each.failed(error, str(call)) for each in self._interfaces.values()):
-            return
-        log.warning("%s: %s", self.name, error)
-        self._tell(error)
-
-    def lost(self, reason: str) -> None:
-        log.warning("%s: the connection broke (%s); connecting again", self.name, reason)
-        for interface in self._interfaces.values():
-            interface.lost()
-        self._tell(Disconnected(reason))
-
-    def back(self, resumed: bool, interfaces: Mapping[str, bool]) -> None:
-        for interface in self._interfaces.values():
-            interface.back(interfaces.get(interface.tag, False))
-        self._tell(Reconnected(resumed))
-
-    def declared(self) -> Iterable[Command]:
-        return self._declared.commands()
-
-    def ended(self, error: RceError | None) -> None:
-        for interface in self._interfaces.values():
-            interface.ended(error)
-        for reader in self._readers:
-            reader.end(error)
-
-    def _tell(self, event: Event) -> None:
-        for reader in self._readers:
-            reader.put(event)

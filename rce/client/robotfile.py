@@ -1,9 +1,9 @@
-"""Runs the robot of a file, with messages as JSON lines.
+"""Runner of a robot file, with messages as JSON lines on standard input and output.
 
-Out come `{"iTag": …, "type": …, "msg": …}`; in go `{"iTag": …, "msg": …}`, which are published, or call a service: its
-answer comes out with the `msgID` of the call, if it had one, and `msg` or `error`. A request to a service that the
-robot provides comes out with a `msgID`, which the line that answers it repeats, with `msg` or `error`. Blobs and the
-bytes of raw (Forwarder) interfaces are in base64.
+Output lines are `{"iTag": …, "type": …, "msg": …}`. Input lines are `{"iTag": …, "msg": …}`: the message is published
+or, with a service client, calls the service; the response is written with the `msgID` of the call, if it had one, and
+`msg` or `error`. A request to a service that the robot provides is written with a `msgID`, and the input line that
+answers it repeats the `msgID` with `msg` or `error`. Blobs and the bytes of raw (Forwarder) interfaces are in base64.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from typing import Any
 import msgspec
 from msgspec import UNSET, Struct, UnsetType
 
-from rce.blobs import Buffer
 from rce.client.interface import Interface
 from rce.client.robot import Robot
 from rce.client.robotformat import InterfaceEntry, RobotFile, read
@@ -32,6 +31,7 @@ from rce.client.services import ServiceClient, ServiceProvider
 from rce.client.topics import Publisher
 from rce.client.values import encode
 from rce.errors import InvalidRequest, NotFound, RceError
+from rce.protocol.blobs import Buffer
 
 log = logging.getLogger("rce.client")
 
@@ -39,7 +39,7 @@ Write = Callable[[bytes], None]
 
 
 class Line(Struct, frozen=True):
-    """A line that comes in."""
+    """Input line."""
 
     iTag: str
     msg: Any = UNSET
@@ -54,10 +54,16 @@ def print_line(line: bytes) -> None:
 
 
 async def run_file(path: Path, *, lines: AsyncIterator[bytes] | None = None, write: Write = print_line) -> None:
-    """Be the robot of a file until cancelled; then remove its parameters and destroy its environments.
+    """Run the robot of a file until cancelled, then remove its parameters and destroy its environments.
 
-    `lines` are those of standard input if not given; their end does not end the robot. Raises InvalidRequest for a bad
-    file, and the error of the command that failed.
+    Args:
+        path: Robot file.
+        lines: Input lines in place of those of standard input. The robot keeps running after the last one.
+        write: Function that gets each output line.
+
+    Raises:
+        InvalidRequest: The file is malformed.
+        RceError: A command of the file failed, or the platform refused the robot.
     """
     file = read(path)
     async with Robot(file.url, user=file.userID, robot=file.robotID, password=file.password, key=file.key) as robot:
@@ -65,15 +71,15 @@ async def run_file(path: Path, *, lines: AsyncIterator[bytes] | None = None, wri
         async with AsyncExitStack() as stack:
             runner = Runner(robot, file, write)
             await runner.set_up(stack)
-            reader = asyncio.create_task(runner.take(standard_input() if lines is None else lines))
+            reader = asyncio.create_task(runner.process(standard_input() if lines is None else lines))
             stack.callback(reader.cancel)
-            log.info("robot %s runs", robot.name)
+            log.info("robot %s is running", robot.name)
             async for event in events:
                 log.info("%s", event)
 
 
 class Runner:
-    """A robot, its interfaces by tag, and the calls that wait for an answer from a line."""
+    """Robot of a file, with its interfaces by tag and the service requests that wait for an answer line."""
 
     def __init__(self, robot: Robot, file: RobotFile, write: Write) -> None:
         self._robot = robot
@@ -81,31 +87,31 @@ class Runner:
         self._write = write
         self._interfaces: dict[str, tuple[InterfaceEntry, Interface]] = {}
         self._numbers = itertools.count(1)
-        self._waiting: dict[tuple[str, str], asyncio.Future[Any]] = {}
+        self._requests: dict[tuple[str, str], asyncio.Future[Any]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
 
     async def set_up(self, stack: AsyncExitStack) -> None:
-        """Containers, parameters, nodes, interfaces, connections, in this order; `stack` undoes it."""
+        """Create environments, parameters, nodes, interfaces and connections, in this order; `stack` undoes them."""
         robot, file = self._robot, self._file
         for container in file.containers:
             await robot.configure(container.command)
-            stack.push_async_callback(_quietly, partial(robot.destroy_environment, container.cTag))
+            stack.push_async_callback(_clean_up, partial(robot.destroy_environment, container.cTag))
         for parameter in file.parameters:
             await robot.configure(parameter.command)
             undo = partial(robot.delete_parameter, parameter.cTag, parameter.name)
-            stack.push_async_callback(_quietly, undo)
+            stack.push_async_callback(_clean_up, undo)
         for node in file.nodes:
             await robot.configure(node.command)
         for entry in file.interfaces:
             if entry.eTag == robot.name and not entry.kind.endswith("Interface"):
-                self._interfaces[entry.iTag] = (entry, await self._own(entry))
+                self._interfaces[entry.iTag] = (entry, await self._add(entry))
             else:
                 await robot.configure(entry.command)
         for connection in file.connections:
             await robot.configure(connection.command)
 
-    async def _own(self, entry: InterfaceEntry) -> Interface:
-        """What the robot is at the other end of an interface that is named from the cloud's point of view."""
+    async def _add(self, entry: InterfaceEntry) -> Interface:
+        """Add an interface of the robot; types are named from the cloud's side, so a Subscriber* publishes here."""
         robot, tag, name = self._robot, entry.iTag, entry.iCls
         raw = entry.kind.endswith("Forwarder")
         if entry.kind.startswith("Subscriber"):
@@ -113,34 +119,34 @@ class Runner:
         if entry.kind.startswith("ServiceProvider"):
             return await robot.service_client(tag, name, raw=raw)
         if entry.kind.startswith("ServiceClient"):
-            return await robot.service_provider(tag, name, lambda request: self._ask(entry, request), raw=raw)
+            return await robot.service_provider(tag, name, lambda request: self._request(entry, request), raw=raw)
         return await robot.subscriber(
-            tag, name, callback=lambda message: self._put(entry, msg=message), raw=raw, format=entry.format
+            tag, name, callback=lambda message: self._print(entry, msg=message), raw=raw, format=entry.format
         )
 
-    def _put(self, entry: InterfaceEntry, **content: Any) -> None:
+    def _print(self, entry: InterfaceEntry, **content: Any) -> None:
         self._write(encode({"iTag": entry.iTag, "type": entry.iCls, **_printable(content)}))
 
-    async def _ask(self, entry: InterfaceEntry, request: Any) -> Any:
+    async def _request(self, entry: InterfaceEntry, request: Any) -> Any:
         number = str(next(self._numbers))
-        answer = self._waiting[entry.iTag, number] = asyncio.get_running_loop().create_future()
+        answer = self._requests[entry.iTag, number] = asyncio.get_running_loop().create_future()
         try:
-            self._put(entry, msgID=number, msg=request)
+            self._print(entry, msgID=number, msg=request)
             return await answer
         finally:
-            del self._waiting[entry.iTag, number]
+            del self._requests[entry.iTag, number]
 
-    async def take(self, lines: AsyncIterator[bytes]) -> None:
-        """Carry out each line; one that is wrong is logged and left out."""
+    async def process(self, lines: AsyncIterator[bytes]) -> None:
+        """Process input lines; a malformed one is logged and skipped."""
         async for text in lines:
             if not text.strip():
                 continue
             try:
-                await self._take(msgspec.json.decode(text, type=Line))
+                await self._process(msgspec.json.decode(text, type=Line))
             except (RceError, msgspec.DecodeError, UnicodeDecodeError) as error:
-                log.error("the line %s: %s", text[:200].decode(errors="replace").strip(), error)
+                log.error("input line %s: %s", text[:200].decode(errors="replace").strip(), error)
 
-    async def _take(self, line: Line) -> None:
+    async def _process(self, line: Line) -> None:
         if line.iTag not in self._interfaces:
             raise NotFound(f"the robot has no interface {line.iTag!r}", field="iTag")
         entry, interface = self._interfaces[line.iTag]
@@ -148,7 +154,7 @@ class Runner:
         if isinstance(interface, ServiceProvider):
             self._answer(line, value)
         elif value is UNSET:
-            raise InvalidRequest("it has no msg", field="msg")
+            raise InvalidRequest("the line has no msg", field="msg")
         elif isinstance(interface, Publisher):
             await interface.publish(value)
         elif isinstance(interface, ServiceClient):
@@ -156,38 +162,38 @@ class Runner:
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
         else:
-            raise InvalidRequest(f"{line.iTag} receives, it does not send", field="iTag")
+            raise InvalidRequest(f"interface {line.iTag} receives messages and cannot send any", field="iTag")
 
     def _answer(self, line: Line, value: Any | UnsetType) -> None:
-        answer = self._waiting.get((line.iTag, line.msgID))
+        answer = self._requests.get((line.iTag, line.msgID))
         if answer is None or answer.done():
-            raise NotFound(f"no request of {line.iTag} with msgID {line.msgID!r} waits for an answer", field="msgID")
+            raise NotFound(f"interface {line.iTag} has no pending request with msgID {line.msgID!r}", field="msgID")
         if value is UNSET:
             answer.set_exception(RceError(line.error or "refused"))
         else:
             answer.set_result(value)
 
     async def _call(self, entry: InterfaceEntry, client: ServiceClient, msg_id: str, value: Any) -> None:
-        given = {"msgID": msg_id} if msg_id else {}
+        msg_id_field = {"msgID": msg_id} if msg_id else {}
         try:
-            self._put(entry, **given, msg=await client.call(value))
+            self._print(entry, **msg_id_field, msg=await client.call(value))
         except RceError as error:
-            self._put(entry, **given, error=str(error))
+            self._print(entry, **msg_id_field, error=str(error))
 
 
-async def _quietly(undo: Callable[[], Awaitable[None]]) -> None:
-    """Undo something at the end: what is gone already, or cannot be reached, is no reason to leave the rest."""
+async def _clean_up(undo: Callable[[], Awaitable[None]]) -> None:
+    """Undo one step at the end; log its error so that the remaining steps are undone too."""
     try:
         await undo()
     except RceError as error:
-        log.warning("at the end: %s", error)
+        log.warning("clean-up: %s", error)
 
 
 def _bytes_of(line: Line) -> bytes:
     try:
         return base64.b64decode(line.msg, validate=True)
     except (TypeError, ValueError, binascii.Error):
-        raise InvalidRequest(f"msg of the raw interface {line.iTag} must be base64", field="msg") from None
+        raise InvalidRequest(f"msg for the raw interface {line.iTag} must be base64", field="msg") from None
 
 
 def _printable(value: Any) -> Any:
@@ -201,15 +207,17 @@ def _printable(value: Any) -> Any:
 
 
 async def standard_input() -> AsyncIterator[bytes]:
-    """Lines of standard input, read by a daemon thread: a blocking read must not keep the program from ending."""
+    """Yield the lines of standard input, read by a daemon thread: a blocking read must not delay the program's end."""
     queue: asyncio.Queue[bytes] = asyncio.Queue(100)
     loop = asyncio.get_running_loop()
 
     def read_all() -> None:
-        for line in itertools.chain(sys.stdin.buffer, [b""]):
-            if loop.is_closed():
-                return
-            asyncio.run_coroutine_threadsafe(queue.put(line), loop).result()
+        # Not sys.stdin.buffer: at exit Python takes its lock, and aborts while this thread holds it.
+        with open(sys.stdin.fileno(), "rb", closefd=False) as lines:
+            for line in itertools.chain(lines, [b""]):
+                if loop.is_closed():
+                    return
+                asyncio.run_coroutine_threadsafe(queue.put(line), loop).result()
 
     threading.Thread(target=read_all, name="standard input", daemon=True).start()
     while line := await queue.get():

@@ -1,4 +1,4 @@
-"""A robot from a file: the JSON of the original `rce-ros`, or the same as YAML.
+"""Robot files: the JSON format of the original's `rce-ros`, or the same as YAML.
 
 The keys of the entries are the argument names of the original's Python client. Unknown keys are errors.
 """
@@ -11,7 +11,7 @@ from typing import Literal
 from msgspec import Struct
 
 from rce import structfile
-from rce.messages import (
+from rce.protocol.messages import (
     ALIASES,
     AddInterface,
     AddNode,
@@ -25,19 +25,20 @@ from rce.messages import (
 )
 
 
-class Container(ContainerData, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """An entry of `containers`: the options of an environment beside its tag."""
+class ContainerEntry(ContainerData, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Entry of `containers`: the name and the options of an environment."""
 
     cTag: str
 
     @property
     def command(self) -> CreateContainer:
+        """Command that creates it."""
         options = {name: getattr(self, name) for name in ContainerData.__struct_fields__}
         return CreateContainer(self.cTag, ContainerData(**options))
 
 
-class Parameter(Struct, frozen=True, forbid_unknown_fields=True):
-    """An entry of `parameters`."""
+class ParameterEntry(Struct, frozen=True, forbid_unknown_fields=True):
+    """Entry of `parameters`."""
 
     cTag: str
     name: str
@@ -45,11 +46,12 @@ class Parameter(Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def command(self) -> SetParameter:
+        """Command that creates it."""
         return SetParameter(self.cTag, self.name, self.value)
 
 
-class Node(Struct, frozen=True, forbid_unknown_fields=True):
-    """An entry of `nodes`."""
+class NodeEntry(Struct, frozen=True, forbid_unknown_fields=True):
+    """Entry of `nodes`."""
 
     cTag: str
     nTag: str
@@ -61,11 +63,12 @@ class Node(Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def command(self) -> AddNode:
+        """Command that creates it."""
         return AddNode(self.cTag, self.nTag, self.pkg, self.exe, self.args, self.name, self.namespace)
 
 
 class InterfaceEntry(Struct, frozen=True, forbid_unknown_fields=True):
-    """An entry of `interfaces`; `addr` counts in environments only."""
+    """Entry of `interfaces`; `addr` is used by those of environments only."""
 
     eTag: str
     iTag: str
@@ -77,39 +80,46 @@ class InterfaceEntry(Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def kind(self) -> str:
+        """Interface type, with the names that old C++ clients use replaced by the current ones."""
         return ALIASES.get(self.iType, self.iType)
 
     @property
     def command(self) -> AddInterface:
+        """Command that creates it."""
         return AddInterface(self.eTag, self.iTag, self.kind, self.iCls, self.addr, self.qos, self.format)
 
 
-class Connection(Struct, frozen=True, forbid_unknown_fields=True):
-    """An entry of `connections`."""
+class ConnectionEntry(Struct, frozen=True, forbid_unknown_fields=True):
+    """Entry of `connections`."""
 
     tagA: str
     tagB: str
 
     @property
     def command(self) -> Connect:
+        """Command that creates it."""
         return Connect(self.tagA, self.tagB)
 
 
 class RobotFile(Struct, frozen=True, forbid_unknown_fields=True):
-    """A robot with all that it sets up. `password` is in clear; an API `key` may stand in its place."""
+    """Content of a robot file: the robot, its credentials (a password in clear or an API key) and what it sets up."""
 
     url: str
     userID: str
     robotID: str
     password: str | None = None
     key: str | None = None
-    containers: list[Container] = []
-    parameters: list[Parameter] = []
-    nodes: list[Node] = []
+    containers: list[ContainerEntry] = []
+    parameters: list[ParameterEntry] = []
+    nodes: list[NodeEntry] = []
     interfaces: list[InterfaceEntry] = []
-    connections: list[Connection] = []
+    connections: list[ConnectionEntry] = []
 
 
 def read(path: Path) -> RobotFile:
-    """The robot of a file: YAML if its name ends in `.yaml` or `.yml`, else JSON. InvalidRequest names the place."""
+    """Read a robot file: YAML if its name ends in `.yaml` or `.yml`, else JSON.
+
+    Raises:
+        InvalidRequest: The file cannot be read or is malformed; the message names the place.
+    """
     return structfile.read(path, RobotFile)

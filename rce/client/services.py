@@ -1,4 +1,4 @@
-"""The robot's ends of services. Made by `Robot` and `Environment`, which add and connect them."""
+"""Service clients and service providers of a robot, made by the methods of `Robot` and `Environment`."""
 
 from __future__ import annotations
 
@@ -18,17 +18,37 @@ log = logging.getLogger("rce.client")
 
 
 class ServiceClient(Interface):
-    """Calls a service."""
+    """Interface through which the robot calls a service.
+
+    Several calls may be under way at the same time. While the robot is offline or the service has no provider, `call`
+    waits for it; calls whose socket breaks raise `Unavailable`.
+
+    Attributes:
+        tag: Name of the interface, unique within the robot.
+        type_name: ROS service type.
+    """
 
     def __init__(self, owner: Owner, tag: str, type_name: str) -> None:
         super().__init__(owner, tag, type_name)
         self._calls: dict[str, asyncio.Future[Any]] = {}
 
     async def call(self, request: Any, timeout: float = 10.0) -> Any:  # noqa: ASYNC109  # the error names it
-        """The response to `request`.
+        """Call the service.
 
-        Raises what the service answered, TimedOut, NotConnected, or Unavailable if the socket broke meanwhile: then it
-        is not known whether the call was carried out.
+        Args:
+            request: The request as a dict, or bytes (CDR) with a raw interface.
+            timeout: Seconds to wait for the service to be connected, and again for its response.
+
+        Returns:
+            The response as a dict, or bytes with a raw interface.
+
+        Raises:
+            NotConnected: The interface had no peer for `timeout` seconds.
+            TimedOut: The service did not answer within `timeout` seconds.
+            Unavailable: The socket broke during the call, which may or may not have been executed; or the robot was
+                closed.
+            InvalidRequest: The request cannot be expressed in JSON or does not fit the type.
+            RceError: The error with which the service answered.
         """
         await self.wait_connected(timeout)
         connection = self._connection()
@@ -46,39 +66,48 @@ class ServiceClient(Interface):
         finally:
             del self._calls[msg_id]
 
-    def received(self, message: Message) -> None:
+    def _receive(self, message: Message) -> None:
         response = self._calls.get(message.data.msgID)
         if response is None or response.done():
-            return  # too late: its caller has given up
+            return  # the call has timed out
         if message.data.error:
             response.set_exception(RceError(message.data.error))
         else:
             response.set_result(decode_message(message.data, message.blobs))
 
-    def failed(self, error: RceError, msg_id: str) -> bool:
+    def _fail_call(self, error: RceError, msg_id: str) -> bool:
         response = self._calls.get(msg_id)
         if response is not None and not response.done():
             response.set_exception(error)
         return response is not None
 
-    def lost(self) -> None:
-        super().lost()
-        self._fail(Unavailable(f"the socket broke while {self.tag} was called: whether that was done is not known"))
+    def _disconnected(self) -> None:
+        super()._disconnected()
+        self._fail_all(
+            Unavailable(f"the socket broke during the call of {self.tag}: it is not known whether it was executed")
+        )
 
-    def ended(self, error: RceError | None) -> None:
-        super().ended(error)
-        self._fail(error or Unavailable("the robot has been closed"))
+    def _end(self, error: RceError | None) -> None:
+        super()._end(error)
+        self._fail_all(error or Unavailable("the robot has been closed"))
 
-    def _fail(self, error: RceError) -> None:
+    def _fail_all(self, error: RceError) -> None:
         for response in self._calls.values():
             if not response.done():
                 response.set_exception(error)
 
 
 class ServiceProvider(Interface):
-    """Answers the calls of a service with what `handler` returns, or with the error that it raises.
+    """Interface through which the robot offers a service.
 
-    Calls run at the same time when the handler is a coroutine function.
+    Each call runs the handler. Its result is the response; an exception is sent to the caller as an error with its
+    message. Calls run concurrently if the handler is a coroutine function. A response that is ready while the robot is
+    offline is lost, and its caller times out. A server of the original has no error responses: there a failed call
+    times out as well.
+
+    Attributes:
+        tag: Name of the interface, unique within the robot.
+        type_name: ROS service type.
     """
 
     def __init__(self, owner: Owner, tag: str, type_name: str, handler: Callable[[Any], Any]) -> None:
@@ -86,14 +115,14 @@ class ServiceProvider(Interface):
         self._handler = handler
         self._tasks: set[asyncio.Task[None]] = set()
 
-    def received(self, message: Message) -> None:
+    def _receive(self, message: Message) -> None:
         request = decode_message(message.data, message.blobs)
         task = asyncio.create_task(self._answer(message.data.msgID, request), name=f"rce service {self.tag}")
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    def ended(self, error: RceError | None) -> None:
-        super().ended(error)
+    def _end(self, error: RceError | None) -> None:
+        super()._end(error)
         for task in self._tasks:
             task.cancel()
 
@@ -103,18 +132,18 @@ class ServiceProvider(Interface):
             response = await result if inspect.isawaitable(result) else result
             text, blobs = encode_message(self.tag, self.type_name, msg_id, response)
         except RceError as error:
-            self._refuse(msg_id, str(error))
+            self._send_error(msg_id, str(error))
             return
         except Exception as error:
             log.exception("the handler of service %s failed", self.tag)
-            self._refuse(msg_id, f"{type(error).__name__}: {error}")
+            self._send_error(msg_id, f"{type(error).__name__}: {error}")
             return
         if self._owner.connection is not None:
             self._owner.connection.put_message(self.tag, text, blobs)
 
-    def _refuse(self, msg_id: str, reason: str) -> None:
+    def _send_error(self, msg_id: str, reason: str) -> None:
         connection = self._owner.connection
         if connection is None or not connection.features:
-            return  # the original knows no failure: its caller waits for its own time-out
+            return  # the original protocol has no error response: the caller times out
         data = {"iTag": self.tag, "type": self.type_name, "msgID": msg_id, "error": reason}
         connection.put_message(self.tag, encode({"type": "DM", "data": data}), {})

@@ -1,8 +1,8 @@
-"""A robot's session: connected again whenever the socket breaks, and the commands that are under way on it.
+"""Session of a robot: reconnects whenever the socket breaks and carries its commands across connections.
 
-A command whose socket broke before its answer came is sent again on the next one; when the answer then says that the
-work was done already, it counts as done. So a command ends with its result, with TimedOut, or with why the robot is
-not let in any more.
+A command whose socket breaks before the answer is sent again on the next connection. If the answer to the repetition
+says that the work was done already, the command has succeeded. So a command ends with its own result, with TimedOut, or
+with the error by which the platform refused the robot.
 """
 
 from __future__ import annotations
@@ -19,44 +19,46 @@ from typing import Protocol
 from msgspec import UNSET
 
 from rce.client.address import Address
-from rce.client.commands import frame_of, repetition_done
+from rce.client.commands import already_done, frame_of
 from rce.client.connection import Connection, Incoming, Message
 from rce.client.values import encode
 from rce.errors import Forbidden, InternalError, InvalidRequest, NotFound, RceError, TimedOut, Unauthorized, Unavailable
-from rce.messages import Ack, Command, Failure, FrameId, StatusData
-from rce.messages import Session as SessionStatus
+from rce.protocol.messages import Ack, Command, Failure, FrameId, Session, StatusData
 
-COMMANDS = " commands"  # as a source of the outbox; no tag has a blank
-MIN_DELAY, MAX_DELAY = 0.1, 10.0  # seconds between attempts to reconnect, after a first one at once
+COMMANDS = " commands"  # their source in the outbox; a tag cannot contain a space
+MIN_DELAY, MAX_DELAY = 0.1, 10.0  # seconds between attempts to reconnect; the first attempt is immediate
 
 log = logging.getLogger("rce.client")
 
 
 class Listener(Protocol):
-    """Who hears what a session brings."""
+    """Receiver of the events of a session."""
 
-    def received(self, message: Message) -> None: ...
+    def message_received(self, message: Message) -> None:
+        """Handle a data message."""
 
-    def status(self, status: StatusData) -> None: ...
+    def status_received(self, status: StatusData) -> None:
+        """Handle a status frame that is not about the session or a command."""
 
-    def failed(self, error: RceError, frame_id: FrameId | None) -> None:
-        """An ER, with the id of the data message that it answers, if any; or a fault of the server's."""
+    def error_received(self, error: RceError) -> None:
+        """Handle an error that answers no command."""
 
-    def lost(self, reason: str) -> None: ...
+    def disconnected(self, reason: str) -> None:
+        """Handle the loss of the socket; the session is reconnecting."""
 
-    def back(self, resumed: bool, interfaces: Mapping[str, bool]) -> None:
-        """Connected again; `interfaces` has the statuses of those that a resumed session still has."""
+    def reconnected(self, resumed: bool, interfaces: Mapping[str, bool]) -> None:
+        """Handle a new connection; `interfaces` has the connection status of a resumed session's interfaces by tag."""
 
-    def declared(self) -> Iterable[Command]:
-        """What is to be declared again on a connection that did not resume."""
+    def declarations(self) -> Iterable[Command]:
+        """Return the commands that restore the robot's interfaces and connections in a new session."""
 
     def ended(self, error: RceError | None) -> None:
-        """There will be no other connection."""
+        """Handle the end of the session: closed by the application (None) or by this error."""
 
 
 @dataclass(slots=True, eq=False)
 class Request:
-    """A command under way; `restores` if the session itself sent it to declare something again."""
+    """Command without an answer yet; `restores` marks a declaration that the session itself repeats."""
 
     command: Command
     done: asyncio.Future[None]
@@ -64,8 +66,8 @@ class Request:
     attempts: int = 0
 
 
-class Session:
-    """Open it once; it stays until `close`, or until the platform refuses the robot."""
+class ClientSession:
+    """Session that lasts from `open` until `close`, or until the platform refuses the robot."""
 
     def __init__(self, address: Address, listener: Listener, timeout: float) -> None:
         self.connection: Connection | None = None
@@ -79,19 +81,24 @@ class Session:
         self._opened = False
         self._keeper: asyncio.Task[None] | None = None
         self._restoring: set[asyncio.Task[None]] = set()
-        self._error: RceError = Unavailable("the robot is not connected")
+        self._error: RceError = Unavailable("the robot is not connected: call open() first")
 
     async def open(self) -> None:
-        """Connect, or raise why that is not possible. Once only."""
+        """Connect for the first time.
+
+        Raises:
+            InvalidRequest: This session has been opened before.
+            RceError: The connection failed; see `Address.dial`.
+        """
         if self._opened:
             raise InvalidRequest("this robot has been opened before: make a new one")
         connection = await self._connect()
         self._opened = True
-        self._begin(connection)
+        self._adopt(connection)
         self._keeper = asyncio.create_task(self._keep(connection), name=f"rce session of {self._address.robot}")
 
     async def close(self) -> None:
-        """Send what is queued and leave for good; commands under way raise Unavailable."""
+        """Send the queued frames and end the session; pending commands raise Unavailable."""
         keeper, connection = self._keeper, self.connection
         if keeper is None:
             return
@@ -103,30 +110,36 @@ class Session:
             await self.connection.close()
         self._end(None)
 
-    async def carry_out(self, command: Command) -> None:
-        """Send a command and wait for its end. Raises what the answer says.
+    async def execute(self, command: Command) -> None:
+        """Send a command and wait until it has been executed.
 
-        Commands leave, and are carried out, in the order of these calls.
+        Commands are sent and executed in the order of these calls. While offline, a command waits for the next
+        connection.
+
+        Raises:
+            TimedOut: There was no answer within the session's timeout.
+            Unavailable: The session is not open.
+            RceError: The error with which the platform answered.
         """
         if self._keeper is None:
             raise self._error
         await self._outcome(*self._submit(command, restores=False))
 
-    def _submit(self, command: Command, restores: bool) -> tuple[int, Request]:
-        number = next(self._ids)
+    def _submit(self, command: Command, restores: bool) -> tuple[FrameId, Request]:
+        number: FrameId = next(self._ids)
         request = Request(command, asyncio.get_running_loop().create_future(), restores)
         self._requests[number] = request
         if self.connection is not None:
             self._send(self.connection, number, request)
         return number, request
 
-    async def _outcome(self, number: int, request: Request) -> None:
+    async def _outcome(self, number: FrameId, request: Request) -> None:
         try:
             async with asyncio.timeout(self._timeout):
                 await request.done
         except TimeoutError:
-            what = type(request.command).__name__
-            raise TimedOut(f"{what} was not answered within {self._timeout:g} s") from None
+            name = type(request.command).__name__
+            raise TimedOut(f"{name} was not answered within {self._timeout:g} s") from None
         finally:
             self._requests.pop(number, None)
 
@@ -135,45 +148,45 @@ class Session:
         acknowledged = "ack" in connection.features
         frame = frame_of(request.command) | ({"id": number} if acknowledged else {})
 
-        def sent() -> None:
+        def on_sent() -> None:
             if not acknowledged and not request.done.done():
                 request.done.set_result(None)
 
-        connection.put_text(COMMANDS, encode(frame), sent)
+        connection.put_text(COMMANDS, encode(frame), on_sent)
 
     async def _connect(self) -> Connection:
-        """The endpoint that may still hold the session, else the one that the entry names."""
+        """Connect to the endpoint that may still hold the session, else to the one that the entry assigns."""
         if self._token:
             try:
                 return await Connection.open(self._address, self._endpoint, self._token)
             except (Unavailable, InvalidRequest) as error:
-                log.info("%s: %s; asking the entry", self._address.robot, error)
+                log.info("%s: %s; asking the entry for an endpoint", self._address.robot, error)
         return await Connection.open(self._address, await self._address.locate(), self._token)
 
-    def _begin(self, connection: Connection) -> None:
+    def _adopt(self, connection: Connection) -> None:
         self._token, self._endpoint = connection.session.token, connection.endpoint
         self.connection = connection
 
     async def _keep(self, connection: Connection) -> None:
         try:
             while True:
-                async with aclosing(connection.receive()) as frames_in:
-                    async for incoming in frames_in:
-                        self._take(incoming)
-                self._lose(connection.reason)
+                async with aclosing(connection.receive()) as incoming_frames:
+                    async for incoming in incoming_frames:
+                        self._handle(incoming)
+                self._disconnected(connection.reason)
                 connection = await self._reconnect()
-                self._begin(connection)
-                self._listener.back(connection.session.resumed, connection.session.interfaces)
+                self._adopt(connection)
+                self._listener.reconnected(connection.session.resumed, connection.session.interfaces)
                 self._restore(connection)
         except RceError as error:
             self._end(error)
         except Exception as error:
-            self._end(InternalError(f"the client failed: {error!r}"))  # so that nobody waits for ever
+            self._end(InternalError(f"the client failed: {error!r}"))  # or pending commands would wait for ever
             raise
 
     async def _reconnect(self) -> Connection:
-        """A new connection, however long that takes. Unauthorized, Forbidden, NotFound: trying again does not help."""
-        for delay in delays():
+        """Retry until a connection is made; raise only errors that no retry can resolve."""
+        for delay in backoff_delays():
             await asyncio.sleep(delay)
             try:
                 return await self._connect()
@@ -181,60 +194,60 @@ class Session:
                 raise
             except RceError as error:
                 log.info("%s: not connected yet: %s", self._address.robot, error)
-        raise AssertionError("the delays do not end")
+        raise AssertionError("the delays are endless")
 
-    def _lose(self, reason: str) -> None:
+    def _disconnected(self, reason: str) -> None:
         self.connection = None
         for number, request in list(self._requests.items()):
-            if request.restores:  # what is missing then is found out anew
+            if request.restores:  # the next connection determines anew which declarations are missing
                 del self._requests[number]
         self._stop_restoring()
-        self._listener.lost(reason)
+        self._listener.disconnected(reason)
 
     def _restore(self, connection: Connection) -> None:
-        """Declare again what is gone, then repeat the commands under way, all in their order."""
-        under_way = list(self._requests.items())
+        """Declare again what the platform no longer has, then repeat the pending commands, all in their order."""
+        pending = list(self._requests.items())
         if not connection.session.resumed:
-            for command in self._listener.declared():
+            for command in self._listener.declarations():
                 number, request = self._submit(command, restores=True)
                 task = asyncio.create_task(self._redeclare(number, request))
                 self._restoring.add(task)
                 task.add_done_callback(self._restoring.discard)
-        for each, waiting in under_way:
-            self._send(connection, each, waiting)
+        for number, request in pending:
+            self._send(connection, number, request)
 
-    async def _redeclare(self, number: int, request: Request) -> None:
-        for delay in delays():
+    async def _redeclare(self, number: FrameId, request: Request) -> None:
+        for delay in backoff_delays():
             try:
                 return await self._outcome(number, request)
             except Unavailable:
                 await asyncio.sleep(delay)
                 number, request = self._submit(request.command, restores=True)
             except RceError as error:
-                return self._listener.failed(error, None)
+                return self._listener.error_received(error)
 
-    def _take(self, incoming: Incoming) -> None:
+    def _handle(self, incoming: Incoming) -> None:
         if isinstance(incoming, Message):
-            self._listener.received(incoming)
+            self._listener.message_received(incoming)
         elif isinstance(incoming, RceError):
-            self._listener.failed(incoming, None)
+            self._listener.error_received(incoming)
         elif isinstance(incoming, Failure):
-            self._failure(incoming)
+            self._handle_failure(incoming)
         elif isinstance(incoming.data, Ack):
             request = self._requests.get(incoming.id) if incoming.id is not UNSET else None
             if request is not None and not request.done.done():
                 request.done.set_result(None)
-        elif not isinstance(incoming.data, SessionStatus):
-            self._listener.status(incoming.data)
+        elif not isinstance(incoming.data, Session):
+            self._listener.status_received(incoming.data)
 
-    def _failure(self, failure: Failure) -> None:
+    def _handle_failure(self, failure: Failure) -> None:
         error = error_of(failure)
         request = self._requests.get(failure.id) if failure.id is not UNSET else None
         if request is None:
-            self._listener.failed(error, None if failure.id is UNSET else failure.id)
+            self._listener.error_received(error)
         elif request.done.done():
             return
-        elif (request.restores or request.attempts > 1) and repetition_done(request.command, error):
+        elif (request.restores or request.attempts > 1) and already_done(request.command, error):
             request.done.set_result(None)
         else:
             request.done.set_exception(error)
@@ -253,8 +266,11 @@ class Session:
         self._listener.ended(error)
 
 
-def delays() -> Iterator[float]:
-    """Seconds to wait before each attempt: none, then doubling, with jitter so that many robots do not come at once."""
+def backoff_delays() -> Iterator[float]:
+    """Yield the seconds to wait before each attempt: zero, then exponential backoff with jitter, without end.
+
+    The jitter keeps many robots from reconnecting at the same moment.
+    """
     yield 0.0
     delay = MIN_DELAY
     while True:
@@ -263,7 +279,10 @@ def delays() -> Iterator[float]:
 
 
 def error_of(failure: Failure) -> RceError:
-    """What an ER says; the original gives a bare sentence, of which only the beginning tells a kind."""
+    """Return the error of an ER frame.
+
+    A server of the original sends a bare sentence; only its beginning distinguishes one kind of error.
+    """
     if failure.error is not UNSET:
         return RceError.from_info(failure.error)
     return (InvalidRequest if failure.data.startswith("Invalid Request") else RceError)(failure.data)

@@ -1,4 +1,4 @@
-"""An event loop in a thread of its own, and how plain threads wait for what runs on it."""
+"""Event loop in a background thread, and wrappers through which plain threads use its objects."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ W = TypeVar("W", covariant=True)
 
 
 class LoopThread:
-    """Runs from `start` to `stop`, once."""
+    """Event loop in a daemon thread, which runs once, from `start` to `stop`."""
 
     def __init__(self) -> None:
         self._loop = asyncio.new_event_loop()
@@ -25,15 +25,21 @@ class LoopThread:
 
     @property
     def running(self) -> bool:
+        """True between `start` and `stop`."""
         return self._thread.is_alive()
 
     def start(self) -> None:
+        """Start the thread; raises InvalidRequest if it has run before."""
         if self._loop.is_closed():
             raise InvalidRequest("this robot has been opened before: make a new one")
         self._thread.start()
 
     def wait(self, coroutine: Coroutine[Any, Any, T]) -> T:
-        """Run it on the loop and return its result; raises Unavailable when there is none. Ctrl-C cancels it."""
+        """Run a coroutine on the loop and return its result. An interrupt (Ctrl-C) cancels it.
+
+        Raises:
+            Unavailable: The loop is not running.
+        """
         if not self.running:
             coroutine.close()
             raise Unavailable("the robot is not open")
@@ -45,7 +51,7 @@ class LoopThread:
             raise
 
     def call(self, function: Callable[[], T]) -> T:
-        """Run a plain function on the loop."""
+        """Run a plain function on the loop and return its result."""
 
         async def run() -> T:
             return function()
@@ -53,7 +59,7 @@ class LoopThread:
         return self.wait(run())
 
     def stop(self) -> None:
-        """End the loop and the thread."""
+        """Stop the loop and wait for the thread to end."""
         if self.running:
             self._loop.call_soon_threadsafe(self._loop.stop)
             self._thread.join()
@@ -61,7 +67,11 @@ class LoopThread:
 
 
 class Blocking(Generic[W]):
-    """An object of the asyncio library (`inner`), used from plain threads."""
+    """Blocking face of an object of the asyncio client.
+
+    Attributes:
+        inner: The asyncio object, which must be used on its own event loop only.
+    """
 
     def __init__(self, thread: LoopThread, inner: W) -> None:
         self._thread = thread
@@ -71,7 +81,7 @@ class Blocking(Generic[W]):
 def blocking(
     method: Callable[Concatenate[W, P], Coroutine[Any, Any, T]],
 ) -> Callable[Concatenate[Blocking[W], P], T]:
-    """The coroutine method of the inner object as a method that waits."""
+    """Turn a coroutine method of the inner object into a method that blocks; its signature and docstring are kept."""
 
     @functools.wraps(method)
     def call(self: Blocking[W], /, *arguments: P.args, **options: P.kwargs) -> T:
@@ -81,12 +91,14 @@ def blocking(
 
 
 class BlockingStream(Blocking[Stream[T]]):
-    """What arrives, in order: iterate over it, or `get` the next."""
+    """Blocking `Stream`: iterate over it, or `get` the next item."""
 
     get = blocking(Stream[T].get)
+    """Return the next item, waiting for it if there is none; see `Stream.get`."""
 
     @property
     def dropped(self) -> int:
+        """Number of items that were dropped because too many were unread."""
         return self.inner.dropped
 
     def __iter__(self) -> Iterator[T]:

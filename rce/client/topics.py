@@ -1,4 +1,4 @@
-"""The robot's ends of topics. Made by `Robot` and `Environment`, which add and connect them."""
+"""Publishers and subscribers of a robot, made by the methods of `Robot` and `Environment`."""
 
 from __future__ import annotations
 
@@ -15,22 +15,41 @@ from rce.client.stream import Stream
 from rce.client.values import decode_message, encode_message
 from rce.errors import RceError
 
-TOPIC_ID = "nil"  # the msgID of topics, by convention
+TOPIC_ID = "nil"  # msgID of topic messages, as the original's clients send it
 
 log = logging.getLogger("rce.client")
 
 
 class Publisher(Interface):
-    """Sends messages of a topic. What had not arrived when the socket broke is lost, never sent twice."""
+    """Interface through which the robot sends messages.
+
+    Messages that had not reached the platform when the socket broke are lost; none is sent twice.
+
+    Attributes:
+        tag: Name of the interface, unique within the robot.
+        type_name: ROS message type.
+        dropped: Number of messages that `offer` has dropped.
+    """
 
     dropped = 0
-    """Messages that `offer` did not send."""
 
     async def publish(self, value: Any, timeout: float = CONNECT_TIMEOUT) -> None:  # noqa: ASYNC109  # see wait_connected
-        """Send a message: a dict, or the bytes of an image or of a raw interface.
+        """Send a message, and wait for a peer and for room in the send queue first.
 
-        Waits for a peer and for room in the queue, so that nothing is dropped on the way to the platform. Raises
-        NotConnected after `timeout` seconds without a peer, InvalidRequest for what JSON cannot say.
+        So nothing is dropped on the way to the platform, and a slow link slows the sender down (back-pressure). While
+        the robot is offline this waits for the reconnection. For data of which only the newest counts use `offer`.
+
+        Args:
+            value: The message as a dict; bytes of a PNG or JPEG file for an image interface, or of the serialized
+                message (CDR) for a raw one. In a dict, byte arrays may be bytes and lists may be numpy arrays.
+            timeout: Seconds to wait for a peer.
+
+        Raises:
+            NotConnected: The interface had no peer for `timeout` seconds.
+            InvalidRequest: The message cannot be expressed in JSON.
+            Unavailable: The interface or the robot was closed.
+            RceError: The platform refused the robot. A message that does not fit its ROS type is reported by the
+                platform as a `ConversionError` in `Robot.events()`.
         """
         while True:
             await self.wait_connected(timeout)
@@ -39,14 +58,25 @@ class Publisher(Interface):
             if connection is not None and room is None:
                 break
             if room is not None:
-                await asyncio.shield(room)  # others may wait for the same
+                await asyncio.shield(room)  # other senders may wait for the same future
         text, blobs = encode_message(self.tag, self.type_name, TOPIC_ID, value)
         connection.put_message(self.tag, text, blobs)
 
     def offer(self, value: Any, keep: int = 1) -> bool:
-        """Send a message without waiting, and let it replace older ones so that at most `keep` wait.
+        """Send a message without waiting; older unsent messages give way to it.
 
-        False if it was dropped because there is no peer. Raises InvalidRequest.
+        For periodic data, such as poses and camera images, of which only the newest is of use.
+
+        Args:
+            value: The message, as for `publish`.
+            keep: Messages of this interface that may wait in the send queue, including this one. The oldest are dropped
+                and counted in `dropped`.
+
+        Returns:
+            False if the message was dropped because the robot is offline or the interface has no peer.
+
+        Raises:
+            InvalidRequest: The message cannot be expressed in JSON.
         """
         connection = self._connection()
         if connection is None:
@@ -58,9 +88,19 @@ class Publisher(Interface):
 
 
 class Subscriber(Interface):
-    """Receives messages of a topic: iterate over it, `get` the next, or give a callback when it is made.
+    """Interface through which the robot receives messages.
 
-    Keeps the newest `depth` that were not taken yet and counts the others in `dropped`.
+    Iterate over it with `async for`, `get` the next message, or have a callback called. The newest `depth` unread
+    messages are kept. While the robot is offline nothing arrives; readers wait. The iteration ends when the subscriber
+    or the robot is closed.
+
+    Messages are dicts; byte arrays are base64 strings, NaN and infinities are floats. An image interface gives the
+    bytes of a PNG or JPEG file (see `rce.client.images`), a raw one the bytes of the serialized message (CDR).
+
+    Attributes:
+        tag: Name of the interface, unique within the robot.
+        type_name: ROS message type.
+        stream: Queue of the unread messages.
     """
 
     def __init__(self, owner: Owner, tag: str, type_name: str, depth: int) -> None:
@@ -70,28 +110,44 @@ class Subscriber(Interface):
 
     @property
     def dropped(self) -> int:
+        """Number of messages that were dropped because more than `depth` were unread."""
         return self.stream.dropped
 
     def __aiter__(self) -> AsyncIterator[Any]:
         return aiter(self.stream)
 
     async def get(self, timeout: float | None = None) -> Any:  # noqa: ASYNC109  # as queues of other libraries
-        """The next message. Raises TimedOut after `timeout` seconds."""
+        """Return the next message, waiting for it if there is none.
+
+        Args:
+            timeout: Seconds to wait; None to wait without limit.
+
+        Raises:
+            TimedOut: No message arrived within `timeout` seconds.
+            Unavailable: The subscriber or the robot was closed.
+            RceError: The platform refused the robot.
+        """
         return await self.stream.get(timeout)
 
     def call(self, callback: Callable[[Any], Awaitable[None] | None]) -> None:
-        """Have `callback` called with every message, one after the other; its errors are logged."""
+        """Call a function with every message from now on, one after the other.
+
+        Exceptions of the callback are logged; the next message is delivered all the same.
+
+        Args:
+            callback: Function or coroutine function.
+        """
         self._task = asyncio.create_task(self._call(callback), name=f"rce subscriber {self.tag}")
 
-    def received(self, message: Message) -> None:
+    def _receive(self, message: Message) -> None:
         self.stream.put(decode_message(message.data, message.blobs))
 
-    def ended(self, error: RceError | None) -> None:
-        super().ended(error)
+    def _end(self, error: RceError | None) -> None:
+        super()._end(error)
         self.stream.end(error)
 
     async def _call(self, callback: Callable[[Any], Awaitable[None] | None]) -> None:
-        with suppress(RceError):  # why the robot ended is told to those who ask it
+        with suppress(RceError):  # the robot's methods raise the error that ended the stream
             async for value in self.stream:
                 try:
                     result = callback(value)

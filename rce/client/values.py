@@ -1,4 +1,4 @@
-"""Messages as Python values: dicts as JSON, bytes as blobs beside it, and the floats that JSON does not have."""
+"""Conversion between Python values and frames: dicts as JSON, bytes as blobs, and NaN and infinities."""
 
 from __future__ import annotations
 
@@ -10,49 +10,53 @@ from typing import Any
 import msgspec
 from msgspec import UNSET
 
-from rce.blobs import Buffer, attach, detach
 from rce.errors import ConversionError, InvalidRequest
-from rce.messages import DataMessage
+from rce.protocol.blobs import Buffer, attach, detach
+from rce.protocol.messages import DataMessage
 
 NOT_FINITE = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 
 
 def encode(value: Any) -> bytes:
-    """JSON of a frame; numpy arrays and scalars become lists and numbers, NaN and infinities the bare tokens.
+    """Encode a value as JSON; numpy arrays become lists, NaN and infinities the bare tokens of Python's json.
 
-    Raises InvalidRequest for what has no JSON.
+    Raises:
+        InvalidRequest: A value has no JSON representation.
     """
     try:
         payload = _encoder.encode(value)
-        if b"null" in payload:  # so msgspec writes NaN and infinities; the tokens are what every server understands
+        if b"null" in payload:  # msgspec writes NaN and infinities as null; every server understands the tokens
             payload = json.dumps(value, default=_plain, separators=(",", ":")).encode()
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise InvalidRequest(f"this cannot be sent as JSON: {error}") from None
+        raise InvalidRequest(f"the value cannot be sent as JSON: {error}") from None
     return payload
 
 
 def encode_message(tag: str, type_name: str, msg_id: str, value: Any) -> tuple[bytes, dict[str, Buffer]]:
-    """The text frame of a DM with `value` as its `msg`, and the blobs that belong to it."""
+    """Return the text frame of a DM with `value` as its `msg`, and the blobs to which it refers."""
     wire, blobs = detach({"msg": value})
     frame: dict[str, Any] = {"type": "DM", "data": {"iTag": tag, "type": type_name, "msgID": msg_id, **wire}}
     return encode(frame), blobs
 
 
 def decode_message(message: DataMessage, blobs: Mapping[str, Buffer]) -> Any:
-    """The value of a DM: bytes where it is or has a blob, floats for NaN and infinities.
+    """Return the value of a DM, with bytes in place of blob references and floats for NaN and infinities.
 
-    These come as strings of the same name; only in a `String` message they stay strings. Raises ConversionError.
+    The platform sends NaN and infinities as strings of that name. In a `String` message they stay strings.
+
+    Raises:
+        ConversionError: The message has no value or is nested too deeply.
     """
     raw = message.blob if message.msg is UNSET else message.msg
     if raw is UNSET:
-        raise ConversionError(f"a message of {message.iTag} came without a value", field="msg")
+        raise ConversionError(f"a message for {message.iTag} has neither msg nor msg*", field="msg")
     key = "msg*" if message.msg is UNSET else "msg"
     text = bytes(raw)
     try:
         value = {key: msgspec.json.decode(text)}
     except RecursionError:
-        raise ConversionError(f"a message of {message.iTag} is nested too deeply", field="msg") from None
-    # One byte is looked for ten times as fast as two: that matters with megabytes.
+        raise ConversionError(f"a message for {message.iTag} is nested too deeply", field="msg") from None
+    # Searching for one byte is ten times as fast as for two, which matters for messages of megabytes.
     if blobs or (b"*" in text and b'*"' in text):
         attach(value, blobs)
     if not message.type.endswith("/String") and (b'NaN"' in text or b'Infinity"' in text):
@@ -61,10 +65,10 @@ def decode_message(message: DataMessage, blobs: Mapping[str, Buffer]) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Numpy's arrays and scalars, without importing numpy."""
+    """Convert numpy arrays and scalars, without importing numpy."""
     if hasattr(value, "tolist"):
         return value.tolist()
-    raise TypeError(f"{type(value).__name__} is not a type of a ROS message")
+    raise TypeError(f"{type(value).__name__} is not a type that ROS messages have")
 
 
 def _floats(value: Any) -> None:

@@ -1,14 +1,14 @@
-// The binary frames that carry blobs, in parts so that small frames go between them, and how they are joined again.
+// Binary frames that carry blobs, split into parts so that small frames can overtake them, and their reassembly.
 
 import { InvalidRequest, LimitExceeded, TimedOut } from "./errors.js";
 import { references } from "./values.js";
 
 const PART = 256 * 1024;
-const HEAD = 40; // an id of 32 hex digits, offset 4, total 4
-const MOST = 64; // frames or blobs that may be unfinished
-const AGE = 60_000; // milliseconds for which they may be
+const HEAD = 40; // id of 32 hex digits, offset (4 bytes), total (4 bytes)
+const MAX_PENDING = 64; // incomplete frames, and incomplete blobs
+const MAX_AGE = 60_000; // milliseconds for which they may be incomplete
 
-/** The binary frames of these blobs, a Map of Uint8Array by id. */
+/** Yield the binary frames of blobs, a Map of Uint8Array by id. */
 export function* binaryFrames(blobs) {
   for (const [id, bytes] of blobs) {
     for (let offset = 0; offset === 0 || offset < bytes.length; offset += PART) {
@@ -24,41 +24,41 @@ export function* binaryFrames(blobs) {
   }
 }
 
-/** Joins the text and binary frames of one connection, whichever come first. `failed` hears of what never was whole. */
+/** Joins the text and binary frames of one connection, in whichever order they arrive. */
 export class Assembler {
   #frames = new Set(); // {data, ids, touched}
   #blobs = new Map(); // {bytes, filled, touched} by id
   #complete;
   #failed;
 
-  /** `complete(data, blobs)` is called with each DM whose blobs are all there. */
+  /** `complete(data, blobs)` is called with each complete DM, `failed(error)` for one whose blobs did not arrive. */
   constructor(complete, failed) {
     this.#complete = complete;
     this.#failed = failed;
   }
 
-  /** Take the `data` of a DM; `text` is what it was decoded from. */
-  frame(data, text) {
+  /** Add the `data` of a DM; `text` is the frame that it was decoded from. */
+  addFrame(data, text) {
     const ids = text.includes('*"') ? references(data) : new Set();
     if (!ids.size) return this.#complete(data, new Map());
     this.#settle({ data, ids, touched: performance.now() });
     this.#sweep();
   }
 
-  /** Take a binary frame. InvalidRequest when it is malformed or out of order. */
-  blob(buffer) {
+  /** Add a binary frame. Throws InvalidRequest if it is malformed or out of order. */
+  addBlob(buffer) {
     const id = buffer.byteLength < HEAD ? "" : String.fromCharCode(...new Uint8Array(buffer, 0, 32));
     if (!/^[0-9a-fA-F]{32}$/.test(id)) throw new InvalidRequest("a binary frame begins with an id of 32 hex digits");
     const head = new DataView(buffer);
     const [offset, total] = [head.getUint32(32), head.getUint32(36)];
     const part = new Uint8Array(buffer, HEAD);
     const blob = offset ? this.#blobs.get(id) : { bytes: null, filled: 0, total };
-    if (!blob) return; // of a frame that was given up
+    if (!blob) return; // the rest of a blob that was dropped
     if (blob.filled !== offset || offset + part.length > total) {
       this.#blobs.delete(id);
-      throw new InvalidRequest(`blob ${id}: the part at ${offset} does not continue what has come`);
+      throw new InvalidRequest(`blob ${id}: the part at ${offset} does not continue the earlier parts`);
     }
-    if (part.length === total) blob.bytes = part; // all of it: not copied
+    if (part.length === total) blob.bytes = part; // the whole blob: no copy
     else (blob.bytes ??= new Uint8Array(total)).set(part, offset);
     blob.filled += part.length;
     blob.touched = performance.now();
@@ -80,20 +80,20 @@ export class Assembler {
     this.#complete(frame.data, whole);
   }
 
-  /** Give up what is too old or too much. */
+  /** Drop frames and blobs that are too old or too many. */
   #sweep() {
-    const oldest = performance.now() - AGE;
+    const oldest = performance.now() - MAX_AGE;
     for (const [id, blob] of this.#blobs) {
-      if (blob.touched < oldest || this.#blobs.size > MOST) this.#blobs.delete(id);
+      if (blob.touched < oldest || this.#blobs.size > MAX_PENDING) this.#blobs.delete(id);
     }
     for (const frame of this.#frames) {
-      const waits = [...frame.ids].some((id) => this.#blobs.get(id)?.touched >= oldest);
-      if (frame.touched < oldest && !waits) {
+      const isArriving = [...frame.ids].some((id) => this.#blobs.get(id)?.touched >= oldest);
+      if (frame.touched < oldest && !isArriving) {
         this.#frames.delete(frame);
-        this.#failed(new TimedOut(`a message of ${frame.data.iTag} never got its blobs`));
-      } else if (this.#frames.size > MOST) {
+        this.#failed(new TimedOut(`the blobs of a message for ${frame.data.iTag} did not arrive`));
+      } else if (this.#frames.size > MAX_PENDING) {
         this.#frames.delete(frame);
-        this.#failed(new LimitExceeded(`more than ${MOST} messages wait for their blobs`));
+        this.#failed(new LimitExceeded(`more than ${MAX_PENDING} messages are waiting for their blobs`));
       }
     }
   }

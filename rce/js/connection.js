@@ -1,4 +1,5 @@
-// One WebSocket to a Robot endpoint: frames out in turns between the interfaces, frames in with their blobs.
+// WebSocket connection to a Robot endpoint. Outgoing frames go through an outbox that takes turns between the
+// interfaces; incoming text frames are joined with their blobs.
 
 import { Assembler, binaryFrames } from "./blobs.js";
 import { InternalError, RceError, Unavailable, refusal, within } from "./errors.js";
@@ -8,19 +9,23 @@ import { decode } from "./values.js";
 const OPEN_TIMEOUT = 10; // seconds
 const FLUSH_TIMEOUT = 5;
 const CLOSE_TIMEOUT = 2;
-const WRITE_LIMIT = 64 * 1024; // bytes that may wait in the socket: what is there cannot be overtaken
-const LOOK_AGAIN = 4; // milliseconds; no event tells that a socket has room again
-const REFUSED = 4000; // close codes of a refused robot are this plus the HTTP status: scripts are not told that itself
+const WRITE_LIMIT = 64 * 1024; // bytes that may be buffered in the socket, where small frames cannot overtake them
+const POLL_INTERVAL = 4; // milliseconds; WebSocket has no event for room in its buffer
+const REFUSED = 4000; // plus the HTTP status: close codes of a refusal, since scripts cannot read the status itself
 
+/** Open WebSocket with its session. */
 export class Connection {
   #socket;
   #outbox = new Outbox((piece) => this.#send(piece));
   #assembler;
   #listener;
-  #leave;
-  #gone = new Promise((resolve) => { this.#leave = resolve; });
+  #resolveClosed;
+  #closed = new Promise((resolve) => { this.#resolveClosed = resolve; });
 
-  /** Dial and wait for the session status. `listener` has message, status, failure, fault and closed. */
+  /**
+   * Open the WebSocket and wait for the session status. `listener` has the methods messageReceived, statusReceived,
+   * failureReceived, frameInvalid and connectionClosed.
+   */
   static async open(WebSocket, endpoint, query, listener) {
     const url = new URL(endpoint);
     for (const [name, value] of Object.entries(query)) url.searchParams.set(name, value);
@@ -31,9 +36,9 @@ export class Connection {
       throw new Unavailable(`cannot open ${endpoint}: ${error.message}`);
     }
     const connection = new Connection(socket, endpoint, listener);
-    const late = () => new Unavailable(`${endpoint} did not open a session within ${OPEN_TIMEOUT} s`);
+    const timeout = () => new Unavailable(`${endpoint} sent no session status within ${OPEN_TIMEOUT} s`);
     try {
-      await within(connection.#opened(), OPEN_TIMEOUT, late);
+      await within(connection.#receiveSession(), OPEN_TIMEOUT, timeout);
     } catch (error) {
       socket.close();
       throw error;
@@ -48,65 +53,67 @@ export class Connection {
     this.#listener = listener;
     socket.binaryType = "arraybuffer";
     this.#assembler = new Assembler(
-      (data, blobs) => listener.message(data, blobs), (error) => listener.fault(error));
+      (data, blobs) => listener.messageReceived(data, blobs), (error) => listener.frameInvalid(error));
   }
 
+  /** Set of the protocol features that the server granted. */
   get features() {
     return new Set(this.session.features);
   }
 
-  /** Queue a text frame and the blobs that belong to it; at most `keep` of the source wait. How many were dropped. */
+  /** Queue a text frame with its blobs; at most `keep` messages of the source wait. Returns how many were dropped. */
   put(source, text, blobs = new Map(), keep = Infinity) {
     return this.#outbox.put(source, pieces(text, blobs), keep);
   }
 
+  /** null if the source may send now, else a promise that resolves when its queue is empty. */
   room(source) {
     return this.#outbox.room(source);
   }
 
-  /** Wait until what is queued has been sent, but not for long. */
+  /** Wait until the queued frames have been sent, for FLUSH_TIMEOUT at most. */
   async flush() {
     const end = performance.now() + FLUSH_TIMEOUT * 1000;
     while ((!this.#outbox.empty || this.#socket.bufferedAmount) && performance.now() < end && this.#isOpen) {
-      await new Promise((resolve) => { setTimeout(resolve, LOOK_AGAIN); });
+      await new Promise((resolve) => { setTimeout(resolve, POLL_INTERVAL); });
     }
   }
 
-  /** Close; 1000 says that the robot leaves for good, another code (3000 to 4999) that it comes back. */
+  /** Close the socket; code 1000 ends the session, another code (3000 to 4999) keeps it for a reconnection. */
   async close(code = 1000, reason = "") {
     this.#socket.close(code, reason);
-    await Promise.race([this.#gone, new Promise((resolve) => { setTimeout(resolve, CLOSE_TIMEOUT * 1000); })]);
+    await Promise.race([this.#closed, new Promise((resolve) => { setTimeout(resolve, CLOSE_TIMEOUT * 1000); })]);
   }
 
   get #isOpen() {
     return this.#socket.readyState === 1;
   }
 
-  #opened() {
+  #receiveSession() {
     return new Promise((resolve, reject) => {
       this.#socket.onclose = ({ code, reason }) => {
         reject(code > REFUSED ? refusal(code - REFUSED, reason) : new Unavailable(
           `cannot reach ${this.endpoint}${reason ? `: ${reason}` : ""}`));
       };
-      this.#socket.onerror = () => {}; // the close that follows says more
+      this.#socket.onerror = () => {}; // the close event that follows has the reason
       this.#socket.onmessage = ({ data }) => {
         const frame = typeof data === "string" ? JSON.parse(data) : {};
         if (frame.type !== "ST" || frame.data.topic !== "session") {
-          reject(new Unavailable(`the first frame of ${this.endpoint} is not the session status`));
+          reject(new Unavailable(`the first frame of ${this.endpoint} is not a session status`));
           return;
         }
         this.session = frame.data;
-        this.#socket.onmessage = (event) => this.#take(event.data);
-        this.#socket.onclose = (event) => this.#closed(event);
+        this.#socket.onmessage = (event) => this.#handle(event.data);
+        this.#socket.onclose = (event) => this.#handleClose(event);
         resolve();
       };
     });
   }
 
-  #closed({ code, reason }) {
+  #handleClose({ code, reason }) {
     this.#outbox.clear();
-    this.#leave();
-    this.#listener.closed(reason || `code ${code}`, this);
+    this.#resolveClosed();
+    this.#listener.connectionClosed(reason || `code ${code}`, this);
   }
 
   #send(piece) {
@@ -122,23 +129,24 @@ export class Connection {
       if (!this.#isOpen) return;
       if (this.#socket.bufferedAmount > WRITE_LIMIT) this.#waitForRoom();
       else this.#outbox.resume();
-    }, LOOK_AGAIN);
+    }, POLL_INTERVAL);
   }
 
-  #take(payload) {
+  #handle(payload) {
     try {
-      if (typeof payload === "string") this.#text(payload);
-      else this.#assembler.blob(payload);
+      if (typeof payload === "string") this.#handleText(payload);
+      else this.#assembler.addBlob(payload);
     } catch (error) {
-      this.#listener.fault(error instanceof RceError ? error : new InternalError(`the client failed: ${error.stack}`));
+      this.#listener.frameInvalid(
+        error instanceof RceError ? error : new InternalError(`the client failed: ${error.stack}`));
     }
   }
 
-  #text(payload) {
+  #handleText(payload) {
     const frame = decode(payload);
-    if (frame.type === "DM") this.#assembler.frame(frame.data, payload);
-    else if (frame.type === "ST") this.#listener.status(frame.data, frame.id);
-    else if (frame.type === "ER") this.#listener.failure(frame);
+    if (frame.type === "DM") this.#assembler.addFrame(frame.data, payload);
+    else if (frame.type === "ST") this.#listener.statusReceived(frame.data, frame.id);
+    else if (frame.type === "ER") this.#listener.failureReceived(frame);
   }
 }
 

@@ -1,9 +1,10 @@
-// Errors that people and programs can act on: the classes and codes of rce/errors.py.
+// Errors with the classes and codes of rce/errors.py.
 
+/** Base of all errors. */
 export class RceError extends Error {
   static code = "error";
 
-  /** `item` is `list[index]` of the command's item, `field` the path of the field at fault, `fields` the particulars. */
+  /** `item` is `list[index]` of the item of a command, `field` the path of the field at fault, `fields` the details. */
   constructor(message, { code, item = "", field = "", fields = {} } = {}) {
     super(message);
     this.code = code ?? new.target.code;
@@ -16,7 +17,7 @@ export class RceError extends Error {
     return this.constructor.name;
   }
 
-  /** The class of its code; a code that this version does not know is kept in a plain RceError. */
+  /** Create an error of the class for its code; a code that this version does not know is kept in a plain RceError. */
   static of(info) {
     return new (kinds[info.code] ?? RceError)(info.message, info);
   }
@@ -51,16 +52,16 @@ const byStatus = {
   500: InternalError, 501: InvalidRequest,
 };
 
-/** What an HTTP status at the door says. */
+/** Return the error for an HTTP status of the entry or the handshake. */
 export function refusal(status, reason) {
   return new (byStatus[status] ?? Unavailable)(reason.trim().slice(0, 500) || `HTTP status ${status}`);
 }
 
-/** The promise's outcome, or after `seconds` a rejection with the error that `late` makes. */
-export function within(promise, seconds, late) {
+/** Settle like `promise`, or reject after `seconds` with the error that `makeError` returns. */
+export function within(promise, seconds, makeError) {
   let timer;
   const limit = new Promise((_, reject) => {
-    timer = setTimeout(() => reject(late()), Math.min(seconds * 1000, 2 ** 31 - 1));
+    timer = setTimeout(() => reject(makeError()), Math.min(seconds * 1000, 2 ** 31 - 1));
   });
   return Promise.race([promise, limit]).finally(() => clearTimeout(timer));
 }

@@ -1,13 +1,13 @@
-// The robot's ends of topics and services. Made by `Robot` and `Environment`, which add and connect them.
+// Publishers, subscribers, service clients and providers of a robot, made by the methods of Robot and Environment.
 
 import { ConversionError, NotConnected, RceError, TimedOut, Unavailable, within } from "./errors.js";
 import { Stream } from "./stream.js";
 import { attach, detach, encode, floats, freshId } from "./values.js";
 
 const CONNECT_TIMEOUT = 10; // seconds
-const TOPIC_ID = "nil"; // the msgID of topics, by convention
+const TOPIC_ID = "nil"; // msgID of topic messages, as the original's clients send it
 
-/** One interface of a robot. */
+/** Base of all interfaces of a robot. */
 class Interface {
   #open = false;
   #status = false;
@@ -20,17 +20,17 @@ class Interface {
     this.typeName = typeName;
   }
 
-  /** Whether it has a peer, at a platform that can be reached. */
+  /** True while the robot is online and the interface has a peer that is online too. */
   get connected() {
     return this.#open;
   }
 
-  /** Wait for a peer. NotConnected after `timeout` seconds. */
+  /** Wait for a peer. Rejects with NotConnected after `timeout` seconds. */
   async waitConnected(timeout = CONNECT_TIMEOUT) {
     if (!this.#open && !this.#ended) {
       const opened = new Promise((resolve) => { this.#waiting.push(resolve); });
       await within(opened, timeout, () => new NotConnected(
-        `${this.robot.name}/${this.tag} has had no peer for ${timeout} s: connect it to an interface that exists`));
+        `${this.robot.name}/${this.tag} has had no peer for ${timeout} s: connect it to an existing interface`));
     }
     if (this.#ended) throw this.#ended;
   }
@@ -40,36 +40,40 @@ class Interface {
     await this.robot.removeInterface(this.robot.name, this.tag);
   }
 
-  /** The connection, if a message would have its way now. */
+  /** The connection, or null while nothing can be sent. */
   get connection() {
     return this.#open && !this.#ended ? this.robot.connection : null;
   }
 
+  /** Queue a message; returns how many older ones were dropped for it. */
   send(msgId, value, keep = Infinity) {
     const blobs = new Map();
     const data = { iTag: this.tag, type: this.typeName, msgID: msgId, ...detach({ msg: value }, blobs) };
     return this.robot.connection.put(this.tag, encode({ type: "DM", data }), blobs, keep);
   }
 
-  // What the robot tells its interfaces.
+  // Called by the robot.
 
-  status(connected) {
+  /** Handle the platform's report about the peer. */
+  setStatus(connected) {
     this.#status = connected;
     this.#changed(this.#status);
   }
 
-  lost() {
+  /** Handle the loss of the robot's socket. */
+  disconnected() {
     this.#changed(false);
   }
 
-  ended(error) {
+  /** Finish for good. */
+  end(error) {
     this.#ended = error ?? new Unavailable(`${this.robot.name}/${this.tag} has been closed`);
     this.#changed(true);
     this.#open = false;
   }
 
-  /** Whether the call of this id was one of this interface's, which then fails. */
-  failed() {
+  /** Fail the pending call with this msgID; returns false if it is not one of this interface. */
+  failCall() {
     return false;
   }
 
@@ -79,11 +83,11 @@ class Interface {
   }
 }
 
-/** Sends messages of a topic. What had not arrived when the socket broke is lost, never sent twice. */
+/** Sends messages. Those that had not reached the platform when the socket broke are lost; none is sent twice. */
 export class Publisher extends Interface {
   dropped = 0;
 
-  /** Send a message, an object or bytes; waits for a peer and for room in the queue. NotConnected, InvalidRequest. */
+  /** Send a message (an object or bytes) after waiting for a peer and for room in the queue. */
   async publish(value, timeout = CONNECT_TIMEOUT) {
     for (;;) {
       await this.waitConnected(timeout);
@@ -94,7 +98,7 @@ export class Publisher extends Interface {
     this.send(TOPIC_ID, value);
   }
 
-  /** Send without waiting, at most `keep` of this interface wait. False if it was dropped because there is no peer. */
+  /** Send without waiting, so that at most `keep` messages are queued. Returns false if there is no peer. */
   offer(value, keep = 1) {
     if (!this.connection) {
       this.dropped += 1;
@@ -105,7 +109,7 @@ export class Publisher extends Interface {
   }
 }
 
-/** Receives messages of a topic: `for await`, `get`, or a callback. Keeps the newest `depth` that were not taken. */
+/** Receives messages: `for await`, `get`, or a callback. Keeps the newest `depth` unread messages. */
 export class Subscriber extends Interface {
   constructor(robot, tag, typeName, { depth = 10, callback = null } = {}) {
     super(robot, tag, typeName);
@@ -125,14 +129,14 @@ export class Subscriber extends Interface {
     return this.stream[Symbol.asyncIterator]();
   }
 
-  received(data, blobs) {
+  receive(data, blobs) {
     const value = valueOf(data, blobs);
     if (this.callback) this.callback(value);
     else this.stream.put(value);
   }
 
-  ended(error) {
-    super.ended(error);
+  end(error) {
+    super.end(error);
     this.stream.end(error);
   }
 }
@@ -141,8 +145,10 @@ export class Subscriber extends Interface {
 export class ServiceClient extends Interface {
   #calls = new Map(); // {resolve, reject} by msgID
 
-  /** The response to `request`. Rejects with what the service answered, TimedOut, NotConnected, or Unavailable if the
-   * socket broke meanwhile: then it is not known whether the call was carried out. */
+  /**
+   * Call the service and return its response. Rejects with the service's error, TimedOut, NotConnected, or Unavailable
+   * if the socket broke meanwhile: then it is not known whether the call was executed.
+   */
   async call(request, timeout = CONNECT_TIMEOUT) {
     await this.waitConnected(timeout);
     if (!this.connection) throw new Unavailable(`the socket broke before ${this.tag} was called`);
@@ -157,41 +163,42 @@ export class ServiceClient extends Interface {
     }
   }
 
-  received(data, blobs) {
+  receive(data, blobs) {
     const call = this.#calls.get(data.msgID);
-    if (!call) return; // too late: its caller has given up
+    if (!call) return; // the call has timed out
     if (data.error) call.reject(new RceError(data.error));
     else call.resolve(valueOf(data, blobs));
   }
 
-  failed(error, msgId) {
+  failCall(error, msgId) {
     this.#calls.get(msgId)?.reject(error);
     return this.#calls.has(msgId);
   }
 
-  lost() {
-    super.lost();
-    this.#fail(new Unavailable(`the socket broke while ${this.tag} was called: whether that was done is not known`));
+  disconnected() {
+    super.disconnected();
+    this.#failAll(new Unavailable(
+      `the socket broke during the call of ${this.tag}: it is not known whether it was executed`));
   }
 
-  ended(error) {
-    super.ended(error);
-    this.#fail(error ?? new Unavailable("the robot has been closed"));
+  end(error) {
+    super.end(error);
+    this.#failAll(error ?? new Unavailable("the robot has been closed"));
   }
 
-  #fail(error) {
+  #failAll(error) {
     for (const call of this.#calls.values()) call.reject(error);
   }
 }
 
-/** Answers the calls of a service with what `handler` returns (a promise too), or with the error that it throws. */
+/** Answers the calls of a service with the result of `handler` (or its promise), or with the error that it throws. */
 export class ServiceProvider extends Interface {
   constructor(robot, tag, typeName, handler) {
     super(robot, tag, typeName);
     this.handler = handler;
   }
 
-  async received(data, blobs) {
+  async receive(data, blobs) {
     let answer;
     try {
       answer = { value: await this.handler(valueOf(data, blobs)) };
@@ -200,14 +207,16 @@ export class ServiceProvider extends Interface {
     }
     if (!this.robot.connected) return;
     if (!answer.error) return void this.send(data.msgID, answer.value);
-    const refused = { iTag: this.tag, type: this.typeName, msgID: data.msgID, error: answer.error };
-    this.robot.connection.put(this.tag, encode({ type: "DM", data: refused }));
+    const failure = { iTag: this.tag, type: this.typeName, msgID: data.msgID, error: answer.error };
+    this.robot.connection.put(this.tag, encode({ type: "DM", data: failure }));
   }
 }
 
-/** The value of a DM: bytes where it is or has a blob; only in a `String` message "NaN" stays a string. */
+/** The value of a DM, with bytes in place of blobs and floats for NaN and infinities, except in `String` messages. */
 function valueOf(data, blobs) {
-  if (!("msg" in data) && !("msg*" in data)) throw new ConversionError(`a message of ${data.iTag} came without a value`);
+  if (!("msg" in data) && !("msg*" in data)) {
+    throw new ConversionError(`a message for ${data.iTag} has neither msg nor msg*`);
+  }
   const wire = "msg" in data ? { msg: data.msg } : { "msg*": data["msg*"] };
   attach(wire, blobs);
   return (data.type.endsWith("/String") ? wire : floats(wire)).msg;

@@ -1,14 +1,15 @@
-// Queues in front of one socket, one for each interface, emptied in turns so that a large message does not hold up
-// small ones. A message is an iterator of pieces (strings or bytes).
+// Outgoing queues of one socket, one for each interface, served in turns (round robin) so that a large message does not
+// delay small ones. A message is an iterator of pieces (strings or bytes).
 
-const HIGH_WATER = 8; // messages of one source at which its sender is asked to wait
+const HIGH_WATER = 8; // queued messages at which a source must wait
 
+/** Outgoing queues of one socket. */
 export class Outbox {
   #queues = new Map(); // {current, waiting, room} by source, in the order of their turns
   #write;
   #open = true;
 
-  /** `write(piece)` says whether there is room for another. */
+  /** `write(piece)` returns true if there is room for another piece. */
   constructor(write) {
     this.#write = write;
   }
@@ -17,7 +18,7 @@ export class Outbox {
     return this.#queues.size === 0;
   }
 
-  /** Queue a message; at most `keep` of the source wait. How many older ones were dropped for it. */
+  /** Queue a message; at most `keep` of the source wait. Returns how many older ones were dropped for it. */
   put(source, pieces, keep = Infinity) {
     const queue = this.#queues.get(source) ?? { current: null, waiting: [], room: null };
     this.#queues.set(source, queue);
@@ -28,7 +29,7 @@ export class Outbox {
     return dropped;
   }
 
-  /** null while the source may go on; else a promise of the time when its queue has emptied. */
+  /** null if the source may send now, else a promise that resolves when its queue is empty. */
   room(source) {
     const queue = this.#queues.get(source);
     if (!queue || queue.waiting.length < HIGH_WATER) return null;
@@ -39,12 +40,13 @@ export class Outbox {
     return queue.room.promise;
   }
 
+  /** Continue after the socket has room again. */
   resume() {
     this.#open = true;
     this.#pump();
   }
 
-  /** Drop everything: the socket is gone. */
+  /** Drop everything, since the socket is closed. */
   clear() {
     this.#open = false;
     for (const queue of this.#queues.values()) queue.room?.resolve();

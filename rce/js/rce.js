@@ -1,70 +1,80 @@
-// The client library of RCE for pages and for Node: a robot at the platform. No dependencies; see docs/javascript.md.
+// Client library of RCE for pages and Node: a robot that is connected to a platform. No dependencies; see
+// docs/javascript.md.
 
 import { Environment } from "./environment.js";
 import { AlreadyExists, InvalidRequest } from "./errors.js";
 import { Publisher, ServiceClient, ServiceProvider, Subscriber } from "./interfaces.js";
-import { Session } from "./session.js";
+import { ClientSession } from "./session.js";
 import { Stream } from "./stream.js";
 
 export * from "./errors.js";
 export { Environment, Publisher, ServiceClient, ServiceProvider, Stream, Subscriber };
 
-const EVENTS = 1000; // that one reader may leave unread
+const EVENT_BACKLOG = 1000; // unread events that one reader may have
 
+/** Robot that is connected to a platform. */
 export class Robot {
   #session;
   #interfaces = new Map();
   #declared = { interfaces: new Map(), connections: new Map() };
   #readers = new Set();
 
-  /** `url` is that of the Master's entry. `timeout` is for each command, in seconds, as all times. One whose name begins
-   * with `@` is a guest: it takes part in the data of `owner`, and what it makes goes with it. */
+  /**
+   * `url` is that of the Master's entry. `timeout` is that of each command, in seconds like all times. A robot whose
+   * name begins with `@` is a guest: it takes part in the data of `owner`, and what it makes is removed with it.
+   */
   constructor(url, { user, robot, owner = "", key = "", password = "", timeout = 60, WebSocket = globalThis.WebSocket }) {
-    if (!key === !password) throw new InvalidRequest("give a password or a key, one of the two", { field: "password" });
-    if (!WebSocket) throw new InvalidRequest("there is no WebSocket: use Node 22 or later, or give a class of your own");
+    if (!key === !password) throw new InvalidRequest("give either a password or an API key", { field: "password" });
+    if (!WebSocket) {
+      throw new InvalidRequest("this JavaScript has no WebSocket: use Node 22 or later, or pass a WebSocket class");
+    }
     this.name = robot;
-    this.#session = new Session({ url, user, robot, owner, key, password, timeout, WebSocket }, this);
+    this.#session = new ClientSession({ url, user, robot, owner, key, password, timeout, WebSocket }, this);
   }
 
-  /** Connect. Unauthorized, Forbidden, Unavailable, InvalidRequest, AlreadyExists (for a name in use). */
+  /** Connect. Rejects with Unauthorized, Forbidden, Unavailable, InvalidRequest, or AlreadyExists (name in use). */
   open() {
     return this.#session.open();
   }
 
-  /** Send what is queued and leave. Environments stay until they are destroyed. */
+  /** Send the queued messages and leave. Environments stay until they are destroyed. */
   close() {
     return this.#session.close();
   }
 
+  /** True for a guest, whose name begins with `@`. */
   get isGuest() {
     return this.name.startsWith("@");
   }
 
-  /** null while the robot is not connected. */
+  /** The open connection, or null while the robot is offline. */
   get connection() {
     return this.#session.connection;
   }
 
+  /** True while the robot is online. */
   get connected() {
     return this.connection !== null;
   }
 
+  /** Set of the protocol features that the server granted; empty while offline. */
   get features() {
     return this.connection?.features ?? new Set();
   }
 
-  /** What happens from now on: objects by their `topic`; see rce.d.ts. Every call gives a stream of its own. */
+  /** A new stream of the events from now on: objects, distinguished by their `topic`; see rce.d.ts. */
   events() {
-    const stream = new Stream(EVENTS);
+    const stream = new Stream(EVENT_BACKLOG);
     this.#readers.add(stream);
     return stream;
   }
 
+  /** A handle of an environment, which may exist already; nothing is sent. */
   environment(tag, options = {}) {
     return new Environment(this, tag, options);
   }
 
-  // --- commands: each ends when it is carried out, or with the error that says why not
+  // --- commands: each resolves when it has been executed, or rejects with the error
 
   async createEnvironment(tag, options = {}, { existOk = false } = {}) {
     try {
@@ -101,7 +111,7 @@ export class Robot {
 
   removeInterface(endpoint, tag) {
     if (endpoint === this.name) {
-      this.#interfaces.get(tag)?.ended(null);
+      this.#interfaces.get(tag)?.end(null);
       this.#interfaces.delete(tag);
     }
     return this.configure(["removeInterfaces", { endpointTag: endpoint, interfaceTag: tag }]);
@@ -115,20 +125,23 @@ export class Robot {
     return this.configure(["disconnect", { tagA: a, tagB: b }]);
   }
 
-  /** Carry out many commands, `[list, item]` in the protocol's words, without waiting for one before the next is sent.
-   * All are tried; then the first error is thrown, and its `item` (`commands[2]`) says which it was. */
+  /**
+   * Execute several commands, `[list, item]` with the names of the protocol, without waiting for one before the next is
+   * sent. A failed one does not stop the others; then rejects with the first error, whose `item` (`commands[2]`) names
+   * the command.
+   */
   async configure(...commands) {
-    const outcomes = await Promise.allSettled(commands.map((command) => this.#session.carryOut(command)));
+    const outcomes = await Promise.allSettled(commands.map((command) => this.#session.execute(command)));
     let first = null;
     outcomes.forEach(({ reason }, index) => {
-      if (!reason) return this.#note(commands[index]);
+      if (!reason) return this.#record(commands[index]);
       if (commands.length > 1) reason.item = `commands[${index}]`;
       first ??= reason;
     });
     if (first) throw first;
   }
 
-  // --- the robot's ends of topics and services; `to` is the `endpoint/interface` that is connected at once
+  // --- interfaces; `to` is the `endpoint/interface` to connect to
 
   publisher(tag, typeName, options = {}) {
     return this.#add(new Publisher(this, tag, typeName), "Subscriber", options);
@@ -146,78 +159,81 @@ export class Robot {
     return this.#add(new ServiceProvider(this, tag, typeName, handler), "ServiceClient", options);
   }
 
-  /** Add the interface and connect it; when that fails it is as if it had never been. */
-  async #add(made, kind, { to = "", raw = false, format, qos }) {
-    const { tag, typeName } = made;
+  /** Add the interface and connect it to `to`; remove it again if that fails. */
+  async #add(added, kind, { to = "", raw = false, format, qos }) {
+    const { tag, typeName } = added;
     if (this.#interfaces.has(tag)) throw new AlreadyExists(`${this.name}/${tag} exists already: close it first`);
-    this.#interfaces.set(tag, made);
+    this.#interfaces.set(tag, added);
     try {
       await this.addInterface(this.name, tag, kind + (raw ? "Forwarder" : "Converter"), typeName, { qos, format });
     } catch (error) {
       this.#interfaces.delete(tag);
-      made.ended(null);
+      added.end(null);
       throw error;
     }
     if (to) {
       try {
         await this.connect(to, `${this.name}/${tag}`);
-        await made.waitConnected();
+        await added.waitConnected();
       } catch (error) {
-        await made.close();
+        await added.close();
         throw error;
       }
     }
-    return made;
+    return added;
   }
 
-  // --- what the session tells
+  // --- called by the session
 
-  received(data, blobs) {
-    return this.#interfaces.get(data.iTag)?.received(data, blobs);
+  messageReceived(data, blobs) {
+    return this.#interfaces.get(data.iTag)?.receive(data, blobs);
   }
 
-  status(status) {
-    if (status.topic === "iu") this.#interfaces.get(status.iTag)?.status(status.status);
-    else this.#tell(status);
+  statusReceived(status) {
+    if (status.topic === "iu") this.#interfaces.get(status.iTag)?.setStatus(status.status);
+    else this.#publish(status);
   }
 
-  failed(error) {
-    const call = error.fields?.msgID;
-    if (call !== undefined && [...this.#interfaces.values()].some((each) => each.failed(error, call))) return;
-    this.#tell({ topic: "error", error });
+  errorReceived(error) {
+    const msgId = error.fields?.msgID;
+    const interfaces = [...this.#interfaces.values()];
+    if (msgId !== undefined && interfaces.some((each) => each.failCall(error, msgId))) return;
+    this.#publish({ topic: "error", error });
   }
 
-  lost(reason) {
-    for (const each of this.#interfaces.values()) each.lost();
-    this.#tell({ topic: "disconnected", reason });
+  disconnected(reason) {
+    for (const each of this.#interfaces.values()) each.disconnected();
+    this.#publish({ topic: "disconnected", reason });
   }
 
-  back(resumed, statuses) {
-    for (const each of this.#interfaces.values()) each.status(Boolean(statuses[each.tag]));
-    this.#tell({ topic: "reconnected", resumed });
+  reconnected(resumed, statuses) {
+    for (const each of this.#interfaces.values()) each.setStatus(Boolean(statuses[each.tag]));
+    this.#publish({ topic: "reconnected", resumed });
   }
 
-  declared() {
+  declarations() {
     const { interfaces, connections } = this.#declared;
     return [...interfaces.values(), ...connections.values()];
   }
 
   ended(error) {
-    for (const each of this.#interfaces.values()) each.ended(error);
+    for (const each of this.#interfaces.values()) each.end(error);
     for (const reader of this.#readers) reader.end(error);
   }
 
-  #tell(event) {
+  #publish(event) {
     for (const reader of this.#readers) reader.put(event);
   }
 
-  /** Take account of a command that was carried out: what is this robot's own is declared again when it must be. */
-  #note(command) {
+  /** Record what belongs to this robot after a command was executed, so that a new session can restore it. */
+  #record(command) {
     const [list, item] = command;
     const { interfaces, connections } = this.#declared;
-    const forget = (gone) => {
-      for (const tag of interfaces.keys()) if (gone(tag)) interfaces.delete(tag);
-      for (const [pair, [, { tagA, tagB }]] of connections) if (gone(tagA) || gone(tagB)) connections.delete(pair);
+    const forget = (isRemoved) => {
+      for (const tag of interfaces.keys()) if (isRemoved(tag)) interfaces.delete(tag);
+      for (const [pair, [, { tagA, tagB }]] of connections) {
+        if (isRemoved(tagA) || isRemoved(tagB)) connections.delete(pair);
+      }
     };
     const pair = () => [item.tagA, item.tagB].sort().join(" ");
     const own = () => item.endpointTag === this.name || (this.isGuest && item.interfaceTag.startsWith(`${this.name}.`));

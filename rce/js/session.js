@@ -1,8 +1,8 @@
-// A robot's session: connected again whenever the socket breaks, and the commands that are under way on it.
+// Session of a robot: reconnects whenever the socket breaks and carries its commands across connections.
 //
-// A command whose socket broke before its answer came is sent again on the next one; when the answer then says that the
-// work was done already, it counts as done. So a command ends with its result, with TimedOut, or with why the robot is
-// not let in any more.
+// A command whose socket breaks before the answer is sent again on the next connection. If the answer to the repetition
+// says that the work was done already, the command has succeeded. So a command ends with its own result, with TimedOut,
+// or with the error by which the platform refused the robot.
 
 import { Connection } from "./connection.js";
 import { AlreadyExists, Forbidden, InvalidRequest, NotFound, RceError, TimedOut, Unauthorized, Unavailable, refusal,
@@ -11,12 +11,13 @@ import { encode } from "./values.js";
 
 const VERSION = "20130902";
 const FEATURES = "ack,events,parts,resume";
-const COMMANDS = " commands"; // as a source of the outbox; no tag has a blank
-const [MIN_DELAY, MAX_DELAY] = [0.1, 10]; // seconds between attempts to reconnect, after a first one at once
+const COMMANDS = " commands"; // their source in the outbox; a tag cannot contain a space
+const [MIN_DELAY, MAX_DELAY] = [0.1, 10]; // seconds between attempts to reconnect; the first attempt is immediate
 const LISTS = { connect: "CX", disconnect: "CX" };
-const UNDOING = new Set(["DC", "removeNodes", "removeInterfaces", "deleteParam", "disconnect"]);
+const REMOVALS = new Set(["DC", "removeNodes", "removeInterfaces", "deleteParam", "disconnect"]);
 
-export class Session {
+/** Session that lasts from `open` until `close`, or until the platform refuses the robot. */
+export class ClientSession {
   connection = null;
   #listener;
   #options;
@@ -25,25 +26,30 @@ export class Session {
   #token = "";
   #endpoint = "";
   #state = "new"; // then "open", "ended"
-  #error = new Unavailable("the robot is not connected");
+  #error = new Unavailable("the robot is not connected: call open() first");
 
-  /** `options`: url, user, robot, owner, key or password, timeout, WebSocket. `listener` is the robot. */
+  /**
+   * `options`: url, user, robot, owner, key or password, timeout, WebSocket. `listener` is the robot, with the methods
+   * messageReceived, statusReceived, errorReceived, disconnected, reconnected, declarations and ended.
+   */
   constructor(options, listener) {
     this.#options = options;
     this.#listener = listener;
   }
 
+  /** Connect for the first time; may be called again after a failure. */
   async open() {
     if (this.#state !== "new") throw new InvalidRequest("this robot has been opened before: make a new one");
     this.#state = "open";
     try {
-      this.#begin(await this.#connect());
+      this.#adopt(await this.#connect());
     } catch (error) {
       this.#state = "new";
       throw error;
     }
   }
 
+  /** Send the queued frames and end the session; pending commands reject with Unavailable. */
   async close() {
     if (this.#state !== "open") return;
     await this.connection?.flush();
@@ -52,46 +58,46 @@ export class Session {
     await connection?.close();
   }
 
-  /** Send a command, `[list, item]`, and wait for its end. Commands leave in the order of these calls. */
-  async carryOut(command) {
+  /** Send a command, `[list, item]`, and wait until it has been executed. Commands are sent in the order of calls. */
+  async execute(command) {
     if (this.#state !== "open") throw this.#error;
     await this.#outcome(this.#submit(command, false));
   }
 
-  // --- what the connection tells
+  // --- called by the connection
 
-  message(data, blobs) {
-    this.#listener.received(data, blobs);
+  messageReceived(data, blobs) {
+    this.#listener.messageReceived(data, blobs);
   }
 
-  status(data, id) {
+  statusReceived(data, id) {
     if (data.topic === "ack") this.#requests.get(id)?.resolve();
-    else if (data.topic !== "session") this.#listener.status(data);
+    else if (data.topic !== "session") this.#listener.statusReceived(data);
   }
 
-  failure(frame) {
+  failureReceived(frame) {
     const error = frame.error ? RceError.of(frame.error) : new RceError(String(frame.data));
     const request = this.#requests.get(frame.id);
-    if (!request) this.#listener.failed(error);
-    else if ((request.restores || request.attempts > 1) && repetitionDone(request.command, error)) request.resolve();
+    if (!request) this.#listener.errorReceived(error);
+    else if ((request.restores || request.attempts > 1) && alreadyDone(request.command, error)) request.resolve();
     else request.reject(error);
   }
 
-  fault(error) {
-    this.#listener.failed(error);
+  frameInvalid(error) {
+    this.#listener.errorReceived(error);
   }
 
-  closed(reason, connection) {
+  connectionClosed(reason, connection) {
     if (this.#state !== "open" || connection !== this.connection) return;
     this.connection = null;
     for (const [id, request] of this.#requests) {
-      if (request.restores) { // what is missing then is found out anew
+      if (request.restores) { // the next connection determines anew which declarations are missing
         this.#requests.delete(id);
         request.resolve();
       }
     }
-    this.#listener.lost(reason);
-    this.#comeBack();
+    this.#listener.disconnected(reason);
+    this.#reconnect();
   }
 
   // --- commands
@@ -99,7 +105,7 @@ export class Session {
   #submit(command, restores) {
     const request = { id: (this.#lastId += 1), command, restores, attempts: 0 };
     request.done = new Promise((resolve, reject) => Object.assign(request, { resolve, reject }));
-    request.done.catch(() => {}); // whoever waits for it hears of it
+    request.done.catch(() => {}); // reported by #outcome
     this.#requests.set(request.id, request);
     this.#send(request);
     return request;
@@ -107,9 +113,9 @@ export class Session {
 
   async #outcome(request) {
     const seconds = this.#options.timeout;
-    const late = () => new TimedOut(`${request.command[0]} was not answered within ${seconds} s`);
+    const timeout = () => new TimedOut(`${request.command[0]} was not answered within ${seconds} s`);
     try {
-      await within(request.done, seconds, late);
+      await within(request.done, seconds, timeout);
     } finally {
       this.#requests.delete(request.id);
     }
@@ -126,7 +132,7 @@ export class Session {
 
   // --- connections
 
-  /** The endpoint that may still hold the session, else the one that the entry names. */
+  /** Connect to the endpoint that may still hold the session, else to the one that the entry assigns. */
   async #connect() {
     const { WebSocket, user, robot, owner } = this.#options;
     const query = { userID: user, robotID: robot, ...(owner && { owner }), ...(await this.#secret()), features: FEATURES,
@@ -153,7 +159,9 @@ export class Session {
     }
     if (!answer.ok) throw refusal(answer.status, await answer.text());
     const endpoint = (await answer.json().catch(() => ({}))).url;
-    if (!endpoint) throw new Unavailable(`${url.origin} is not the entry of a platform: it answered no url`);
+    if (!endpoint) {
+      throw new Unavailable(`${url.origin} is not the entry of an RCE platform: its answer contains no url`);
+    }
     return endpoint;
   }
 
@@ -161,13 +169,13 @@ export class Session {
     const { key, password } = this.#options;
     if (key) return { key };
     if (!globalThis.crypto?.subtle) {
-      throw new InvalidRequest("a password needs a page that came by https or from localhost: use an API key");
+      throw new InvalidRequest("a password can be used only on pages from https or localhost: use an API key");
     }
     const hash = new Uint8Array(await crypto.subtle.digest("SHA-256", new TextEncoder().encode(password)));
     return { password: Array.from(hash, (byte) => byte.toString(16).padStart(2, "0")).join("") };
   }
 
-  #begin(connection) {
+  #adopt(connection) {
     if (this.#state !== "open") {
       connection.close();
       throw this.#error;
@@ -177,14 +185,14 @@ export class Session {
     this.connection = connection;
   }
 
-  /** A new connection, however long that takes; to try again does not help where the robot is not let in any more. */
-  async #comeBack() {
+  /** Retry until a connection is made or the platform refuses the robot. */
+  async #reconnect() {
     let delay = 0;
     while (this.#state === "open") {
       try {
-        this.#begin(await this.#connect());
+        this.#adopt(await this.#connect());
         const { resumed, interfaces } = this.connection.session;
-        this.#listener.back(Boolean(resumed), interfaces ?? {});
+        this.#listener.reconnected(Boolean(resumed), interfaces ?? {});
         this.#restore(Boolean(resumed));
         return;
       } catch (error) {
@@ -193,17 +201,17 @@ export class Session {
           return;
         }
       }
-      const pause = delay * (0.5 + Math.random() / 2); // so that many robots do not come at once
+      const pause = delay * (0.5 + Math.random() / 2); // jitter: many robots must not reconnect at the same moment
       await new Promise((resolve) => { setTimeout(resolve, pause * 1000); });
       delay = Math.min(2 * delay || MIN_DELAY, MAX_DELAY);
     }
   }
 
-  /** Declare again what is gone, then repeat the commands under way, all in their order. */
+  /** Declare again what the platform no longer has, then repeat the pending commands, all in their order. */
   #restore(resumed) {
-    const underWay = [...this.#requests.values()];
-    if (!resumed) for (const command of this.#listener.declared()) this.#redeclare(this.#submit(command, true));
-    for (const request of underWay) this.#send(request);
+    const pending = [...this.#requests.values()];
+    if (!resumed) for (const command of this.#listener.declarations()) this.#redeclare(this.#submit(command, true));
+    for (const request of pending) this.#send(request);
   }
 
   async #redeclare(request) {
@@ -212,7 +220,7 @@ export class Session {
       try {
         return await this.#outcome(request);
       } catch (error) {
-        if (!(error instanceof Unavailable)) return this.#listener.failed(error);
+        if (!(error instanceof Unavailable)) return this.#listener.errorReceived(error);
       }
       await new Promise((resolve) => { setTimeout(resolve, delay * 1000); });
       delay = Math.min(2 * delay, MAX_DELAY);
@@ -231,7 +239,7 @@ export class Session {
   }
 }
 
-/** Whether `error`, the answer to a command sent twice, says that the first one was carried out. */
-function repetitionDone([list], error) {
-  return error instanceof (UNDOING.has(list) ? NotFound : AlreadyExists);
+/** True if `error`, the answer to a repeated command, means that an earlier attempt was executed. */
+function alreadyDone([list], error) {
+  return error instanceof (REMOVALS.has(list) ? NotFound : AlreadyExists);
 }

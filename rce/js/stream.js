@@ -1,19 +1,20 @@
-// A bounded queue that keeps the newest, read with `for await` or `get`.
+// Bounded queue that keeps the newest items, read with `for await` or `get`.
 
 import { TimedOut, Unavailable } from "./errors.js";
 
+/** Queue of items in the order of their arrival; each item goes to one reader. */
 export class Stream {
   #items = [];
   #readers = [];
   #depth;
-  #end = null; // {error} once no more will come
+  #end = null; // {error} after the end
 
   constructor(depth) {
     this.#depth = depth;
     this.dropped = 0;
   }
 
-  /** Add the newest; the oldest is dropped when more than the depth wait. */
+  /** Add an item; the oldest is dropped if more than the depth are unread. */
   put(item) {
     if (this.#end) return;
     const reader = this.#readers.shift();
@@ -25,13 +26,13 @@ export class Stream {
     }
   }
 
-  /** No more will come; readers take what is there, and then get `error` or the end of the iteration. */
+  /** End the stream: readers get the remaining items, then `error` or the end of the iteration. */
   end(error = null) {
     this.#end ??= { error };
     for (const reader of this.#readers.splice(0)) this.#finish(reader);
   }
 
-  /** The next item. TimedOut after `timeout` seconds, Unavailable (or why it ended) after the end. */
+  /** The next item. Rejects with TimedOut after `timeout` seconds, and after the end with its error or Unavailable. */
   async get(timeout = Infinity) {
     const reader = this.#read();
     let timer;
@@ -42,7 +43,7 @@ export class Stream {
       }, timeout * 1000);
     }
     const { value, done } = await reader.promise.finally(() => clearTimeout(timer));
-    if (done) throw new Unavailable("nothing more will arrive: this has been closed");
+    if (done) throw new Unavailable("nothing more will arrive: the stream has been closed");
     return value;
   }
 

@@ -1,5 +1,5 @@
-// Messages as JavaScript values: objects as JSON, bytes (Uint8Array) as blobs beside it, and the numbers that JSON or
-// JavaScript does not have: NaN, infinities, and integers beyond 2^53, which are BigInt.
+// Conversion between JavaScript values and frames: objects as JSON, bytes (Uint8Array) as blobs, NaN and infinities,
+// and integers beyond 2^53 as BigInt.
 
 import { InvalidRequest } from "./errors.js";
 
@@ -7,22 +7,22 @@ const NOT_FINITE = new Map([["NaN", NaN], ["Infinity", Infinity], ["-Infinity", 
 const LARGE = /[:[,]-?\d{16,}[,\]}]/;
 const ID = /^[0-9a-fA-F]{32}$/;
 
-/** 32 random hex digits. (`crypto.randomUUID` is only there on pages that came by https.) */
+/** 32 random hex digits. (`crypto.randomUUID` exists only on pages from https.) */
 export function freshId() {
   const bytes = crypto.getRandomValues(new Uint8Array(16));
   return Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
 }
 
-/** JSON of a frame. InvalidRequest for what has no JSON. */
+/** Encode a value as JSON. Throws InvalidRequest for a value without JSON representation. */
 export function encode(value) {
   try {
     return JSON.stringify(value, (_, item) => {
-      if (typeof item === "number" && !Number.isFinite(item)) return String(item); // so the platform takes them
+      if (typeof item === "number" && !Number.isFinite(item)) return String(item); // the form that the platform accepts
       if (typeof item === "bigint") return large(item);
       return ArrayBuffer.isView(item) ? Array.from(item) : item;
     });
   } catch (error) {
-    throw new InvalidRequest(`this cannot be sent as JSON: ${error.message}`);
+    throw new InvalidRequest(`the value cannot be sent as JSON: ${error.message}`);
   }
 }
 
@@ -32,7 +32,7 @@ function large(number) {
   return JSON.rawJSON(String(number));
 }
 
-/** Parsed JSON; integers beyond 2^53 as BigInt where this JavaScript can tell them. */
+/** Parse JSON; integers beyond 2^53 become BigInt if this JavaScript engine supports it. */
 export function decode(text) {
   if (!LARGE.test(text)) return JSON.parse(text);
   return JSON.parse(text, (_, value, context) =>
@@ -40,7 +40,7 @@ export function decode(text) {
       ? BigInt(context.source) : value);
 }
 
-/** Strings of the names of NaN and infinities as these. Changes `value` in place. */
+/** Replace strings that name NaN or infinities by these numbers, in place. */
 export function floats(value) {
   for (const [key, item] of Object.entries(value ?? {})) {
     if (typeof item === "string") value[key] = NOT_FINITE.has(item) ? NOT_FINITE.get(item) : item;
@@ -51,7 +51,7 @@ export function floats(value) {
 
 const isBytes = (value) => value instanceof Uint8Array || value instanceof ArrayBuffer;
 
-/** `value` with fresh ids in place of its bytes (`key` becomes `key*`); the bytes go into `blobs`, a Map by id. */
+/** Return `value` with new ids in place of its bytes (`key` becomes `key*`), and add the bytes to `blobs` by id. */
 export function detach(value, blobs) {
   if (Array.isArray(value)) {
     return typeof value[0] === "object" ? value.map((item) => detach(item, blobs)) : value;
@@ -71,7 +71,7 @@ export function detach(value, blobs) {
   return result;
 }
 
-/** The ids of all blobs that this value refers to, each once. */
+/** The set of ids of all blobs to which a value refers. */
 export function references(value, found = new Set()) {
   for (const [key, item] of Object.entries(value ?? {})) {
     if (key.endsWith("*") && !Array.isArray(value)) {
@@ -81,7 +81,7 @@ export function references(value, found = new Set()) {
   return found;
 }
 
-/** Put the blobs where decoded JSON refers to them: `key*` becomes `key`. Changes `value` in place. */
+/** Replace references by the blobs, in place: `key*` becomes `key`. */
 export function attach(value, blobs) {
   for (const [key, item] of Object.entries(value ?? {})) {
     const ids = [item].flat();

@@ -1,4 +1,4 @@
-"""Poses in the plane."""
+"""Poses in the plane, SE(2), and operations on arrays of points and poses."""
 
 from __future__ import annotations
 
@@ -13,40 +13,47 @@ Cell = TypeVar("Cell", bound=np.generic)
 
 
 def wrap_angle(angle: float) -> float:
-    """The same angle in [-pi, pi)."""
+    """Return the equivalent angle in [-pi, pi)."""
     return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
 class Pose(NamedTuple):
-    """A pose in the plane: `x`, `y` in metres, `theta` in radians."""
+    """Pose in the plane, or the motion between two poses.
+
+    Attributes:
+        x: Metres, forward.
+        y: Metres, to the left.
+        theta: Heading in radians, counter-clockwise.
+    """
 
     x: float
     y: float
     theta: float
 
     def __matmul__(self, other: Pose) -> Pose:
-        """Composition: `other`, given in the frame of `self`, in the frame in which `self` is given."""
+        """Compose two poses: return `other`, given in the frame of `self`, in the frame in which `self` is given."""
         c, s = math.cos(self.theta), math.sin(self.theta)
         return Pose(
             self.x + c * other.x - s * other.y, self.y + s * other.x + c * other.y, wrap_angle(self.theta + other.theta)
         )
 
     def inverse(self) -> Pose:
+        """Return the pose whose composition with this one is the origin."""
         c, s = math.cos(self.theta), math.sin(self.theta)
         return Pose(-c * self.x - s * self.y, s * self.x - c * self.y, wrap_angle(-self.theta))
 
     def to(self, other: Pose) -> Pose:
-        """The motion from `self` to `other`, in the frame of `self`."""
+        """Return the motion from this pose to `other`, in the frame of this pose."""
         return self.inverse() @ other
 
     def transform(self, points: Points) -> Points:
-        """Points (n, 2) of the frame of `self` in the frame in which `self` is given."""
+        """Return points (n, 2) of the frame of this pose in the frame in which this pose is given."""
         c, s = math.cos(self.theta), math.sin(self.theta)
         moved: Points = points @ np.array([[c, s], [-s, c]]) + np.array([self.x, self.y])
         return moved
 
-    def moved(self, distance: float, angle: float) -> bool:
-        """Whether a motion (see `to`) is longer than `distance` or turns by more than `angle`."""
+    def exceeds(self, distance: float, angle: float) -> bool:
+        """Return whether this motion (see `to`) is longer than `distance` or turns by more than `angle`."""
         return math.hypot(self.x, self.y) > distance or abs(self.theta) > angle
 
 
@@ -54,7 +61,7 @@ ORIGIN = Pose(0.0, 0.0, 0.0)
 
 
 def interpolate(before: Pose, after: Pose, share: float) -> Pose:
-    """The pose at `share` (0..1) of the way between two poses, turning the shorter way."""
+    """Return the pose at `share` (0..1) of the way between two poses, turning the shorter way round."""
     turn = wrap_angle(after.theta - before.theta)
     return Pose(
         before.x + share * (after.x - before.x),
@@ -63,16 +70,24 @@ def interpolate(before: Pose, after: Pose, share: float) -> Pose:
     )
 
 
-def moved(trajectory: NDArray[np.float64], offset: Pose) -> NDArray[np.float64]:
-    """Where something at `offset` on the robot was: (n, 4) stamp, x, y, theta, as the robot's own `trajectory`."""
+def trajectory_of_offset(trajectory: NDArray[np.float64], offset: Pose) -> NDArray[np.float64]:
+    """Return the trajectory of a frame mounted at `offset` on a robot.
+
+    Args:
+        trajectory: (n, 4) stamp, x, y, theta of the robot.
+        offset: Pose of the mounted frame in the frame of the robot.
+
+    Returns:
+        (n, 4) stamp, x, y, theta of the mounted frame, in the frame of `trajectory`.
+    """
     stamps, x, y, theta = trajectory.T
     c, s = np.cos(theta), np.sin(theta)
     turned = (theta + offset.theta + math.pi) % (2 * math.pi) - math.pi
     return np.stack([stamps, x + c * offset.x - s * offset.y, y + s * offset.x + c * offset.y, turned], axis=1)
 
 
-def picked(cells: NDArray[Cell], places: Points, outside: int) -> NDArray[Cell]:
-    """The cells (n,) of an array at `places` (n, 2: column, row, rounded down)."""
+def sample_cells(cells: NDArray[Cell], places: Points, outside: int) -> NDArray[Cell]:
+    """Return the cells (n,) of a grid at `places` (n, 2: column, row, rounded down), `outside` beyond its edges."""
     column, row = np.floor(places).astype(np.int64).T
     height, width = cells.shape
     inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)

@@ -1,4 +1,4 @@
-"""What mappers have in common: scans in, poses and an occupancy grid out."""
+"""Interface of all mappers: scans in, poses and an occupancy grid out."""
 
 from __future__ import annotations
 
@@ -12,42 +12,52 @@ from rce.mapping.geometry import Pose
 from rce.mapping.grid import OccupancyGrid
 from rce.mapping.scans import Scan
 
-UNCERTAIN = np.diag([1.0, 1.0, 0.5])  # covariance of a pose that was not matched; square metres and radians
-FEWEST_POINTS = 10  # with fewer, nothing can be said about the pose
+UNMATCHED_COVARIANCE = np.diag([1.0, 1.0, 0.5])  # of a pose that was not matched; square metres and radians
+MIN_POINTS = 10  # of a scan; fewer do not determine a pose
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What a mapper says about a scan: `pose` in the map frame, `covariance` (3, 3) of x, y, theta, and whether the
-    pose comes from a match with the map (else from odometry or the last motion alone). `taken` is False for a scan that
-    came too late: it is not part of the map and has no row in the trajectory."""
+    """Answer of a mapper to a scan.
+
+    Attributes:
+        stamp: Stamp of the scan, seconds.
+        pose: Pose of the robot in the map frame.
+        covariance: (3, 3) of x, y, theta in square metres and radians.
+        matched: Whether the pose comes from a match with the map, and not from odometry or the last motion alone.
+        accepted: False for a scan that came too late: it is not part of the map and has no row in the trajectory.
+    """
 
     stamp: float
     pose: Pose
     covariance: NDArray[np.float64]
     matched: bool
-    taken: bool = True
+    accepted: bool = True
 
 
 class Mapper(Protocol):
-    """What every mapper does. One that optimises may change past poses: read `trajectory` when it is needed."""
+    """Interface of a mapper. A mapper that optimises may change past poses: read `trajectory` when it is needed."""
 
     def add(self, scan: Scan) -> Estimate:
-        """Take the next scan. One that is not newer than those before is not used, only answered."""
+        """Map the next scan. One that is not newer than those before is answered but not mapped."""
 
     def grid(self) -> OccupancyGrid:
-        """The map as it is now."""
+        """Return the current map."""
 
     def trajectory(self) -> NDArray[np.float64]:
-        """(n, 4) stamp, x, y, theta of every scan taken so far, map frame."""
+        """Return (n, 4) stamp, x, y, theta of every accepted scan, map frame."""
 
 
 @dataclass(frozen=True, slots=True)
 class MapperSettings:
-    """`resolution` of the grid, metres per cell; `max_range`: beams longer than this are not used, metres.
+    """Settings of a mapper.
 
-    For mappers with particles, their number, the seed of their random numbers, and over how many cores they are spread
-    (0 for all; the result is the same for any number of them).
+    Attributes:
+        resolution: Metres per cell of the grid.
+        max_range: Metres; longer beams are not used.
+        particles: Number of particles, for mappers that have any.
+        seed: Seed of the random numbers of such a mapper.
+        cores: Cores over which the particles are spread, 0 for all. The result does not depend on it.
     """
 
     resolution: float = 0.05

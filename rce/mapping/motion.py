@@ -1,8 +1,9 @@
-"""Where the robot may be before its scan is looked at."""
+"""Prediction of the robot's pose before its scan is matched."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,55 +11,86 @@ from rce.mapping.geometry import ORIGIN, Pose
 from rce.mapping.scans import Scan
 from rce.mapping.state import Reader, State, optional
 
-RESET = 10.0  # metres; if odometry moves this far between two scans, it was set anew
-SHORTEST = 1e-3  # seconds; no laser is faster
-WHEELS, SLIP = 0.03, 0.1  # metres, and metres a metre, by which wheels are off as a rule
-STEADINESS = 0.1  # metres by which a robot that goes on as it did is off after a scan
-STEADY = 0.5  # seconds for which a robot may be supposed to go on as it did
+
+@dataclass(frozen=True, slots=True)
+class MotionSettings:
+    """Settings of the motion model.
+
+    Attributes:
+        reset_distance: Metres; odometry that moves this far between two scans was reset.
+        min_period: Seconds; shorter periods between stamps mean that the stamps are wrong, since no laser is faster.
+        max_period: Seconds for which the robot is assumed to keep its velocity.
+        wheel_noise: Metres by which wheel odometry is usually off.
+        wheel_slip: Metres a metre by which wheel odometry is usually off.
+        velocity_noise: Metres by which a robot that keeps its velocity is off after a scan.
+    """
+
+    reset_distance: float = 10.0
+    min_period: float = 1e-3
+    max_period: float = 0.5
+    wheel_noise: float = 0.03
+    wheel_slip: float = 0.1
+    velocity_noise: float = 0.1
+
+
+SETTINGS = MotionSettings()
 
 
 class Motion:
-    """Predicts by two means, the motion by odometry and the last motion repeated, since wheels slip and odometry comes
-    late or not at all. The first scan is at `pose`, map frame."""
+    """Motion model with two predictions: the motion by odometry, and the last motion repeated (constant velocity).
+
+    There are two because wheels slip, and odometry comes late or not at all.
+
+    Attributes:
+        pose: Pose of the robot at the last scan, map frame.
+    """
 
     def __init__(self, pose: Pose = ORIGIN) -> None:
+        """Start at a pose in the map frame."""
         self.pose = pose
         self._stamp: float | None = None
-        self._steady = True  # whether the last motion took no longer than STEADY, so that the next is like it
-        self._last = ORIGIN  # motion from the scan before the last to the last, so far as it is known
+        self._steady = True  # whether the last motion took less than max_period, so that the next is like it
+        self._last = ORIGIN  # motion between the last two scans, so far as it is known
         self._wheels: tuple[Pose, Pose] | None = None  # last odometry, and the pose of the robot then
 
     def predict(self, scan: Scan) -> list[Pose]:
-        """Where the robot may be now, the most trusted first."""
+        """Return the predicted poses of the robot at a scan, the most trusted first."""
         if self._stamp is None:
             return [self.pose]
         repeated = self.pose @ self._last
         if scan.odometry is None or self._wheels is None:
-            return [repeated, self.pose] if self._blind(scan) else [repeated]
+            return [repeated, self.pose] if self._is_unpredictable(scan) else [repeated]
         odometry, pose = self._wheels
         motion = odometry.to(scan.odometry)
-        plausible = math.hypot(motion.x, motion.y) < RESET  # False for NaN
+        plausible = math.hypot(motion.x, motion.y) < SETTINGS.reset_distance  # False for NaN
         if not plausible:
             return [repeated]
-        return [pose @ motion, repeated] if scan.stamp - self._stamp < STEADY else [pose @ motion]
+        return [pose @ motion, repeated] if scan.stamp - self._stamp < SETTINGS.max_period else [pose @ motion]
 
     def spread(self, scan: Scan) -> float:
-        """Metres by which the first prediction is off, if things are as usual; infinite if nothing is known."""
-        if self._blind(scan):
+        """Return the metres by which the first prediction is usually off; infinite if nothing is known."""
+        if self._is_unpredictable(scan):
             return math.inf
         if scan.odometry is None or self._wheels is None:
-            return STEADINESS
-        return math.hypot(WHEELS, SLIP * math.dist(self._wheels[0][:2], scan.odometry[:2]))
+            return SETTINGS.velocity_noise
+        way = math.dist(self._wheels[0][:2], scan.odometry[:2])
+        return math.hypot(SETTINGS.wheel_noise, SETTINGS.wheel_slip * way)
 
-    def _blind(self, scan: Scan) -> bool:
-        """Whether nothing tells how far the robot went: it has no wheels, and scans are too rare, or their stamps
-        (which logs may have lost) too close, to suppose that it goes on as it did."""
-        return scan.odometry is None and not (self._steady and self._soon(scan))
+    def _is_unpredictable(self, scan: Scan) -> bool:
+        """Return whether nothing predicts the motion of the robot.
 
-    def _soon(self, scan: Scan) -> bool:
-        return self._stamp is not None and SHORTEST < scan.stamp - self._stamp < STEADY
+        That is the case without odometry if scans are too rare to assume a constant velocity, or their stamps too
+        close: some logs have lost them.
+        """
+        return scan.odometry is None and not (self._steady and self._follows_soon(scan))
+
+    def _follows_soon(self, scan: Scan) -> bool:
+        if self._stamp is None:
+            return False
+        return SETTINGS.min_period < scan.stamp - self._stamp < SETTINGS.max_period
 
     def state(self) -> State:
+        """Return the model as arrays to save."""
         return {
             "pose": optional(self.pose),
             "steady": np.array(self._steady),
@@ -68,23 +100,28 @@ class Motion:
         }
 
     def restore(self, saved: Reader) -> None:
+        """Replace the model by a saved one.
+
+        Raises:
+            InvalidRequest: The saved arrays are not a motion model.
+        """
         self._steady = bool(saved.array("steady", np.bool_))
         stamps, wheels = saved.array("stamp", np.float64, None).tolist(), saved.poses("wheels")
         self.pose, self._last = saved.optional("pose") or ORIGIN, saved.optional("last") or ORIGIN
         self._stamp = stamps[0] if stamps else None
         self._wheels = (wheels[0], wheels[1]) if len(wheels) == 2 else None
 
-    def follow(self, scan: Scan, pose: Pose, sure: bool = True) -> None:
-        """Take the pose at which a scan was found to be; one that is not `sure` says nothing about the next motion."""
-        if sure:
+    def update(self, scan: Scan, pose: Pose, reliable: bool = True) -> None:
+        """Set the pose of a scan. If it is not `reliable`, the motion to it does not predict the next one."""
+        if reliable:
             self._last = ORIGIN if self._stamp is None else self.pose.to(pose)
-        self._steady = self._stamp is None or self._soon(scan)
+        self._steady = self._stamp is None or self._follows_soon(scan)
         self._stamp, self.pose = scan.stamp, pose
         if scan.odometry is not None:
             self._wheels = scan.odometry, pose
 
     def correct(self, pose: Pose) -> None:
-        """The pose of the last scan has turned out to be `pose`."""
+        """Move the last scan to `pose`, as an optimisation has found."""
         if self._wheels is not None:
             odometry, then = self._wheels
             self._wheels = odometry, pose @ self.pose.to(then)

@@ -1,7 +1,7 @@
-"""The robot that maps: it drives a recording through a mapping node in an environment and gets the map back.
+"""Client of a mapping node: sends a recording to a mapping node in an environment and fetches the map.
 
-Scans and odometry go as CDR through Forwarders. The node answers each scan with a pose of the same stamp; at most
-`WINDOW` scans are on their way at once, fewer than any queue of the chain holds, so that none is ever dropped.
+Scans and odometry travel as CDR through raw interfaces. The node answers each scan with a pose of the same stamp. At
+most `WINDOW` scans are unanswered at a time, fewer than any queue on the way holds, so that none is dropped.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from rce.errors import Died, TimedOut
 from rce.mapping.geometry import Pose
 from rce.mapping.grid import OccupancyGrid
 from rce.mapping.scans import Scan
-from rce.messages import EnvironmentEvent, NodeEvent, ParameterValue, Qos
+from rce.protocol.messages import EnvironmentEvent, NodeEvent, ParameterValue, Qos
 
-NODE = "mapper"  # the tag of the mapping node
-WINDOW = 8
-START_TIMEOUT = 120.0  # seconds; a node compiles at its very first start
-STALL_TIMEOUT = 60.0
-DEPTH = 4 * WINDOW
-EMPTY_REQUEST = b"\x00\x01\x00\x00\x00"  # CDR of a request without fields
+NODE = "mapper"  # tag of the mapping node
+WINDOW = 8  # scans that may be unanswered at a time
+START_TIMEOUT = 120.0  # seconds; a node compiles its kernels at its first start
+STALL_TIMEOUT = 60.0  # seconds without an answer after which the node is given up
+DEPTH = 4 * WINDOW  # messages in the queues of topics
+EMPTY_REQUEST = b"\x00\x01\x00\x00\x00"  # CDR of a service request without fields
 
 NANO = 1_000_000_000
 
@@ -39,7 +39,13 @@ Progress = Callable[[int], None]
 
 
 class Result(NamedTuple):
-    """`trajectory`: (n, 4) stamp s, x m, y m, theta rad of each scan, map frame."""
+    """Result of mapping a recording.
+
+    Attributes:
+        grid: The map.
+        trajectory: (n, 4) stamp, x, y, theta of each scan; seconds, metres, radians, map frame.
+        scans: Number of scans sent.
+    """
 
     grid: OccupancyGrid
     trajectory: NDArray[np.float64]
@@ -47,35 +53,52 @@ class Result(NamedTuple):
 
 
 class MappingRobot:
-    """One recording, one environment, one map. Use it as an asynchronous context."""
+    """Client of one mapping node for one recording. Use it as an asynchronous context manager."""
 
     def __init__(self, robot: Robot, environment: Environment, namespace: str = "") -> None:
-        """`namespace`: of the robot's topics and services in the environment, "/NAME" or none."""
+        """Use a mapping node in an environment.
+
+        Args:
+            robot: Connected robot.
+            environment: Environment of the node.
+            namespace: Namespace of the robot's topics and services in the environment, "/NAME" or empty.
+        """
         self._robot = robot
         self._environment = environment
         self._namespace = namespace
         self._sent = 0
-        self._unanswered: dict[int, Scan] = {}  # by stamp, nanoseconds
+        self._unanswered: dict[int, Scan] = {}  # by stamp in nanoseconds
         self._slots = asyncio.Semaphore(WINDOW)
         self._tasks: list[asyncio.Task[None]] = []
 
     async def __aenter__(self) -> Self:
-        self._trouble = asyncio.create_task(self._watch(self._robot.events()))
-        self._tasks.append(self._trouble)
+        """Start watching for failures of the node, its environment and the connection."""
+        self._failure = asyncio.create_task(self._watch(self._robot.events()))
+        self._tasks.append(self._failure)
         return self
 
     async def __aexit__(self, *_: object) -> None:
+        """Cancel all tasks."""
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
     async def prepare(self, parameters: Mapping[str, ParameterValue]) -> None:
-        """Start the node, wire its topics, and wait until it is ready. StartFailed, TimedOut."""
+        """Start the node, connect its topics, and wait until it is ready.
+
+        Raises:
+            StartFailed: The node did not start.
+            TimedOut: It was not ready in time.
+        """
         await start_node(self._environment, "mapper", parameters)
         await self.wire()
 
     async def wire(self) -> None:
-        """Wire the topics of a node that was started, and wait until it is ready. TimedOut."""
+        """Connect the topics of a node that was started already, and wait until it is ready.
+
+        Raises:
+            TimedOut: It was not ready in time.
+        """
         environment, own = self._environment, self._namespace
         latched = Qos(reliability="reliable", durability="transient_local", depth=1)
         deep = Qos(reliability="reliable", depth=DEPTH)
@@ -91,8 +114,17 @@ class MappingRobot:
         await ready.close()
 
     async def drive(self, recording: Iterable[Scan], progress: Progress) -> None:
-        """Send all scans, each once, until all are answered. Died if the node or its environment does."""
-        self._tasks.append(asyncio.create_task(self._take_answers(progress)))
+        """Send all scans and wait until all are answered.
+
+        Args:
+            recording: The scans.
+            progress: Called with the number of scans answered so far.
+
+        Raises:
+            Died: The node or its environment ended.
+            TimedOut: The node has not answered for STALL_TIMEOUT.
+        """
+        self._tasks.append(asyncio.create_task(self._receive_poses(progress)))
         for scan in recording:
             await self._guarded(self._slots.acquire(), STALL_TIMEOUT, "the mapping node to answer a scan")
             self._unanswered[nanoseconds(scan.stamp)] = scan
@@ -102,7 +134,12 @@ class MappingRobot:
             await self._guarded(self._slots.acquire(), STALL_TIMEOUT, "the mapping node to answer the last scans")
 
     async def result(self) -> Result:
-        """The map and the way, as they are now. Died, TimedOut."""
+        """Return the current map and trajectory.
+
+        Raises:
+            Died: The node or its environment ended.
+            TimedOut: The node has not answered for STALL_TIMEOUT.
+        """
         return await self._guarded(self._fetch(self._sent), STALL_TIMEOUT, "the map")
 
     async def _send(self, scan: Scan) -> None:
@@ -111,7 +148,8 @@ class MappingRobot:
             await self._odometry.publish(odometry_cdr(stamp, scan.odometry))
         await self._scans.publish(scan_cdr(stamp, scan))
 
-    async def _take_answers(self, progress: Progress) -> None:
+    async def _receive_poses(self, progress: Progress) -> None:
+        """Free a slot for each pose that answers a scan."""
         answered = 0
         async for cdr in self._poses:
             pose: Any = store.deserialize_cdr(cdr, "geometry_msgs/msg/PoseWithCovarianceStamped")
@@ -121,9 +159,10 @@ class MappingRobot:
                 progress(answered)
 
     async def _fetch(self, sent: int) -> Result:
-        """The node publishes its path before it answers with the map, but the two come by different ways.
+        """Return the map and the trajectory of `sent` scans.
 
-        Paths that have come already do not count: in a team, what others have seen since may have moved this one.
+        The node publishes its path before it answers with the map, but the two may arrive in any order. Paths that have
+        arrived already are discarded: in a team, scans of other robots may have moved this trajectory since.
         """
         with suppress(TimedOut):
             while True:
@@ -135,6 +174,11 @@ class MappingRobot:
         return Result(grid_of(response), trajectory, sent)
 
     async def _watch(self, events: Stream[Event]) -> None:
+        """Fail when the node or its environment ends; send unanswered scans again after a reconnection.
+
+        Raises:
+            Died: The node or its environment ended.
+        """
         tag = self._environment.tag
         async for event in events:
             match event:
@@ -144,33 +188,43 @@ class MappingRobot:
                     raise Died("\n".join([f"the mapping node ended with status {status}", *lines]))
                 case EnvironmentEvent(containerTag=where, state="lost" | "gone" | "failed", reason=why) if where == tag:
                     raise Died(f"the environment {tag} is lost: {why}")
-                case Reconnected():  # what was on its way is lost; the node drops what it has had already
+                case Reconnected():  # messages in flight are lost; the node ignores scans that it has mapped already
                     for scan in list(self._unanswered.values()):
                         await self._send(scan)
 
     async def _guarded(self, work: Coroutine[None, None, T], seconds: float, what: str) -> T:
-        """The result of `work`, unless something happens that it would wait for in vain."""
+        """Return the result of `work`, unless the node fails meanwhile.
+
+        Raises:
+            Died: The node or its environment ended.
+            TimedOut: `work` took longer than `seconds`; `what` names it in the message.
+        """
         task = asyncio.ensure_future(work)
         try:
-            await asyncio.wait({task, self._trouble}, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait({task, self._failure}, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
             if task.done():
                 return task.result()
-            if self._trouble.done():
-                self._trouble.result()
-            raise TimedOut(f"waited {seconds:g} s for {what} in vain")
+            if self._failure.done():
+                self._failure.result()
+            raise TimedOut(f"no answer within {seconds:g} s: waiting for {what}")
         finally:
             task.cancel()
 
 
 async def start_node(environment: Environment, executable: str, parameters: Mapping[str, ParameterValue]) -> None:
-    """Start a node of the package rce_mapping. StartFailed."""
+    """Start a node of the package rce_mapping with these parameters.
+
+    Raises:
+        StartFailed: The node did not start.
+    """
     for name, value in parameters.items():
         await environment.set_parameter(name, value)
     await environment.add_node(NODE, "rce_mapping", executable)
 
 
 def nanoseconds(stamp: float) -> int:
-    return round(stamp * 1e6) * 1000  # microseconds are what the formats of recordings have
+    """Convert seconds to nanoseconds, rounded to microseconds, the precision of the formats of recordings."""
+    return round(stamp * 1e6) * 1000
 
 
 def _header(stamp: int, frame: str) -> Any:
@@ -179,6 +233,7 @@ def _header(stamp: int, frame: str) -> Any:
 
 
 def scan_cdr(stamp: int, scan: Scan) -> bytes:
+    """Serialise a scan as `sensor_msgs/LaserScan`, stamp in nanoseconds."""
     message = types["sensor_msgs/msg/LaserScan"](
         header=_header(stamp, "base_link"),
         angle_min=scan.angle_min,
@@ -195,6 +250,7 @@ def scan_cdr(stamp: int, scan: Scan) -> bytes:
 
 
 def odometry_cdr(stamp: int, pose: Pose) -> bytes:
+    """Serialise a pose as `nav_msgs/Odometry` without velocity, stamp in nanoseconds."""
     point = types["geometry_msgs/msg/Point"](x=pose[0], y=pose[1], z=0.0)
     turn = types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=math.sin(pose[2] / 2), w=math.cos(pose[2] / 2))
     zero = types["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0)
@@ -213,7 +269,7 @@ def odometry_cdr(stamp: int, pose: Pose) -> bytes:
 
 
 def trajectory_of(cdr: bytes) -> NDArray[np.float64]:
-    """The poses of a `nav_msgs/Path`: (n, 4) stamp, x, y, theta."""
+    """Deserialise a `nav_msgs/Path` as (n, 4) stamp, x, y, theta."""
     path: Any = store.deserialize_cdr(cdr, "nav_msgs/msg/Path")
     rows = [
         (
@@ -228,7 +284,7 @@ def trajectory_of(cdr: bytes) -> NDArray[np.float64]:
 
 
 def grid_of(cdr: bytes) -> OccupancyGrid:
-    """The map of a `nav_msgs/GetMap` response, whose only field it is."""
+    """Deserialise the map of a `nav_msgs/GetMap` response, its only field."""
     found: Any = store.deserialize_cdr(cdr, "nav_msgs/msg/OccupancyGrid")
     cells = np.asarray(found.data, np.int8).reshape(found.info.height, found.info.width)
     return OccupancyGrid(cells, found.info.resolution, found.info.origin.position.x, found.info.origin.position.y)

@@ -1,4 +1,4 @@
-"""The record that every recording, the simulation and the ROS node give and every mapper takes."""
+"""One sweep of a laser: the record that recordings, the simulation and the ROS node produce and mappers consume."""
 
 from __future__ import annotations
 
@@ -16,9 +16,14 @@ from rce.mapping.geometry import Points, Pose
 class Scan:
     """One sweep of a planar laser, with the fields of `sensor_msgs/LaserScan`.
 
-    `ranges`: (n,) float32, metres; beam i points to `angle_min + i * angle_increment` in the frame of the robot. NaN,
-    infinite, not positive and anything from `range_max` on means that nothing was measured.
-    `odometry`: pose of the robot by its wheels at `stamp`, in a frame of its own that drifts; None where there is none.
+    Attributes:
+        stamp: Seconds.
+        ranges: (n,) float32, metres. NaN, infinity, values that are not positive and values of `range_max` or more mean
+            that nothing was measured.
+        angle_min: Radians; beam i points to `angle_min + i * angle_increment` in the frame of the robot.
+        angle_increment: Radians between beams.
+        range_max: Metres.
+        odometry: Pose of the robot by its wheels at `stamp`, in a frame of its own that drifts; None without odometry.
     """
 
     stamp: float
@@ -29,7 +34,7 @@ class Scan:
     odometry: Pose | None = None
 
     def points(self, limit: float) -> Points:
-        """Where the beams ended that measured something nearer than `limit` metres: (m, 2), frame of the robot."""
+        """Return the ends (m, 2) of the beams that measured less than `limit` metres, frame of the robot."""
         if not math.isfinite(self.angle_min + self.angle_increment):
             return np.empty((0, 2))
         bound = min(limit, self.range_max)
@@ -41,6 +46,6 @@ class Scan:
 
 @lru_cache(maxsize=8)
 def beam_directions(count: int, angle_min: float, angle_increment: float) -> Points:
-    """Unit vectors (count, 2) of the beams in the frame of the robot."""
+    """Return unit vectors (count, 2) of the beams in the frame of the robot."""
     angles = angle_min + angle_increment * np.arange(count)
     return np.stack([np.cos(angles), np.sin(angles)], axis=1)

@@ -1,4 +1,4 @@
-"""The state of a mapper as a tree of arrays, and reading it back with checks: it may come from anywhere."""
+"""State of a mapper as a tree of arrays, and a reader that validates it: a saved file may come from anywhere."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ State = dict[str, Union[Array, "State"]]
 
 
 def flatten(state: State, prefix: str = "") -> Iterator[tuple[str, Array]]:
-    """The arrays by their paths in the tree, `a/b/c`."""
+    """Yield the arrays of a state with their paths in the tree, `a/b/c`."""
     for name, value in state.items():
         if isinstance(value, dict):
             yield from flatten(value, f"{prefix}{name}/")
@@ -25,12 +25,12 @@ def flatten(state: State, prefix: str = "") -> Iterator[tuple[str, Array]]:
 
 
 def optional(pose: Pose | None) -> NDArray[np.float64]:
-    """(0, 3) or (1, 3)."""
+    """Return a pose as an array (1, 3), or (0, 3) for None."""
     return np.array([] if pose is None else [pose], np.float64).reshape(-1, 3)
 
 
 def pack(pieces: Sequence[Array], kind: type) -> State:
-    """Arrays (n, 2) of one type and of different lengths, as one."""
+    """Return arrays (n, 2) of one type and different lengths as one array with the lengths."""
     return {
         "lengths": np.array([len(piece) for piece in pieces], np.int64),
         "rows": np.concatenate([np.empty((0, 2), kind), *pieces]),
@@ -38,67 +38,76 @@ def pack(pieces: Sequence[Array], kind: type) -> State:
 
 
 class Reader:
-    """The arrays of a flattened state. Whatever is asked for and is not there, of another shape, or nonsense, is an
-    InvalidRequest that names it."""
+    """Validating reader of a flattened state.
+
+    All methods raise InvalidRequest, which names the array, if it is missing, has another shape or type, or makes no
+    sense.
+    """
 
     def __init__(self, arrays: Mapping[str, Array], prefix: str = "") -> None:
+        """Read the arrays whose paths begin with `prefix`."""
         self._arrays, self._prefix = arrays, prefix
 
     def part(self, name: str) -> Reader:
+        """Return a reader of a branch of the tree."""
         return Reader(self._arrays, f"{self._prefix}{name}/")
 
     def has(self, name: str) -> bool:
-        """Whether there is a part of this name."""
+        """Return whether there is a branch of this name."""
         return any(key.startswith(f"{self._prefix}{name}/") for key in self._arrays)
 
     def array(self, name: str, kind: ArrayLike | type, *shape: int | None) -> Array:
-        """An array of this type and shape; None stands for any length. Floats are finite."""
+        """Return an array of this type and shape, where None stands for any length. Floats are finite."""
         path = self._prefix + name
         found = self._arrays.get(path)
         if found is None:
-            raise self.wrong(name, "is missing")
+            raise self.invalid(name, "is missing")
         wanted = np.dtype(kind)  # type: ignore[arg-type]
         if found.dtype != wanted or found.ndim != len(shape):
-            raise self.wrong(name, f"is {found.dtype}{found.shape}, not {wanted} with {len(shape)} dimensions")
+            raise self.invalid(name, f"is {found.dtype}{found.shape}, not {wanted} with {len(shape)} dimensions")
         if any(want is not None and have != want for have, want in zip(found.shape, shape, strict=True)):
-            raise self.wrong(name, f"has the shape {found.shape}, not {shape}")
+            raise self.invalid(name, f"has the shape {found.shape}, not {shape}")
         if wanted.kind == "f" and not np.isfinite(found).all():
-            raise self.wrong(name, "has values that are no numbers")
+            raise self.invalid(name, "has values that are not finite")
         return np.ascontiguousarray(found) if found.ndim else found
 
     def indices(self, name: str, below: int, *shape: int | None, lowest: int = 0) -> NDArray[np.int64]:
-        """Integers from `lowest` to less than `below`."""
+        """Return an array of integers from `lowest` to less than `below`."""
         found = self.array(name, np.int64, *shape)
         if found.size and not lowest <= found.min() <= found.max() < below:
-            raise self.wrong(name, f"points outside of {lowest} to {below - 1}")
+            raise self.invalid(name, f"has values outside of {lowest} to {below - 1}")
         return found
 
     def number(self, name: str) -> float:
+        """Return a floating-point number."""
         return float(self.array(name, np.float64))
 
     def whole(self, name: str, below: int, lowest: int = 0) -> int:
+        """Return an integer from `lowest` to less than `below`."""
         return int(self.indices(name, below, lowest=lowest))
 
     def poses(self, name: str) -> list[Pose]:
+        """Return the poses of an array (n, 3)."""
         return [Pose(*row) for row in self.array(name, np.float64, None, 3).tolist()]
 
     def optional(self, name: str) -> Pose | None:
-        """See the function `optional`."""
+        """Return the pose that the function `optional` has stored, or None."""
         found = self.poses(name)
         return found[0] if found else None
 
     def unpack(self, name: str, kind: type) -> list[Array]:
-        """See `pack`."""
+        """Return the arrays that `pack` has stored."""
         part = self.part(name)
         rows = part.array("rows", kind, None, 2)
         lengths = part.indices("lengths", len(rows) + 1, None)
         if lengths.sum() != len(rows):
-            raise part.wrong("lengths", "do not add up to all rows")
+            raise part.invalid("lengths", "do not add up to the number of rows")
         return (
             [np.ascontiguousarray(piece) for piece in np.split(rows, np.cumsum(lengths)[:-1])] if len(lengths) else []
         )
 
-    def wrong(self, name: str, what: str) -> InvalidRequest:
+    def invalid(self, name: str, reason: str) -> InvalidRequest:
+        """Return the error for an array, to be raised."""
         return InvalidRequest(
-            f"not a saved mapping session, or a damaged one: {self._prefix}{name} {what}", field="file"
+            f"not a saved mapping session, or a damaged one: {self._prefix}{name} {reason}", field="file"
         )

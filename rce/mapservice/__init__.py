@@ -1,5 +1,6 @@
-"""Map building as a web service: recordings in, maps out.
+"""Map service: recordings in, maps out, over HTTP.
 
-A process of its own, beside the Master: recordings are streamed to disk, and each job drives one through a mapping node
-in an environment of its user, as a robot would. Needs the extras `server` and `mapping`.
+The service is a process of its own beside the Master. Uploaded recordings are streamed to disk. Each job plays one of
+them through a mapping node in an environment of its user, as a client of the platform. Mapping itself belongs to
+`rce.mapping`. Needs the extras `server` and `mapping`.
 """

@@ -1,4 +1,4 @@
-"""SOAP 1.1 envelopes: read with care, validated against the schema of the WSDL, answered, refused."""
+"""SOAP 1.1 envelopes: safe parsing, validation against the schema of the WSDL, answers and faults."""
 
 from __future__ import annotations
 
@@ -9,100 +9,115 @@ from typing import NamedTuple
 from lxml import etree
 
 from rce.errors import InvalidRequest, RceError, Unauthorized
-from rce.mapservice.access import KEY_PREFIX
-from rce.mapservice.problems import status_of
+from rce.mapservice.authentication import KEY_PREFIX
+from rce.web.problems import status_of
 
-OWN = "urn:rce:robows:1"
+NAMESPACE = "urn:rce:robows:1"
 SOAP = "http://schemas.xmlsoap.org/soap/envelope/"
 WSDL_SOAP = "http://schemas.xmlsoap.org/wsdl/soap/"
 WSSE = "http://docs.oasis-open.org/wss/2004/01/oasis-200401-wss-wssecurity-secext-1.0.xsd"
 SCHEMA = "http://www.w3.org/2001/XMLSchema"
 CLEAR = "#PasswordText"
-MARKUP_MOST = 4000  # tags, attributes and references, each: a large request is one long text
+MAX_MARKUP = 4000  # number each of tags, attributes and references; large requests consist of one long text
 
 
 class NotUnderstood(InvalidRequest):
-    """A header block that must be understood, and is not."""
+    """The service does not understand a header block with `mustUnderstand`."""
 
 
 class Request(NamedTuple):
-    """What is asked for, and the user and secret of a UsernameToken if there is one."""
+    """Body of a request, and the user and secret of its UsernameToken, which are empty without one."""
 
     body: etree._Element
     user: str
     secret: str
 
 
-def own(name: str) -> str:
-    return f"{{{OWN}}}{name}"
+def qualified_name(name: str) -> str:
+    """Return the name of an element in our own namespace."""
+    return f"{{{NAMESPACE}}}{name}"
 
 
 class Envelopes:
-    """The WSDL and what follows from it."""
+    """Parser and validator of envelopes, after the WSDL."""
 
     def __init__(self) -> None:
         self._wsdl = _parse(Path(__file__).with_name("robows.wsdl").read_bytes())
         self._schema = etree.XMLSchema(self._wsdl.find(f".//{{{SCHEMA}}}schema"))
 
     def wsdl(self, location: str) -> bytes:
-        """The WSDL of the service at this address."""
+        """Return the WSDL with `location` as address of the service."""
         for address in self._wsdl.iter(f"{{{WSDL_SOAP}}}address"):
             address.set("location", location)
         return bytes(etree.tostring(self._wsdl, xml_declaration=True, encoding="UTF-8"))
 
     def read(self, data: bytes) -> Request:
-        """InvalidRequest for what is no envelope or not as the schema says, Unauthorized for a token of no use.
+        """Parse and validate an envelope.
 
-        Nobody knows yet who asks: what would cost much to parse is refused by a look at its bytes.
+        Its sender is not authenticated yet, so requests that would be expensive to parse are refused first, by counting
+        bytes.
+
+        Raises:
+            InvalidRequest: The data is not an envelope, or does not match the schema.
+            Unauthorized: The security header has no usable token.
         """
         for mark in (b"<", b"=", b"&"):
-            if data.count(mark) > MARKUP_MOST:
-                raise InvalidRequest(f"a request with more than {MARKUP_MOST} {mark.decode()!r} is not taken here")
+            if data.count(mark) > MAX_MARKUP:
+                raise InvalidRequest(f"the request has more than {MAX_MARKUP} {mark.decode()!r}, which is too many")
         envelope = _parse(data)
         if envelope.tag != f"{{{SOAP}}}Envelope":
-            raise InvalidRequest("this is not an envelope of SOAP 1.1", field="Envelope")
+            raise InvalidRequest("the request is not a SOAP 1.1 envelope", field="Envelope")
         user, secret = _headers(envelope.find(f"{{{SOAP}}}Header"))
         parts = list(envelope.iterfind(f"{{{SOAP}}}Body/*"))
         if len(parts) != 1:
-            raise InvalidRequest(f"the Body must have one element, and has {len(parts)}", field="Body")
+            raise InvalidRequest(f"the Body must have one element, but has {len(parts)}", field="Body")
         self.check(parts[0])
         return Request(parts[0], user, secret)
 
     def check(self, body: etree._Element) -> None:
-        """InvalidRequest if the schema does not allow this."""
+        """Validate the body of a request or an answer.
+
+        Raises:
+            InvalidRequest: It does not match the schema.
+        """
         if self._schema.validate(body):
             return
         first = next(iter(self._schema.error_log))
         field = first.path.rpartition("/")[2].rpartition(":")[2] if first.path else ""
-        raise InvalidRequest(f"line {first.line}: {first.message[:300]}".replace(f"{{{OWN}}}", ""), field=field[:100])
+        raise InvalidRequest(
+            f"line {first.line}: {first.message[:300]}".replace(f"{{{NAMESPACE}}}", ""), field=field[:100]
+        )
 
 
 def answer(body: etree._Element) -> bytes:
-    envelope = etree.Element(f"{{{SOAP}}}Envelope", nsmap={"soap": SOAP, "tns": OWN})
+    """Return the envelope of an answer."""
+    envelope = etree.Element(f"{{{SOAP}}}Envelope", nsmap={"soap": SOAP, "tns": NAMESPACE})
     etree.SubElement(envelope, f"{{{SOAP}}}Body").append(body)
     return bytes(etree.tostring(envelope, xml_declaration=True, encoding="UTF-8"))
 
 
 def fault(error: RceError) -> bytes:
-    """`soap:Client` where the request is at fault, `soap:Server` where sending it again may help."""
+    """Return the envelope of a fault: `soap:Client` if the request is wrong, `soap:Server` if a retry may succeed."""
     kind = "MustUnderstand" if isinstance(error, NotUnderstood) else "Client" if status_of(error) < 500 else "Server"
     body = etree.Element(f"{{{SOAP}}}Fault", nsmap={"soap": SOAP})
     etree.SubElement(body, "faultcode").text = f"soap:{kind}"
     etree.SubElement(body, "faultstring").text = str(error)
-    problem = etree.SubElement(etree.SubElement(body, "detail"), own("Problem"), nsmap={"tns": OWN})
-    texts(problem, code=error.info.code, message=error.info.message, field=error.info.field or None)
+    problem = etree.SubElement(etree.SubElement(body, "detail"), qualified_name("Problem"), nsmap={"tns": NAMESPACE})
+    add_texts(problem, code=error.info.code, message=error.info.message, field=error.info.field or None)
     return answer(body)
 
 
-def texts(parent: etree._Element, **values: object) -> None:
-    """Child elements with these texts; None leaves one out."""
+def add_texts(parent: etree._Element, **values: object) -> None:
+    """Add child elements with these texts; None adds no element."""
     for name, value in values.items():
         if value is not None:
-            etree.SubElement(parent, own(name)).text = "".join(c for c in str(value) if c >= " " or c in "\n\t")
+            etree.SubElement(parent, qualified_name(name)).text = "".join(
+                c for c in str(value) if c >= " " or c in "\n\t"
+            )
 
 
 def _parse(data: bytes) -> etree._Element:
-    """No entities, no DTD, nothing fetched, nothing huge (libxml2: 10 MB of text, 256 levels); UTF-8 alone."""
+    """Parse UTF-8 XML without entities, DTDs and network access, in libxml2's limits (10 MB of text, 256 levels)."""
     parser = etree.XMLParser(
         encoding="utf-8",
         resolve_entities=False,
@@ -115,9 +130,9 @@ def _parse(data: bytes) -> etree._Element:
     try:
         root = etree.fromstring(data, parser)
     except (etree.XMLSyntaxError, ValueError) as error:
-        raise InvalidRequest(f"this is not XML that is taken here: {error}") from None
+        raise InvalidRequest(f"the request is not acceptable XML: {error}") from None
     if root.getroottree().docinfo.doctype:
-        raise InvalidRequest("a document type is not taken here")
+        raise InvalidRequest("document types are not allowed")
     return root
 
 
@@ -127,16 +142,16 @@ def _headers(header: etree._Element | None) -> tuple[str, str]:
         if block.tag == f"{{{WSSE}}}Security":
             user, secret = _token(block.find(f"{{{WSSE}}}UsernameToken"))
         elif block.get(f"{{{SOAP}}}mustUnderstand") in ("1", "true"):
-            raise NotUnderstood(f"the header {etree.QName(block).localname} is not understood here")
+            raise NotUnderstood(f"the header {etree.QName(block).localname} is not supported")
     return user, secret
 
 
 def _token(token: etree._Element | None) -> tuple[str, str]:
     if token is None:
-        raise Unauthorized("of WS-Security the UsernameToken is understood here")
+        raise Unauthorized("of WS-Security only the UsernameToken is supported")
     password = token.find(f"{{{WSSE}}}Password")
     if password is None or not password.get("Type", CLEAR).endswith(CLEAR):
-        raise Unauthorized("the UsernameToken must have its password as PasswordText: a digest of it cannot be checked")
+        raise Unauthorized("the UsernameToken must have its password as PasswordText: a digest cannot be verified")
     text = password.text or ""
     secret = text if text.startswith(KEY_PREFIX) else hashlib.sha256(text.encode()).hexdigest()
     return token.findtext(f"{{{WSSE}}}Username", ""), secret

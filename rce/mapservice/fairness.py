@@ -1,4 +1,4 @@
-"""Whose turn it is: users take turns, whatever number of jobs each has waiting."""
+"""Fair queue: users take turns, however many jobs each of them has."""
 
 from __future__ import annotations
 
@@ -6,14 +6,15 @@ from collections import Counter, deque
 
 
 class FairQueue:
-    """Jobs of users, in each user's order. The user who was served longest ago is served next."""
+    """Jobs by user. The least recently served user is next; the jobs of one user stay in order."""
 
     def __init__(self, per_user: int) -> None:
         self._per_user = per_user
         self._waiting: dict[str, deque[str]] = {}
-        self._turns: list[str] = []  # users, the one served last at the end
+        self._turns: list[str] = []  # users, the least recently served first
 
     def push(self, user: str, job: str, *, first: bool = False) -> None:
+        """Add a job; with `first`, before the other jobs of its user."""
         waiting = self._waiting.setdefault(user, deque())
         if first:
             waiting.appendleft(job)
@@ -23,7 +24,7 @@ class FairQueue:
             self._turns.insert(0, user)
 
     def pop(self, running: Counter[str]) -> str | None:
-        """The next job, of a user who has fewer than `per_user` running; None if there is none."""
+        """Remove and return the next job of a user with fewer than `per_user` running jobs; None if there is none."""
         for user in self._turns:
             if self._waiting.get(user) and running[user] < self._per_user:
                 self._turns.remove(user)
@@ -32,7 +33,7 @@ class FairQueue:
         return None
 
     def remove(self, user: str, job: str) -> bool:
-        """Take a job out; whether it was there."""
+        """Remove a job; return False if it is not in the queue."""
         try:
             self._waiting.get(user, deque()).remove(job)
         except ValueError:
@@ -40,9 +41,10 @@ class FairQueue:
         return True
 
     def ahead(self, user: str, job: str) -> int:
-        """How many jobs of the same user come before this one."""
+        """Return the number of jobs of the same user before this one."""
         waiting = self._waiting.get(user, deque())
         return waiting.index(job) if job in waiting else 0
 
     def count(self, user: str) -> int:
+        """Return the number of waiting jobs of a user."""
         return len(self._waiting.get(user, ()))

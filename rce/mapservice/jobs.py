@@ -1,7 +1,7 @@
-"""Jobs from their submission to their end: who waits, what runs, what is kept.
+"""Jobs from submission to completion: queue, execution, retries and cancellation.
 
-A job is taken to disk before it is acknowledged, and begins anew when the service dies in the midst of it. It is done
-by a process of its own, as a robot of its user, with a key that the Master lends for the grant that the job was given.
+A job is stored on disk before it is acknowledged, and starts again if the service dies while it runs. A process of its
+own executes it as a robot of its user, with a temporary key that the Master issues for the grant of the job.
 """
 
 from __future__ import annotations
@@ -20,352 +20,339 @@ from msgspec import Struct
 from msgspec.structs import replace
 from twisted.logger import Logger
 
-from rce.calls.services import LentKey
+from rce.api.map_jobs import FINAL_STATES, File, Job, JobRequest
+from rce.control.calls.services import TemporaryKey
 from rce.errors import InvalidRequest, LimitExceeded, NoCapacity, NotFound, RceError, Unavailable
-from rce.map_jobs import OVER, File, Job, JobRequest
 from rce.mapservice.fairness import FairQueue
-from rce.mapservice.files import DiskFull, Shelf, new_id
-from rce.mapservice.intake import Intake, Looker, collect, collected
+from rce.mapservice.inspection import InspectionQueue, Inspector, collect, recording_in
+from rce.mapservice.job_program import Platform, Report, Task
+from rce.mapservice.job_store import JobStore, StoredJob
+from rce.mapservice.record_store import DiskFull, new_id
 from rce.mapservice.uploads import Uploads
-from rce.mapservice.work import Platform, Report, Task
-from rce.metrics import Family, Timing, gauge
+from rce.process.metrics import Family, Timing, gauge_family
 
-RETRY_FIRST, RETRY_MOST = 2.0, 60.0
-RECORDING, RESULTS, LOG, TIMES = "recording", "results", "log.txt", "times.json"
-LASTING = (1.0, 5.0, 10.0, 30.0, 60.0, 300.0, 900.0, 3600.0, 14400.0, 43200.0)  # seconds
+RETRY_MIN, RETRY_MAX = 2.0, 60.0  # seconds
+KEY_MARGIN = 600.0  # seconds that a key is valid beyond the maximum time of a job
+LOG, TIMES = "log.txt", "times.json"  # result files
+DURATIONS = (1.0, 5.0, 10.0, 30.0, 60.0, 300.0, 900.0, 3600.0, 14400.0, 43200.0)  # seconds
 
 log = Logger()
-_lasted = Timing("rce_map_job_seconds", "From the submission of a job to its end", "state", bounds=LASTING)
+_job_seconds = Timing("rce_map_job_seconds", "Time from the submission of a job to its end", "state", bounds=DURATIONS)
 
 
-class Limits(Struct, frozen=True):
-    """`at_once` jobs run, `per_user` of one user, and `queued` of one user may wait. Seconds: kept, and run at most."""
+class JobLimits(Struct, frozen=True):
+    """Limits for jobs.
 
-    at_once: int
+    Attributes:
+        concurrent: Number of running jobs.
+        per_user: Number of running jobs of one user.
+        queued: Number of waiting jobs of one user.
+        keep: Seconds that a job is kept after its end.
+        max_time: Seconds that a job may run.
+    """
+
+    concurrent: int
     per_user: int
     queued: int
     keep: float
-    longest: float
+    max_time: float
 
 
-class Workers(Looker, Protocol):
-    """What does the work; see `rce.mapservice.worker`."""
+class Runner(Inspector, Protocol):
+    """Executes tasks; see `rce.mapservice.job_runner`."""
 
-    async def build(self, task: Task, log_file: Path, heard: Callable[[Report], None]) -> None: ...
-    async def clean(self, task: Task) -> None: ...
+    async def build(self, task: Task, log_file: Path, on_report: Callable[[Report], None]) -> None:
+        """Map a recording."""
 
-
-class Rights(Protocol):
-    """The right to act for the users; see `rce.mapservice.access`."""
-
-    async def delegate(self, user: str, secret: str) -> str: ...
-    async def borrow(self, grant: str, seconds: float) -> LentKey: ...
-    async def end(self, grant: str) -> None: ...
+    async def clean(self, task: Task) -> None:
+        """Remove what a job may have left on the platform."""
 
 
-class Kept(Struct, frozen=True):
-    """A job as it is kept; the grant is a name that opens nothing for others."""
+class Grants(Protocol):
+    """Rights to act for users; see `rce.mapservice.authentication`."""
 
-    user: str
-    job: Job
-    grant: str
-    attempts: int = 0
+    async def create_grant(self, user: str, secret: str) -> str:
+        """Get the right to act for a user; return the name of the grant."""
+
+    async def issue_key(self, grant: str, seconds: float) -> TemporaryKey:
+        """Get a key for the grant's user, valid for this time."""
+
+    async def revoke_grant(self, grant: str) -> None:
+        """Give a grant back."""
 
 
 class Jobs:
-    """All jobs. `entry`: where robots enter the platform; `trust`: the certificate to trust there."""
+    """Scheduler of all jobs."""
 
     def __init__(
         self,
-        directory: Path,
-        uploads: Callable[[], Uploads],
-        workers: Workers,
-        rights: Rights,
-        limits: Limits,
+        store: JobStore,
+        uploads: Uploads,
+        runner: Runner,
+        grants: Grants,
+        limits: JobLimits,
         entry: str,
         trust: str = "",
         now: Callable[[], float] = time.time,
     ) -> None:
-        self._shelf = Shelf(directory, Kept)
-        self._uploads = uploads
-        self._workers, self._rights, self._limits = workers, rights, limits
-        self._entry, self._trust, self._now = entry, trust, now
-        self._kept = self._shelf.load()
+        """Make a scheduler, which begins to run jobs with `start`.
+
+        Args:
+            store: Storage of the jobs.
+            uploads: Uploads of which jobs are made.
+            runner: Executes the jobs.
+            grants: Rights to act for the users.
+            limits: Limits for jobs.
+            entry: URL of the robots' entry.
+            trust: PEM file with the certificate of the entry; empty if a public CA has issued it.
+            now: The wall clock.
+        """
+        self._store, self._uploads, self._runner, self._grants = store, uploads, runner, grants
+        self._limits, self._entry, self._trust, self._now = limits, entry, trust, now
         self._queue = FairQueue(limits.per_user)
+        self._inspections = InspectionQueue(runner)
         self._running: dict[str, asyncio.Task[None]] = {}
-        self._changes: dict[str, asyncio.Event] = {}  # of jobs that somebody watches
-        self._tasks: set[asyncio.Task[Any]] = set()
+        self._background: set[asyncio.Task[Any]] = set()
         self._stopping = False
-        self._intake = Intake(workers)
 
     def start(self) -> None:
-        """Take up where an earlier life of the service ended."""
-        for name, kept in sorted(self._kept.items(), key=lambda item: item[1].job.created):
-            if kept.job.state == "cancelling":
-                self._do(self._cancel_again(name))
-            elif kept.job.state in OVER:
-                self._remove_links(name)
+        """Resume the jobs that an earlier process of the service has left."""
+        for name, stored in self._store.items():
+            if stored.job.state == "cancelling":
+                self._in_background(self._resume_cancellation(name))
+            elif stored.job.state in FINAL_STATES:
+                self._store.remove_recording(name)
             else:
-                self._change(name, state="queued", stage="waiting", scans=0)
-                self._queue.push(kept.user, name)
-        self._begin()
+                self._store.update(name, state="queued", stage="waiting", scans=0)
+                self._queue.push(stored.user, name)
+        self._start_jobs()
 
     async def stop(self) -> None:
-        """What runs begins anew in the next life."""
+        """Stop running jobs; they start again with the next process of the service."""
         self._stopping = True
-        for task in [*self._running.values(), *self._tasks]:
+        for task in [*self._running.values(), *self._background]:
             task.cancel()
-        await asyncio.gather(*self._running.values(), *self._tasks, return_exceptions=True)
+        await asyncio.gather(*self._running.values(), *self._background, return_exceptions=True)
 
     def families(self) -> list[Family]:
-        """How many jobs are in each state."""
-        states = Counter(kept.job.state for kept in self._kept.values())
-        return [gauge("rce_map_jobs", "Jobs that are kept", ["state"], {(state,): n for state, n in states.items()})]
+        """Return the metrics of the jobs."""
+        states: dict[tuple[str, ...], float] = {(state,): count for state, count in self._store.states().items()}
+        return [gauge_family("rce_map_jobs", "Stored jobs", ["state"], states)]
 
-    # --- what users ask for ------------------------------------------------------------------------------------------
+    # --- requests of users -------------------------------------------------------------------------------------------
 
     async def submit(self, user: str, secret: str, request: JobRequest) -> Job:
-        """Look at the recording, and queue the job. Raises what is wrong with either."""
-        waiting = self._queue.count(user) + self._intake.count(user)
+        """Inspect the recording and queue a job; `secret` authenticates the user at the Master.
+
+        Raises:
+            LimitExceeded: The user has too many waiting jobs, or no quota for results.
+            RceError: The request is wrong, or the recording cannot be mapped.
+        """
+        waiting = self._queue.count(user) + self._inspections.count(user)
         if waiting >= self._limits.queued:
-            text = f"{waiting} jobs of yours wait already, and {self._limits.queued} may: wait, or cancel some"
+            text = f"{waiting} of your jobs are waiting, which is the limit: wait, or cancel some"
             raise LimitExceeded(text, limit=self._limits.queued)
-        self._uploads().check_quota(user)
+        self._uploads.check_quota(user)
         name = new_id()
-        place = self._shelf.place(name)
-        place.mkdir(mode=0o700)
+        directory = self._store.directory(name)
+        directory.mkdir(mode=0o700)
         try:
-            recording = collect(self._uploads(), user, request.uploads, place / RECORDING)
-            total = await self._intake.look(user, Task(str(recording), request.options))
-            called = request.name or (recording.name if recording.is_file() else f"{len(request.uploads)} files")
+            recording = collect(self._uploads, user, request.uploads, self._store.recording(name))
+            total = await self._inspections.inspect(user, Task(str(recording), request.options))
+            title = request.name or (recording.name if recording.is_file() else f"{len(request.uploads)} files")
             job = Job(
-                name, "queued", called, request.options, request.uploads, self._now(), stage="waiting", total=total
+                name, "queued", title, request.options, request.uploads, self._now(), stage="waiting", total=total
             )
-            grant = await self._rights.delegate(user, secret)
+            grant = await self._grants.create_grant(user, secret)
             try:
-                self._shelf.put(name, Kept(user, job, grant))
+                self._store.add(name, StoredJob(user, job, grant))
             except OSError:
-                self._do(self._end_grant(grant))
+                self._in_background(self._revoke(grant))
                 raise
         except BaseException:
-            await asyncio.to_thread(shutil.rmtree, place, True)
+            await asyncio.to_thread(shutil.rmtree, directory, True)
             raise
-        self._kept[name] = Kept(user, job, grant)
         self._queue.push(user, name)
-        self._begin()
+        self._start_jobs()
         return self.get(user, name)
 
     def get(self, user: str, name: str) -> Job:
-        """NotFound also for another user's."""
-        kept = self._kept.get(name)
-        if kept is None or kept.user != user:
-            raise NotFound(f"there is no job {name[:64]}; it may have expired")
-        return replace(kept.job, ahead=self._queue.ahead(user, name)) if kept.job.state == "queued" else kept.job
+        """Return a job of this user.
+
+        Raises:
+            NotFound: The user has no such job.
+        """
+        job = self._store.find(user, name).job
+        return replace(job, ahead=self._queue.ahead(user, name)) if job.state == "queued" else job
 
     def of(self, user: str) -> list[Job]:
-        """The newest first."""
-        own = [self.get(user, name) for name, kept in self._kept.items() if kept.user == user]
-        return sorted(own, key=lambda job: -job.created)
+        """Return all jobs of a user, the newest first."""
+        return [self.get(user, name) for name, stored in reversed(self._store.items()) if stored.user == user]
 
     async def watch(self, user: str, name: str) -> AsyncIterator[Job]:
-        """The job now and after each change; who reads slowly misses some, never the last. Ends when it is over."""
-        while True:
-            event = self._changes.setdefault(name, asyncio.Event())
+        """Yield a job now and after changes, until it is over. A slow reader misses changes, but never the last one."""
+        async for _ in self._store.changes(name):
             job = self.get(user, name)
             yield job
-            if job.state in OVER:
+            if job.state in FINAL_STATES:
                 return
-            await event.wait()
 
     def cancel(self, user: str, name: str) -> Job:
-        """A job that is over stays what it is."""
+        """Cancel a job; one that is over does not change."""
         state = self.get(user, name).state
         if state == "queued":
             self._queue.remove(user, name)
-            self._over(name, "cancelled")
+            self._finish(name, "cancelled")
         elif state == "running":
-            self._change(name, state="cancelling")
+            self._store.update(name, state="cancelling")
             self._running[name].cancel()
         return self.get(user, name)
 
     async def remove(self, user: str, name: str) -> None:
-        """Remove a job that is over, with its files. InvalidRequest before that."""
-        if self.get(user, name).state not in OVER:
+        """Remove a job that is over, with its files.
+
+        Raises:
+            NotFound: The user has no such job.
+            InvalidRequest: The job is not over.
+        """
+        if self.get(user, name).state not in FINAL_STATES:
             raise InvalidRequest(f"job {name} is not over: cancel it first", field="job")
-        await self._drop(name)
+        await self._store.remove(name)
 
     def file(self, user: str, name: str, file: str) -> Path:
-        """A result. NotFound."""
+        """Return the path of a result file.
+
+        Raises:
+            NotFound: The user has no such job, or the job has no such file.
+        """
         job = self.get(user, name)
         if file not in {each.name for each in job.files}:
-            have = ", ".join(each.name for each in job.files) or "none yet"
-            raise NotFound(f"job {name} has no file {file[:60]}; it has: {have}")
-        return self._shelf.place(name) / RESULTS / file
-
-    def size(self, user: str) -> int:
-        """Bytes of a user's results."""
-        return sum(file.size for kept in self._kept.values() if kept.user == user for file in kept.job.files)
+            files = ", ".join(each.name for each in job.files) or "none yet"
+            raise NotFound(f"job {name} has no file {file[:60]}; its files are: {files}")
+        return self._store.results(name) / file
 
     def uses(self, upload: str) -> bool:
-        """Whether a job that is not over needs this upload."""
-        return any(upload in kept.job.uploads and kept.job.state not in OVER for kept in self._kept.values())
+        """Return True if a job that is not over needs this upload."""
+        return self._store.uses(upload)
 
-    async def sweep(self) -> None:
-        """Remove what has expired."""
-        for name, kept in list(self._kept.items()):
-            if kept.job.expires is not None and kept.job.expires < self._now():
-                await self._drop(name)
+    # --- execution ---------------------------------------------------------------------------------------------------
 
-    # --- the work ----------------------------------------------------------------------------------------------------
-
-    def _begin(self) -> None:
-        """Start what may run now."""
-        while not self._stopping and len(self._running) < self._limits.at_once:
-            name = self._queue.pop(Counter(self._kept[each].user for each in self._running))
+    def _start_jobs(self) -> None:
+        """Start waiting jobs up to the limits."""
+        while not self._stopping and len(self._running) < self._limits.concurrent:
+            name = self._queue.pop(Counter(self._store[each].user for each in self._running))
             if name is None:
                 return
-            self._running[name] = asyncio.create_task(self._work(name))
+            self._running[name] = asyncio.create_task(self._run(name))
 
-    async def _work(self, name: str) -> None:
+    async def _run(self, name: str) -> None:
         try:
             await self._attempt(name)
         except (Unavailable, NoCapacity) as error:
-            self._wait(name, str(error))
+            self._retry_later(name, str(error))
         except RceError as error:
-            self._over(name, "failed", error)
+            self._finish(name, "failed", error)
         except asyncio.CancelledError:
-            if self._kept[name].job.state == "cancelling":
-                self._over(name, "cancelled")
-        except Exception as error:  # noqa: BLE001  # a defect; the others' jobs go on
+            if self._store[name].job.state == "cancelling":
+                self._finish(name, "cancelled")
+        except Exception as error:  # noqa: BLE001  # a bug must not affect the jobs of others
             full = DiskFull.of(error)
             if full is not None:
-                self._wait(name, str(full))
+                self._retry_later(name, str(full))
                 return
-            log.failure("defect in job {name}", name=name)
-            self._over(name, "failed", RceError(f"a defect of the map service: {type(error).__name__}"))
+            log.failure("unhandled exception in job {name}", name=name)
+            self._finish(name, "failed", RceError(f"internal error of the map service: {type(error).__name__}"))
         finally:
             self._running.pop(name, None)
-            self._begin()
+            self._start_jobs()
 
     async def _attempt(self, name: str) -> None:
-        kept = self._kept[name]
-        began = self._now()
-        self._change(name, state="running", stage="preparing", started=kept.job.started or began, error=None)
-        lent = await self._rights.borrow(kept.grant, self._limits.longest + 600)
-        kept = replace(self._kept[name], attempts=kept.attempts + 1)
-        self._kept[name] = kept
-        self._shelf.put(name, kept)
-        place = self._shelf.place(name)
-        (place / RESULTS).mkdir(exist_ok=True, mode=0o700)
-        await self._workers.build(
-            self._task(name, lent), place / RESULTS / LOG, lambda report: self._heard(name, report)
-        )
-        self._over(name, "done")
+        stored = self._store[name]
+        started = stored.job.started or self._now()
+        self._store.update(name, state="running", stage="preparing", started=started, error=None)
+        key = await self._grants.issue_key(stored.grant, self._limits.max_time + KEY_MARGIN)
+        self._store.add_attempt(name)
+        results = self._store.results(name)
+        results.mkdir(exist_ok=True, mode=0o700)
+        await self._runner.build(self._task(name, key), results / LOG, lambda report: self._report(name, report))
+        self._finish(name, "done")
 
-    def _task(self, name: str, lent: LentKey) -> Task:
-        """Robot and environment have a name of their own in each attempt: the last one's may still be there."""
-        kept = self._kept[name]
-        recording = collected(self._shelf.place(name) / RECORDING)
-        tags = [f"map_{name}_{attempt}" for attempt in range(1, kept.attempts + 1)]
+    def _task(self, name: str, key: TemporaryKey) -> Task:
+        """Return the task of the current attempt; its environment has a new name, as the last one may still exist."""
+        stored = self._store[name]
+        names = [f"map_{name}_{attempt}" for attempt in range(1, stored.attempts + 1)]
         return Task(
-            str(recording),
-            kept.job.options,
-            str(self._shelf.place(name) / RESULTS),
-            tags[-1],
-            tags[:-1],
-            Platform(self._entry, lent.user, lent.key, self._trust),
+            str(recording_in(self._store.recording(name))),
+            stored.job.options,
+            str(self._store.results(name)),
+            names[-1],
+            names[:-1],
+            Platform(self._entry, key.user, key.key, self._trust),
         )
 
-    def _heard(self, name: str, report: Report) -> None:
-        kept = self._kept[name]
-        if kept.job.state == "running" and report.error is None and report.stage != "cancelled":
-            job = replace(kept.job, stage=report.stage, scans=report.scans, total=report.total, times=report.times)
-            self._kept[name] = replace(kept, job=job)  # not to disk: it begins anew if we die
-            self._tell(name)
+    def _report(self, name: str, report: Report) -> None:
+        running = self._store[name].job.state == "running"
+        if running and report.error is None and report.stage != "cancelled":
+            self._store.update_in_memory(
+                name, stage=report.stage, scans=report.scans, total=report.total, times=report.times
+            )
 
-    def _wait(self, name: str, reason: str) -> None:
-        """Back into the queue for a while: neither the recording nor the user is at fault."""
-        kept = self._kept[name]
-        if kept.job.state == "cancelling":
-            self._over(name, "cancelled")
+    def _retry_later(self, name: str, reason: str) -> None:
+        """Queue a job again after a delay, because of an error that is not the fault of its user or recording."""
+        stored = self._store[name]
+        if stored.job.state == "cancelling":
+            self._finish(name, "cancelled")
             return
-        self._change(name, state="queued", stage=f"waiting: {reason}", scans=0)
-        pause = min(RETRY_MOST, RETRY_FIRST * 2 ** min(kept.attempts, 10))
+        self._store.update(name, state="queued", stage=f"waiting: {reason}", scans=0)
+        delay = min(RETRY_MAX, RETRY_MIN * 2 ** min(stored.attempts, 10))
 
-        async def later() -> None:
-            await asyncio.sleep(pause)
-            if name in self._kept and self._kept[name].job.state == "queued":
-                self._queue.push(kept.user, name, first=True)
-                self._begin()
+        async def retry() -> None:
+            await asyncio.sleep(delay)
+            if name in self._store and self._store[name].job.state == "queued":
+                self._queue.push(stored.user, name, first=True)
+                self._start_jobs()
 
-        self._do(later())
+        self._in_background(retry())
 
-    async def _cancel_again(self, name: str) -> None:
-        """A job that was being cancelled when the service died."""
-        kept = self._kept[name]
+    async def _resume_cancellation(self, name: str) -> None:
+        """Finish the cancellation of a job that was in progress when the service died."""
+        stored = self._store[name]
         try:
-            await self._workers.clean(self._task(name, await self._rights.borrow(kept.grant, 600)))
+            if stored.attempts:  # else the job was cancelled before it created an environment
+                await self._runner.clean(self._task(name, await self._grants.issue_key(stored.grant, KEY_MARGIN)))
         except RceError as error:
-            log.warn("environment of job {name} may be left: {error}", name=name, error=str(error))
-        self._over(name, "cancelled")
+            log.warn("environment of job {name} may still exist: {error}", name=name, error=str(error))
+        self._finish(name, "cancelled")
 
-    def _over(self, name: str, state: Any, error: RceError | None = None) -> None:
-        place, now = self._shelf.place(name), self._now()
-        job = self._kept[name].job
+    def _finish(self, name: str, state: Any, error: RceError | None = None) -> None:
+        now, job, results = self._now(), self._store[name].job, self._store.results(name)
         waited = (job.started or now) - job.created
         times = {"waiting": round(waited, 3), **job.times, "total": round(now - job.created, 3)}
-        results = place / RESULTS
-        with contextlib.suppress(OSError):  # a full disk; what is there is told all the same
+        with contextlib.suppress(OSError):  # the disk may be full
             results.mkdir(exist_ok=True, mode=0o700)
             (results / TIMES).write_bytes(msgspec.json.format(msgspec.json.encode(times)) + b"\n")
-        files = [File(path.name, path.stat().st_size) for path in sorted(results.glob("[!.]*"))]
-        expires = now + self._limits.keep
-        stage = "" if error is None else job.stage
-        info = error.info if error else None
-        noted = self._change(
-            name, state=state, stage=stage, ended=now, expires=expires, times=times, files=files, error=info
+        stored = self._store.update(
+            name,
+            state=state,
+            stage="" if error is None else job.stage,
+            ended=now,
+            expires=now + self._limits.keep,
+            times=times,
+            files=[File(path.name, path.stat().st_size) for path in sorted(results.glob("[!.]*"))],
+            error=error.info if error else None,
         )
-        _lasted.of(state).observe(now - job.created)
-        if noted:
-            self._remove_links(name)
-            self._do(self._end_grant(self._kept[name].grant))
+        _job_seconds.labels(state).observe(now - job.created)
+        if stored:  # else the job starts again if the service ends, and still needs its recording and grant
+            self._store.remove_recording(name)
+            self._in_background(self._revoke(self._store[name].grant))
 
-    async def _end_grant(self, grant: str) -> None:
+    async def _revoke(self, grant: str) -> None:
         try:
-            await self._rights.end(grant)
-        except RceError as error:  # its key expires by itself
-            log.warn("a grant could not be ended: {error}", error=str(error))
+            await self._grants.revoke_grant(grant)
+        except RceError as error:  # the key of the grant expires by itself
+            log.warn("cannot revoke a grant: {error}", error=str(error))
 
-    def _remove_links(self, name: str) -> None:
-        """The recording of a job that is over; the uploads themselves stay."""
-        shutil.rmtree(self._shelf.place(name) / RECORDING, ignore_errors=True)
-
-    def _change(self, name: str, **fields: Any) -> bool:
-        """Whether it is on disk too. Where that takes nothing, the job goes on all the same; if the service ends then,
-        it begins anew.
-        """
-        kept = self._kept[name]
-        self._kept[name] = replace(kept, job=replace(kept.job, **fields))
-        noted = True
-        try:
-            self._shelf.put(name, self._kept[name])
-        except OSError as error:
-            log.error("the state of job {name} is not on disk: {error}", name=name, error=str(error))
-            noted = False
-        self._tell(name)
-        return noted
-
-    def _tell(self, name: str) -> None:
-        event = self._changes.pop(name, None)
-        if event is not None:
-            event.set()
-
-    async def _drop(self, name: str) -> None:
-        self._kept.pop(name, None)
-        self._tell(name)
-        await asyncio.to_thread(shutil.rmtree, self._shelf.place(name), True)
-
-    def _do(self, work: Coroutine[Any, Any, None]) -> None:
+    def _in_background(self, work: Coroutine[Any, Any, None]) -> None:
         task = asyncio.create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        self._background.add(task)
+        task.add_done_callback(self._background.discard)

@@ -1,4 +1,4 @@
-"""What the REST interface offers, as one table: the routes are made from it, and so is the OpenAPI document."""
+"""Operations of the REST interface in one table, from which the routes and the OpenAPI document are made."""
 
 from __future__ import annotations
 
@@ -9,23 +9,28 @@ import msgspec
 from aiohttp import web
 from aiohttp.typedefs import Handler
 
-from rce import openapi
+from rce.api.map_jobs import PREFIX, Job, JobRequest, Upload
 from rce.errors import RceError
-from rce.map_jobs import PREFIX, Job, JobRequest, Upload
-from rce.mapservice.problems import answer, check_headers
-from rce.mapservice.rest import PIECE_TYPE, Rest
+from rce.mapservice.problems import check_headers
+from rce.mapservice.rest import CHUNK_TYPE, Rest
+from rce.web import openapi
+from rce.web.problems import problem_response
 
 OFFSET, LENGTH, METADATA = "Upload-Offset", "Upload-Length", "Upload-Metadata"
 HEADERS = {
-    OFFSET: ("integer", "bytes that are there"),
+    OFFSET: ("integer", "bytes that have been received"),
     LENGTH: ("integer", "bytes of the whole file"),
-    METADATA: ("string", "tus metadata: `filename` and, if the client likes, `fingerprint`, each followed by base64"),
+    METADATA: ("string", "tus metadata: `filename` and optionally `fingerprint`, each followed by base64"),
 }
 PARAMETERS = {"upload": "id of an upload", "job": "id of a job", "file": "name of a result"}
 
 
 class Route(NamedTuple):
-    """`body` and `answer`: a type as JSON, or a media type; `headers` of the request, `told` of the answer."""
+    """A method of a path with its handler.
+
+    `body` and `answer` are types, for JSON, or media types; `headers` are those of the request. A `public` route takes
+    no credentials.
+    """
 
     method: str
     path: str
@@ -35,44 +40,45 @@ class Route(NamedTuple):
     body: Any = None
     answer: Any = None
     headers: tuple[str, ...] = ()
-    told: tuple[str, ...] = ()
-    open: bool = False
+    answer_headers: tuple[str, ...] = ()
+    public: bool = False
 
 
 def routes(rest: Rest) -> list[Route]:
+    """Return the table."""
     sizes = (OFFSET, LENGTH)
     return [
-        Route("OPTIONS", "/uploads", rest.abilities, "What of tus 1.0 is spoken here", 204, open=True),
+        Route("OPTIONS", "/uploads", rest.tus_options, "Supported parts of tus 1.0", 204, public=True),
         Route(
             *("POST", "/uploads", rest.create_upload, "Announce a file, or send a small one at once", 201),
-            *(PIECE_TYPE, Upload, (LENGTH, METADATA), sizes),
+            *(CHUNK_TYPE, Upload, (LENGTH, METADATA), sizes),
         ),
         Route("GET", "/uploads", rest.list_uploads, "Your uploads", answer=list[Upload]),
-        Route("HEAD", "/uploads/{upload}", rest.show_upload, "How much of a file is there", told=sizes),
-        Route("GET", "/uploads/{upload}", rest.show_upload, "An upload", answer=Upload, told=sizes),
+        Route("HEAD", "/uploads/{upload}", rest.show_upload, "Received length of an upload", answer_headers=sizes),
+        Route("GET", "/uploads/{upload}", rest.show_upload, "An upload", answer=Upload, answer_headers=sizes),
         Route(
-            *("PATCH", "/uploads/{upload}", rest.continue_upload, "Add bytes where the file ends so far", 204),
-            *(PIECE_TYPE, None, (OFFSET,), sizes),
+            *("PATCH", "/uploads/{upload}", rest.continue_upload, "Append bytes to an upload", 204),
+            *(CHUNK_TYPE, None, (OFFSET,), sizes),
         ),
         Route("DELETE", "/uploads/{upload}", rest.remove_upload, "Remove an upload that no job needs", 204),
-        Route("POST", "/jobs", rest.submit, "Have a map made of uploads", 201, JobRequest, Job),
-        Route("GET", "/jobs", rest.list_jobs, "Your jobs, the newest first", answer=list[Job]),
+        Route("POST", "/jobs", rest.submit, "Submit a job that makes a map of uploads", 201, JobRequest, Job),
+        Route("GET", "/jobs", rest.list_jobs, "Your jobs, newest first", answer=list[Job]),
         Route("GET", "/jobs/{job}", rest.show_job, "A job", answer=Job),
-        Route("POST", "/jobs/{job}/cancel", rest.cancel, "End a job that is not over", answer=Job),
-        Route("DELETE", "/jobs/{job}", rest.remove_job, "Remove a job that is over, with its files", 204),
+        Route("POST", "/jobs/{job}/cancel", rest.cancel, "Cancel a job", answer=Job),
+        Route("DELETE", "/jobs/{job}", rest.remove_job, "Remove a job that has ended, with its files", 204),
         Route(
             "GET",
             "/jobs/{job}/events",
             rest.events,
-            "The job after each change, as events `job`",
+            "The job after each change, as server-sent events `job`",
             answer=openapi.EVENTS,
         ),
-        Route("GET", "/jobs/{job}/files/{file}", rest.file, "A result", answer=openapi.BYTES),
+        Route("GET", "/jobs/{job}/files/{file}", rest.file, "A file of the result", answer=openapi.BYTES),
     ]
 
 
 def document(table: list[Route]) -> dict[str, Any]:
-    """The OpenAPI 3.1 document."""
+    """Return the OpenAPI 3.1 document."""
     query = {"type": "apiKey", "in": "query", "name": "key", "description": "an API key"}
     schemes = {"key": openapi.KEY, "password": openapi.PASSWORD, "query": query}
     description = (
@@ -94,23 +100,23 @@ def _operation(route: Route) -> openapi.Operation:
         route.method != "POST" or route.headers == (),
         () if route.answer is None else (route.answer,),
         (*openapi.path_parameters(path, PARAMETERS), *given),
-        {name: HEADERS[name][0] for name in route.told},
-        () if route.open else None,
+        {name: HEADERS[name][0] for name in route.answer_headers},
+        () if route.public else None,
     )
 
 
-def add(application: web.Application, table: list[Route], asked: Callable[[web.Request], Awaitable[None]]) -> None:
-    """The routes, and the document that describes them.
+def add(application: web.Application, table: list[Route], check: Callable[[web.Request], Awaitable[None]]) -> None:
+    """Add the routes, and the document that describes them.
 
-    `asked` raises why a client that asks first (`Expect: 100-continue`) need not send its body.
+    `check` refuses requests of clients that wait before they send the body (`Expect: 100-continue`).
     """
 
     async def expect(request: web.Request) -> web.StreamResponse | None:
         try:
             check_headers(request)
-            await asked(request)
+            await check(request)
         except RceError as error:
-            return answer(error)
+            return problem_response(error)
         if request.transport is not None:
             request.transport.write(b"HTTP/1.1 100 Continue\r\n\r\n")
         return None

@@ -1,8 +1,7 @@
-"""Errors as answers: `application/problem+json` (RFC 9457) with the code, the field and the particulars."""
+"""Errors of the map service as problem+json, and decoding of what clients send."""
 
 from __future__ import annotations
 
-from http import HTTPStatus
 from typing import Any, TypeVar
 
 import msgspec
@@ -11,96 +10,64 @@ from aiohttp.typedefs import Handler
 from twisted.logger import Logger
 
 from rce.errors import InternalError, InvalidRequest, NotFound, RceError
-from rce.map_jobs import Problem
-from rce.mapservice.files import DiskFull
-from rce.metrics import errors
+from rce.mapservice.record_store import DiskFull
+from rce.web.problems import HttpError, problem_response
 
-TYPE = "application/problem+json"
-STATUS = {
-    "invalid_request": 400,
-    "invalid_name": 400,
-    "offset_mismatch": 409,
-    "unauthorized": 401,
-    "too_many_attempts": 429,
-    "forbidden": 403,
-    "not_found": 404,
-    "already_exists": 409,
-    "limit_exceeded": 429,
-    "no_capacity": 503,
-    "unavailable": 503,
-    "lost": 503,
-    "timed_out": 504,
-}
 WRONG_TYPE, WRONG_VERSION, TOO_LARGE = 415, 412, 413
 
 T = TypeVar("T")
 log = Logger()
 
 
-class Refused(InvalidRequest):
-    """A request that is refused with an HTTP status of its own."""
-
-    def __init__(self, status: int, message: str, field: str = "") -> None:
-        super().__init__(message, field=field)
-        self.status = status
-
-
-def status_of(error: RceError) -> int:
-    if isinstance(error, Refused):
-        return error.status
-    if error.info.code == "limit_exceeded" and "asked" in error.info.fields:  # a size, not a number of requests
-        return TOO_LARGE
-    return STATUS.get(error.info.code, 500)
-
-
-def answer(error: RceError) -> web.Response:
-    status, info = status_of(error), error.info
-    errors.add("http", info.code)
-    problem = Problem(HTTPStatus(status).phrase, status, info.message, info.code, info.field, info.fields)
-    headers = {"WWW-Authenticate": 'Bearer, Basic realm="rce"'} if status == 401 else {}
-    return web.Response(status=status, body=msgspec.json.encode(problem), content_type=TYPE, headers=headers)
-
-
 @web.middleware
 async def problems(request: web.Request, handler: Handler) -> web.StreamResponse:
-    """Whatever goes wrong is answered in one form."""
+    """Answer every error with a problem."""
     try:
         check_headers(request)
         return await handler(request)
     except RceError as error:
-        return answer(error)
+        return problem_response(error)
     except web.HTTPNotFound:
-        return answer(NotFound(f"there is nothing at {request.path}"))
+        return problem_response(NotFound(f"there is nothing at {request.path}"))
     except web.HTTPException as error:
-        return answer(Refused(error.status, error.text or error.reason))
+        headers = {"Allow": error.headers["Allow"]} if "Allow" in error.headers else {}
+        return problem_response(HttpError(error.text or error.reason, status=error.status, headers=headers))
     except ConnectionError:
-        raise  # nobody is there to hear it
-    except Exception as error:  # noqa: BLE001  # the client hears of a defect; the traceback stays in the log
-        return answer(unexpected(error, f"{request.method} {request.path}"))
+        raise  # the client disconnected
+    except Exception as error:  # noqa: BLE001  # the client is told of the defect; the traceback goes to the log
+        return problem_response(unexpected(error, f"{request.method} {request.path}"))
 
 
 def check_headers(request: web.Request) -> None:
-    """InvalidRequest for those that cannot be read: aiohttp keeps them as they are, and fails where they are used."""
+    """Refuse headers that aiohttp keeps as they are, and that would fail where they are used.
+
+    Raises:
+        InvalidRequest: A header is not UTF-8, or Host does not name a host.
+    """
     try:
         request.url.origin()
         for value in request.headers.values():
             value.encode()
-    except ValueError:  # of which what is raised for no UTF-8 is one
+    except ValueError:  # UnicodeEncodeError is one
         raise InvalidRequest("headers must be in UTF-8, and Host must name a host", field="Host") from None
 
 
 def unexpected(error: Exception, where: str) -> RceError:
-    """What the client hears of an error that nobody raised on purpose; called where that is handled."""
+    """Log an error that was not raised on purpose, from its except clause, and return the one for the client."""
     full = DiskFull.of(error)
     if full is not None:
         log.error("{where}: {error}", where=where, error=str(error))
         return full
     log.failure("defect at {where}", where=where)
-    return InternalError("a defect of the map service; its log has the traceback")
+    return InternalError("internal error; the map service's log has the traceback")
 
 
 def decode(body: bytes, kind: type[T], *, strict: bool = True) -> T:
-    """InvalidRequest with the path of the field at fault (`options.resolution`)."""
+    """Return a JSON body as a value of this type.
+
+    Raises:
+        InvalidRequest: It is malformed; `field` is the path of the value at fault (`options.resolution`).
+    """
     try:
         return msgspec.json.decode(body, type=kind, strict=strict)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -108,7 +75,11 @@ def decode(body: bytes, kind: type[T], *, strict: bool = True) -> T:
 
 
 def convert(value: Any, kind: type[T]) -> T:
-    """The same for what came as text in another form. InvalidRequest."""
+    """Return text of another form as a value of this type.
+
+    Raises:
+        InvalidRequest: As `decode`.
+    """
     try:
         return msgspec.convert(value, kind, strict=False)
     except msgspec.ValidationError as error:

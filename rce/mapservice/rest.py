@@ -1,4 +1,4 @@
-"""The REST interface: uploads (tus 1.0), jobs, their progress and their files."""
+"""REST interface: uploads (tus 1.0), and jobs with their progress and result files."""
 
 from __future__ import annotations
 
@@ -13,20 +13,21 @@ import msgspec
 from aiohttp import ClientError, web
 from twisted.logger import Logger
 
+from rce.api.map_jobs import PREFIX, JobRequest, Upload
 from rce.errors import Forbidden, InvalidRequest, TimedOut, Unauthorized
-from rce.map_jobs import PREFIX, JobRequest, Upload
-from rce.mapservice.access import Access, Client
+from rce.mapservice.auditing import CLIENT
+from rce.mapservice.authentication import Authenticator, Client
 from rce.mapservice.jobs import Jobs
-from rce.mapservice.noting import CLIENT
-from rce.mapservice.problems import TOO_LARGE, WRONG_TYPE, WRONG_VERSION, Refused, decode
+from rce.mapservice.problems import TOO_LARGE, WRONG_TYPE, WRONG_VERSION, decode
 from rce.mapservice.uploads import Uploads
+from rce.web.problems import HttpError
 
 TUS = "1.0.0"
 EXTENSIONS = "creation,creation-with-upload,expiration,termination"
-PIECE_TYPE = "application/offset+octet-stream"
-REQUEST_MOST = 64 * 1024  # bytes of a JSON body
-IDLE = 60.0  # seconds after which an upload from which nothing comes is broken off
-HEARTBEAT = 15.0  # seconds after which a stream of events that has none says so
+CHUNK_TYPE = "application/offset+octet-stream"
+MAX_REQUEST = 64 * 1024  # bytes of a JSON body
+IDLE_TIMEOUT = 60.0  # seconds without data until an upload is aborted
+HEARTBEAT = 15.0  # seconds without an event until a comment is sent
 TYPES = {
     ".pgm": "image/x-portable-graymap",
     ".png": "image/png",
@@ -37,19 +38,19 @@ log = Logger()
 
 
 class Rest:
-    """The handlers. Each first learns who the client is."""
+    """Request handlers. Each authenticates the client first."""
 
-    def __init__(self, access: Access, uploads: Uploads, jobs: Jobs) -> None:
-        self._access, self._uploads, self._jobs = access, uploads, jobs
+    def __init__(self, authenticator: Authenticator, uploads: Uploads, jobs: Jobs) -> None:
+        self._authenticator, self._uploads, self._jobs = authenticator, uploads, jobs
 
     async def _client(self, request: web.Request) -> Client:
         operation = "job.read" if request.method in ("GET", "HEAD") else "job.submit"
-        client = await self._access.client(request.headers, request.query, operation, request.remote or "")
+        client = await self._authenticator.authenticate(request.headers, request.query, operation, request.remote or "")
         request[CLIENT] = client
         return client
 
-    async def asked(self, request: web.Request) -> None:
-        """Raises what is wrong with a request whose body has not been sent yet."""
+    async def check_expectation(self, request: web.Request) -> None:
+        """Check a request with `Expect: 100-continue` before its body is sent; raise RceError if it is wrong."""
         await self._client(request)
         upload = request.match_info.get("upload")
         if upload is not None and request.method == "PATCH":
@@ -57,18 +58,18 @@ class Rest:
 
     # --- uploads -----------------------------------------------------------------------------------------------------
 
-    async def abilities(self, request: web.Request) -> web.Response:
-        """What of tus is spoken here."""
+    async def tus_options(self, request: web.Request) -> web.Response:
+        """Answer OPTIONS with the supported version and extensions of tus."""
         headers = {"Tus-Version": TUS, "Tus-Extension": EXTENSIONS, "Tus-Max-Size": str(self._uploads.largest)}
         return web.Response(status=204, headers=_tus(headers))
 
     async def create_upload(self, request: web.Request) -> web.Response:
-        """Announce a file; with a body, its first bytes or all of them come along."""
+        """Announce an upload; the body may have the first bytes of the file, or all of them."""
         client = await self._client(request)
         _check_version(request)
         metadata = _metadata(request.headers.get("Upload-Metadata", ""))
         name = metadata.get("filename", request.query.get("filename", ""))
-        with_body = request.content_type == PIECE_TYPE
+        with_body = request.content_type == CHUNK_TYPE
         given = request.headers.get("Upload-Length") or (request.headers.get("Content-Length") if with_body else None)
         length, mark = _number(given, "Upload-Length"), metadata.get("fingerprint", "")
         upload = self._uploads.create(client.user, name, length, mark)
@@ -77,56 +78,59 @@ class Rest:
         return _upload_answer(upload, 201, {"Location": f"{request.url.origin()}{PREFIX}/uploads/{upload.id}"})
 
     async def list_uploads(self, request: web.Request) -> web.Response:
+        """List the uploads of the client."""
         client = await self._client(request)
         return _json(self._uploads.of(client.user))
 
     async def show_upload(self, request: web.Request) -> web.Response:
-        """As JSON for GET, as headers for HEAD."""
+        """Answer with an upload, as JSON and as headers."""
         client = await self._client(request)
         return _upload_answer(self._uploads.get(client.user, request.match_info["upload"]), 200)
 
     async def continue_upload(self, request: web.Request) -> web.Response:
-        """Add bytes at the offset at which the file ends so far."""
+        """Append data at the end of a file."""
         client = await self._client(request)
         _check_version(request)
-        if request.content_type != PIECE_TYPE:
-            raise Refused(WRONG_TYPE, f"the Content-Type must be {PIECE_TYPE}", "Content-Type")
+        if request.content_type != CHUNK_TYPE:
+            raise HttpError(f"the Content-Type must be {CHUNK_TYPE}", status=WRONG_TYPE, field="Content-Type")
         offset = _number(request.headers.get("Upload-Offset"), "Upload-Offset")
         upload = await self._uploads.append(client.user, request.match_info["upload"], offset, _pieces(request))
         return _upload_answer(upload, 204)
 
     async def remove_upload(self, request: web.Request) -> web.Response:
+        """Remove an upload that no job needs."""
         client = await self._client(request)
         upload = request.match_info["upload"]
         self._uploads.get(client.user, upload)
         if self._jobs.uses(upload):
-            raise InvalidRequest(f"a job needs upload {upload}: wait for its end, or cancel it", field="upload")
+            raise InvalidRequest(f"a job needs upload {upload}: wait until it is over, or cancel it", field="upload")
         await self._uploads.remove(client.user, upload)
         return web.Response(status=204, headers=_tus())
 
     # --- jobs --------------------------------------------------------------------------------------------------------
 
     async def submit(self, request: web.Request) -> web.Response:
-        """Look at the recording and queue the job."""
+        """Inspect the recording and queue a job."""
         client = await self._client(request)
         body = await request.read()
-        if len(body) > REQUEST_MOST:
-            raise Refused(TOO_LARGE, f"a request of more than {REQUEST_MOST} bytes is not one for a map")
+        if len(body) > MAX_REQUEST:
+            raise HttpError(f"the request has more than {MAX_REQUEST} bytes", status=TOO_LARGE)
         wanted = decode(body, JobRequest)
         job = await self._jobs.submit(client.user, client.secret, wanted)
         return _json(job, 201, {"Location": f"{request.url.origin()}{PREFIX}/jobs/{job.id}"})
 
     async def list_jobs(self, request: web.Request) -> web.Response:
-        """The newest first."""
+        """List the jobs of the client, the newest first."""
         client = await self._client(request)
         return _json(self._jobs.of(client.user))
 
     async def show_job(self, request: web.Request) -> web.Response:
+        """Answer with a job."""
         client = await self._client(request)
         return _json(self._jobs.get(client.user, request.match_info["job"]))
 
     async def cancel(self, request: web.Request) -> web.Response:
-        """A job that is over stays as it is."""
+        """Cancel a job; one that is over does not change."""
         client = await self._client(request)
         return _json(self._jobs.cancel(client.user, request.match_info["job"]))
 
@@ -137,7 +141,7 @@ class Rest:
         return web.Response(status=204)
 
     async def events(self, request: web.Request) -> web.StreamResponse:
-        """The job now and after each change, as server-sent events `job`, until it is over."""
+        """Stream the job, now and after each change until it is over, as server-sent events named `job`."""
         client = await self._client(request)
         job = request.match_info["job"]
         self._jobs.get(client.user, job)
@@ -148,10 +152,10 @@ class Rest:
         coming = asyncio.ensure_future(anext(changes))
         try:
             while True:
-                doubt = self._access.doubt(client.user)
-                ends: set[asyncio.Future[Any]] = {coming, doubt}
+                invalidation = self._authenticator.invalidation(client.user)
+                ends: set[asyncio.Future[Any]] = {coming, invalidation}
                 await asyncio.wait(ends, timeout=HEARTBEAT, return_when=asyncio.FIRST_COMPLETED)
-                if doubt.done():
+                if invalidation.done():
                     await self._client(request)
                 if not coming.done():
                     await stream.write(b": still here\n\n")
@@ -159,17 +163,18 @@ class Rest:
                 await stream.write(b"event: job\ndata: " + msgspec.json.encode(coming.result()) + b"\n\n")
                 coming = asyncio.ensure_future(anext(changes))
         except StopAsyncIteration:
-            with contextlib.suppress(ConnectionError):  # who has heard the end may have left
+            with contextlib.suppress(ConnectionError):  # the client may have disconnected after the last event
                 await stream.write_eof()
         except ConnectionError:
-            pass  # nobody listens any more
+            pass  # the client has disconnected
         except (Unauthorized, Forbidden) as error:
-            log.info("a stream of events ends: {error}", error=str(error))
+            log.info("event stream closed: {error}", error=str(error))
         finally:
             coming.cancel()
         return stream
 
     async def file(self, request: web.Request) -> web.StreamResponse:
+        """Send a result file."""
         client = await self._client(request)
         path = self._jobs.file(client.user, request.match_info["job"], request.match_info["file"])
         kind = TYPES.get(path.suffix, "text/plain; charset=utf-8")
@@ -200,9 +205,9 @@ def _tus(headers: dict[str, str] | None = None) -> dict[str, str]:
 
 
 def _check_version(request: web.Request) -> None:
-    """A client that does not name tus, such as curl, is taken to know what it does."""
+    """Check the version of tus; clients without tus, such as curl, do not send one."""
     if request.headers.get("Tus-Resumable", TUS) != TUS:
-        raise Refused(WRONG_VERSION, f"tus {TUS} is spoken here", "Tus-Resumable")
+        raise HttpError(f"only tus {TUS} is supported", status=WRONG_VERSION, field="Tus-Resumable")
 
 
 def _number(text: str | None, field: str) -> int:
@@ -212,7 +217,7 @@ def _number(text: str | None, field: str) -> int:
 
 
 def _metadata(text: str) -> dict[str, str]:
-    """`key base64,key base64` as tus has it. InvalidRequest."""
+    """Parse the header Upload-Metadata of tus: `key base64,key base64`."""
     found = {}
     for pair in filter(None, (part.strip() for part in text.split(","))):
         key, _, value = pair.partition(" ")
@@ -224,13 +229,13 @@ def _metadata(text: str) -> dict[str, str]:
 
 
 async def _pieces(request: web.Request) -> AsyncIterator[bytes]:
-    """The body as it comes. Ends where the client breaks off: what came until then is kept."""
+    """Yield the body as it comes; end normally if the client disconnects, so that the received part is kept."""
     while True:
         try:
-            async with asyncio.timeout(IDLE):
+            async with asyncio.timeout(IDLE_TIMEOUT):
                 piece = await request.content.readany()
         except TimeoutError:
-            raise TimedOut(f"nothing came for {IDLE:g} s; continue at the offset that HEAD tells") from None
+            raise TimedOut(f"no data for {IDLE_TIMEOUT:g} s: continue at the offset that HEAD returns") from None
         except (ClientError, ConnectionError):
             return
         if not piece:

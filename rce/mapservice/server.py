@@ -1,116 +1,108 @@
-"""The map service put together, on a port."""
+"""Assembly of the map service: uploads, jobs and the HTTP server."""
 
 from __future__ import annotations
 
 import asyncio
-import logging
 import ssl
 from collections.abc import Callable
 from pathlib import Path
 
 from aiohttp import web
-from aiohttp.http_exceptions import HttpProcessingError
 from msgspec import Struct
 from twisted.logger import Logger
 
-from rce.calls.call import Nothing
-from rce.calls.services import ForgetProofs
-from rce.control import Handlers
-from rce.errors import no_port
-from rce.map_jobs import PREFIX
+from rce.api.map_jobs import PREFIX
+from rce.control.calls.services import InvalidateAuthentication
+from rce.control.connection import Handlers
 from rce.mapservice import health, openapi
-from rce.mapservice import jobs as jobs_module
-from rce.mapservice import uploads as uploads_module
-from rce.mapservice.access import Access, Master
-from rce.mapservice.jobs import Jobs, Workers
-from rce.mapservice.noting import noting
+from rce.mapservice.auditing import audit_middleware
+from rce.mapservice.authentication import Authenticator, Master
+from rce.mapservice.job_store import JobStore
+from rce.mapservice.jobs import JobLimits, Jobs, Runner
 from rce.mapservice.problems import problems
 from rce.mapservice.rest import Rest
 from rce.mapservice.soap import Soap
-from rce.mapservice.uploads import Uploads
+from rce.mapservice.uploads import UploadLimits, Uploads
+from rce.web.server import Endpoint, listen
 
-READ_AHEAD = 1024 * 1024  # bytes of an upload that wait in memory
-BODY_MOST = 9 * 1024 * 1024  # bytes of a body that is not streamed: SOAP with a recording
-SWEEP = 600.0  # seconds
-SHUTDOWN = 5.0
+READ_BUFFER = 1024 * 1024  # bytes of an upload that are buffered in memory
+MAX_BODY = 9 * 1024 * 1024  # bytes of a body that is not streamed: SOAP with a recording
+SWEEP_INTERVAL = 600.0  # seconds
+SHUTDOWN_TIMEOUT = 5.0
 
 log = Logger()
-
-
-def _is_readable(record: logging.LogRecord) -> bool:
-    """Not of a request that is no HTTP: aiohttp would log its line, with the credentials in it."""
-    error = record.exc_info[1] if record.exc_info else None
-    return not isinstance(error, HttpProcessingError)
-
-
-logging.getLogger("aiohttp.server").addFilter(_is_readable)
 
 
 class Limits(Struct, frozen=True):
     """All limits of the service."""
 
-    uploads: uploads_module.Limits
-    jobs: jobs_module.Limits
+    uploads: UploadLimits
+    jobs: JobLimits
 
 
 class MapService:
-    """Uploads, jobs and the server in front of them. `entry` and `trust`: of the platform."""
+    """Uploads, jobs and the HTTP server in front of them."""
 
     def __init__(
         self,
         directory: Path,
         master: Callable[[], Master],
-        workers: Workers,
+        runner: Runner,
         limits: Limits,
         entry: str,
         trust: str = "",
     ) -> None:
-        access = self.access = Access(master)
-        self.jobs = Jobs(directory / "jobs", lambda: self.uploads, workers, access, limits.jobs, entry, trust)
-        self.uploads = Uploads(directory / "uploads", limits.uploads, self.jobs.size)
-        application = web.Application(middlewares=[problems, noting(access)], client_max_size=BODY_MOST)
-        rest = Rest(access, self.uploads, self.jobs)
-        openapi.add(application, openapi.routes(rest), rest.asked)
-        Soap(access, self.uploads, self.jobs).add(application)
-        health.add(application, access)
+        """Load uploads and jobs from `directory`; `entry` and `trust` are those of `Jobs`."""
+        store = JobStore(directory / "jobs")
+        self.authenticator = Authenticator(master)
+        self.uploads = Uploads(directory / "uploads", limits.uploads, store.size)
+        self.jobs = Jobs(store, self.uploads, runner, self.authenticator, limits.jobs, entry, trust)
+        self._store = store
+        application = web.Application(
+            middlewares=[problems, audit_middleware(self.authenticator)], client_max_size=MAX_BODY
+        )
+        rest = Rest(self.authenticator, self.uploads, self.jobs)
+        openapi.add(application, openapi.routes(rest), rest.check_expectation)
+        Soap(self.authenticator, self.uploads, self.jobs).add(application)
+        health.add(application, self.authenticator)
         self._runner = web.AppRunner(
-            application, handle_signals=False, access_log=None, shutdown_timeout=SHUTDOWN, read_bufsize=READ_AHEAD
+            application,
+            handle_signals=False,
+            access_log=None,
+            shutdown_timeout=SHUTDOWN_TIMEOUT,
+            read_bufsize=READ_BUFFER,
         )
         self._sweeper: asyncio.Task[None] | None = None
 
     async def start(self, host: str, port: int, tls: ssl.SSLContext | None = None) -> int:
-        """Returns the port."""
-        await self._runner.setup()
-        try:
-            await web.TCPSite(self._runner, host, port, ssl_context=tls).start()
-        except OSError as error:
-            raise no_port(host, port, error) from None
+        """Listen for clients; return the port.
+
+        Raises:
+            Unavailable: The port cannot be listened on.
+        """
+        _, actual_port = await listen(self._runner, Endpoint(host, port, tls))
         self._sweeper = asyncio.create_task(self._sweep())
-        found: int = self._runner.addresses[0][1]
-        log.info("maps are made at {host}:{port}{prefix}/", host=host, port=found, prefix=PREFIX)
-        return found
+        log.info("listening at {host}:{port}{prefix}/", host=host, port=actual_port, prefix=PREFIX)
+        return actual_port
 
     def handlers(self) -> Handlers:
-        """The Master's calls."""
+        """Return the handlers for the Master's calls."""
         handlers = Handlers()
-        handlers.on(ForgetProofs, self._forget)
-        handlers.tell_metrics("map-service", self.jobs.families)
+        handlers.do(InvalidateAuthentication, lambda call: self.authenticator.invalidate(call.user))
+        handlers.serve_metrics("map-service", self.jobs.families)
         return handlers
-
-    async def _forget(self, call: ForgetProofs) -> Nothing:
-        self.access.forget(call.user)
-        return Nothing()
 
     async def _sweep(self) -> None:
         while True:
             try:
-                await self.jobs.sweep()
+                await self._store.sweep()
                 await self.uploads.sweep(self.jobs.uses)
             except OSError as error:
-                log.error("expired files could not be removed: {error}", error=str(error))
-            await asyncio.sleep(SWEEP)
+                log.error("cannot remove expired files: {error}", error=str(error))
+            await asyncio.sleep(SWEEP_INTERVAL)
 
     async def stop(self) -> None:
+        """Stop jobs and the HTTP server."""
         if self._sweeper is not None:
             self._sweeper.cancel()
         await self.jobs.stop()

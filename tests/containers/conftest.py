@@ -1,4 +1,4 @@
-"""An image that is one small program, and a swarm of one machine, for the tests of engines with Docker."""
+"""Fixtures for tests of engines: images of a small program, a swarm of one machine, and opened engines."""
 
 from __future__ import annotations
 
@@ -11,22 +11,23 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from engine_contract import Endings, World, opened
 from twisted.internet.base import ReactorBase
 
 from containers.engine import Engine
 from rce import __version__
+from tests.support.containers.engine_contract import Endings, World, opened
+from tests.support.paths import TESTS
 
 STAND_IN = "rce-test/stand-in:latest"
 
 
 @pytest.fixture(scope="session")
 def stand_in(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """The image's only layer."""
+    """The only layer of the image."""
     if shutil.which("gcc") is None:
         pytest.skip("no C compiler for the stand-in's program: install g++ to run this")
     program = tmp_path_factory.mktemp("stand-in") / "stand-in"
-    source = Path(__file__).with_name("stand_in.c")
+    source = TESTS / "support" / "containers" / "stand_in.c"
     subprocess.run(["gcc", "-static", "-Os", "-s", "-o", str(program), str(source)], check=True)
     archive = io.BytesIO()
     with tarfile.open(fileobj=archive, mode="w") as tar:
@@ -35,7 +36,7 @@ def stand_in(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 def load(host: str, layer: bytes) -> None:
-    """Give a daemon the image."""
+    """Import the image into a daemon."""
     import docker
 
     api = docker.APIClient(base_url=host, version="auto")
@@ -52,15 +53,15 @@ def stand_in_image(docker_host: str, stand_in: bytes) -> str:
 
 @pytest.fixture(scope="session")
 def load_stand_in(stand_in: bytes) -> Callable[[str], None]:
-    """For a daemon of a test's own."""
+    """Function that imports the image into a daemon of a test's own."""
     return lambda host: load(host, stand_in)
 
 
 @pytest.fixture(scope="session")
 def one_machine(stand_in: bytes) -> Iterator[Any]:
-    """A swarm of one, with the images; its agent stays from one test to the next, as it does for a task set."""
+    """A swarm of one machine with the images; its agent runs on from one test to the next, as it does for task sets."""
     pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
-    from swarm_nodes import load_host_image, swarm_of
+    from tests.support.swarm_nodes import load_host_image, swarm_of
 
     with swarm_of(1) as made:
         load(made.nodes[0].host, stand_in)
@@ -69,32 +70,35 @@ def one_machine(stand_in: bytes) -> Iterator[Any]:
 
 
 @pytest.fixture(scope="session")
-def task_sets_directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def swarm_directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Data directory of the task set on the swarm, which its agent belongs to."""
     return tmp_path_factory.mktemp("swarm")
 
 
 @pytest.fixture
 def swarm_world(
-    one_machine: Any, task_sets_directory: Path, reactor: ReactorBase, monkeypatch: pytest.MonkeyPatch
+    one_machine: Any, swarm_directory: Path, reactor: ReactorBase, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[Any]:
-    from swarm_world import SwarmWorld
+    from tests.support.containers.swarm_world import SwarmWorld
 
     monkeypatch.setenv("DOCKER_HOST", one_machine.nodes[0].host)
-    world = SwarmWorld(one_machine, task_sets_directory, reactor)
+    world = SwarmWorld(one_machine, swarm_directory, reactor)
+    world.reset()
     yield world
     world.api.close()
 
 
 @pytest.fixture
 async def swarm_engine(swarm_world: Any, endings: Endings) -> AsyncIterator[Any]:
-    async with opened(swarm_world, endings) as engine:
+    async with opened(swarm_world.engine(endings)) as engine:
         yield engine
+    assert swarm_world.remains() == set()
     assert swarm_world.networks() == []
 
 
 @pytest.fixture
 def docker_world(tmp_path: Path, stand_in_image: str, reactor: ReactorBase) -> Iterator[Any]:
-    from docker_world import DockerWorld
+    from tests.support.containers.docker_world import DockerWorld
 
     world = DockerWorld(tmp_path, stand_in_image, reactor)
     yield world
@@ -108,6 +112,7 @@ def endings() -> Endings:
 
 @pytest.fixture
 async def engine(world: World, endings: Endings) -> AsyncIterator[Engine]:
-    """Of the kind that the module's `world` has."""
-    async with opened(world, endings) as engine:
+    """An open engine of the module's `world`."""
+    async with opened(world.engine(endings)) as engine:
         yield engine
+    assert world.remains() == set()

@@ -1,4 +1,4 @@
-"""The way from the Master's HTTP entry to a file: where it is, whom to trust there, what breaks off."""
+"""Downloads from the Master's HTTP entry: its URL, certificates, and interrupted transfers."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from certified import certify
 
 from containers.fetching import Fetcher, entry_of
-from rce.calls.environments import Ticket
-from rce.certificates import Authority
+from rce.control.calls.environments import DownloadTicket
 from rce.errors import NotFound, Unauthorized, Unavailable
-from rce.tls import Tls
+from rce.net.certificates import Authority
+from rce.net.tls import Tls
+from tests.support.certificates import certify
 
 CONTENT = b"archive" * 100_000
 
@@ -36,12 +36,12 @@ class Entry(BaseHTTPRequestHandler):
 
 
 class Link:
-    """The control connection, as far as a Fetcher knows it."""
+    """Control connection as far as a Fetcher uses it."""
 
-    def __init__(self, answer: Ticket | Exception) -> None:
+    def __init__(self, answer: DownloadTicket | Exception) -> None:
         self.answer = answer
 
-    async def call(self, _: object) -> Ticket:
+    async def call(self, _: object) -> DownloadTicket:
         if isinstance(self.answer, Exception):
             raise self.answer
         return self.answer
@@ -53,7 +53,7 @@ def authority() -> Authority:
 
 
 @pytest.fixture(params=["http", "https"])
-def ticket(request: pytest.FixtureRequest, tmp_path: Path, authority: Authority) -> Iterator[Ticket]:
+def ticket(request: pytest.FixtureRequest, tmp_path: Path, authority: Authority) -> Iterator[DownloadTicket]:
     server = ThreadingHTTPServer(("127.0.0.1", 0), Entry)
     if request.param == "https":
         context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
@@ -62,13 +62,13 @@ def ticket(request: pytest.FixtureRequest, tmp_path: Path, authority: Authority)
         server.socket = context.wrap_socket(server.socket, server_side=True)
     thread = threading.Thread(target=server.serve_forever, args=(0.01,))
     thread.start()
-    yield Ticket(request.param, server.server_address[1], "/whole", "token", len(CONTENT))
+    yield DownloadTicket(request.param, server.server_address[1], "/whole", "token", len(CONTENT))
     server.shutdown()
     thread.join()
     server.server_close()
 
 
-def fetcher(answer: Ticket | Exception, tls: Tls | None, entry: str = "") -> Fetcher:
+def fetcher(answer: DownloadTicket | Exception, tls: Tls | None, entry: str = "") -> Fetcher:
     return Fetcher(Link(answer), "tcp:127.0.0.1:1", entry, tls)  # type: ignore[arg-type]
 
 
@@ -77,16 +77,16 @@ def tls(tmp_path: Path, authority: Authority) -> Tls:
     return Tls(certify(tmp_path / "machine", authority, ["127.0.0.1"]))
 
 
-async def test_fetched(ticket: Ticket, tls: Tls, tmp_path: Path) -> None:
+async def test_archive_is_downloaded(ticket: DownloadTicket, tls: Tls, tmp_path: Path) -> None:
     await fetcher(ticket, tls).fetch("0" * 64, tmp_path / "file")
     assert (tmp_path / "file").read_bytes() == CONTENT
-    elsewhere = Ticket(ticket.scheme, 1, ticket.path, ticket.token, ticket.size)
+    elsewhere = DownloadTicket(ticket.scheme, 1, ticket.path, ticket.token, ticket.size)
     entry = f"{ticket.scheme}://127.0.0.1:{ticket.port}/"
     await fetcher(elsewhere, tls, entry).fetch("0" * 64, tmp_path / "other")
     assert (tmp_path / "other").read_bytes() == CONTENT
 
 
-async def test_strangers_are_not_trusted(ticket: Ticket, tmp_path: Path) -> None:
+async def test_untrusted_certificate_is_refused(ticket: DownloadTicket, tmp_path: Path) -> None:
     stranger = Tls(certify(tmp_path / "stranger", Authority.make("stranger"), ["127.0.0.1"]))
     for tls in (None, stranger):
         if ticket.scheme == "https":
@@ -102,17 +102,17 @@ async def test_strangers_are_not_trusted(ticket: Ticket, tmp_path: Path) -> None
         ("/whole", "used", len(CONTENT), Unauthorized),
     ],
 )
-async def test_what_goes_wrong(
-    ticket: Ticket, tls: Tls, tmp_path: Path, path: str, token: str, size: int, error: type[Exception]
+async def test_failed_downloads_are_reported(
+    ticket: DownloadTicket, tls: Tls, tmp_path: Path, path: str, token: str, size: int, error: type[Exception]
 ) -> None:
-    wrong = Ticket(ticket.scheme, ticket.port, path, token, size)
+    wrong = DownloadTicket(ticket.scheme, ticket.port, path, token, size)
     with pytest.raises(error):
         await fetcher(wrong, tls).fetch("0" * 64, tmp_path / "file")
 
 
-async def test_nobody_there_and_nothing_there(tmp_path: Path) -> None:
+async def test_unreachable_entry_and_missing_package_are_reported(tmp_path: Path) -> None:
     with pytest.raises(Unavailable, match="cannot reach"):
-        await fetcher(Ticket("http", 1, "/", "", 1), None).fetch("0" * 64, tmp_path / "file")
+        await fetcher(DownloadTicket("http", 1, "/", "", 1), None).fetch("0" * 64, tmp_path / "file")
     with pytest.raises(NotFound):
         await fetcher(NotFound("gone"), None).fetch("0" * 64, tmp_path / "file")
 
@@ -127,5 +127,5 @@ async def test_nobody_there_and_nothing_there(tmp_path: Path) -> None:
         ("unix:/run/rce/control.sock", "https://127.0.0.1:9000/"),
     ],
 )
-def test_where_the_entry_is(master: str, expected: str) -> None:
-    assert entry_of(master, Ticket("https", 9000, "/", "", 1)) == expected
+def test_entry_url_is_derived_from_the_ticket(master: str, expected: str) -> None:
+    assert entry_of(master, DownloadTicket("https", 9000, "/", "", 1)) == expected

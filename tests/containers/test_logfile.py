@@ -18,8 +18,8 @@ def test_long_lines_are_cut(tmp_path: Path) -> None:
     assert [len(line) for line in logfile.last_lines(log, 5)] == [logfile.LONGEST_LINE, 3]
 
 
-def test_a_log_is_bounded_and_its_end_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(logfile, "MOST", 1000)
+def test_log_is_bounded_and_keeps_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(logfile, "MAX_SIZE", 1000)
     log = tmp_path / "log"
     with log.open("ab", buffering=0) as writer:
         for number in range(1000):
@@ -30,5 +30,5 @@ def test_a_log_is_bounded_and_its_end_kept(tmp_path: Path, monkeypatch: pytest.M
         assert logfile.last_lines(log, 60) == [f"line {number}" for number in range(940, 1000)]
 
 
-def test_a_log_that_is_gone(tmp_path: Path) -> None:
+def test_missing_log_has_no_lines(tmp_path: Path) -> None:
     logfile.trim(tmp_path / "none")

@@ -1,4 +1,4 @@
-"""`python -P -m containers` as a process: it is killed, and its successor goes on."""
+"""`python -P -m containers` as a process, which is killed and started again."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from engine_contract import spec
-from test_engine_process import STAND_IN, ProcessWorld
-from test_taskset import FakeMaster, joined
 from twisted.internet.base import ReactorBase
 
-from rce.calls.environments import StartEnvironment, StopEnvironment
+from rce.control.calls.environments import StartEnvironment, StopEnvironment
+from tests.support.containers.engine_contract import spec
+from tests.support.containers.fake_master import FakeMaster, joined
+from tests.support.containers.process_world import STAND_IN, ProcessWorld
 
-# As containers.__main__, with the stand-in instead of the Environment endpoint.
+# Runs containers.__main__ with the stand-in instead of the Environment endpoint.
 PROGRAM = """
 import sys
-from containers import __main__, process
-process.COMMAND = {command!r}
+from containers import __main__
+from containers.process import engine
+engine.COMMAND = {command!r}
 sys.exit(__main__.main())
 """
 
@@ -32,7 +33,7 @@ async def master(reactor: ReactorBase) -> AsyncIterator[FakeMaster]:
     master = FakeMaster(reactor)
     await master.up()
     yield master
-    await master.down()
+    await master.close()
 
 
 class Program:
@@ -67,7 +68,9 @@ async def ended(process: asyncio.subprocess.Process) -> tuple[int | None, str]:
     return process.returncode, errors.decode()
 
 
-async def test_killed_and_started_again(master: FakeMaster, program: Program, world: ProcessWorld) -> None:
+async def test_environments_survive_a_killed_task_set(
+    master: FakeMaster, program: Program, world: ProcessWorld
+) -> None:
     first = await program.start()
     control = await joined(master)
     for run, name in enumerate(("ann/a", "ann/b", "ann/c"), 1):
@@ -86,14 +89,12 @@ async def test_killed_and_started_again(master: FakeMaster, program: Program, wo
     assert (died.name, died.run) == ("ann/c", spec(run=3).run)
     assert "last words" in died.reason
     await control.call(StopEnvironment("ann/a"))
-    assert world.there() == set()
+    assert world.remains() == set()
     second.send_signal(signal.SIGTERM)
     assert (await ended(second))[0] == 0
 
 
-async def test_sigterm_leaves_or_stops_the_environments(
-    master: FakeMaster, program: Program, world: ProcessWorld
-) -> None:
+async def test_sigterm_keeps_or_stops_environments(master: FakeMaster, program: Program, world: ProcessWorld) -> None:
     first = await program.start()
     await (await joined(master)).call(StartEnvironment(spec()))
     first.send_signal(signal.SIGTERM)
@@ -103,26 +104,26 @@ async def test_sigterm_leaves_or_stops_the_environments(
     await joined(master)
     second.send_signal(signal.SIGINT)
     assert (await ended(second))[0] == 0
-    assert world.there() == set()
+    assert world.remains() == set()
 
 
-async def test_a_package_directory_that_is_not_there(program: Program, tmp_path: Path) -> None:
-    status, said = await ended(await program.start("--package-path", f"{tmp_path},{tmp_path / 'none'}"))
+async def test_missing_package_directory_is_reported(program: Program, tmp_path: Path) -> None:
+    status, errors = await ended(await program.start("--package-path", f"{tmp_path},{tmp_path / 'none'}"))
     assert status == 1
-    assert f"setting package_path: no such directory: {tmp_path / 'none'}" in said
+    assert f"setting package_path: no such directory: {tmp_path / 'none'}" in errors
 
 
-async def test_a_directory_is_for_one(master: FakeMaster, program: Program) -> None:
+async def test_data_directory_cannot_be_shared(master: FakeMaster, program: Program) -> None:
     first = await program.start()
     await joined(master)
     status, errors = await ended(await program.start())
     assert status == 1
-    assert "another task set works in" in errors
+    assert "another task set uses" in errors
     first.send_signal(signal.SIGTERM)
     await ended(first)
 
 
-async def test_a_refused_token(master: FakeMaster, program: Program) -> None:
+async def test_refused_token_ends_the_program(master: FakeMaster, program: Program) -> None:
     master.accepted.clear()
     status, errors = await ended(await program.start())
     assert status == 1
@@ -130,7 +131,7 @@ async def test_a_refused_token(master: FakeMaster, program: Program) -> None:
     assert '"token"' not in errors
 
 
-async def test_a_master_elsewhere_is_refused_by_the_process_engine(program: Program) -> None:
+async def test_process_engine_refuses_a_remote_master(program: Program) -> None:
     status, errors = await ended(await program.start("--master", "tcp:192.0.2.1:8080"))
     assert status == 2
     assert "192.0.2.1" in errors

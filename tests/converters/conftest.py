@@ -1,19 +1,19 @@
 from __future__ import annotations
 
 import pytest
-from conversions import CodecOf
 
 from converters import TypeRegistry
-from rce.names import parse_type
+from rce.protocol.names import parse_type
+from tests.support.converters.conversions import CodecOf
 
 
 @pytest.fixture(scope="session")
 def registry() -> TypeRegistry:
-    """The common types; tests that teach types make their own."""
+    """A registry of the common types; tests that add types make their own."""
     return TypeRegistry()
 
 
 @pytest.fixture
 def codec(registry: TypeRegistry) -> CodecOf:
-    """The codec of a common message type by its name, with images as JSON."""
+    """A function that returns the codec of a common message type by its name, with images as JSON."""
     return lambda name: registry.message(parse_type(name), "json")

@@ -1,4 +1,4 @@
-"""A host gets another address while an environment runs, as with each bridge of Docker's, a VPN or Wi-Fi."""
+"""The host gets another address while an environment runs, as from a bridge of Docker, a VPN or Wi-Fi."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
-from real_platform import RealPlatform
 
 from rce.client import Publisher
+from tests.support.e2e.real_platform import RealPlatform
 
 STRING = "std_msgs/String"
-BRIDGE, ADDRESS = "rce-test-0", "192.0.2.1/24"  # of the range for documentation: nobody has it
+BRIDGE, ADDRESS = "rce-test-0", "192.0.2.1/24"  # of the range for documentation
 
 
 @contextmanager
@@ -33,20 +33,21 @@ def ip(*words: str) -> None:
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="gives this host another address: needs root")
-async def test_a_node_that_starts_then_is_heard(platform: RealPlatform) -> None:
+async def test_node_that_starts_after_the_change_is_found(platform: RealPlatform) -> None:
     async with platform.robot("mover") as robot, robot.environment("moved") as environment:
         with another_address():
             await environment.add_node("echo", "rce_demo", "echo.py")
             speak = await environment.publisher("/say", STRING)
             listen = await environment.subscriber("/heard", STRING)
-            async with asyncio.timeout(30):
-                saying = asyncio.create_task(_say(speak))
-                heard = await listen.get()
-                saying.cancel()
-            assert heard == {"data": "hello"}
+            publishing = asyncio.create_task(_publish_repeatedly(speak))
+            try:
+                assert await listen.get(30) == {"data": "hello"}
+            finally:
+                publishing.cancel()
 
 
-async def _say(speak: Publisher) -> None:
+async def _publish_repeatedly(publisher: Publisher) -> None:
+    """Publish until cancelled: messages are lost until DDS discovery has finished."""
     while True:
-        await speak.publish({"data": "hello"})
+        await publisher.publish({"data": "hello"})
         await asyncio.sleep(0.2)

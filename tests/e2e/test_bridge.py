@@ -1,8 +1,9 @@
-"""Two robots that run ROS 2 in domains of their own, each with a bridge to the same environment."""
+"""Bridges of robots that run ROS 2, each in a domain of its own."""
 
 from __future__ import annotations
 
 import asyncio
+import itertools
 import json
 import os
 import signal
@@ -19,31 +20,30 @@ from urllib.request import urlopen
 import msgspec
 import pytest
 import rclpy
-from domains import domain
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import OccupancyGrid
 from prometheus_client.parser import text_string_to_metric_families as parsed
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from real_platform import USER, RealPlatform, until
 from sensor_msgs.msg import Image, LaserScan
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from provisioning.typesupport import build, shipped
-from rce.mapping.recordings.bags import Bag
+from rce.mapping.evaluation.simulation import simulate
+from rce.mapping.files.recordings.bags import Bag
 from rce.mapping.scans import Scan
-from rce.mapping.simulation import simulate
+from tests.support.domains import domain
+from tests.support.e2e.real_platform import USER, RealPlatform, until
 
 ROBOTS = ("rover", "lander")
 
 
 class RobotRos:
-    """The nodes of one robot, in its ROS domain: what was heard on each topic."""
+    """Nodes of one robot in its ROS domain."""
 
     def __init__(self, number: int) -> None:
-        self.heard: dict[str, list[Any]] = {}
         self._context = Context()
         rclpy.init(context=self._context, domain_id=number, args=[])
         self.node = rclpy.create_node("robot", context=self._context, enable_rosout=False)
@@ -52,15 +52,17 @@ class RobotRos:
         self._thread = threading.Thread(target=self._executor.spin, daemon=True)
 
     def spin(self) -> None:
-        """To be called when all entities are there: rclpy does not like them to be made while another thread spins."""
+        """Start the thread, after all entities were created: rclpy is not safe to create them while it spins."""
         self._thread.start()
 
-    def listen(self, topic: str, kind: type[Any], qos: QoSProfile | int = 10) -> list[Any]:
-        heard = self.heard[topic] = []
-        self.node.create_subscription(kind, topic, heard.append, qos)
-        return heard
+    def subscribe(self, topic: str, kind: type[Any], qos: QoSProfile | int = 10) -> list[Any]:
+        """Subscribe to a topic; return the list to which its messages are added."""
+        received: list[Any] = []
+        self.node.create_subscription(kind, topic, received.append, qos)
+        return received
 
-    def talk(self, topic: str, kind: type[Any], make: Callable[[], Any], seconds: float = 0.05) -> None:
+    def publish(self, topic: str, kind: type[Any], make: Callable[[], Any], seconds: float = 0.05) -> None:
+        """Publish a new message every `seconds`."""
         out = self.node.create_publisher(kind, topic, 10)
         self.node.create_timer(seconds, lambda: out.publish(make()))
 
@@ -82,18 +84,27 @@ def robots(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, RobotRos]]:
         robot.stop()
 
 
+@pytest.fixture
+def metrics_port() -> Iterator[int]:
+    """A port reserved by a socket that is bound but does not listen, so that a server with SO_REUSEADDR can bind it."""
+    with socket.socket() as reservation:
+        reservation.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        reservation.bind(("", 0))
+        yield reservation.getsockname()[1]
+
+
 @asynccontextmanager
 async def bridge(platform: RealPlatform, robot: str, directory: Path, **config: Any) -> AsyncIterator[Path]:
-    """A bridge as a process of its own; gives its log. It must end well."""
+    """Run a bridge as a process of its own; yield its log. It must end with status 0."""
     typesupport = build(shipped())
     file = directory / f"{robot}.json"
     whole = {"url": platform.url, "user": USER, "robot": robot, "password": USER, **config}
     file.write_bytes(msgspec.json.encode(whole))
     log = directory / f"{robot}.log"
-    words = [sys.executable, "-P", "-m", "endpoints.bridge", str(file), "--typesupport", str(typesupport.prefix)]
+    command = [sys.executable, "-P", "-m", "endpoints.bridge", str(file), "--typesupport", str(typesupport.prefix)]
     variables = {"ROS_DOMAIN_ID": str(domain(robot)), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     with log.open("w") as output:
-        process = await asyncio.create_subprocess_exec(*words, env=os.environ | variables, stderr=output)
+        process = await asyncio.create_subprocess_exec(*command, env=os.environ | variables, stderr=output)
     try:
         yield log
     finally:
@@ -103,21 +114,21 @@ async def bridge(platform: RealPlatform, robot: str, directory: Path, **config: 
     assert status == 0, log.read_text()
 
 
-async def test_topics_services_and_transforms_of_two_robots(
-    platform: RealPlatform, robots: dict[str, RobotRos], tmp_path: Path
+async def test_topics_services_and_transforms_between_two_robots(
+    platform: RealPlatform, robots: dict[str, RobotRos], tmp_path: Path, metrics_port: int
 ) -> None:
     rover, lander = robots["rover"], robots["lander"]
-    rover.talk("/say", String, lambda: String(data="hello"))
-    rover.talk("/tf", _tf(), lambda: _tf()(transforms=[_transform("base_link"), _transform("wheel")]), 0.02)
-    rover.talk("/camera", Image, _image, 0.2)
+    rover.publish("/say", String, lambda: String(data="hello"))
+    rover.publish("/tf", _tf(), lambda: _tf()(transforms=[_transform("base_link"), _transform("wheel")]), 0.02)
+    rover.publish("/camera", Image, _image, 0.2)
     lander.node.create_service(Trigger, "/land", lambda _, response: _answered(response))
-    said = lander.listen("/from_rover", String)
-    seen = lander.listen("/camera", Image)
-    frames = lander.listen("/tf", _tf())
+    texts = lander.subscribe("/from_rover", String)
+    images = lander.subscribe("/camera", Image)
+    frames = lander.subscribe("/tf", _tf())
     client = rover.node.create_client(Trigger, "/land")
     rover.spin()
     lander.spin()
-    # An environment does not hear itself: what one robot sends there reaches another by a node.
+    # Bridges do not receive what other bridges publish, so a node in the environment relays it.
     relay = "std_msgs/String sensor_msgs/Image tf2_msgs/TFMessage --ros-args -r in_String:=say -r in_Image:=camera"
     node = {"tag": "relay", "pkg": "Relay", "exe": "relay.py", "args": f"{relay} -r in_TFMessage:=tf"}
     environment = {"tag": "sky", "create": {}, "nodes": [node]}
@@ -140,9 +151,7 @@ async def test_topics_services_and_transforms_of_two_robots(
     async with bridge(
         platform, "rover", tmp_path, environment=environment, send=rover_sends, receive=rover_gets, compress=True
     ) as log:
-        await until(lambda: "all is carried" in log.read_text(), 30)
-        with socket.create_server(("127.0.0.1", 0)) as server:
-            port = server.getsockname()[1]
+        await until(lambda: "are open" in log.read_text(), 30)
         async with bridge(
             platform,
             "lander",
@@ -150,34 +159,42 @@ async def test_topics_services_and_transforms_of_two_robots(
             environment={"tag": "sky"},
             send=lander_sends,
             receive=lander_gets,
-            metrics=port,
+            metrics=metrics_port,
         ):
-            await until(lambda: said and seen and frames, 30)
-            assert said[0].data == "hello"
-            assert (seen[0].width, seen[0].height, seen[0].encoding) == (64, 48, "rgb8")
+            await until(lambda: texts and images and frames, 30)
+            assert texts[0].data == "hello"
+            assert (images[0].width, images[0].height, images[0].encoding) == (64, 48, "rgb8")
             assert {each.child_frame_id for message in frames for each in message.transforms} == {"base_link"}
             await until(client.service_is_ready, 20)
             call = client.call_async(Trigger.Request())
             await until(call.done, 20)
             assert call.result().message == "landed"
-            told = await asyncio.to_thread(lambda: urlopen(f"http://127.0.0.1:{port}/metrics").read().decode())
-            samples = {each.name: each for family in parsed(told) for each in family.samples if "received" in str(each)}
-            assert samples["rce_messages_total"].value >= len(said) + len(seen)
+            metrics = await asyncio.to_thread(
+                lambda: urlopen(f"http://127.0.0.1:{metrics_port}/metrics").read().decode()
+            )
+            samples = {
+                each.name: each for family in parsed(metrics) for each in family.samples if "received" in str(each)
+            }
+            assert samples["rce_messages_total"].value >= len(texts) + len(images)
             assert samples["rce_bytes_total"].value > 64 * 48
-            assert 'rce_info{role="bridge"' in told
+            assert 'rce_info{role="bridge"' in metrics
     async with platform.robot("later") as robot:
-        await robot.create_environment("sky")  # it was destroyed at the bridge's end
+        await robot.create_environment("sky")  # the bridge has destroyed it at its end
         await robot.destroy_environment("sky")
 
 
-async def test_requests_of_nodes(platform: RealPlatform, robots: dict[str, RobotRos], tmp_path: Path) -> None:
+async def test_nodes_request_actions(platform: RealPlatform, robots: dict[str, RobotRos], tmp_path: Path) -> None:
     rover = robots["rover"]
-    rover.talk("/say", String, lambda: String(data="hello"))
-    answers = rover.listen("/cloud_response", String)
-    heard = rover.listen("/heard", String)
-    maps = rover.listen("/cloud_map", OccupancyGrid, QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
-    scans = iter(simulate().records)
-    rover.talk("/scan", LaserScan, lambda: _scan(next(scans)))
+    rover.publish("/say", String, lambda: String(data="hello"))
+    answers = rover.subscribe("/cloud_response", String)
+    echoed = rover.subscribe("/heard", String)
+    published = rover.subscribe("/say", String)
+    scans_published = rover.subscribe("/scan", LaserScan)
+    maps = rover.subscribe(
+        "/cloud_map", OccupancyGrid, QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    )
+    scans = itertools.cycle(simulate().records)
+    rover.publish("/scan", LaserScan, lambda: _scan(next(scans)))
     ask = rover.node.create_publisher(String, "/cloud_request", 10)
     config: dict[str, Any] = {
         "environment": {"tag": "land", "create": {}, "nodes": [{"tag": "e", "pkg": "rce_demo", "exe": "echo.py"}]},
@@ -200,10 +217,10 @@ async def test_requests_of_nodes(platform: RealPlatform, robots: dict[str, Robot
     services = {name: rover.node.create_client(Trigger, f"/cloud/{name}") for name in config["requests"]}
     rover.spin()
 
-    async def answered(name: str, state: str) -> str:
+    async def response(name: str, state: str) -> str:
         def find() -> list[str]:
-            said = [json.loads(each.data) for each in answers]
-            return [each.get("message", "") for each in said if (each["id"], each["state"]) == (name, state)]
+            responses = [json.loads(each.data) for each in answers]
+            return [each.get("message", "") for each in responses if (each["id"], each["state"]) == (name, state)]
 
         await until(find, 150, f"{name} {state}")
         return find()[0]
@@ -212,14 +229,15 @@ async def test_requests_of_nodes(platform: RealPlatform, robots: dict[str, Robot
         await until(services["off"].service_is_ready, 20)
         await until(lambda: ask.get_subscription_count(), 20)
         ask.publish(String(data="on"))
-        await answered("on", "done")
-        await until(lambda: heard, 20)
+        await response("on", "done")
+        await until(lambda: echoed, 20)
         ask.publish(String(data="dance"))
-        assert "there are: on, off, record, end, map" in await answered("dance", "failed")
+        assert "has: on, off, record, end, map" in await response("dance", "failed")
         call = services["record"].call_async(Trigger.Request())
         await until(call.done, 20)
         assert call.result().success
-        await asyncio.sleep(2)
+        count = len(scans_published)
+        await until(lambda: len(scans_published) > count + 20, 20)
         call = services["end"].call_async(Trigger.Request())
         await until(call.done, 20)
         assert call.result().success, call.result().message
@@ -227,10 +245,10 @@ async def test_requests_of_nodes(platform: RealPlatform, robots: dict[str, Robot
         call = services["off"].call_async(Trigger.Request())
         await until(call.done, 20)
         assert call.result().success
-        count = len(heard)
-        await asyncio.sleep(0.3)
-        assert len(heard) <= count + 1
-        assert "on /cloud_map" in await answered("map", "done")
+        count, start = len(echoed), len(published)
+        await until(lambda: len(published) > start + 6, 20)
+        assert len(echoed) <= count + 1
+        assert "on /cloud_map" in await response("map", "done")
         await until(lambda: maps, 20)
     assert max(maps[0].data) > 65
     assert (tmp_path / "map" / "map.png").exists()
@@ -238,12 +256,12 @@ async def test_requests_of_nodes(platform: RealPlatform, robots: dict[str, Robot
     assert len(list(Bag(bag))) > 5
 
 
-async def test_a_bridge_waits_for_its_platform_and_goes_on_after_its_robot_endpoint_was_killed(
+async def test_bridge_continues_after_its_robot_endpoint_was_killed(
     fragile: RealPlatform, robots: dict[str, RobotRos], tmp_path: Path
 ) -> None:
     rover = robots["rover"]
-    rover.talk("/say", String, lambda: String(data="hello"))
-    heard = rover.listen("/heard", String)
+    rover.publish("/say", String, lambda: String(data="hello"))
+    echoed = rover.subscribe("/heard", String)
     rover.spin()
     async with bridge(
         fragile,
@@ -253,11 +271,12 @@ async def test_a_bridge_waits_for_its_platform_and_goes_on_after_its_robot_endpo
         send={"topics": [{"topic": "/say", "type": "std_msgs/String"}]},
         receive={"topics": [{"topic": "/heard", "type": "std_msgs/String"}]},
     ):
-        await until(lambda: heard, 30)
-        fragile.kill(fragile.pid("endpoints.robot"))
-        await asyncio.sleep(0.5)
-        count = len(heard)
-        await until(lambda: len(heard) > count + 3, 30)
+        await until(lambda: echoed, 30)
+        killed = fragile.pid("endpoints.robot")
+        fragile.kill(killed)
+        await until(lambda: fragile.pid("endpoints.robot", but=killed), 20)
+        count = len(echoed)
+        await until(lambda: len(echoed) > count + 3, 30)
 
 
 def _tf() -> Any:

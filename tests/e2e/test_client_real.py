@@ -1,20 +1,20 @@
-"""The client's contract at a real platform."""
+"""The contract of the Python client, with a real platform."""
 
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
 
 import pytest
-from client_contract import ClientContract, Platform
-from real_platform import USER, RealPlatform
 
 from rce.client import Robot
+from tests.support.client_contract import ClientContract, Platform
+from tests.support.e2e.real_platform import USER, RealPlatform
 
 GRACE = 1.0
 
 
 class RealWorld(Platform):
-    """A real platform, as the contract suite sees it; sockets break at the robots' own end."""
+    """A real platform for the contract tests. Connections break at the robots' end."""
 
     def __init__(self, platform: RealPlatform) -> None:
         self._platform = platform
@@ -30,8 +30,8 @@ class RealWorld(Platform):
         assert connection is not None
         connection._socket.transport.abort()
 
-    async def forget(self, robot: str) -> None:
-        """Without its token it cannot resume: it is let in when its grace time is over."""
+    async def end_session(self, robot: str) -> None:
+        """Break the connection and forget the token, so that the robot cannot resume its session."""
         self._robots[robot]._session._token = ""
         self.break_socket(robot)
 

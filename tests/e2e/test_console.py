@@ -1,4 +1,4 @@
-"""The console at a real platform: data of environments, logs, the interactive shell, completion in other shells."""
+"""The console at a real platform: data of environments, logs, the interactive console, completion in shells."""
 
 from __future__ import annotations
 
@@ -14,64 +14,66 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from consoles import following, on_terminal, rce, surroundings
-from real_platform import RCE, USER, RealPlatform
+
+from tests.support.e2e.consoles import on_terminal, rce, running, user_environ
+from tests.support.e2e.real_platform import RCE, USER, RealPlatform
 
 BRAIN = "console_brain"
 
 
 @pytest.fixture(scope="module")
 async def env(platform: RealPlatform, tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[dict[str, str]]:
-    """Surroundings with an environment `console_brain` and in it the node `echo`."""
-    env = surroundings(tmp_path_factory.mktemp("home"), platform.url)
+    """Environment variables of a user with the environment `console_brain`, in which the node `echo` runs."""
+    env = user_environ(tmp_path_factory.mktemp("home"), platform.url)
     await rce("env", "create", BRAIN, env=env)
     await rce("node", "start", BRAIN, "echo", "rce_demo", "echo", env=env)
     yield env
     await rce("env", "delete", BRAIN, env=env)
 
 
-async def test_topics_as_with_ros2(env: dict[str, str]) -> None:
+async def test_topic_echo_hz_pub_and_list(env: dict[str, str]) -> None:
     say, heard, text = f"{BRAIN}/say", f"{BRAIN}/heard", "std_msgs/String"
     listening = asyncio.create_task(rce("topic", "echo", "--once", heard, text, env=env))
     saying = asyncio.create_task(rce("topic", "pub", "-r", "20", "-t", "100", say, text, "{data: grüezi}", env=env))
     assert await listening == "data: grüezi\n---\n"
-    rates = await rce("console", given=f"topic hz {heard}\n", env=env, status=None, seconds=6)
-    assert "average rate: " in rates
+    async with running("topic", "hz", heard, env=env) as rates:
+        await rates.expect_line("average rate: ")
+        assert await rates.interrupt() == 130
     await saying
     listed = await rce("topic", "list", BRAIN, env=env)
     assert "/heard" in listed
     assert "std_msgs/msg/String" in listed
-    assert await nothing_left(env)
+    await no_guest_interfaces(env)
 
 
-async def test_a_service_is_called(env: dict[str, str]) -> None:
+async def test_service_call_prints_the_response(env: dict[str, str]) -> None:
     service = f"{BRAIN}/echo/get_parameters"
     answer = await rce("service", "call", service, "rcl_interfaces/GetParameters", "{names: [use_sim_time]}", env=env)
     assert "bool_value: false" in answer
-    told = await rce("service", "call", f"{BRAIN}/nowhere", env=env, status=1)
-    assert "there is no service /nowhere" in told
+    report = await rce("service", "call", f"{BRAIN}/nowhere", env=env, status=1)
+    assert "there is no service /nowhere" in report
 
 
 async def test_logs_and_events_are_followed(env: dict[str, str], platform: RealPlatform) -> None:
-    """By the console, and as server-sent events of the API; what is printed later comes later."""
+    """By the console and as server-sent events of the API, in order."""
     loud, text = ("node", "start", BRAIN, "loud", "Relay", "loud.py"), "std_msgs/String"
-    async with following("events", env=env) as events:
+    async with running("events", env=env) as events:
         await rce(*loud, env=env)
-        async with following("node", "logs", BRAIN, "loud", "-f", env=env) as log:
-            await log.until("^listening$")
+        async with running("node", "logs", BRAIN, "loud", "-f", env=env) as log:
+            await log.expect_line("^listening$")
             stream = await asyncio.to_thread(_follow, f"{platform.url}api/v1/environments/{BRAIN}/nodes/loud/log")
             for word in ("first", "second"):
                 await rce("topic", "pub", "--once", f"{BRAIN}/loud", text, f"{{data: {word}}}", env=env)
-                await log.until(f"^{word}$")
+                await log.expect_line(f"^{word}$")
             lines = await asyncio.to_thread(
                 lambda: list(itertools.islice((line for line in stream if b"data:" in line), 3))
             )
             assert [json.loads(line[5:])["lines"] for line in lines] == [["listening"], ["first"], ["second"]]
             await asyncio.to_thread(stream.close)
             assert await log.interrupt() == 130
-        assert f"{USER}/@console_" in await events.until("robot.came")
+        assert f"{USER}/@console_" in await events.expect_line("robot.came")
         await rce("topic", "pub", "--once", f"{BRAIN}/loud", text, "{data: die}", env=env)
-        await events.until(f"node.died +{USER}/{BRAIN}/loud  ended with status 3")
+        await events.expect_line(f"node.died +{USER}/{BRAIN}/loud  ended with status 3")
 
 
 def _follow(url: str) -> http.client.HTTPResponse:
@@ -81,58 +83,57 @@ def _follow(url: str) -> http.client.HTTPResponse:
     return stream
 
 
-async def test_others_take_part_as_far_as_they_may(env: dict[str, str], platform: RealPlatform, tmp_path: Path) -> None:
-    """An administrator in a user's environment; a viewer, who only looks."""
-    admin = surroundings(tmp_path, platform.url, "admin")
+async def test_roles_limit_the_use_of_topics(env: dict[str, str], platform: RealPlatform, tmp_path: Path) -> None:
+    """An administrator uses a user's environment; a viewer only reads."""
+    admin = user_environ(tmp_path, platform.url, "admin")
     say, heard, text = f"{BRAIN}/say", f"{BRAIN}/heard", "std_msgs/String"
     key = (await rce("key", "create", "--role", "viewer", env=env)).split()[-1]
-    viewer = surroundings(tmp_path) | {"RCE_URL": platform.url, "RCE_KEY": key}
+    viewer = user_environ(tmp_path) | {"RCE_URL": platform.url, "RCE_KEY": key}
     async with (
-        following("topic", "echo", heard, text, env=viewer) as seen,
-        following("topic", "echo", "--of", USER, heard, text, env=admin) as watched,
+        running("topic", "echo", heard, text, env=viewer) as seen,
+        running("topic", "echo", "--of", USER, heard, text, env=admin) as watched,
     ):
         await rce("topic", "pub", "--of", USER, "-r", "5", "-t", "20", say, text, "{data: here}", env=admin)
-        await seen.until("data: here")
-        await watched.until("data: here")
+        await seen.expect_line("data: here")
+        await watched.expect_line("data: here")
         robots = await rce("robot", "list", "--json", env=env)
         assert {each["guest"] for each in json.loads(robots)} == {USER, "admin"}
         assert "in brain 42" in await rce("env", "shell", "--of", USER, BRAIN, "echo in brain $((6*7))", env=admin)
         for words in (("topic", "pub", "--once", say, text, "{data: no}"), ("env", "shell", BRAIN, "id")):
             assert "the role viewer may not" in await rce(*words, env=viewer, status=1)
         assert "there is no user admin" in await rce("topic", "echo", "--of", "admin", heard, env=viewer, status=1)
-    assert await nothing_left(env)
-    noted = await rce("audit", "--by", "admin", "--action", "data.read", env=env)
-    assert f"{USER}/{heard}" in noted
+    await no_guest_interfaces(env)
+    entries = await rce("audit", "--by", "admin", "--action", "data.read", env=env)
+    assert f"{USER}/{heard}" in entries
 
 
-async def nothing_left(env: dict[str, str]) -> bool:
-    """Guests leave a moment after their programs."""
+async def no_guest_interfaces(env: dict[str, str]) -> None:
+    """Wait until the interfaces of guests are removed, which happens shortly after their programs end."""
     async with asyncio.timeout(20):
         while "@" in await rce("interface", "list", env=env):
             pass
-    return True
 
 
-async def test_the_interactive_console(env: dict[str, str]) -> None:
-    await asyncio.to_thread(_converse, env)
+async def test_interactive_console_completes_runs_and_interrupts_commands(env: dict[str, str]) -> None:
+    await asyncio.to_thread(_use_console, env)
 
 
-def _converse(env: dict[str, str]) -> None:
+def _use_console(env: dict[str, str]) -> None:
     with on_terminal("console", env=env) as console:
-        console.until(">")
+        console.expect(">")
         console.type("env sho\t")
-        console.until("w")
+        console.expect("w")
         console.type(" con\t")
-        console.until("sole_brain")
+        console.expect("sole_brain")
         console.type("\r")
-        console.until("containerTag +console_brain")
+        console.expect("containerTag +console_brain")
         console.type("robot lst\r")
-        console.until("there is no command `robot lst`")
+        console.expect("there is no command `robot lst`")
         console.type("watch -n 0.2 node list console_brain\r")
-        console.until("rce_demo/echo")
-        console.until("rce_demo/echo")
+        console.expect("rce_demo/echo")
+        console.expect("rce_demo/echo")
         console.type("\x03")
-        console.until("[0-9]>")
+        console.expect("[0-9]>")
         console.type("exit\r")
         console.wait()
 
@@ -152,7 +153,7 @@ COMP_WORDS=("{rce}" {words}); COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1)); _rce; ech
         (f"topic echo {BRAIN}/say", f"{BRAIN}/say"),
     ],
 )
-async def test_bash_completes(env: dict[str, str], words: str, expected: str) -> None:
+async def test_bash_completes_commands_options_and_names(env: dict[str, str], words: str, expected: str) -> None:
     script = BASH.format(rce=RCE, words=words)
     done = await asyncio.to_thread(
         subprocess.run, ["bash", "-c", script], env=env, capture_output=True, text=True, timeout=60, check=True
@@ -161,7 +162,7 @@ async def test_bash_completes(env: dict[str, str], words: str, expected: str) ->
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-async def test_completion_scripts_are_scripts(env: dict[str, str], tmp_path: Path, shell: str) -> None:
+async def test_completion_script_has_no_syntax_errors(env: dict[str, str], tmp_path: Path, shell: str) -> None:
     if shutil.which(shell) is None:
         pytest.skip(f"no {shell} here")
     script = tmp_path / "script"

@@ -1,4 +1,4 @@
-"""`rce env shell`: a real terminal in an environment."""
+"""`rce env shell` on a pseudo-terminal, at a real platform."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from consoles import on_terminal, rce, surroundings
-from real_platform import RealPlatform, until
+
+from tests.support.e2e.consoles import on_terminal, rce, user_environ
+from tests.support.e2e.real_platform import RealPlatform, until
 
 BRAIN = "shell_brain"
 LINES = 200_000
@@ -17,57 +18,62 @@ LINES = 200_000
 
 @pytest.fixture
 async def env(platform: RealPlatform, tmp_path: Path) -> AsyncIterator[dict[str, str]]:
-    """Surroundings with an environment `shell_brain`."""
-    env = surroundings(tmp_path, platform.url)
+    """Environment variables of a user with the environment `shell_brain`."""
+    env = user_environ(tmp_path, platform.url)
     await rce("env", "create", BRAIN, env=env)
     yield env
     await rce("env", "delete", BRAIN, env=env)
     assert not platform.pid("rce_shell")
 
 
-async def test_a_terminal_in_an_environment(env: dict[str, str], platform: RealPlatform) -> None:
-    await asyncio.to_thread(_converse, env)
+async def test_terminal_has_size_ctrl_c_and_exit_status(env: dict[str, str], platform: RealPlatform) -> None:
+    await asyncio.to_thread(_use_shell, env)
     await until(lambda: not platform.pid("rce_shell"), what="the node ends with its client")
     assert "status 3" in await rce("env", "shell", BRAIN, "echo status 3; exit 3", env=env, status=3)
 
 
-def _converse(env: dict[str, str]) -> None:
+def _use_shell(env: dict[str, str]) -> None:
+    """Type each line after the prompt: one that is typed earlier is echoed twice, by the terminal and by bash."""
     with on_terminal("env", "shell", BRAIN, env=env) as shell:
-        shell.until("[#$] ")
+        shell.expect("[#$] ")
         shell.type("PS1=ready_; echo $((40 + 2)) $RCE_RUN\r")
-        shell.until("42 [0-9a-f]{32}")
-        shell.until("ready_")
+        shell.expect("42 [0-9a-f]{32}")
+        shell.expect("ready_")
         shell.type("stty size\r")
-        shell.until("24 80")
+        shell.expect("24 80")
+        shell.expect("ready_")
         shell.resize(50, 132)
         shell.type("until [ \"$(stty size)\" = '50 132' ]; do sleep 0.1; done; echo re''sized\r")
-        shell.until("resized")
-        shell.type("sleep 1000\r")
-        shell.until("sleep 1000")
+        shell.expect("resized")
+        shell.expect("ready_")
+        shell.type("echo star''ted; sleep 1000\r")
+        shell.expect("started")
         shell.type("\x03")
-        shell.until("ready_")
+        shell.expect("ready_")
         shell.type("echo status $?\r")
-        shell.until("status 130")
+        shell.expect("status 130")
+        shell.expect("ready_")
         shell.type(f"stty -onlcr; seq {LINES}; echo fin\r")
-        shell.until("fin\r\n")  # as typed
-        assert shell.until("fin\n").split()[:-1] == [str(number) for number in range(1, LINES + 1)]
+        shell.expect("fin\r\n")  # the echo of the typed line
+        assert shell.expect("fin\n").split()[:-1] == [str(number) for number in range(1, LINES + 1)]
+        shell.expect("ready_")
         shell.type("exit 7\r")
         assert shell.wait() == 7
 
 
-async def test_it_ends_when_its_client_vanishes(env: dict[str, str], platform: RealPlatform) -> None:
+async def test_program_ends_after_its_client_is_killed(env: dict[str, str], platform: RealPlatform) -> None:
     def vanish() -> None:
         with on_terminal("env", "shell", BRAIN, env=env) as shell:
-            shell.until("[#$] ")
+            shell.expect("[#$] ")
             shell.type("sleep 1234\r")
-            shell.until("sleep 1234")
+            shell.expect("sleep 1234")
             end = time.monotonic() + 20
-            while not platform.pid("sleep 1234"):  # what was typed is seen before it runs
+            while not platform.pid("sleep 1234"):  # the echo comes before the program runs
                 assert time.monotonic() < end
                 time.sleep(0.1)
-        # closed now, and with it killed
+        # on_terminal has killed the client
 
     await asyncio.to_thread(vanish)
     await until(lambda: not platform.pid("sleep 1234"), 40, "the program ends")
     await until(lambda: not platform.pid("rce_shell"), 5, "the node ends")
-    assert "@" not in await rce("interface", "list", BRAIN, env=env), "its guest took all with it"
+    assert "@" not in await rce("interface", "list", BRAIN, env=env), "the interfaces of its guest are removed"

@@ -1,4 +1,4 @@
-"""The dashboard in a real browser at a real platform. No page may log an error."""
+"""The dashboard in a real browser with a real platform. No page may log an error."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 import pytest
-from chromium import NARROW, chromium, opened, screenshot, sign_in
-from real_platform import USER, RealPlatform
 
 from rce.client import Event, Robot, Stream
 from rce.errors import Unauthorized
+from rce.mapping.evaluation.simulation import simulate
 from rce.mapping.robot import MappingRobot
-from rce.mapping.simulation import simulate
-from rce.messages import AddInterface
+from rce.protocol.messages import AddInterface
+from tests.support.e2e.chromium import NARROW, chromium, open_page, screenshot, sign_in
+from tests.support.e2e.real_platform import USER, RealPlatform
 
 STRING, IMAGE, TWIST = "std_msgs/String", "sensor_msgs/Image", "geometry_msgs/Twist"
 TRAIL = """(canvas) => {
@@ -25,7 +25,7 @@ TRAIL = """(canvas) => {
     for (let at = 0; at < data.length; at += 4) if (data[at] === 0xd9 && data[at + 1] === 0x48) count += 1;
     return count;
 }"""
-"""Pixels in the colour of the robot's trail."""
+"""Script that counts the pixels in the colour of the robot's trail."""
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ async def browser() -> AsyncIterator[Any]:
 
 @asynccontextmanager
 async def signed_in(browser: Any, platform: RealPlatform, user: str = USER, **options: Any) -> AsyncIterator[Any]:
-    async with opened(browser, **options) as (page, _):
+    async with open_page(browser, **options) as (page, _):
         await sign_in(page, platform.url, user, user)
         yield page
 
@@ -45,9 +45,9 @@ def port(page: Any, owner: str, tag: str) -> Any:
     return page.get_by_role("button", name=f"{owner}/{tag},")
 
 
-async def test_wrong_passwords_and_ended_sessions(browser: Any, platform: RealPlatform) -> None:
-    async with opened(browser) as (page, errors):
-        await page.goto(platform.url)  # a person at the robots' entry
+async def test_wrong_password_and_revoked_session(browser: Any, platform: RealPlatform) -> None:
+    async with open_page(browser) as (page, errors):
+        await page.goto(platform.url)  # the robots' entry redirects browsers
         await page.wait_for_url("**/ui/")
         await screenshot(page, "signin")
         await page.get_by_label("User").fill(USER)
@@ -67,10 +67,10 @@ async def test_wrong_passwords_and_ended_sessions(browser: Any, platform: RealPl
         assert "401" in errors.pop()
 
 
-async def trail(canvas: Any, most: float) -> int:
-    """Wait until the trail has more pixels than that; how many it has then."""
+async def wait_for_trail(canvas: Any, most: float) -> int:
+    """Wait until the trail has more than `most` pixels, and return their number."""
     async with asyncio.timeout(60):
-        while True:  # the policy of the page keeps Playwright from waiting in it
+        while True:  # the page's Content-Security-Policy forbids wait_for_function
             count: int = await canvas.evaluate(TRAIL)
             if count > most:
                 return count
@@ -83,7 +83,7 @@ async def prepared(mapping: MappingRobot) -> AsyncIterator[None]:
     yield
 
 
-async def test_a_robot_maps_a_building_before_our_eyes(browser: Any, platform: RealPlatform) -> None:
+async def test_live_map_and_graph_of_a_mapping_robot(browser: Any, platform: RealPlatform) -> None:
     recording = simulate().records[:700]
     async with (
         platform.robot("surveyor") as robot,
@@ -98,11 +98,11 @@ async def test_a_robot_maps_a_building_before_our_eyes(browser: Any, platform: R
         canvas = page.locator("canvas.map")
         driving = asyncio.create_task(mapping.drive(recording, lambda _: None))
         await page.get_by_role("status").filter(has_text="cells of").wait_for()
-        early = await trail(canvas, 10)
-        await trail(canvas, 1.3 * early)
+        early = await wait_for_trail(canvas, 10)
+        await wait_for_trail(canvas, 1.3 * early)
         await page.goto(f"{platform.url}ui/#/")
-        wires = page.get_by_role("button", name=re.compile("connection surveyor.*scan"))
-        await wires.filter(has_text=re.compile(r"\d/s")).first.wait_for()
+        connections = page.get_by_role("button", name=re.compile("connection surveyor.*scan"))
+        await connections.filter(has_text=re.compile(r"\d/s")).first.wait_for()
         await screenshot(page, "graph")
         await page.get_by_role("link", name="building", exact=True).click()
         await page.get_by_role("heading", name="building").wait_for()
@@ -111,25 +111,25 @@ async def test_a_robot_maps_a_building_before_our_eyes(browser: Any, platform: R
         await driving
         await screenshot(page, "environment")
         await page.goto(f"{platform.url}ui/#/map/{USER}/building")
-        await trail(canvas, 10)
+        await wait_for_trail(canvas, 10)
         await screenshot(page, "map")
-        await looks_in(browser, platform)
+        await check_administrator_as_guest(browser, platform)
         await page.goto(f"{platform.url}ui/#/environments/{USER}/building")
         platform.kill(platform.pid("rce_mapping/mapper"))
         await page.locator("#notices").get_by_text("Node building/mapper ended").wait_for()
         await screenshot(page, "node-died")
 
 
-async def looks_in(browser: Any, platform: RealPlatform) -> None:
-    """An administrator sees the user's map, and is seen to."""
+async def check_administrator_as_guest(browser: Any, platform: RealPlatform) -> None:
+    """Check that an administrator sees the user's map, and that the user sees the guest."""
     async with signed_in(browser, platform, user="admin") as page:
         await page.get_by_label("everybody's").check()
         await page.get_by_role("link", name="Map").click()
         await page.get_by_label("Environment").select_option(f"{USER}/building")
         await page.get_by_role("button", name="Show").click()
-        await trail(page.locator("canvas.map"), 10)
-        await page.reload()  # the address alone says whose it is
-        await trail(page.locator("canvas.map"), 10)
+        await wait_for_trail(page.locator("canvas.map"), 10)
+        await page.reload()  # the URL names the user
+        await wait_for_trail(page.locator("canvas.map"), 10)
         await page.get_by_role("link", name="Graph").click()
         await page.get_by_label("everybody's").check()
         await page.get_by_text(re.compile(rf"{USER}/@browser_\w+ \({USER}\)")).first.wait_for()
@@ -137,9 +137,7 @@ async def looks_in(browser: Any, platform: RealPlatform) -> None:
         await page.get_by_role("cell", name="rce_mapping mapper").wait_for()
 
 
-async def test_interfaces_are_connected_and_disconnected_by_click_and_by_key(
-    browser: Any, platform: RealPlatform
-) -> None:
+async def test_connect_and_disconnect_by_mouse_and_keyboard(browser: Any, platform: RealPlatform) -> None:
     async with (
         platform.robot("left") as left,
         platform.robot("right") as right,
@@ -173,8 +171,8 @@ async def test_interfaces_are_connected_and_disconnected_by_click_and_by_key(
         assert not said.connected
 
 
-async def test_everything_is_made_and_ended_by_click(browser: Any, platform: RealPlatform) -> None:
-    async with opened(browser, viewport=NARROW, color_scheme="dark") as (page, errors):
+async def test_create_and_remove_by_mouse(browser: Any, platform: RealPlatform) -> None:
+    async with open_page(browser, viewport=NARROW, color_scheme="dark") as (page, errors):
         await sign_in(page, platform.url, USER, USER)
         await page.get_by_role("button", name="New environment").click()
         await page.get_by_label("Name").fill("1bad")
@@ -188,7 +186,7 @@ async def test_everything_is_made_and_ended_by_click(browser: Any, platform: Rea
         await dialog.get_by_label("ROS package").fill("rce_demo")
         await dialog.get_by_label("Executable").fill("nothing.py")
         await dialog.get_by_role("button", name="Create").click()
-        await dialog.get_by_role("alert").filter(has_text="nothing.py").wait_for()  # what the server says against it
+        await dialog.get_by_role("alert").filter(has_text="nothing.py").wait_for()  # the error of the server
         assert "404" in errors.pop()
         await dialog.get_by_label("Executable").fill("echo.py")
         await dialog.get_by_role("button", name="Create").click()
@@ -215,7 +213,7 @@ async def test_everything_is_made_and_ended_by_click(browser: Any, platform: Rea
         await page.get_by_role("link", name="clicked").wait_for(state="detached")
 
 
-async def test_a_camera_is_seen_and_a_joystick_drives(browser: Any, platform: RealPlatform) -> None:
+async def test_live_image_and_joystick(browser: Any, platform: RealPlatform) -> None:
     picture = {"height": 48, "width": 64, "encoding": "rgb8", "step": 192, "data": bytes(range(192)) * 48}
     async with platform.robot("rover") as rover, rover.environment("cockpit") as cockpit:
         await cockpit.add_node("relay", "Relay", "relay.py", args=f"{IMAGE} {TWIST}")
@@ -254,7 +252,7 @@ async def test_a_camera_is_seen_and_a_joystick_drives(browser: Any, platform: Re
             filming.cancel()
 
 
-async def test_administrators_have_their_pages(browser: Any, platform: RealPlatform) -> None:
+async def test_pages_of_administrators(browser: Any, platform: RealPlatform) -> None:
     async with signed_in(browser, platform, user="admin") as page:
         await page.get_by_role("link", name="Machines").click()
         await page.get_by_text(re.compile(r"\d+ of \d+ slots")).wait_for()
@@ -280,15 +278,15 @@ async def test_administrators_have_their_pages(browser: Any, platform: RealPlatf
             await dialog.get_by_role("button", name="Revoke").click()
             await row.wait_for(state="detached")
             with pytest.raises(Unauthorized, match="revoked"):
-                await asyncio.wait_for(until_the_end(events), 10)
+                await asyncio.wait_for(read_until_end(events), 10)
 
 
-async def until_the_end(events: Stream[Event]) -> None:
+async def read_until_end(events: Stream[Event]) -> None:
     async for _ in events:
         pass
 
 
-async def test_keys_of_ones_own(browser: Any, platform: RealPlatform) -> None:
+async def test_own_keys(browser: Any, platform: RealPlatform) -> None:
     async with signed_in(browser, platform) as page:
         await page.get_by_role("link", name="Keys").click()
         await page.get_by_role("cell", name="dashboard").first.wait_for()

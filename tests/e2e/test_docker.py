@@ -1,5 +1,5 @@
-# ruff: noqa: E402  (Docker is imported only where it is there)
-"""The platform with the engine `docker`: the images, the main job, and what an environment can reach."""
+# ruff: noqa: E402  (imports after importorskip)
+"""The platform with the engine `docker`: its images, mapping, and the confinement of environments."""
 
 from __future__ import annotations
 
@@ -14,22 +14,25 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from consoles import on_terminal, rce, surroundings
-from real_platform import USER, RealPlatform, containers, until
-from test_map import DATA, SCANS, check_files, rce_map, relations
-from test_map_service import piece
 from twisted.internet.base import ReactorBase
+
+from tests.support.e2e.consoles import on_terminal, rce, user_environ
+from tests.support.e2e.mapping import SCANS, check_files, rce_map, relations
+from tests.support.e2e.real_platform import USER, RealPlatform, containers, until
+from tests.support.e2e.recordings import piece
+from tests.support.paths import DATA
 
 docker = pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
-from containers.docker_networks import ENVIRONMENT
+from containers.docker.networks import ENVIRONMENT
 from provisioning.image import BASE, MAPPING, Builder
 from rce import __version__
-from rce.calls.joining import Hello
-from rce.client.map_service import MapService
-from rce.control import Handlers, connect
+from rce.api.map_jobs import Job
+from rce.client.map_service import MapServiceClient
+from rce.control.calls.joining import Hello
+from rce.control.client import connect
+from rce.control.connection import Handlers
 from rce.errors import TimedOut, Unauthorized
-from rce.map_jobs import Job
 
 STRING = "std_msgs/String"
 LARGEST_BASE = 450e6
@@ -61,11 +64,11 @@ print(json.dumps({
 """
 
 
-def test_sizes(images: Any) -> None:
+def test_base_image_is_small(images: Any) -> None:
     assert images.inspect_image(f"{BASE}:{__version__}")["Size"] < LARGEST_BASE
 
 
-def test_a_second_build_changes_nothing(images: Any) -> None:
+def test_second_build_changes_nothing(images: Any) -> None:
     tag = f"{MAPPING}:{__version__}"
     before = images.inspect_image(tag)
     Builder(images).build()
@@ -74,8 +77,8 @@ def test_a_second_build_changes_nothing(images: Any) -> None:
 
 
 @pytest.mark.skipif(not (DATA / "mit-csail.clf.gz").exists(), reason=f"needs mit-csail.clf.gz in {DATA}, or RCE_DATA")
-async def test_a_real_building(contained: RealPlatform, tmp_path: Path) -> None:
-    """The main job, its environment limited to one core and 1 GiB."""
+async def test_real_building_is_mapped(contained: RealPlatform, tmp_path: Path) -> None:
+    """A map is made in an environment with one core and 1 GiB."""
     recording = DATA / "mit-csail.clf.gz"
     done = await rce_map(recording, "--url", contained.url, "--out", tmp_path / "map", temporary=tmp_path)
     assert done.status == 0, done.errors
@@ -85,22 +88,24 @@ async def test_a_real_building(contained: RealPlatform, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not (DATA / "mit-csail.clf.gz").exists(), reason=f"needs mit-csail.clf.gz in {DATA}, or RCE_DATA")
-async def test_a_job_of_the_map_service(contained: RealPlatform, images: Any, tmp_path: Path) -> None:
-    """It is done in a container of the user who submitted it, which is gone afterwards."""
-    service = MapService(contained.url, user=USER, password=USER)
+async def test_map_service_job_runs_in_a_container_of_its_user(
+    contained: RealPlatform, images: Any, tmp_path: Path
+) -> None:
+    """The container belongs to the user who submitted the job, and is removed afterwards."""
+    service = MapServiceClient(contained.url, user=USER, password=USER)
 
-    def whole() -> tuple[Job, set[str]]:
+    def submit_and_watch() -> tuple[Job, set[str]]:
         name = service.submit([service.upload(piece(tmp_path / "piece.log", 100)).id]).id
         seen = [each["Labels"][ENVIRONMENT] for _ in service.watch(name) for each in containers(images, contained)]
         return service.job(name), set(seen)
 
-    job, seen = await asyncio.to_thread(whole)
+    job, seen = await asyncio.to_thread(submit_and_watch)
     assert (job.state, job.scans) == ("done", 100), job
     assert seen == {f"{USER}/map_{job.id}_1"}
     assert containers(images, contained) == []
 
 
-async def test_a_platform_of_its_own(images: Any, tmp_path: Path) -> None:
+async def test_map_command_starts_a_platform_of_its_own(images: Any, tmp_path: Path) -> None:
     done = await rce_map("--simulate", "--engine", "docker", "--out", tmp_path / "map", temporary=tmp_path)
     assert done.status == 0, done.errors
     assert not [
@@ -108,8 +113,8 @@ async def test_a_platform_of_its_own(images: Any, tmp_path: Path) -> None:
     ]
 
 
-async def test_two_environments_of_a_user_talk(contained: RealPlatform) -> None:
-    """From the robot to a node in one environment, on to a node in the other, and back."""
+async def test_environments_of_one_user_are_connected(contained: RealPlatform) -> None:
+    """A message passes from the robot to a node in one environment, to a node in the other, and back."""
     async with contained.robot("r1") as robot, robot.environment("one") as one, robot.environment("two") as two:
         for environment in (one, two):
             await environment.add_node("echo", "rce_demo", "echo.py")
@@ -123,15 +128,15 @@ async def test_two_environments_of_a_user_talk(contained: RealPlatform) -> None:
             assert await anext(aiter(heard)) == {"data": "hello"}
 
 
-async def test_as_many_nodes_as_memory_allows(contained: RealPlatform) -> None:
-    """Fast DDS takes 64 MB of shared memory for each."""
+async def test_shared_memory_suffices_for_five_nodes(contained: RealPlatform) -> None:
+    """Fast DDS allocates 64 MB of shared memory for each node."""
     async with contained.robot("r7") as robot, robot.environment("full", cpu=2) as full:
         await asyncio.gather(*(full.add_node(f"echo{number}", "rce_demo", "echo.py") for number in range(5)))
         heard = await full.subscriber("/heard", STRING)
         say = await full.publisher("/say", STRING)
         answers: Counter[str] = Counter()
         async with asyncio.timeout(60):
-            for attempt in itertools.count():  # the nodes are not there all at once
+            for attempt in itertools.count():  # the nodes do not all start at once
                 await say.publish({"data": str(attempt)})
                 with suppress(TimedOut):
                     while answers[str(attempt)] < 5:
@@ -140,7 +145,7 @@ async def test_as_many_nodes_as_memory_allows(contained: RealPlatform) -> None:
                     break
 
 
-async def test_what_a_hostile_node_can_reach(contained: RealPlatform, images: Any) -> None:
+async def test_hostile_node_is_confined(contained: RealPlatform, images: Any) -> None:
     async with contained.robot("r2") as robot, robot.environment("hostile"):
         (container,) = [each["Id"] for each in containers(images, contained)]
         call = images.exec_create(container, ["python3", "-c", ATTEMPTS])
@@ -163,44 +168,44 @@ async def test_what_a_hostile_node_can_reach(contained: RealPlatform, images: An
     }
 
 
-async def test_a_terminal_in_a_container(contained: RealPlatform, tmp_path: Path) -> None:
-    env = surroundings(tmp_path, contained.url)
+async def test_terminal_in_a_container(contained: RealPlatform, tmp_path: Path) -> None:
+    env = user_environ(tmp_path, contained.url)
     await rce("env", "create", "lit", env=env)
     await asyncio.to_thread(_converse, env)
-    admin = surroundings(tmp_path, contained.url, "admin")
+    admin = user_environ(tmp_path, contained.url, "admin")
     assert "status 3" in await rce("env", "shell", "--of", USER, "lit", "echo status 3; exit 3", env=admin, status=3)
     await rce("env", "delete", "lit", env=env)
 
 
 def _converse(env: dict[str, str]) -> None:
     with on_terminal("env", "shell", "lit", env=env) as shell:
-        shell.until("[#$] ")
+        shell.expect("[#$] ")
         shell.type("PS1=ready_; echo $((40 + 2)) $(id -u) $HOME\r")
-        shell.until("42 [1-9][0-9]* /home/rce")
+        shell.expect("42 [1-9][0-9]* /home/rce")
         shell.type("tty; stty size\r")
-        shell.until("/dev/pts/0")
-        shell.until("24 80")
+        shell.expect("/dev/pts/0")
+        shell.expect("24 80")
         shell.type("sleep 1000\r")
-        shell.until("sleep 1000")
+        shell.expect("sleep 1000")
         shell.type("\x03")
-        shell.until("ready_")
+        shell.expect("ready_")
         shell.type("python3 -c 'import rclpy; print(rclpy.__name__)'; exit 7\r")
-        shell.until("rclpy\r")  # as it prints it; what was typed goes on behind it
+        shell.expect("rclpy\r")  # in the program's output; in the echo of the input more follows
         assert shell.wait() == 7
 
 
-async def test_nobody_joins_the_master_without_a_credential(
+async def test_joining_the_master_needs_a_credential(
     contained: RealPlatform, reactor: ReactorBase, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async with contained.robot("r3") as robot, robot.environment("honest"):
         (path,) = (contained.directory / "data" / "container" / "environments").rglob("control.sock")
-        monkeypatch.chdir(path.parent)  # the whole path may be too long for a socket's
+        monkeypatch.chdir(path.parent)  # the whole path may be too long for a socket address
         hello = Hello("environment", f"{USER}/honest", "guessed", __version__)
         with pytest.raises(Unauthorized):
             await connect(reactor, f"unix:{path.name}", hello, Handlers())
 
 
-async def test_an_environment_that_is_killed_comes_back(contained: RealPlatform, images: Any) -> None:
+async def test_killed_environment_is_restarted(contained: RealPlatform, images: Any) -> None:
     async with contained.robot("r4") as robot, robot.environment("mortal") as mortal:
         (first,) = [each["Id"] for each in containers(images, contained)]
         images.kill(first)
@@ -213,8 +218,8 @@ async def test_an_environment_that_is_killed_comes_back(contained: RealPlatform,
         await mortal.add_node("echo", "rce_demo", "echo.py")
 
 
-async def test_environments_outlive_their_task_set(contained: RealPlatform, images: Any) -> None:
-    """It is killed; they work on, and the next one adopts them."""
+async def test_environment_survives_its_task_set(contained: RealPlatform, images: Any) -> None:
+    """The task set is killed; the environment works on, and the next task set adopts it."""
     async with contained.robot("r6") as robot, robot.environment("lasting") as lasting:
         await lasting.add_node("echo", "rce_demo", "echo.py")
         heard = await lasting.subscriber("/heard", STRING)
@@ -226,13 +231,13 @@ async def test_environments_outlive_their_task_set(contained: RealPlatform, imag
             await say.publish({"data": "still here"})
             assert await anext(aiter(heard)) == {"data": "still here"}
         await until(lambda: contained.pid("-m containers ", but=killed))
-        await lasting.add_node("another", "rce_demo", "echo.py")  # the way to the Master is open again
+        await lasting.add_node("another", "rce_demo", "echo.py")  # the relay to the Master is open again
         assert [each["Id"] for each in containers(images, contained)] == [before]
     assert containers(images, contained) == []
 
 
-async def test_time_to_an_environment(contained: RealPlatform, images: Any, record_property: Any) -> None:
-    """Beside a bare container of the same image that imports rclpy; the median of each."""
+async def test_time_to_start_an_environment(contained: RealPlatform, images: Any, record_property: Any) -> None:
+    """Record the median time, and that of a bare container of the same image that imports rclpy."""
     bare, ready = [], []
     async with contained.robot("r5") as robot:
         for turn in range(5):

@@ -1,7 +1,6 @@
-"""What a hostile user tries from within an environment: each attempt fails, and the others do not notice it.
+"""Attacks of a hostile user from within an environment: each fails without an effect on other environments.
 
-The programs are run by Docker in the environment's container: as its user, in its name spaces, under its limits, which
-is all that a node has.
+Docker runs the programs in the environment's container, with the same user, namespaces and limits as a ROS node there.
 """
 
 from __future__ import annotations
@@ -14,15 +13,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import hostile_programs as programs
 import pytest
-from real_platform import USER, RealPlatform
-from test_kills import next_event
+
+from tests.support.e2e import hostile_programs as programs
+from tests.support.e2e.real_platform import USER, RealPlatform
+from tests.support.e2e.traffic import next_event
 
 pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
 from rce.client import Environment, Robot
-from rce.messages import LimitEvent
+from rce.protocol.messages import LimitEvent
 
 MB = 1024 * 1024
 STRING = "std_msgs/String"
@@ -31,7 +31,7 @@ DISK = 50 * MB if os.geteuid() == 0 else 0
 
 @dataclass
 class Siege:
-    """A hostile environment, and one beside it that must not notice."""
+    """A hostile environment, and a second one that must not be affected."""
 
     platform: RealPlatform
     api: Any
@@ -42,17 +42,17 @@ class Siege:
     heard: Any
 
     async def attack(self, program: str, *arguments: str) -> dict[str, Any]:
-        """Run it to its end, while the victim works; what it said it achieved, and its exit status."""
+        """Run a program while the victim works; return what it reports, its exit status and its output."""
         call = self.api.exec_create(self.hostile, ["python3", "-P", "-c", programs.HEAD + program, *arguments])
         running = asyncio.create_task(asyncio.to_thread(self.api.exec_start, call["Id"]))
         await self.works()
         output = (await running).decode(errors="replace")
         await self.works()
-        said = next((line for line in output.splitlines() if line.startswith("{")), "{}")
-        return {**json.loads(said), "status": self.api.exec_inspect(call["Id"])["ExitCode"], "output": output}
+        report = next((line for line in output.splitlines() if line.startswith("{")), "{}")
+        return {**json.loads(report), "status": self.api.exec_inspect(call["Id"])["ExitCode"], "output": output}
 
     async def works(self) -> None:
-        """From the robot to a node of the victim and back; and the platform still does what it is asked."""
+        """Check that messages pass from the robot to a node of the victim and back, and that the platform serves it."""
         async with asyncio.timeout(20):
             await self.say.publish({"data": "still"})
             assert await anext(aiter(self.heard)) == {"data": "still"}
@@ -74,7 +74,7 @@ async def siege(contained: RealPlatform, images: Any) -> AsyncIterator[Siege]:
         yield Siege(contained, images, robot, hostile, victim, say, heard)
 
 
-async def test_a_fork_bomb(siege: Siege) -> None:
+async def test_fork_bomb_is_limited(siege: Siege) -> None:
     bomb = asyncio.create_task(siege.attack(programs.FORK_BOMB))
     most = 0
     while not bomb.done():
@@ -83,19 +83,19 @@ async def test_a_fork_bomb(siege: Siege) -> None:
         await asyncio.sleep(0.2)
     await bomb
     while len((await asyncio.to_thread(siege.api.top, siege.hostile))["Processes"]) > 10:  # noqa: ASYNC110
-        await asyncio.sleep(0.2)  # its last children may outlive it by a little
+        await asyncio.sleep(0.2)  # its last children end a little later
     assert 50 < most <= 100
 
 
-async def test_using_up_the_memory(siege: Siege) -> None:
+async def test_process_beyond_the_memory_limit_is_killed(siege: Siege) -> None:
     events = siege.robot.events()
     found = await siege.attack(programs.MEMORY)
     assert found["status"] == 137  # killed
     assert "siege" in (await next_event(events, LimitEvent)).reason
 
 
-async def test_using_up_the_memory_by_files(siege: Siege) -> None:
-    """What is in `/dev/shm` and `/tmp` counts as the environment's: it is that environment that suffers."""
+async def test_files_in_memory_count_towards_the_limit(siege: Siege) -> None:
+    """Files in `/dev/shm` and `/tmp` count towards the memory of their environment, so only that one is affected."""
     events = siege.robot.events()
     async with siege.robot.environment("flooded", memory=200 * MB):
         label = f"rce.environment={USER}/flooded"
@@ -107,7 +107,7 @@ async def test_using_up_the_memory_by_files(siege: Siege) -> None:
         await running
 
 
-async def test_filling_the_disk(siege: Siege) -> None:
+async def test_writable_directories_are_limited(siege: Siege) -> None:
     found = await siege.attack(programs.FILL, "/home/rce", "/tmp")
     home = DISK // MB if DISK else 256
     assert found["/home/rce"][0] <= home
@@ -115,14 +115,14 @@ async def test_filling_the_disk(siege: Siege) -> None:
     assert found["/home/rce"][1] == found["/tmp"][1] == "No space left on device"
 
 
-async def test_opening_files(siege: Siege) -> None:
+async def test_open_files_are_limited(siege: Siege) -> None:
     found = await siege.attack(programs.OPEN_FILES)
     assert found["reason"] == "Too many open files"
     assert found["files"] <= 4096
 
 
-async def test_flooding_the_log(siege: Siege) -> None:
-    """Forty megabytes, of which Docker keeps four."""
+async def test_log_is_bounded(siege: Siege) -> None:
+    """The program writes 40 MB, of which Docker keeps 4 MB."""
     found = await siege.attack(programs.LOG_FLOOD)
     assert found["done"]
     log = Path(siege.api.inspect_container(siege.hostile)["LogPath"])
@@ -131,7 +131,7 @@ async def test_flooding_the_log(siege: Siege) -> None:
     assert len(siege.api.logs(siege.hostile)) < 4.5 * MB
 
 
-async def test_looking_at_the_host(siege: Siege) -> None:
+async def test_host_is_not_visible(siege: Siege) -> None:
     found = await siege.attack(programs.LOOK_AROUND)
     sockets = siege.platform.directory / "data" / "container" / "sockets" / USER
     disks = {"/home/rce"} if DISK else set()
@@ -146,28 +146,28 @@ async def test_looking_at_the_host(siege: Siege) -> None:
     assert {name: found[name] for name in refused if found[name] not in reasons} == {}
 
 
-async def test_joining_the_master_as_somebody_else(siege: Siege) -> None:
-    """Nor as itself: its token was used."""
+async def test_impersonation_is_unauthorized(siege: Siege) -> None:
+    """Not even joining again as itself succeeds, because its token was used."""
     found = await siege.attack(programs.IMPERSONATE, f"{USER}/victim")
     joins = {key: value for key, value in found.items() if key.startswith(("environment", "container", "robot", "mas"))}
     assert len(joins) == 8, found["output"]
     assert set(joins.values()) == {"unauthorized"}
 
 
-async def test_reaching_what_the_platform_listens_at(siege: Siege) -> None:
-    """There is no network, and the sockets of the user's other environments want the key of a link."""
+async def test_ports_of_the_platform_are_unreachable(siege: Siege) -> None:
+    """The environment has no network, and the sockets of the user's other environments require the key of a link."""
     entry = siege.platform.url.removeprefix("http://").rstrip("/")
     ports = [f"127.0.0.1:{port}" for port in listening(siege.platform)]
     assert ports
     found = await siege.attack(programs.REACH, entry, *ports, "169.254.169.254:80", "192.168.1.1:53")
-    for place in (entry, *ports, "169.254.169.254:80", "192.168.1.1:53"):
-        assert found[place] in ("Connection refused", "Network is unreachable"), place
+    for address in (entry, *ports, "169.254.169.254:80", "192.168.1.1:53"):
+        assert found[address] in ("Connection refused", "Network is unreachable"), address
     assert found["users"] == [USER]
     assert found["other"].startswith(("closed after", "Connection reset"))
 
 
 def listening(platform: RealPlatform) -> set[int]:
-    """The TCP ports of the platform's processes."""
+    """Return the TCP ports on which the platform's processes listen."""
     inodes = set()
     for pid in platform.processes():
         for descriptor in Path(f"/proc/{pid}/fd").glob("*"):

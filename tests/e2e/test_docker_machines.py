@@ -1,5 +1,7 @@
-"""Several machines with the engine `docker`, each with a Docker daemon and a network of its own: the uses of two of
-them, one cut off from the network, and one whose daemon is killed, under traffic."""
+"""Several machines with the engine `docker`, each with its own Docker daemon and network.
+
+Tests use two of them together, disconnect one from the network, and kill the daemon of one, all under traffic.
+"""
 
 from __future__ import annotations
 
@@ -12,28 +14,30 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
-from machines import Machines
-from namespaces import Network, network
-from real_platform import until
-from test_kills import Traffic, next_event
-from test_machines import NOTICED, gone_under_traffic, made, use_case_1
+
+from tests.support.e2e.machines import Machines
+from tests.support.e2e.namespaces import Network, network
+from tests.support.e2e.real_platform import until
+from tests.support.e2e.traffic import Traffic, next_event
+from tests.support.e2e.use_cases import FAILOVER_TIMEOUT, check_failover_under_traffic, platform_on, use_case_1
+from tests.support.paths import TESTS
 
 pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
 import docker
-from docker_daemon import copy_image, linked_images, private_daemon
 
 from provisioning.image import MAPPING
 from rce import __version__
 from rce.errors import StartFailed
-from rce.messages import EnvironmentEvent
+from rce.protocol.messages import EnvironmentEvent
+from tests.support.docker_daemon import copy_image, linked_images, private_daemon
 
-PACKAGES = Path(__file__).parent / "ros"
+PACKAGES = TESTS / "e2e" / "ros"
 HOSTS = ("a", "b")
 
 
 class Dockers:
-    """A Docker daemon on each machine, with the images of the usual one; until the stack is closed."""
+    """Docker daemons of all machines, with the images of the usual daemon; they end when the stack is closed."""
 
     def __init__(self, stack: ExitStack, wires: Network, directory: Path, images: Any) -> None:
         self._stack, self._wires, self._directory = stack, wires, directory
@@ -49,20 +53,20 @@ class Dockers:
         return docker.APIClient(self.hosts[name], version="auto", timeout=60)
 
     def start(self, name: str) -> None:
-        """Also after a kill."""
+        """Start the daemon of a machine, also after it was killed."""
         daemon = private_daemon(self._directory / name, self._wires.space(name), self._shim(name))
         self.hosts[name] = self._stack.enter_context(daemon)
 
     def kill(self, name: str) -> None:
-        """At once. Containers run on."""
+        """Kill the daemon of a machine; its containers keep running."""
         pid = int((self._directory / name / "pid").read_text())
         os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)
-        # Its containerd goes with it, which the next daemon would not believe where nobody collects the dead.
+        # Its containerd ends with it, but may remain as a zombie, which the next daemon would take for a running one.
         (self._directory / name / "exec" / "containerd" / "containerd.pid").unlink()
 
     def _shim(self, name: str) -> int:
-        """The process by which a container outlives the daemon; 0 without one."""
+        """Return a process by which a container survives the daemon; 0 if there is none."""
         shims = [pid for pid in self._wires.pids(name) if b"shim" in Path(f"/proc/{pid}/cmdline").read_bytes()]
         return shims[0] if shims else 0
 
@@ -77,7 +81,8 @@ async def site(images: Any, tmp_path_factory: pytest.TempPathFactory) -> AsyncIt
         own = stack.enter_context(TemporaryDirectory(prefix="rce-dockers-", ignore_cleanup_errors=True))
         dockers = Dockers(stack, wires, Path(own), images)
         arguments = ["--engine=docker", f"--package-path={PACKAGES}"]
-        async with made(wires, tmp_path_factory.mktemp("machines"), arguments, dockers=dockers.hosts) as machines:
+        directory = tmp_path_factory.mktemp("machines")
+        async with platform_on(wires, directory, arguments, dockers=dockers.hosts) as machines:
             yield machines, wires, dockers
         for name in HOSTS:
             assert dockers.api(name).containers(all=True) == []
@@ -88,27 +93,29 @@ async def test_use_case_1_in_containers(site: Site) -> None:
     await use_case_1(machines)
 
 
-async def test_a_machine_that_is_cut_off_under_traffic(site: Site) -> None:
+async def test_environment_moves_from_a_disconnected_machine(site: Site) -> None:
     machines, wires, _ = site
-    await gone_under_traffic(machines, wires, "cut", own_types=False)
+    await check_failover_under_traffic(machines, wires, "cut", own_types=False)
 
 
-async def test_a_docker_that_is_killed_under_traffic(site: Site) -> None:
-    """The environment works on. Who wants another on that machine hears why not. The next daemon ends the container, as
-    Docker does, and the environment gets a new life."""
+async def test_environment_survives_a_killed_docker_daemon(site: Site) -> None:
+    """The environment works on, and starting another one on that machine fails with the reason.
+
+    The next daemon ends the container, as Docker does, and the environment is restarted.
+    """
     machines, _, dockers = site
     async with machines.robot("one") as robot, robot.environment("lasting", special_features=["a"]) as lasting:
         traffic = Traffic(robot, lasting, own_types=False)
         await traffic.start()
         events = robot.events()
         dockers.kill("a")
-        await traffic.flows()
+        await traffic.wait_for_round_trip()
         with pytest.raises(StartFailed, match="Docker does not answer"):
             await robot.create_environment("refused", special_features=["a"])
-        await traffic.flows()
+        await traffic.wait_for_round_trip()
         dockers.start("a")
         assert (await next_event(events, EnvironmentEvent, "lost")).containerTag == "lasting"
         assert (await next_event(events, EnvironmentEvent, "ready")).containerTag == "lasting"
-        await traffic.flows(NOTICED)
+        await traffic.wait_for_round_trip(FAILOVER_TIMEOUT)
         await until(lambda: len(dockers.api("a").containers(all=True)) == 1, what="the old container is removed")
         await traffic.stop()

@@ -1,5 +1,5 @@
-# ruff: noqa: E402  (Docker is imported only where it is there)
-"""Users' packages in containers: pushed ones as read-only mounts, those that must be installed as an image."""
+# ruff: noqa: E402  (imports after importorskip)
+"""Users' packages in containers: pushed packages as read-only mounts, packages that need installation as an image."""
 
 from __future__ import annotations
 
@@ -10,15 +10,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from real_platform import USER, RealPlatform, containers, until
-from test_pushed_packages import TEST_PACKAGE, answer, echo, rce
+
+from tests.support.e2e.pushed_packages import answer, echo, rce
+from tests.support.e2e.real_platform import USER, RealPlatform, containers, until
+from tests.support.paths import TEST_PACKAGE, TESTS
 
 docker = pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
 from rce import __version__
 from rce.errors import LimitExceeded
 
-WORKSPACE = Path(__file__).with_name("workspace")
+WORKSPACE = TESTS / "e2e" / "workspace"
 pytestmark = pytest.mark.skipif(
     sys.version_info[:2] != (3, 11), reason="types are built for this Python, and the images have 3.11"
 )
@@ -35,7 +37,7 @@ async def contained_bare(
     assert containers(images, platform) == []
 
 
-async def test_pushed_and_seen_by_who_asks(contained_bare: RealPlatform, images: Any) -> None:
+async def test_pushed_package_is_mounted_where_requested(contained_bare: RealPlatform, images: Any) -> None:
     await rce("package", "push", str(TEST_PACKAGE), "--url", contained_bare.url)
     cache = contained_bare.directory / "data/container/packages"
     async with contained_bare.robot("r1") as robot:
@@ -61,7 +63,7 @@ def _mounts(api: Any, platform: RealPlatform, cache: Path) -> list[dict[str, Any
     return [mount for mount in mounts if mount["Source"].startswith(str(cache))]
 
 
-async def test_an_image_of_a_users_own(contained_bare: RealPlatform, images: Any) -> None:
+async def test_image_of_a_user_has_its_packages(contained_bare: RealPlatform, images: Any) -> None:
     master = str(contained_bare.directory / "data/master")
     async with contained_bare.robot("r1") as robot:
         with pytest.raises(LimitExceeded, match="image"):
@@ -70,11 +72,11 @@ async def test_an_image_of_a_users_own(contained_bare: RealPlatform, images: Any
         assert name == f"users/{USER.lower()}/workspace"
         async with asyncio.timeout(30):
             while not await _created(robot, name):  # noqa: ASYNC110
-                await asyncio.sleep(0.5)  # the Master sees what another process has changed within seconds
+                await asyncio.sleep(0.5)  # the Master notices changes by another process within seconds
         async with robot.environment("brain", image=name) as brain:
             await brain.add_node("greeter", "greeter", "greet")
-            said = await answer(brain, "/greet", "greeter_msgs/Greet", {"name": "robot"})
-            assert said == {"text": "hello robot"}
+            greeting = await answer(brain, "/greet", "greeter_msgs/Greet", {"name": "robot"})
+            assert greeting == {"text": "hello robot"}
     images.remove_image(f"{name}:{__version__}", force=True)
 
 

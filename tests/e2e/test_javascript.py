@@ -1,20 +1,20 @@
-"""The JavaScript client at a real platform, in Node."""
+"""The JavaScript client at a real platform, in Node and in a page."""
 
 from __future__ import annotations
 
 import asyncio
-from pathlib import Path
 
-from chromium import chromium, opened
-from node import node_command
-from real_platform import RealPlatform
+from tests.support.e2e.chromium import chromium, open_page
+from tests.support.e2e.node import node_command
+from tests.support.e2e.real_platform import RealPlatform
+from tests.support.paths import TESTS
 
-TRIAL = Path(__file__).parent.parent / "js" / "node_trial.mjs"
+RUNNER = TESTS / "js" / "run_in_node.mjs"
 
 
-async def test_the_client_in_node(platform: RealPlatform) -> None:
+async def test_client_in_node(platform: RealPlatform) -> None:
     process = await asyncio.create_subprocess_exec(
-        *node_command(), str(TRIAL), platform.url, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
+        *node_command(), str(RUNNER), platform.url, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
     )
     try:
         out, err = await asyncio.wait_for(process.communicate(), 120)
@@ -22,18 +22,20 @@ async def test_the_client_in_node(platform: RealPlatform) -> None:
         if process.returncode is None:
             process.kill()
     assert process.returncode == 0, err.decode()
-    assert "an environment is created, used and destroyed" in out.decode()
+    assert "environment is created, used and destroyed" in out.decode()
 
 
-async def test_the_client_in_a_page(platform: RealPlatform) -> None:
-    trial = TRIAL.with_name("trial.js").read_text()
+async def test_client_in_a_page(platform: RealPlatform) -> None:
+    contract = RUNNER.with_name("client_contract.js").read_text()
     options = {"url": platform.url, "user": "testUser", "password": "testUser", "tag": "page"}
-    async with chromium() as browser, opened(browser) as (page, _):
-        await page.route("**/ui/trial.js", lambda route: route.fulfill(content_type="text/javascript", body=trial))
-        await page.goto(f"{platform.url}ui/rce/rce.d.ts")  # any page of the origin
+    async with chromium() as browser, open_page(browser) as (page, _):
+        await page.route(
+            "**/ui/client_contract.js", lambda route: route.fulfill(content_type="text/javascript", body=contract)
+        )
+        await page.goto(f"{platform.url}ui/rce/rce.d.ts")  # any page of the same origin
         run = """async (options) => {
             const rce = await import(`${options.url}ui/rce/rce.js`);
-            return (await import(`${options.url}ui/trial.js`)).run(rce, options);
+            return (await import(`${options.url}ui/client_contract.js`)).run(rce, options);
         }"""
         async with asyncio.timeout(120):
-            assert "an environment is created, used and destroyed" in await page.evaluate(run, options)
+            assert "environment is created, used and destroyed" in await page.evaluate(run, options)

@@ -1,6 +1,6 @@
-"""Many environments at once, and a task set that is killed while it has them: all come up, work on, and go.
+"""Many environments at the same time, and a task set that is killed while they start, run or stop.
 
-Under `docker` they run on an island (tests/island.py), each with a disk, and in one network group.
+Under `docker` they run in a network namespace (tests/support/island.py), each with a disk, in one network group.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from real_platform import USER, RealPlatform, containers, until
 
 from rce.client import Environment
 from rce.errors import NotFound, RceError, TimedOut
+from tests.support.e2e.real_platform import USER, RealPlatform, containers, until
 
 MB = 1024 * 1024
 STRING = "std_msgs/String"
@@ -25,7 +25,7 @@ TASK_SET = r"-m containers( |$)"
 
 
 class Site:
-    """A platform with one engine, and what its environments leave."""
+    """A platform with one engine, and queries of what environments leave behind."""
 
     def __init__(self, engine: str, platform: RealPlatform, api: Any) -> None:
         self.engine = engine
@@ -34,14 +34,14 @@ class Site:
         self._api = api
 
     def lives(self) -> dict[str, Any]:
-        """What runs, by the environment's name: a container, or a process."""
+        """Return the container or process of each running environment, by name."""
         if self.engine == "docker":
             return {each["Labels"]["rce.environment"]: each["Id"] for each in containers(self._api, self.platform)}
         tags = [path.name for path in self._environments.glob(f"{USER}/*")]
         return {f"{USER}/{tag}": pid for tag in tags if (pid := self.platform.environment_pid(tag))}
 
     def left(self) -> list[str]:
-        """All that there is of environments: containers, networks, processes, directories, sockets, disks."""
+        """Return all that exists of environments: containers, networks, processes, directories, sockets, disks."""
         container = self.platform.directory / "data" / "container"
         places = [*self._environments.glob("*"), *container.glob("sockets/*")]
         found = [*self.lives(), *(str(path) for path in places)]
@@ -51,7 +51,7 @@ class Site:
         return found + [disk for disk in disks if disk.startswith(str(container))]
 
     def networks(self) -> list[str]:
-        """Those of groups, and the rules of the packet filter for them."""
+        """Return networks of groups, and rules of the packet filter for them."""
         if self.engine != "docker":
             return []
         label = f"rce.directory={self.platform.directory / 'data' / 'container'}"
@@ -60,7 +60,7 @@ class Site:
         return named + [rule for rule in rules if "--comment rce-" in rule]
 
     async def kill_task_set(self) -> None:
-        """And wait for the next."""
+        """Kill the task set and wait for the next one."""
         killed = self.platform.pid(TASK_SET)
         self.platform.kill(killed)
         await until(lambda: self.platform.pid(TASK_SET, but=killed), what="a new task set")
@@ -85,8 +85,8 @@ async def site(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPath
         yield Site(request.param, await stack.enter_async_context(platform), api)
 
 
-async def test_many_environments_at_once(site: Site) -> None:
-    """Asked for by five robots: all are up when they are acknowledged, and nothing is left when they are gone."""
+async def test_many_environments_at_the_same_time(site: Site) -> None:
+    """Five robots create 20 environments. All run when they are acknowledged, and nothing is left afterwards."""
     async with AsyncExitStack() as stack:
         robots = [await stack.enter_async_context(site.platform.robot(f"r{number}", 120)) for number in range(ROBOTS)]
         tags = [(robots[number % ROBOTS], f"many{number}") for number in range(MANY)]
@@ -96,62 +96,62 @@ async def test_many_environments_at_once(site: Site) -> None:
     assert site.left() == []
 
 
-async def test_environments_work_on_without_their_task_set_and_are_adopted(site: Site) -> None:
+async def test_environments_of_a_killed_task_set_are_adopted(site: Site) -> None:
     async with site.platform.robot("keeper", 60) as robot, AsyncExitStack() as stack:
         made = [stack.enter_async_context(robot.environment(f"kept{number}", **site.options)) for number in range(5)]
         environments = await asyncio.gather(*made)
-        talks = [await Talk.with_node(environment) for environment in environments]
+        round_trips = [await RoundTrip.with_node(environment) for environment in environments]
         before = site.lives()
         assert len(before) == 5
         killed = site.platform.pid(TASK_SET)
         site.platform.kill(killed)
-        await asyncio.gather(*(talk.check() for talk in talks))
+        await asyncio.gather(*(round_trip.check() for round_trip in round_trips))
         await until(lambda: site.platform.pid(TASK_SET, but=killed), what="a new task set")
-        await robot.create_environment("fresh")  # it is at work again
+        await robot.create_environment("fresh")  # it works again
         await robot.destroy_environment("fresh")
         assert site.lives() == before
-        await asyncio.gather(*(talk.check() for talk in talks))
+        await asyncio.gather(*(round_trip.check() for round_trip in round_trips))
     assert site.left() == []
 
 
-class Talk:
-    """From the robot to a node and back."""
+class RoundTrip:
+    """Messages from a robot to a node and back."""
 
-    def __init__(self, name: str, say: Any, heard: Any) -> None:
-        self._name, self._say, self._heard = name, say, heard
+    def __init__(self, name: str, publisher: Any, subscriber: Any) -> None:
+        self._name, self._publisher, self._subscriber = name, publisher, subscriber
         self._checks = 0
 
     @staticmethod
-    async def with_node(environment: Environment) -> Talk:
+    async def with_node(environment: Environment) -> RoundTrip:
         await environment.add_node("echo", "rce_demo", "echo.py")
-        heard = await environment.subscriber("/heard", STRING)
-        return Talk(environment.tag, await environment.publisher("/say", STRING), heard)
+        subscriber = await environment.subscriber("/heard", STRING)
+        return RoundTrip(environment.tag, await environment.publisher("/say", STRING), subscriber)
 
     async def check(self) -> None:
-        """The node hears what is said once it and the endpoint have found each other."""
+        """Send a message until it comes back: messages are lost until DDS discovery has finished."""
         self._checks += 1
-        wanted = {"data": f"check {self._checks} of {self._name}"}
+        message = {"data": f"check {self._checks} of {self._name}"}
         async with asyncio.timeout(30):
             while True:
-                await self._say.publish(wanted)
+                await self._publisher.publish(message)
                 with suppress(TimedOut):
-                    while await self._heard.get(1) != wanted:
+                    while await self._subscriber.get(1) != message:
                         pass
                     return
 
 
-@pytest.mark.parametrize("moment", ["at once", "when something is there", "when it runs"])
-async def test_a_task_set_killed_during_a_start_leaves_nothing(site: Site, moment: str) -> None:
+@pytest.mark.parametrize("moment", ["at once", "when something exists", "when it runs"])
+async def test_task_set_killed_during_a_start_leaves_nothing(site: Site, moment: str) -> None:
     reached: dict[str, Callable[[], object]] = {
         "at once": lambda: True,
-        "when something is there": site.networks if site.engine == "docker" else site.left,
+        "when something exists": site.networks if site.engine == "docker" else site.left,
         "when it runs": site.lives,
     }
     async with site.platform.robot("starter", 60) as robot:
         start = asyncio.create_task(robot.create_environment("begun", **site.options))
         await until(reached[moment], what=moment)
         await site.kill_task_set()
-        with suppress(RceError):  # that it was lost with its task set may be said
+        with suppress(RceError):  # it may be reported as lost with its task set
             await start
         with suppress(NotFound):
             await robot.destroy_environment("begun")
@@ -161,14 +161,13 @@ async def test_a_task_set_killed_during_a_start_leaves_nothing(site: Site, momen
     assert site.left() == []
 
 
-@pytest.mark.parametrize("moment", ["at once", "when one is gone"])
-async def test_a_task_set_killed_during_a_stop_leaves_nothing(site: Site, moment: str) -> None:
+@pytest.mark.parametrize("moment", ["at once", "when one is removed"])
+async def test_task_set_killed_during_a_stop_leaves_nothing(site: Site, moment: str) -> None:
     async with site.platform.robot("stopper", 60) as robot:
         tags = ["ending0", "ending1", "ending2"]
         await asyncio.gather(*(robot.create_environment(tag, **site.options) for tag in tags))
         stops = [asyncio.create_task(robot.destroy_environment(tag)) for tag in tags]
-        await asyncio.sleep(0.05)  # the calls are on their way; any moment will do
-        if moment == "when one is gone":
+        if moment == "when one is removed":
             await until(lambda: len(site.lives()) < len(tags), what=moment)
         await site.kill_task_set()
         await asyncio.gather(*stops, return_exceptions=True)

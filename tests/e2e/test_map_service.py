@@ -1,54 +1,43 @@
-"""The map service in a real platform: by the command line, in SOAP, and through the death of what it needs."""
+"""The map service in a real platform: command line, SOAP, and restarts of Master and service."""
 
 from __future__ import annotations
 
 import asyncio
-import gzip
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import zeep
-from real_platform import RCE, USER, RealPlatform, until
 from requests import Session
 from zeep.transports import Transport
 from zeep.wsse.username import UsernameToken
 
-from rce.client.map_service import MapService
-from rce.map_jobs import Job
+from rce.api.map_jobs import Job
+from rce.client.map_service import MapServiceClient
+from tests.support.e2e.real_platform import RCE, USER, RealPlatform, until
+from tests.support.e2e.recordings import LOG, piece
+from tests.support.paths import DATA
 
-DATA = Path(os.environ.get("RCE_DATA", Path(__file__).parents[3] / "shared" / "data"))
-LOG = DATA / "mit-csail.clf.gz"
 RESULTS = ["log.txt", "map.pgm", "map.png", "map.yaml", "times.json", "trajectory.txt"]
-LONGEST = 120.0  # seconds
+TIMEOUT = 120.0  # seconds
 SERVICE = r"-m rce\.mapservice "
 MASTER = r"-m master "
 
 pytestmark = pytest.mark.skipif(not LOG.exists(), reason=f"needs {LOG.name} in {DATA}, or RCE_DATA")
 
 
-def piece(path: Path, scans: int) -> Path:
-    """The first scans of MIT CSAIL."""
-    with gzip.open(LOG) as log:
-        path.write_bytes(b"".join(line for line in log if line.startswith(b"FLASER"))[: scans * 2000])
-    lines = path.read_bytes().splitlines(keepends=True)[:-1]
-    path.write_bytes(b"".join(lines[:scans]))
-    return path
-
-
 async def rce(*words: str | Path) -> tuple[int, str, str]:
     process = await asyncio.create_subprocess_exec(
         RCE, *map(str, words), stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
     )
-    output, errors = await asyncio.wait_for(process.communicate(), LONGEST)
+    output, errors = await asyncio.wait_for(process.communicate(), TIMEOUT)
     return process.returncode or 0, output.decode(), errors.decode()
 
 
-def maps(platform: RealPlatform) -> MapService:
-    return MapService(platform.url, user=USER, password=USER)
+def maps(platform: RealPlatform) -> MapServiceClient:
+    return MapServiceClient(platform.url, user=USER, password=USER)
 
 
 @pytest.fixture
@@ -58,8 +47,8 @@ async def wsdl(platform: RealPlatform) -> str:
     return f"{service._base}/map-service/soap?wsdl"
 
 
-async def test_in_soap_and_by_the_command_line(platform: RealPlatform, wsdl: str, tmp_path: Path) -> None:
-    """zeep submits a small recording, `rce map fetch` waits for its map, zeep fetches it too."""
+async def test_soap_and_command_line(platform: RealPlatform, wsdl: str, tmp_path: Path) -> None:
+    """Submit a recording by SOAP, fetch its map by `rce map fetch` and by SOAP."""
     recording = piece(tmp_path / "piece.log", 100)
     with Session() as session:
 
@@ -99,25 +88,25 @@ async def test_in_soap_and_by_the_command_line(platform: RealPlatform, wsdl: str
         ("two-lidars.bag", "has no topic /nothing"),
     ],
 )
-async def test_bad_recordings_are_no_jobs(platform: RealPlatform, bag: str, reason: str) -> None:
+async def test_malformed_recordings_are_refused(platform: RealPlatform, bag: str, reason: str) -> None:
     words = ["--scan-topic", "/nothing"] if bag == "two-lidars.bag" else []
     status, _, errors = await rce("map", "submit", DATA / "bags" / bag, "--url", platform.url, *words)
     assert status == 1
     assert reason in errors.splitlines()[-1]
 
 
-async def test_a_job_survives_the_master_and_the_service(fragile: RealPlatform, tmp_path: Path) -> None:
+async def test_job_survives_restarts_of_master_and_service(fragile: RealPlatform, tmp_path: Path) -> None:
     service = maps(fragile)
     upload = await asyncio.to_thread(service.upload, piece(tmp_path / "piece.log", 1000))
     job = await asyncio.to_thread(service.submit, [upload.id])
 
     async def mapping() -> Job:
-        """The job when a part of it is mapped, or when it is over."""
+        """Return the job when a part of it is mapped, or when it has ended."""
 
         def watch() -> Job:
             return next(seen for seen in service.watch(job.id) if seen.scans > 20 or seen.ended)
 
-        return await asyncio.wait_for(asyncio.to_thread(watch), LONGEST)
+        return await asyncio.wait_for(asyncio.to_thread(watch), TIMEOUT)
 
     assert (await mapping()).state == "running"
     old = fragile.pid(MASTER)
@@ -125,21 +114,21 @@ async def test_a_job_survives_the_master_and_the_service(fragile: RealPlatform, 
     await until(lambda: fragile.pid(MASTER, but=old), 30.0)
     seen = await mapping()
     assert seen.error is None
-    assert seen.state == "running", "the job was over too soon for this test"
+    assert seen.state == "running", "the job ended too soon for this test"
     old = fragile.pid(SERVICE)
     fragile.kill(old)
     await until(lambda: fragile.pid(SERVICE, but=old), 30.0)
-    last = await asyncio.wait_for(asyncio.to_thread(lambda: [*service.watch(job.id)][-1]), LONGEST)
+    last = await asyncio.wait_for(asyncio.to_thread(lambda: [*service.watch(job.id)][-1]), TIMEOUT)
     assert last.state == "done", last
     assert last.scans == 1000
     await asyncio.to_thread(service.fetch, job.id, "trajectory.txt", tmp_path / "trajectory.txt")
     assert np.loadtxt(tmp_path / "trajectory.txt").shape == (1000, 4)
     environments = fragile.directory / "data" / "container" / "environments"
-    await until(lambda: not list(environments.iterdir()), 30.0, "the environment of the first attempt is left")
+    await until(lambda: not list(environments.iterdir()), 30.0, "the environment of the first attempt is removed")
 
 
-async def test_the_bench_of_a_large_recording() -> None:
-    """200 MB instead of 4 GB: memory is bounded, and another user's job is done meanwhile."""
+async def test_benchmark_of_a_large_recording() -> None:
+    """With 200 MB instead of 4 GB: memory is bounded, and another user's job is done meanwhile."""
     status, output, errors = await rce("bench", "map-service", "--size", "200", "--json")
     assert status == 0, errors
     found = json.loads(output)

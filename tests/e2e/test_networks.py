@@ -1,7 +1,8 @@
-"""Network groups and what environments reach, with real containers and hostile programs in them.
+"""Network groups and egress policies, with real containers and hostile programs in them.
 
-The machine is an island (tests/island.py): its Docker uses the packet filter, and around it are a host of the internet,
-one of a private network and a cloud's metadata. Each attempt that fails from one environment succeeds from another.
+The machine is an island (tests/support/island.py): its Docker uses the packet filter, and connected to it are a host of
+the internet, one of a private network and a cloud's metadata service. Each attempt that must fail from one environment
+succeeds from another.
 """
 
 from __future__ import annotations
@@ -15,24 +16,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from real_platform import RCE, RealPlatform
+
+from tests.support.e2e.real_platform import RCE, RealPlatform
+from tests.support.paths import ROS_PACKAGES
 
 pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
-
-import reach
-from island import IN_INTERNET, IN_PRIVATE, METADATA, MPI_IMAGE, OWN
 
 from rce.bench import pairs
 from rce.bench.nodes import Place
 from rce.client import Robot
-from rce.messages import EnvironmentEvent
+from rce.protocol.messages import EnvironmentEvent
+from tests.support.e2e import reach
+from tests.support.island import IN_INTERNET, IN_PRIVATE, METADATA, MPI_IMAGE, OWN
 
 if TYPE_CHECKING:
-    from island import Island
+    from tests.support.island import Island
 
 REACH = Path(reach.__file__).read_text()
 STRING = "std_msgs/String"
-PACKAGES = Path(__file__).parents[1] / "ros"
+PACKAGES = ROS_PACKAGES
 Target = tuple[str, str, int]  # kind, address, port
 LISTEN = """
 import json, time, rclpy
@@ -55,7 +57,7 @@ EVERYWHERE = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
 
 
 class Inside:
-    """An environment seen from Docker."""
+    """Container of an environment, accessed through Docker."""
 
     def __init__(self, api: Any, container: dict[str, Any]) -> None:
         self._api = api
@@ -65,13 +67,13 @@ class Inside:
         self.addresses = {name.split("-")[1]: each["IPAddress"] for name, each in networks.items() if "-" in name}
 
     async def run(self, program: str, *words: str, **environment: str) -> str:
-        """What a program prints."""
+        """Run a program in the container; return its output."""
         call = self._api.exec_create(self.id, ["python3", "-c", program, *words], environment=environment)
         output: bytes = await asyncio.to_thread(self._api.exec_start, call["Id"])
         return output.decode()
 
     def begin(self, program: str, *words: str, **environment: str) -> None:
-        """It runs until the container ends."""
+        """Start a program that runs until the container ends."""
         call = self._api.exec_create(self.id, ["python3", "-c", program, *words], environment=environment)
         self._api.exec_start(call["Id"], detach=True)
 
@@ -82,14 +84,14 @@ class Inside:
                 await asyncio.sleep(0.1)
 
     async def reached(self, *addresses: str, also: Sequence[Target] = ()) -> set[Target]:
-        """Who answered: at these addresses by TCP and UDP, and of those further targets."""
+        """Return the targets that answered: these addresses by TCP and UDP, and further targets."""
         targets = [*both(*addresses), *also]
         return set(map(tuple, json.loads(await self.run(REACH, "try", json.dumps(targets)))))
 
 
 @pytest.fixture(scope="module")
 async def inside(island: Island) -> AsyncIterator[Any]:
-    """Docker's API on the island, where this thread is from now on."""
+    """Docker's API on the island; this thread is moved to the island's network."""
     import docker
 
     api = docker.APIClient(base_url=island.host, version="auto", timeout=600)
@@ -100,7 +102,7 @@ async def inside(island: Island) -> AsyncIterator[Any]:
 
 @pytest.fixture(scope="module")
 async def platform(inside: Any, tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[RealPlatform]:
-    """Its users are named for what their environments reach; `wide` reaches all."""
+    """Platform on the island; users `net` and `wide` may reach the internet and everything, the others nothing."""
     directory = tmp_path_factory.mktemp("networked")
     (directory / "data" / "master").mkdir(parents=True)
     for user, egress in (("ann", "none"), ("bob", "none"), ("net", "internet"), ("wide", "all")):
@@ -114,7 +116,7 @@ async def platform(inside: Any, tmp_path_factory: pytest.TempPathFactory) -> Asy
     label = f"rce.directory={directory / 'data' / 'container'}"
     assert not inside.containers(all=True, filters={"label": label})
     assert not inside.networks(filters={"label": label})
-    assert "--comment rce-" not in said("iptables", "-S")
+    assert "--comment rce-" not in output("iptables", "-S")
 
 
 def rce_user(directory: Path, *words: str, given: str = "") -> None:
@@ -126,8 +128,8 @@ def password(user: str) -> str:
     return f"{user} and its robots"
 
 
-def said(*command: str) -> str:
-    """In this thread, which is on the island."""
+def output(*command: str) -> str:
+    """Run a command in this thread, which is on the island; return its output."""
     return subprocess.check_output(command, text=True)
 
 
@@ -141,8 +143,8 @@ def seen(api: Any, platform: RealPlatform) -> dict[str, Inside]:
     return {each.tag: each for each in found}
 
 
-async def test_a_group_is_one_ros_graph(platform: RealPlatform) -> None:
-    """Topics of 10 B and of 1 MB, and services, between nodes of two environments without any connection."""
+async def test_group_is_one_ros_graph(platform: RealPlatform) -> None:
+    """Nodes of two environments share topics (10 B and 1 MB) and services without connections of the platform."""
     async with (
         robot(platform, "ann", "r1") as ann,
         ann.environment("bench", restart="no") as environment,
@@ -153,7 +155,7 @@ async def test_a_group_is_one_ros_graph(platform: RealPlatform) -> None:
                 assert await probe.sample(size) > 0
 
 
-async def test_members_know_each_other_and_later_ones_too(platform: RealPlatform, inside: Any) -> None:
+async def test_members_resolve_each_other_and_later_members(platform: RealPlatform, inside: Any) -> None:
     async with robot(platform, "ann", "r2") as ann:
         events = aiter(ann.events())
         first_one = ann.environment("First", group="g", group_ip="192.168.1.77")
@@ -164,7 +166,7 @@ async def test_members_know_each_other_and_later_ones_too(platform: RealPlatform
             name = "import socket, sys; print(socket.gethostbyname(sys.argv[1]))"
             assert (await first.run(name, "second")).strip() == containers["ann/second"].addresses["group"]
             assert (await containers["ann/second"].run(name, "First")).strip() == first.addresses["group"]
-            # A robot hears, by an interface of one environment, a node of the other, which is a second one's echo.
+            # A node in the first environment echoes what the robot publishes and receives through the second.
             await first_one.add_node("echo", "rce_demo", "echo.py")
             heard = await second.subscriber("/heard", STRING)
             say = await second.publisher("/say", STRING)
@@ -176,9 +178,9 @@ async def test_members_know_each_other_and_later_ones_too(platform: RealPlatform
         assert ready == EnvironmentEvent("First", "ready", address=first.addresses["group"])
 
 
-async def test_open_mpi_over_a_group_of_three(platform: RealPlatform, inside: Any) -> None:
+async def test_open_mpi_runs_over_a_group_of_three(platform: RealPlatform, inside: Any) -> None:
     if not inside.images(MPI_IMAGE):
-        pytest.skip(f"the Docker that is kept has no {MPI_IMAGE}, which is made from tests/ros/Mpi/image/Dockerfile")
+        pytest.skip(f"the kept daemon has no {MPI_IMAGE}, which is built from tests/ros/Mpi/image/Dockerfile")
     async with robot(platform, "ann", "r3") as ann, AsyncExitStack() as stack:
         made = [
             stack.enter_async_context(ann.environment(tag, group="mpi", image=MPI_IMAGE)) for tag in ("m1", "m2", "m3")
@@ -186,14 +188,14 @@ async def test_open_mpi_over_a_group_of_three(platform: RealPlatform, inside: An
         first, *others = await asyncio.gather(*made)
         for each in others:
             await each.add_node("member", "Mpi", "member.py")
-        said = await first.subscriber("/mpi", STRING)
+        result = await first.subscriber("/mpi", STRING)
         await first.add_node("launch", "Mpi", "launch.py", args="m1 m2 m3")
         async with asyncio.timeout(60):
-            assert await anext(aiter(said)) == {"data": "sum 6 of 3 ranks on m1 m2 m3"}
+            assert await anext(aiter(result)) == {"data": "sum 6 of 3 ranks on m1 m2 m3"}
 
 
-async def test_what_hostile_nodes_reach(platform: RealPlatform, inside: Any, island: Island) -> None:
-    everybody = {
+async def test_hostile_nodes_reach_only_what_is_allowed(platform: RealPlatform, inside: Any, island: Island) -> None:
+    users = {
         "ann": {"a1": "fleet", "a2": "fleet", "b1": "other"},
         "bob": {"victim": "fleet"},
         "net": {"n1": "fleet", "n2": ""},
@@ -208,7 +210,7 @@ async def test_what_hostile_nodes_reach(platform: RealPlatform, inside: Any, isl
             stack.callback(server.kill)
         made = [
             stack.enter_async_context(its.environment(tag, group=group, restart="no"))
-            for user, environments in everybody.items()
+            for user, environments in users.items()
             for its in [await stack.enter_async_context(robot(platform, user, "hostile"))]
             for tag, group in environments.items()
         ]
@@ -234,7 +236,7 @@ def addresses(*environments: Inside) -> list[str]:
 
 
 async def check_groups(here: dict[str, Inside]) -> None:
-    """TCP, UDP and multicast: to members of the group, and to nobody else, of one's own user or another."""
+    """TCP, UDP and multicast reach members of the group and no other environment, of the same user or another."""
     own, member = here["ann/a1"].addresses["group"], here["ann/a2"].addresses["group"]
     others = [address for address in addresses(*here.values()) if address != own]
     to_all = ("multicast", reach.GROUP, reach.MULTICAST)
@@ -243,9 +245,9 @@ async def check_groups(here: dict[str, Inside]) -> None:
 
 
 async def check_machine(here: dict[str, Inside], platform: RealPlatform) -> None:
-    """The host at every address, and the Master's and the Robot endpoint's ports."""
-    shown = json.loads(said("ip", "-4", "-j", "address"))
-    every = [each["local"] for device in shown for each in device["addr_info"] if device["ifname"] != "lo"]
+    """The host is not reachable at any address, nor are the ports of the Master and the Robot endpoint."""
+    devices = json.loads(output("ip", "-4", "-j", "address"))
+    every = [each["local"] for device in devices for each in device["addr_info"] if device["ifname"] != "lo"]
     assert set(OWN) < set(every)
     entry = int(platform.url.rstrip("/").rpartition(":")[2])
     entries: list[Target] = [("tcp", address, entry) for address in every]
@@ -256,12 +258,12 @@ async def check_machine(here: dict[str, Inside], platform: RealPlatform) -> None
 
 
 async def check_egress(here: dict[str, Inside]) -> None:
-    """From a group alone nothing, else what the user's policy allows, and never another environment's network."""
-    around = (IN_INTERNET, IN_PRIVATE, METADATA)
-    who = ("ann/a1", "net/n1", "net/n2", "wide/w1")
-    found = await asyncio.gather(*(here[each].reached(*around) for each in who))
+    """A group alone reaches nothing outside; egress follows the user's policy, and never reaches other environments."""
+    outside = (IN_INTERNET, IN_PRIVATE, METADATA)
+    sources = ("ann/a1", "net/n1", "net/n2", "wide/w1")
+    found = await asyncio.gather(*(here[each].reached(*outside) for each in sources))
     internet = set(both(IN_INTERNET))
-    assert list(found) == [set(), internet, internet, set(both(*around))]
+    assert list(found) == [set(), internet, internet, set(both(*outside))]
     assert set(here["net/n1"].addresses) == {"group", "egress"}
     net, other, wide, victim = (here[each] for each in ("net/n1", "net/n2", "wide/w1", "bob/victim"))
     assert await net.reached(*addresses(other, wide, victim)) == set()
@@ -269,7 +271,7 @@ async def check_egress(here: dict[str, Inside]) -> None:
 
 
 async def check_discovery(here: dict[str, Inside]) -> None:
-    """A node that asks all others by their addresses finds those of its group."""
+    """A node that is configured with the addresses of all others discovers only those of its group."""
     profile = EVERYWHERE | {"ROS_STATIC_PEERS": ";".join(addresses(*here.values()))}
     found = await asyncio.gather(*(here[each].run(LISTEN, **profile) for each in ("ann/a1", "wide/w1")))
     topics = [json.loads(each.splitlines()[-1]) for each in found]
@@ -277,9 +279,9 @@ async def check_discovery(here: dict[str, Inside]) -> None:
 
 
 async def check_data_ports(attacker: Inside) -> None:
-    """The sockets of its user's other environments say nothing to a key that was not given."""
+    """The sockets of its user's other environments do not answer to an unknown key."""
     directory = "import os; print(os.path.dirname(os.environ['RCE_SOCKET']))"
     sockets = (await attacker.run(directory)).strip()
-    said = json.loads(await attacker.run(REACH, "knock", sockets))
-    assert len(said) >= 3
-    assert set(said) == {""}
+    answers = json.loads(await attacker.run(REACH, "knock", sockets))
+    assert len(answers) >= 3
+    assert set(answers) == {""}

@@ -1,4 +1,4 @@
-"""A real platform observed: metrics of all processes, one message hop by hop, one id in all logs."""
+"""Observability of a real platform: metrics of all processes, traces of messages, ids of requests in logs."""
 
 from __future__ import annotations
 
@@ -6,31 +6,32 @@ import asyncio
 import json
 import re
 import shutil
-import socket
 from collections.abc import AsyncIterator
 from pathlib import Path
 from urllib.parse import urlencode
 
+import psutil
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
-from real_platform import RealPlatform
 
-from rce import views
-from rce.api import Api
+from rce.api import views
+from rce.api.client import ApiClient
+from rce.api.http import EntryClient, basic
+from rce.api.roles import Scopes
+from rce.cli.commands.tracing import paths
 from rce.client import Robot
-from rce.console.tracing import paths
 from rce.errors import Unavailable
-from rce.http import Entry, basic
-from rce.roles import Scopes
+from tests.support.e2e.real_platform import RealPlatform
+from tests.support.paths import ROOT
 
-DASHBOARD = Path(__file__).parents[2] / "docs" / "grafana" / "rce.json"
+DASHBOARD = ROOT / "docs" / "grafana" / "rce.json"
 DOCUMENT, CONFIGURATION = DASHBOARD.parents[1] / "observability.md", DASHBOARD.with_name("prometheus.yml")
 TYPE = "std_msgs/String"
 
 
 @pytest.fixture
 async def robot(platform: RealPlatform) -> AsyncIterator[Robot]:
-    """With a node in an environment of its own that sends back what it gets."""
+    """A robot with an environment and a node in it that sends back what it receives."""
     async with platform.robot("observer") as robot:
         await robot.create_environment("observed")
         await robot.add_node("observed", "relay", "Relay", "relay.py", args=TYPE)
@@ -40,12 +41,12 @@ async def robot(platform: RealPlatform) -> AsyncIterator[Robot]:
         await robot.destroy_environment("observed")
 
 
-async def test_what_happens_can_be_seen(platform: RealPlatform, robot: Robot) -> None:
+async def test_messages_metrics_and_requests_can_be_traced(platform: RealPlatform, robot: Robot) -> None:
     publisher = await robot.publisher("say", TYPE, to="observed/into")
     subscriber = await robot.subscriber("hear", TYPE, to="observed/out")
 
     def follow() -> list[views.MessageTrace]:
-        api = Api(platform.url, user="testUser", password="testUser")
+        api = ApiClient(platform.url, user="testUser", password="testUser")
         return api.get(views.Traced, "interfaces", "observer", "say", "trace", messages=1, seconds=30).messages
 
     heard = asyncio.ensure_future(anext(aiter(subscriber)))
@@ -70,19 +71,19 @@ async def test_what_happens_can_be_seen(platform: RealPlatform, robot: Robot) ->
     log = platform.directory / "data" / "container" / "environments" / "testUser" / "observed"
     (inside,) = [file.read_text() for file in log.glob("*/endpoint.log")]
     assert "endpoints.robot.session" in {line["from"] for line in lines if line.get("request") == id}
-    assert "testUser/observed is started" in {line["message"] for line in lines if line.get("request") == id}
+    assert "started testUser/observed" in {line["message"] for line in lines if line.get("request") == id}
     node = next(line for line in lines if line["message"] == "robot testUser/observer: AddNode")["request"]
     assert f'"request":"{node}"' in inside
 
 
-async def test_prometheus_reads_it(platform: RealPlatform, robot: Robot, tmp_path: Path) -> None:
-    """With the configuration that the documentation has."""
+async def test_prometheus_scrapes_all_processes(platform: RealPlatform, robot: Robot, tmp_path: Path) -> None:
+    """With the configuration in the documentation."""
     program = shutil.which("prometheus")
     if program is None:
         pytest.skip("no Prometheus: apt-get install prometheus")
-    admin = Api(platform.url, user="admin", password="admin")
+    admin = ApiClient(platform.url, user="admin", password="admin")
     body = views.NewKey("operator", "prometheus", scopes=Scopes(metrics=True))
-    key = (await asyncio.to_thread(admin.post, views.MadeKey, "keys", body=body)).secret
+    key = (await asyncio.to_thread(admin.post, views.CreatedKey, "keys", body=body)).secret
     (tmp_path / "rce.key").write_text(key)
     text = CONFIGURATION.read_text()
     for old, new in {
@@ -94,20 +95,18 @@ async def test_prometheus_reads_it(platform: RealPlatform, robot: Robot, tmp_pat
         assert old in text
         text = text.replace(old, new)
     (tmp_path / "prometheus.yml").write_text(text)
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        address = f"127.0.0.1:{free.getsockname()[1]}"
-    words = ["--config.file=prometheus.yml", "--storage.tsdb.path=data", f"--web.listen-address={address}"]
+    words = ["--config.file=prometheus.yml", "--storage.tsdb.path=data", "--web.listen-address=127.0.0.1:0"]
     with (tmp_path / "log").open("wb") as log:
         process = await asyncio.create_subprocess_exec(program, *words, cwd=tmp_path, stderr=log)
     up: dict[str, str] = {}
     try:
         async with asyncio.timeout(60):
+            address = await _listening_address(process)
             while len(up) < 5 or "0" in up.values():
-                await asyncio.sleep(0.5)
-                assert process.returncode is None
-                up = await asyncio.to_thread(_ask_prometheus, address, "up")
+                await asyncio.sleep(0.2)  # it scrapes once a second
+                up = await asyncio.to_thread(_query, address, "up")
         assert set(up) == {"master", "robot-1", "machine-1", "map-service", "testUser/observed"}
-        found = await asyncio.to_thread(_ask_prometheus, address, 'rce_environments{state="ready"}')
+        found = await asyncio.to_thread(_query, address, 'rce_environments{state="ready"}')
         assert found == {"master": "1"}
     except BaseException as error:
         error.add_note(f"{up}\n{(tmp_path / 'log').read_text()}")
@@ -118,10 +117,20 @@ async def test_prometheus_reads_it(platform: RealPlatform, robot: Robot, tmp_pat
         await process.wait()
 
 
-def _ask_prometheus(address: str, query: str) -> dict[str, str]:
-    """The present value of each series by its instance; nothing while it does not listen."""
+async def _listening_address(process: asyncio.subprocess.Process) -> str:
+    """Return the address that Prometheus listens at, which it does not log, once it does."""
+    while True:
+        assert process.returncode is None
+        for connection in psutil.Process(process.pid).net_connections("tcp"):
+            if connection.status == psutil.CONN_LISTEN:
+                return f"{connection.laddr.ip}:{connection.laddr.port}"
+        await asyncio.sleep(0.05)
+
+
+def _query(address: str, query: str) -> dict[str, str]:
+    """Return the current value of each series by its instance; empty while Prometheus is starting."""
     try:
-        answer = Entry(f"http://{address}/", {}).json("GET", f"api/v1/query?{urlencode({'query': query})}")
+        answer = EntryClient(f"http://{address}/", {}).json("GET", f"api/v1/query?{urlencode({'query': query})}")
     except Unavailable:
         return {}
     result = json.loads(answer)["data"]["result"]
@@ -133,7 +142,7 @@ def _family(name: str) -> str:
 
 
 def _documented() -> set[str]:
-    """The metrics of the documentation's table, but those of agents alone, which are in swarms only."""
+    """Return the metrics in the table of the documentation, without those of agents, which exist in swarms only."""
     rows = [line.split("|") for line in DOCUMENT.read_text().splitlines() if line.startswith("| `rce_")]
     return {name for row in rows if row[2].strip() != "agents" for name in re.findall(r"`(rce_\w+)`", row[1])}
 
@@ -143,8 +152,8 @@ def _expressions() -> list[str]:
 
 
 def _metrics(url: str) -> set[str]:
-    """The names of all metrics of all processes, as Prometheus finds them."""
-    entry = Entry(url, basic("admin", "admin"))
+    """Return the names of all metrics of all processes, found as Prometheus does."""
+    entry = EntryClient(url, basic("admin", "admin"))
     targets = entry.json("GET", "metrics/targets")
     found: set[str] = set()
     for target in json.loads(targets):

@@ -1,4 +1,4 @@
-"""Clients of the original: what they send, and exactly what the original sends back."""
+"""Frames of clients of the original, and the exact answers of the original."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import re
 import cv2
 import numpy as np
 import pytest
-from original_robot import (
+
+from tests.support.e2e.original_robot import (
     OriginalRobot,
     configure,
     connection,
@@ -20,13 +21,13 @@ from original_robot import (
     node,
     status,
 )
-from real_platform import RealPlatform
+from tests.support.e2e.real_platform import RealPlatform
 
 STRING, ECHO = "std_msgs/String", "Test/StringEcho"
 
 
-async def test_the_echo_client_gets_what_it_got_of_the_original(platform: RealPlatform) -> None:
-    """Step by step the example of the original's client library."""
+async def test_echo_client(platform: RealPlatform) -> None:
+    """The example of the original's client library."""
     assert await get(platform.url, userID="testUser", version="20130902") == (
         200,
         "application/json; charset=utf-8",
@@ -51,7 +52,7 @@ async def test_the_echo_client_gets_what_it_got_of_the_original(platform: RealPl
         assert data == {"iTag": "resp", "type": STRING, "msg": {"data": "hello"}}
         await robot.send(configure("deleteParam", containerTag="c1", name="int"), destroy("c1"))
         await robot.take_frame(status("req", False), status("resp", False))
-        await robot.settled()
+        await robot.commands_processed()
         assert robot.received == []
 
 
@@ -73,14 +74,14 @@ async def websocket(platform: RealPlatform) -> str:
         ({"userID": "testUser", "version": "20991231"}, 501, "20130902"),
     ],
 )
-async def test_the_entry(platform: RealPlatform, query: dict[str, str], code: int, word: str) -> None:
+async def test_entry(platform: RealPlatform, query: dict[str, str], code: int, word: str) -> None:
     found, kind, body = await get(platform.url, **query)
     assert (found, kind) == (code, f"{'application/json' if code == 200 else 'text/plain'}; charset=utf-8")
     assert word in body
 
 
-async def test_services_both_ways(platform: RealPlatform) -> None:
-    """The robot calls the node's service through the cloud, and answers the cloud's calls to its own."""
+async def test_services_in_both_directions(platform: RealPlatform) -> None:
+    """The robot calls a node's service, and answers calls of its own service."""
     async with OriginalRobot(platform.url, "caller") as robot:
         await robot.send(
             container("services"),
@@ -88,7 +89,7 @@ async def test_services_both_ways(platform: RealPlatform) -> None:
             interface("services", "echo", "ServiceClientInterface", ECHO, addr="/stringEchoService"),
             interface("caller", "echo", "ServiceProviderConverter", ECHO),
             connection("services/echo", "caller/echo"),
-            # The cloud asks the robot: a loop through a service that the robot itself provides to the environment.
+            # A call loops from the robot through the environment to the service that the robot provides.
             interface("services", "offer", "ServiceProviderInterface", ECHO, addr="/robotService"),
             interface("caller", "serve", "ServiceClientConverter", ECHO),
             connection("services/offer", "caller/serve"),
@@ -109,12 +110,12 @@ async def test_services_both_ways(platform: RealPlatform) -> None:
         assert await robot.take_data("use") == message("use", ECHO, {"data": "answer"}, "mine")["data"]
         await robot.send(destroy("services"))
         await robot.take_frame(status("echo", False), status("serve", False), status("use", False))
-        await robot.settled()
+        await robot.commands_processed()
         assert robot.received == []
 
 
-async def test_parameters_of_the_five_kinds(platform: RealPlatform) -> None:
-    """Those of the original's debug configuration, set before the node starts."""
+async def test_parameters_of_all_kinds(platform: RealPlatform) -> None:
+    """Parameters of the original's debug configuration, set before the node starts."""
     values = {"int": 99, "str": "$(find Test)", "float": 3.14, "bool": True, "list": [1, 2, 3]}
     async with OriginalRobot(platform.url, "setter") as robot:
         await robot.send(
@@ -132,12 +133,12 @@ async def test_parameters_of_the_five_kinds(platform: RealPlatform) -> None:
         assert told == {name: values[name] for name in told}
         await robot.send(destroy("parameters"))
         await robot.take_frame(status("ask", False))
-        await robot.settled()
+        await robot.commands_processed()
         assert robot.received == []
 
 
-async def test_the_peculiarities_of_the_cpp_client(platform: RealPlatform) -> None:
-    """It always sends `addr`, names service clients as before 2013, and a blob may come before its message."""
+async def test_peculiarities_of_the_cpp_client(platform: RealPlatform) -> None:
+    """The C++ client always sends `addr`, uses names of 2012 for service clients, and may send a blob first."""
     image = "sensor_msgs/Image"
     picture = np.full((2, 3), 7, np.uint8)
     png = cv2.imencode(".png", picture)[1].tobytes()
@@ -168,7 +169,7 @@ async def test_the_peculiarities_of_the_cpp_client(platform: RealPlatform) -> No
         assert np.array_equal(seen, picture)
         await robot.send(destroy("old"))
         await robot.take_frame(status("echo", False), status("serve", False))
-        await robot.settled()
+        await robot.commands_processed()
         assert robot.received == []
 
 
@@ -201,8 +202,8 @@ ASYNCHRONOUS = [
 ]
 
 
-async def test_every_failed_command_is_reported(platform: RealPlatform) -> None:
-    """Also those that the original only logged; as bare strings, one each, and nothing else is sent."""
+async def test_each_failed_command_is_reported(platform: RealPlatform) -> None:
+    """Each failed command gets one error, a plain string, even those that the original only logged."""
     async with OriginalRobot(platform.url, "wrong") as robot:
         await robot.send(
             container("errors"),
@@ -214,18 +215,18 @@ async def test_every_failed_command_is_reported(platform: RealPlatform) -> None:
         )
         await robot.take_frame(status("pub", True))
         for what, frame, word in ASYNCHRONOUS:
-            print(what)  # for the report of one that never comes
+            print(what)  # shown if the error does not arrive
             await robot.send(frame)
             error = await robot.take_error()
             assert word in error, what
             assert not error.startswith("Invalid Request"), "that is for what the Robot process finds itself"
         await robot.send(destroy("errors"))
         await robot.take_frame(status("pub", False))
-        await robot.settled()
+        await robot.commands_processed()
         assert robot.received == []
 
 
-async def test_frames_that_make_no_sense_are_refused_at_once(platform: RealPlatform) -> None:
+async def test_malformed_frames_are_refused(platform: RealPlatform) -> None:
     async with OriginalRobot(platform.url, "nonsense") as robot:
         await robot.send(
             interface("nonsense", "out", "SubscriberConverter", STRING),
@@ -248,5 +249,5 @@ async def test_frames_that_make_no_sense_are_refused_at_once(platform: RealPlatf
             assert (await robot.take_error()).startswith("Invalid Request: "), frame
         await robot.send(message("none", STRING, {"data": "x"}))
         assert "none" in await robot.take_error()
-        await robot.settled()
+        await robot.commands_processed()
         assert robot.received == []

@@ -1,4 +1,4 @@
-"""A user's own package with a type of its own: pushed, run, shared, changed and removed, at a platform without it."""
+"""A user's package with its own type, on a platform that lacks it: pushed, run, shared, changed, removed."""
 
 from __future__ import annotations
 
@@ -6,40 +6,31 @@ import asyncio
 import shutil
 from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import Any
 
 import pytest
-from real_platform import RCE, USER, RealPlatform, until
 
-from rce.client import Environment, Robot
-from rce.errors import NotFound, RceError, TimedOut
-from rce.http import Entry, basic
-from rce.packages import Packages
+from rce.api.http import EntryClient, basic
+from rce.client import Robot
+from rce.errors import NotFound, RceError
+from rce.packages.client import PackagesClient
+from tests.support.e2e.pushed_packages import echo, rce
+from tests.support.e2e.real_platform import USER, RealPlatform, until
+from tests.support.paths import TEST_PACKAGE
 
-TEST_PACKAGE = Path(__file__).parents[1] / "ros" / "Test"
 OTHER, PASSWORD = "bob", "sailing in winter"
 OTHER_NODE = "other.py"
-STRING_ECHO = "Test/StringEcho"
 
 
-def packages(platform: RealPlatform) -> Packages:
-    return Packages(Entry(platform.url, basic(USER, USER)))
-
-
-async def rce(*words: str, given: str = "") -> str:
-    pipe = asyncio.subprocess.PIPE
-    process = await asyncio.create_subprocess_exec(RCE, *words, stdin=pipe, stdout=pipe, stderr=pipe)
-    out, errors = await asyncio.wait_for(process.communicate(given.encode()), 150)
-    assert process.returncode == 0, errors.decode()
-    return out.decode()
+def packages(platform: RealPlatform) -> PackagesClient:
+    return PackagesClient(EntryClient(platform.url, basic(USER, USER)))
 
 
 @pytest.fixture(scope="module")
 async def bare(arguments: list[str], tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[RealPlatform]:
-    """A platform without the package Test and its types; `arguments` has seen to it that these can be built."""
+    """A platform without the package Test and its types. `arguments` skips the test if they cannot be built."""
     async with RealPlatform(tmp_path_factory.mktemp("bare"), "--typesupport", "") as platform:
         master = platform.directory / "data" / "master"
-        await rce("user", "--data-dir", str(master), "add", OTHER, given=f"{PASSWORD}\n")
+        await rce("user", "--data-dir", str(master), "add", OTHER, stdin=f"{PASSWORD}\n")
         yield platform
 
 
@@ -47,32 +38,11 @@ def bob(platform: RealPlatform) -> Robot:
     return Robot(platform.url, user=OTHER, robot="r2", password=PASSWORD, timeout=30)
 
 
-async def echo(environment: Environment) -> None:
-    """Call the node's service; its type is known by the package alone."""
-    assert await answer(environment, "/stringEchoService", STRING_ECHO, {"data": "hello"}) == {"data": "hello"}
-
-
-async def answer(environment: Environment, name: str, type_name: str, request: dict[str, str]) -> Any:
-    """Of a service whose node may just be starting, on a busy machine."""
-    service = await environment.service_client(name, type_name)
-    async with asyncio.timeout(120):
-        while True:
-            try:
-                found = await service.call(request)
-                await service.close()
-                return found
-            except NotFound as error:
-                if "has not appeared" not in str(error):
-                    raise
-            except TimedOut:
-                pass  # DDS may lose the first answer of a service that has just found its client
-
-
 def archives(platform: RealPlatform) -> set[str]:
     return {path.name for path in (platform.directory / "data/master/packages").iterdir()} - {"incoming"}
 
 
-async def test_the_life_of_a_package(bare: RealPlatform, tmp_path: Path) -> None:
+async def test_package_is_pushed_shared_changed_and_removed(bare: RealPlatform, tmp_path: Path) -> None:
     url = ("--url", bare.url)
     own = packages(bare)
     said = await rce("package", "push", str(TEST_PACKAGE), *url)
@@ -99,11 +69,11 @@ async def test_the_life_of_a_package(bare: RealPlatform, tmp_path: Path) -> None
                 (listed,) = await asyncio.to_thread(own.list)
                 older, _ = listed.versions
                 await asyncio.to_thread(own.remove, "Test", older.digest)
-                assert len(archives(bare)) == 2  # the older is in use
+                assert len(archives(bare)) == 2  # the older version is in use
 
                 await echo(theirs)
                 before = _endpoint(bare, "theirs")
-                bare.kill(before)  # in its next life it has the same version
+                bare.kill(before)  # it restarts with the same version
                 await until(lambda: _endpoint(bare, "theirs", before) != 0, 60)
                 await echo(theirs)
                 for environment in (mine, theirs):
@@ -129,7 +99,7 @@ def _endpoint(platform: RealPlatform, tag: str, but: int = 0) -> int:
     return 0
 
 
-async def test_what_is_refused(bare: RealPlatform, tmp_path: Path) -> None:
+async def test_unsuitable_packages_are_refused(bare: RealPlatform, tmp_path: Path) -> None:
     (tmp_path / "p").mkdir()
     (tmp_path / "p/package.xml").write_text("<package><name>p</name></package>")
     (tmp_path / "p/setup.py").touch()

@@ -1,7 +1,7 @@
-# ruff: noqa: E402  (Docker is imported only where it is there)
-"""The platform with the engine `swarm` on three machines: data; one that is drained, cut off, its Docker killed.
+# ruff: noqa: E402  (imports after importorskip)
+"""The platform with the engine `swarm` on three machines, of which one is drained, disconnected or loses its Docker.
 
-The first machine is the swarm's manager, the others have the special feature `cloud`, so that environments go there.
+The first machine is the swarm's manager. The others have the special feature `cloud`, so environments are placed there.
 """
 
 from __future__ import annotations
@@ -17,13 +17,12 @@ from prometheus_client.parser import text_string_to_metric_families
 
 docker = pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
-from machines import Host, Machines
-from real_platform import until
-from swarm_nodes import HOST_IMAGE, Node, Swarm, host_mounts, load_host_image, swarm_of
-from test_map import rce_map
-
+from rce.api.http import EntryClient, basic
 from rce.client import Environment, Publisher, Subscriber
-from rce.http import Entry, basic
+from tests.support.e2e.machines import Host, Machines
+from tests.support.e2e.mapping import rce_map
+from tests.support.e2e.real_platform import until
+from tests.support.swarm_nodes import HOST_IMAGE, Node, Swarm, host_mounts, load_host_image, swarm_of
 
 STRING = "std_msgs/String"
 MOVE_TIMEOUT = 90.0
@@ -39,7 +38,7 @@ except OSError as error:
 @pytest.fixture(scope="module")
 def swarm() -> Iterator[Swarm]:
     with swarm_of(3) as made:
-        load_host_image(made.nodes[0], mapping=True)  # the others take it from there
+        load_host_image(made.nodes[0], mapping=True)  # the others pull it from there
         for node in made.nodes[1:]:
             label(made, node, {"rce.feature.cloud": "true"}, "active")
         before = os.environ.get("DOCKER_HOST")
@@ -68,22 +67,22 @@ async def platform(
     master = Host("master", swarm.address)
     async with Machines(tmp_path_factory.mktemp("platform"), master, [Host("here")], words, 10) as made:
         yield made
-    assert not containers(swarm), "containers are left"
+    assert not containers(swarm), "containers were not removed"
 
 
 def containers(swarm: Swarm) -> dict[str, Node]:
-    """The node of each environment that runs, by its tag."""
+    """Return the node of each running environment by its tag."""
     return {tag: node for node in swarm.nodes if node.process.poll() is None for tag in tags(node)}
 
 
 def tags(node: Node) -> list[str]:
-    """Of the environments that run on a node."""
+    """Return the tags of the environments that run on a node."""
     found = node.api().containers(filters={"label": "rce.environment"})
     return [each["Labels"]["rce.environment"].partition("/")[2] for each in found]
 
 
 class Echo:
-    """A node that answers, and a robot's interfaces to it."""
+    """A node that echoes messages, and a robot's interfaces to it."""
 
     def __init__(self, say: Publisher, heard: Subscriber) -> None:
         self._say = say
@@ -96,7 +95,7 @@ class Echo:
         return cls(await environment.publisher("/say", STRING), await environment.subscriber("/heard", STRING))
 
     async def answers(self, seconds: float) -> None:
-        """Until something said from now on is answered; what is said while nobody is there is lost."""
+        """Wait until a message sent from now on is answered; messages may be lost while the node is not running."""
         first = self._count + 1
         async with asyncio.timeout(seconds):
             while True:
@@ -112,16 +111,15 @@ class Echo:
 
 
 def relayed(url: str) -> dict[str, float]:
-    """The bytes that have passed the relays of the swarm's task set and its agents, by the node."""
-    with Entry(url, basic("admin", "admin")).open("GET", "metrics/container-here") as answer:
+    """Return the bytes that have passed the relays of the swarm's task set and its agents, by node."""
+    with EntryClient(url, basic("admin", "admin")).open("GET", "metrics/container-here") as answer:
         families = text_string_to_metric_families(answer.read().decode())
     (family,) = (each for each in families if each.name == "rce_relay_bytes")
     return {sample.labels["node"]: sample.value for sample in family.samples}
 
 
-async def test_a_machine_that_is_drained_gives_its_environments_away(swarm: Swarm, platform: Machines) -> None:
-    """From the robot to a node in one environment, on to one in another on the next machine, and back, before and after
-    both have to share a machine."""
+async def test_environments_move_from_a_drained_machine(swarm: Swarm, platform: Machines) -> None:
+    """A message passes from the robot to nodes in two environments and back, before and after they share a machine."""
     async with (
         platform.robot("r1") as robot,
         robot.environment("one", special_features=["cloud"]) as one,
@@ -136,37 +134,37 @@ async def test_a_machine_that_is_drained_gives_its_environments_away(swarm: Swar
         await chain.answers(30)
         before = containers(swarm)
         assert before["one"] is not before["two"], "Swarm spreads them"
-        told = await asyncio.to_thread(relayed, platform.master.ready["url"])
-        assert len(told) == 4, "the task set and an agent on each machine"
+        relayed_bytes = await asyncio.to_thread(relayed, platform.master.ready["url"])
+        assert len(relayed_bytes) == 4, "the task set and an agent on each machine"
         ids = [before[tag].api().info()["Swarm"]["NodeID"] for tag in ("one", "two")]
-        assert min(told[id] for id in ids) > 0
+        assert min(relayed_bytes[id] for id in ids) > 0
         label(swarm, before["two"], {"rce.feature.cloud": "true"}, "drain")
         await until(lambda: containers(swarm).get("two") is before["one"], MOVE_TIMEOUT)
         await chain.answers(MOVE_TIMEOUT)
     label(swarm, before["two"], {"rce.feature.cloud": "true"}, "active")
-    await until(lambda: not volumes(before["two"]), 30)  # what it had left, once its agent is back
+    await until(lambda: not volumes(before["two"]), 30)  # removed when its agent runs again
 
 
-async def test_a_group_is_one_graph_over_two_machines(platform: Machines, swarm: Swarm) -> None:
-    """Said in one environment, answered by a node in the other, heard in the first; and each has the other's name."""
+async def test_group_is_one_ros_graph_over_two_machines(platform: Machines, swarm: Swarm) -> None:
+    """A node in one environment answers messages from the other, and each resolves the name of the other."""
     async with (
         platform.robot("r2") as robot,
         robot.environment("left", special_features=["cloud"], group="pair", group_ip="192.168.1.9") as left,
         robot.environment("right", special_features=["cloud"], group="pair") as right,
     ):
-        there = containers(swarm)
-        assert there["left"] is not there["right"], "Swarm spreads them"
+        nodes = containers(swarm)
+        assert nodes["left"] is not nodes["right"], "Swarm spreads them"
         await right.add_node("echo", "rce_demo", "echo.py")
         await Echo(await left.publisher("/say", STRING), await left.subscriber("/heard", STRING)).answers(30)
         name = "import socket; print(socket.gethostbyname('{}'))"
-        address = run_in(there["right"], "right", name.format("left")).strip()
+        address = run_in(nodes["right"], "right", name.format("left")).strip()
         assert address.endswith(".9"), address
-        assert run_in(there["left"], "left", name.format("left")).strip() == address
-        assert run_in(there["left"], "left", name.format("right")).startswith(address[:-1])
-        for address in (swarm.address, there["left"].address, "169.254.169.254"):
-            assert "unreachable" in run_in(there["left"], "left", REACH.format(address=address))
+        assert run_in(nodes["left"], "left", name.format("left")).strip() == address
+        assert run_in(nodes["left"], "left", name.format("right")).startswith(address[:-1])
+        for address in (swarm.address, nodes["left"].address, "169.254.169.254"):
+            assert "unreachable" in run_in(nodes["left"], "left", REACH.format(address=address))
     manager = swarm.nodes[0].api()
-    await until(lambda: not manager.networks(filters={"label": "rce.directory"}), 30, "its network is left")
+    await until(lambda: not manager.networks(filters={"label": "rce.directory"}), 30, "its network was not removed")
 
 
 def run_in(node: Node, tag: str, program: str) -> str:
@@ -186,16 +184,16 @@ def volumes(node: Node) -> list[dict[str, Any]]:
     return found
 
 
-async def test_a_map_is_made_on_a_machine_of_the_swarm(platform: Machines, tmp_path: Path) -> None:
-    """The main job, small: in an environment with one core and 1 GiB."""
+async def test_map_is_made_on_the_swarm(platform: Machines, tmp_path: Path) -> None:
+    """A small simulated recording, in an environment with one core and 1 GiB."""
     url = platform.master.ready["url"]
     done = await rce_map("--simulate", "--url", url, "--out", tmp_path / "map", temporary=tmp_path)
     assert done.status == 0, done.errors
     assert (tmp_path / "map" / "map.yaml").exists()
 
 
-async def test_a_machine_that_is_cut_off_under_traffic(swarm: Swarm, platform: Machines) -> None:
-    """Its environments live on elsewhere; what goes on there unseen is nobody's, and is removed once it is back."""
+async def test_environment_moves_from_a_disconnected_machine(swarm: Swarm, platform: Machines) -> None:
+    """The environment is restarted elsewhere; its old container runs on unseen and is removed on reconnection."""
     async with platform.robot("r3") as robot, robot.environment("stray", special_features=["cloud"]) as environment:
         echo = await Echo.of(environment)
         await echo.answers(30)
@@ -210,11 +208,11 @@ async def test_a_machine_that_is_cut_off_under_traffic(swarm: Swarm, platform: M
             first.plug_in()
         await until(lambda: "stray" not in tags(first), MOVE_TIMEOUT)
         await echo.answers(10)
-    await until(lambda: not volumes(first), 30, "its volumes are left")
+    await until(lambda: not volumes(first), 30, "its volumes were not removed")
 
 
-async def test_a_machine_whose_docker_is_killed_under_traffic(swarm: Swarm, platform: Machines) -> None:
-    """The last of these tests: that machine stays dead."""
+async def test_environment_moves_from_a_machine_with_a_killed_docker(swarm: Swarm, platform: Machines) -> None:
+    """This is the last test of the module, as the machine is not restarted."""
     async with platform.robot("r4") as robot, robot.environment("survivor", special_features=["cloud"]) as environment:
         echo = await Echo.of(environment)
         await echo.answers(30)

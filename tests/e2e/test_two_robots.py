@@ -1,4 +1,4 @@
-"""A network of robots: Master and Robot endpoint, no environments and no ROS."""
+"""A network of robots: Master and Robot endpoint, without environments and ROS."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from original_robot import OriginalRobot, configure, connection, container, interface, message, status
-from real_platform import RCE
+
+from tests.support.e2e.original_robot import OriginalRobot, configure, connection, container, interface, message, status
+from tests.support.e2e.real_platform import RCE
 
 IMAGE, STRING, SET_BOOL = "sensor_msgs/Image", "std_msgs/String", "std_srvs/SetBool"
 BLOB = "00112233445566778899aabbccddeeff"
@@ -24,7 +25,7 @@ BLOB = "00112233445566778899aabbccddeeff"
 
 @asynccontextmanager
 async def running(name: str, *words: str, **environment: str) -> AsyncIterator[dict[str, str]]:
-    """A program of the platform; what it says when it is ready."""
+    """Run a program of the platform and yield its ready line."""
     process = await asyncio.create_subprocess_exec(
         RCE, name, *words, stdout=asyncio.subprocess.PIPE, env={**os.environ, **environment}
     )
@@ -40,7 +41,7 @@ async def running(name: str, *words: str, **environment: str) -> AsyncIterator[d
 
 @pytest.fixture(scope="module")
 async def entry(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[str]:
-    """The address of a Master with one Robot endpoint."""
+    """Entry of a Master with one Robot endpoint."""
     directory: Path = tmp_path_factory.mktemp("network")
     token = secrets.token_hex(32)
     listen = "tcp:0:interface=127.0.0.1"
@@ -61,14 +62,14 @@ async def robots(entry: str) -> AsyncIterator[tuple[OriginalRobot, OriginalRobot
 async def wire(one: OriginalRobot, other: OriginalRobot, tag: str, kinds: tuple[str, str], type_name: str) -> None:
     """Connect an interface of each; the first kind is that of `one`."""
     await other.send(interface(other.name, tag, kinds[1], type_name))
-    await other.settled()
+    await other.commands_processed()
     await one.send(
         interface(one.name, tag, kinds[0], type_name), connection(f"{one.name}/{tag}", f"{other.name}/{tag}")
     )
     await asyncio.gather(one.take_frame(status(tag, True)), other.take_frame(status(tag, True)))
 
 
-async def test_topics_and_services_both_ways(robots: tuple[OriginalRobot, OriginalRobot]) -> None:
+async def test_topics_and_services_in_both_directions(robots: tuple[OriginalRobot, OriginalRobot]) -> None:
     for one, other in (robots, robots[::-1]):
         await wire(one, other, f"t_{one.name}", ("SubscriberConverter", "PublisherConverter"), STRING)
         await one.send(message(f"t_{one.name}", STRING, {"data": "Grüße"}))
@@ -77,16 +78,16 @@ async def test_topics_and_services_both_ways(robots: tuple[OriginalRobot, Origin
         tag = f"s_{one.name}"
         await wire(one, other, tag, ("ServiceProviderConverter", "ServiceClientConverter"), SET_BOOL)
         await one.send(message(tag, SET_BOOL, {"data": True}, "mine"))
-        asked = await other.take_data(tag)
-        assert asked["msg"] == {"data": True}
-        await other.send(message(tag, SET_BOOL, {"success": True, "message": "done"}, asked["msgID"]))
+        request = await other.take_data(tag)
+        assert request["msg"] == {"data": True}
+        await other.send(message(tag, SET_BOOL, {"success": True, "message": "done"}, request["msgID"]))
         assert await one.take_data(tag) == message(tag, SET_BOOL, {"success": True, "message": "done"}, "mine")["data"]
     for robot in robots:
-        await robot.settled()
+        await robot.commands_processed()
         assert robot.received == []
 
 
-async def test_forwarders_carry_bytes_untouched(robots: tuple[OriginalRobot, OriginalRobot]) -> None:
+async def test_forwarders_do_not_change_bytes(robots: tuple[OriginalRobot, OriginalRobot]) -> None:
     one, other = robots
     await wire(one, other, "bytes", ("SubscriberForwarder", "PublisherForwarder"), "no_such/Type")
     for size in (0, 1, 1_000_000):
@@ -96,14 +97,14 @@ async def test_forwarders_carry_bytes_untouched(robots: tuple[OriginalRobot, Ori
         assert await other.take_blob(got["msg*"]) == payload
     await wire(one, other, "ask", ("ServiceProviderForwarder", "ServiceClientForwarder"), "no_such/Service")
     await one.send(message("ask", "no_such/Service", BLOB, "1", key="msg*"), BLOB.encode() + b"question")
-    asked = await other.take_data("ask")
-    assert await other.take_blob(asked["msg*"]) == b"question"
-    await other.send(message("ask", "no_such/Service", BLOB, asked["msgID"], key="msg*"), BLOB.encode() + b"answer")
+    request = await other.take_data("ask")
+    assert await other.take_blob(request["msg*"]) == b"question"
+    await other.send(message("ask", "no_such/Service", BLOB, request["msgID"], key="msg*"), BLOB.encode() + b"answer")
     got = await one.take_data("ask")
     assert await one.take_blob(got["msg*"]) == b"answer"
 
 
-async def test_a_forwarder_meets_a_converter(robots: tuple[OriginalRobot, OriginalRobot]) -> None:
+async def test_forwarder_and_converter(robots: tuple[OriginalRobot, OriginalRobot]) -> None:
     one, other = robots
     await wire(one, other, "mixed", ("SubscriberForwarder", "PublisherConverter"), STRING)
     cdr = b"\x00\x01\x00\x00\x06\x00\x00\x00hello\x00"
@@ -115,7 +116,7 @@ async def test_a_forwarder_meets_a_converter(robots: tuple[OriginalRobot, Origin
     assert (await one.take_blob(got["msg*"]))[:14] == cdr[:14]
 
 
-async def test_an_image_arrives_as_png(robots: tuple[OriginalRobot, OriginalRobot]) -> None:
+async def test_image_arrives_as_png(robots: tuple[OriginalRobot, OriginalRobot]) -> None:
     one, other = robots
     await wire(one, other, "camera", ("SubscriberConverter", "PublisherConverter"), IMAGE)
     picture = np.random.default_rng(0).integers(0, 256, (48, 64, 3), np.uint8)
@@ -129,13 +130,13 @@ async def test_an_image_arrives_as_png(robots: tuple[OriginalRobot, OriginalRobo
     assert np.array_equal(seen, picture)
 
 
-async def test_an_environment_is_refused_with_the_reason(robots: tuple[OriginalRobot, OriginalRobot]) -> None:
+async def test_environment_without_machine_is_refused(robots: tuple[OriginalRobot, OriginalRobot]) -> None:
     await robots[0].send(container("brain"))
     assert "machine" in await robots[0].take_error()
 
 
-async def test_without_its_peer_an_interface_goes_down(robots: tuple[OriginalRobot, OriginalRobot]) -> None:
-    """What is sent then goes nowhere, and as in the original nothing is said."""
+async def test_interface_without_peer_goes_down(robots: tuple[OriginalRobot, OriginalRobot]) -> None:
+    """Messages are then dropped without an error, as in the original."""
     one, other = robots
     await wire(one, other, "t", ("SubscriberConverter", "PublisherConverter"), STRING)
     await other.send(configure("removeInterfaces", endpointTag=other.name, interfaceTag="t"))

@@ -1,4 +1,4 @@
-"""Real ROS 2 messages between robots and a node in an environment, and how topics behave on the way."""
+"""ROS 2 messages of many types between robots and a node, and QoS of topics."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from original_robot import OriginalRobot, configure, connection, interface, status
-from real_platform import RealPlatform
 
 from rce.client import Environment, Robot, images
-from rce.messages import Qos
+from rce.protocol.messages import Qos
+from tests.support.e2e.original_robot import OriginalRobot, configure, connection, interface, status
+from tests.support.e2e.real_platform import RealPlatform
 
 TYPES = [
     *("sensor_msgs/LaserScan", "sensor_msgs/Image", "sensor_msgs/PointCloud2", "tf2_msgs/TFMessage"),
@@ -31,7 +31,7 @@ class World(NamedTuple):
 
 @pytest.fixture(scope="module")
 async def world(platform: RealPlatform) -> AsyncIterator[World]:
-    """A robot with an environment in which the nodes run."""
+    """A robot with an environment and the nodes in it."""
     async with platform.robot("typist") as robot, robot.environment("types") as environment:
         await asyncio.gather(
             environment.add_node("relay", "Relay", "relay.py", args=" ".join(TYPES)),
@@ -41,7 +41,7 @@ async def world(platform: RealPlatform) -> AsyncIterator[World]:
         yield World(robot, environment)
 
 
-async def there_and_back(world: World, type_name: str, value: Any, raw: bool = False) -> Any:
+async def round_trip(world: World, type_name: str, value: Any, raw: bool = False) -> Any:
     name = type_name.partition("/")[2]
     back = await world.environment.subscriber(f"/out_{name}", type_name, raw=raw)
     out = await world.environment.publisher(f"/in_{name}", type_name, raw=raw)
@@ -53,7 +53,7 @@ async def there_and_back(world: World, type_name: str, value: Any, raw: bool = F
         await back.close()
 
 
-async def test_a_scan_with_numbers_that_are_none(world: World) -> None:
+async def test_scan_with_infinity_and_nan(world: World) -> None:
     scan: dict[str, Any] = {
         "header": {"stamp": {"sec": 1_700_000_000, "nanosec": 123_456_789}, "frame_id": "laser"},
         "angle_min": -1.5,
@@ -66,33 +66,33 @@ async def test_a_scan_with_numbers_that_are_none(world: World) -> None:
         "ranges": [0.5, math.inf, -math.inf, math.nan, 4.0],
         "intensities": [],
     }
-    back = await there_and_back(world, "sensor_msgs/LaserScan", scan)
+    back = await round_trip(world, "sensor_msgs/LaserScan", scan)
     assert math.isnan(back["ranges"][3])
-    back["ranges"][3] = scan["ranges"][3]  # the only one that is not equal to itself
+    back["ranges"][3] = scan["ranges"][3]  # NaN is not equal to itself
     assert back == scan
 
 
-async def test_a_cloud_as_json_and_as_bytes(world: World) -> None:
+async def test_point_cloud_as_json(world: World) -> None:
     points = np.random.default_rng(1).random((1000, 3), np.float32)
     fields = [{"name": name, "offset": 4 * at, "datatype": 7, "count": 1} for at, name in enumerate("xyz")]
     cloud = {"height": 1, "width": 1000, "fields": fields, "point_step": 12, "row_step": 12000, "is_dense": True}
-    back = await there_and_back(world, "sensor_msgs/PointCloud2", {**cloud, "data": points.view(np.uint8).ravel()})
+    back = await round_trip(world, "sensor_msgs/PointCloud2", {**cloud, "data": points.view(np.uint8).ravel()})
     import base64
 
     assert (np.frombuffer(base64.b64decode(back["data"]), np.float32) == points.ravel()).all()
     assert {key: back[key] for key in cloud} == cloud
 
 
-async def test_raw_bytes_of_a_cloud(world: World) -> None:
-    """A Forwarder on the robot's side: CDR there and back through the node's own objects."""
+async def test_point_cloud_as_cdr(world: World) -> None:
+    """CDR through a Forwarder of the robot and the node's objects."""
     data = bytes(range(256)) * 4
     cdr = b"\x00\x01\x00\x00" + struct.pack("<iII4sIIIB3xIII", 7, 8, 4, b"map\0", 1, 1024, 0, 0, 1, 1024, 1024)
     cdr += data + b"\x01"
-    assert (await there_and_back(world, "sensor_msgs/PointCloud2", cdr, raw=True))[: len(cdr)] == cdr
+    assert (await round_trip(world, "sensor_msgs/PointCloud2", cdr, raw=True))[: len(cdr)] == cdr
 
 
 async def test_transforms_and_map_updates(world: World) -> None:
-    """Types that the wheels of ROS 2 lack."""
+    """Types that the wheels of ROS 2 do not have."""
     rotation = {"x": 0.0, "y": 0.0, "z": 0.6, "w": 0.8}
     transform = {
         "header": {"stamp": {"sec": 5, "nanosec": 6}, "frame_id": "map"},
@@ -100,14 +100,14 @@ async def test_transforms_and_map_updates(world: World) -> None:
         "transform": {"translation": {"x": 1.0, "y": 2.0, "z": 3.0}, "rotation": rotation},
     }
     value: dict[str, Any] = {"transforms": [transform, transform]}
-    assert await there_and_back(world, "tf2_msgs/TFMessage", value) == value
+    assert await round_trip(world, "tf2_msgs/TFMessage", value) == value
     value = {"header": transform["header"], "x": 1, "y": -2, "width": 3, "height": 1, "data": [0, -1, 100]}
-    assert await there_and_back(world, "map_msgs/OccupancyGridUpdate", value) == value
+    assert await round_trip(world, "map_msgs/OccupancyGridUpdate", value) == value
 
 
 @pytest.mark.parametrize("format", ["png", "jpeg", "json"])
-async def test_an_image(world: World, format: str) -> None:
-    """There as PNG, back in each form."""
+async def test_image(world: World, format: str) -> None:
+    """Send PNG and receive each format."""
     robot, environment = world
     out = await environment.publisher("/in_Image", "sensor_msgs/Image")
     await robot.add_interface("types", f"image_{format}", "SubscriberInterface", "sensor_msgs/Image", addr="/out_Image")
@@ -131,8 +131,8 @@ async def test_an_image(world: World, format: str) -> None:
     await robot.remove_interface("types", f"image_{format}")
 
 
-async def test_a_service_of_the_users_own_with_an_image(world: World) -> None:
-    """Its type is known in the environment only: the Robot endpoint learns it from there."""
+async def test_service_of_a_user_defined_type(world: World) -> None:
+    """The Robot endpoint gets the definition of the type from the environment."""
     service = await world.environment.service_client("/converterTest", "Test/ConverterTest")
     answer = await service.call({"a": 40, "b": 2})
     assert answer["sum"] == 42
@@ -141,7 +141,7 @@ async def test_a_service_of_the_users_own_with_an_image(world: World) -> None:
     assert picture[3, 5].tolist() == [50, 30, 255]
 
 
-async def test_a_latched_map_reaches_robots_that_come_later(platform: RealPlatform, world: World) -> None:
+async def test_late_robot_gets_latched_map(platform: RealPlatform, world: World) -> None:
     async def look(name: str) -> list[int]:
         async with platform.robot(name) as robot:
             seen = await robot.environment("types").subscriber("/map", "nav_msgs/OccupancyGrid")
@@ -152,16 +152,16 @@ async def test_a_latched_map_reaches_robots_that_come_later(platform: RealPlatfo
         assert await look(name) == [0, 100, -1, 50]
 
 
-async def test_what_is_published_at_best_effort_arrives(world: World) -> None:
-    """The interface asks for nothing, and so takes what there is."""
+async def test_best_effort_topic(world: World) -> None:
+    """An interface without QoS accepts what the publisher offers."""
     numbers = await world.environment.subscriber("/fast", "std_msgs/Int32", depth=1000)
     got = [(await numbers.get(20))["data"] for _ in range(20)]
     assert got == sorted(set(got))
     await numbers.close()
 
 
-async def test_keep_all_loses_nothing_at_a_slow_robot(platform: RealPlatform, world: World) -> None:
-    """15 MB at a robot that takes nothing for a while: more than all that is between it and the node can hold."""
+async def test_keep_all_loses_nothing_with_a_slow_robot(platform: RealPlatform, world: World) -> None:
+    """A robot does not read for a while: 15 MB are more than all buffers up to the node hold."""
     count = 1500
     qos = {"reliability": "reliable", "history": "keep_all"}
     go = await world.environment.publisher("/go", "std_msgs/Int32")
@@ -174,7 +174,7 @@ async def test_keep_all_loses_nothing_at_a_slow_robot(platform: RealPlatform, wo
         await slow.take_frame(status("texts", True))
         slow.reading.clear()
         await go.publish({"data": count})
-        await asyncio.sleep(1)  # seconds in which everything fills up
+        await slow.wait_until_stalled()
         slow.reading.set()
         got = [int((await slow.take_data("texts"))["msg"]["data"].split()[0]) for _ in range(count)]
         assert got == list(range(count))
@@ -183,7 +183,7 @@ async def test_keep_all_loses_nothing_at_a_slow_robot(platform: RealPlatform, wo
     await go.close()
 
 
-async def test_environments_never_hear_each_other(platform: RealPlatform, world: World) -> None:
+async def test_environments_are_separated(platform: RealPlatform, world: World) -> None:
     async with world.robot.environment("other") as other:
         await other.add_node("relay", "Relay", "relay.py", args="std_msgs/String")
         heard = {env.tag: await env.subscriber("/out_String", "std_msgs/String") for env in (world.environment, other)}

@@ -1,4 +1,4 @@
-"""docs/walkthrough-browser.md, step by step, on a fresh platform."""
+"""The steps of docs/walkthrough-browser.md on a fresh platform."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from contextlib import AsyncExitStack
 from pathlib import Path
 from typing import Any
 
-from chromium import chromium, opened
-from real_platform import RealPlatform
-
 from rce.client import Robot
+from tests.support.e2e.chromium import chromium, open_page
+from tests.support.e2e.real_platform import RealPlatform
+from tests.support.paths import ROOT
 
-GUIDE = Path(__file__).parents[2] / "docs" / "walkthrough-browser.md"
+GUIDE = ROOT / "docs" / "walkthrough-browser.md"
 STEP = re.compile(r"^\d+\. (\w[\w ]*?) \*\*(.+?)\*\*(?: (?:with )?`(.+)`)?$", re.MULTILINE)
 PRINTED = "the password that was printed"
 
 
 class Reader:
-    """Somebody who does what the guide says."""
+    """A user who follows the guide."""
 
     def __init__(self, page: Any, platform: RealPlatform, stack: AsyncExitStack) -> None:
         self.page = page
@@ -28,7 +28,8 @@ class Reader:
 
     async def do(self, verb: str, what: str, value: str) -> None:
         page = self.page
-        field = page.get_by_label(re.compile(rf"^{re.escape(what)}( |$)")).last  # dialogs stand behind the page
+        # Dialogs come after the page in the document.
+        field = page.get_by_label(re.compile(rf"^{re.escape(what)}( |$)")).last
         match verb:
             case "Open":
                 await page.goto(self._platform.url.rstrip("/") + what)
@@ -51,19 +52,19 @@ class Reader:
 
 
 def password(platform: RealPlatform) -> str:
-    """The administrator's, as the first start prints it."""
-    found = re.search(r"with password '([^']+)'", platform.said)
-    assert found, platform.said
+    """Return the administrator's password, which the first start prints."""
+    found = re.search(r"with password '([^']+)'", platform.output)
+    assert found, platform.output
     return found[1]
 
 
-async def test_the_guide(tmp_path: Path) -> None:
+async def test_walkthrough(tmp_path: Path) -> None:
     steps = STEP.findall(GUIDE.read_text())
     assert len(steps) == len(re.findall(r"^\d+\. ", GUIDE.read_text(), re.MULTILINE)) > 30
     async with (
         chromium() as browser,
         RealPlatform(tmp_path, dev=False) as platform,
-        opened(browser) as (page, _),
+        open_page(browser) as (page, _),
         AsyncExitStack() as stack,
     ):
         reader = Reader(page, platform, stack)

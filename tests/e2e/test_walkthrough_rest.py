@@ -1,4 +1,4 @@
-"""The walk of docs/walkthrough-rest.md, as it stands there, on a fresh platform."""
+"""The commands of docs/walkthrough-rest.md on a fresh platform."""
 
 from __future__ import annotations
 
@@ -9,20 +9,22 @@ import sys
 from pathlib import Path
 
 import pytest
-from real_platform import RealPlatform
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "walkthrough-rest.md"
+from tests.support.e2e.real_platform import RealPlatform
+from tests.support.paths import ROOT
+
+DOCUMENT = ROOT / "docs" / "walkthrough-rest.md"
 
 
 @pytest.mark.skipif(shutil.which("curl") is None, reason="needs curl")
-async def test_the_walk_by_http(tmp_path: Path) -> None:
+async def test_walkthrough(tmp_path: Path) -> None:
     script = "".join(re.findall(r"```sh\n(.*?)```", DOCUMENT.read_text(), re.S))
     async with RealPlatform(tmp_path, dev=False) as platform:
-        found = re.search(r"'admin' with password '(\S+)'", platform.said)
-        assert found, platform.said
+        found = re.search(r"'admin' with password '(\S+)'", platform.output)
+        assert found, platform.output
         path = f"{Path(sys.executable).parent}:/usr/local/bin:/usr/bin:/bin"
         bash = await asyncio.create_subprocess_exec(
-            *("bash", "-exuc", script),  # no pipefail: what is refused makes curl fail, and is looked at
+            *("bash", "-exuc", script),  # no pipefail: curl fails for refused requests, whose answers are read
             env={"PATH": path, "URL": platform.url.rstrip("/"), "ADMIN": found[1]},
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.STDOUT,

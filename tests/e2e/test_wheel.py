@@ -1,4 +1,4 @@
-"""The wheel, installed where there is no checkout: all that the platform needs at run time is in it."""
+"""The wheel, installed without a checkout, contains everything that the platform needs."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ import zipfile
 from pathlib import Path
 
 import pytest
-import real_platform
-from real_platform import USER, RealPlatform
 
-from rce.http import Entry, basic
+from rce.api.http import EntryClient, basic
+from tests.support.e2e import real_platform
+from tests.support.e2e.real_platform import USER, RealPlatform
+from tests.support.paths import ROOT
 
-ROOT = Path(__file__).parents[2]
 PACKAGES = ("rce", "master", "endpoints", "containers", "converters", "provisioning")
 WEB = ROOT / "master" / "dashboard" / "web"
-LIMIT = 300.0  # seconds
+TIMEOUT = 300.0  # seconds
 
 
 def run(*words: str | Path) -> None:
-    done = subprocess.run(words, capture_output=True, text=True, timeout=LIMIT)
+    done = subprocess.run(words, capture_output=True, text=True, timeout=TIMEOUT)
     assert done.returncode == 0, done.stderr
 
 
@@ -35,7 +35,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def test_it_has_every_file_of_the_packages(wheel: Path) -> None:
+def test_wheel_contains_all_files_of_the_packages(wheel: Path) -> None:
     found = [path for package in PACKAGES for path in (ROOT / package).rglob("*") if path.is_file()]
     there = {path.relative_to(ROOT).as_posix(): path for path in found if "__pycache__" not in path.parts}
     with zipfile.ZipFile(wheel) as file:
@@ -46,10 +46,10 @@ def test_it_has_every_file_of_the_packages(wheel: Path) -> None:
     assert [name for name, path in there.items() if path.stat().st_mode & 0o111 and not modes[name] & 0o111] == []
 
 
-async def test_a_platform_of_it(wheel: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In an environment of its own for Python, with these libraries; started in an empty directory.
+async def test_platform_from_the_wheel(wheel: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Start it from another virtual environment with the same libraries, in an empty directory.
 
-    No topics: ROS 2 looks for the types of its wheels where Python is installed.
+    Topics are not tested, because ROS 2 looks for the types of its wheels in the prefix of Python.
     """
     place, empty = tmp_path / "venv", tmp_path / "empty"
     empty.mkdir()
@@ -72,7 +72,7 @@ async def test_a_platform_of_it(wheel: Path, tmp_path: Path, monkeypatch: pytest
 
 
 def check_pages(url: str) -> None:
-    entry = Entry(url, basic(USER, USER))
+    entry = EntryClient(url, basic(USER, USER))
     pages = {path.relative_to(WEB).as_posix(): path for path in WEB.rglob("*") if path.is_file()}
     pages["rce/rce.js"] = ROOT / "rce" / "js" / "rce.js"
     assert len(pages) > 20

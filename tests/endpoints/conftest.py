@@ -1,4 +1,4 @@
-"""Platforms to attack: one in this process, one of processes. Two ends of a data link, joined by each way there is."""
+"""Platforms in this process or of processes, and data links over each kind of connection."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from certified import certify
-from ends import KEY, End, Listener
-from platforms import Platform, Processes
-from raw_robot import WAIT
 from twisted.internet.base import ReactorBase
 
 from containers.data_relay import GATE, DataRelay
-from endpoints.data_port import DataPort
-from endpoints.robot.door import ServerLimits
-from rce.certificates import Authority
-from rce.tls import Tls
+from endpoints.data.port import DataPort
+from endpoints.robot.session_manager import ServerLimits
+from rce.net.certificates import Authority
+from rce.net.tls import Tls
+from tests.support.certificates import certify
+from tests.support.endpoints.ends import KEY, End, Listener
+from tests.support.endpoints.platforms import Platform, Processes
+from tests.support.endpoints.raw_robot import WAIT
 
 MakePlatform = Callable[..., Any]
 
@@ -58,9 +58,9 @@ async def processes(tmp_path: Path) -> AsyncIterator[Processes]:
 
 @pytest.fixture
 def security(request: pytest.FixtureRequest) -> Tls | None:
-    """TLS, if the way of this test has it."""
+    """TLS contexts, if the connection of this test has TLS."""
     found: Tls | None = None
-    if "way" in request.fixturenames and request.getfixturevalue("way").endswith("tls"):
+    if "transport" in request.fixturenames and request.getfixturevalue("transport").endswith("tls"):
         found = request.getfixturevalue("tls")
     return found
 
@@ -76,13 +76,13 @@ async def port(tmp_path: Path, security: Tls | None) -> AsyncIterator[tuple[List
 async def relays(
     port: tuple[Listener, list[str]], tmp_path: Path, security: Tls | None
 ) -> AsyncIterator[tuple[str, Path]]:
-    """The port as an environment's on another machine: its address there, and the gate of one on this machine."""
+    """Relays of two machines: the address of `port` by the far one, and the gate of an environment at the near one."""
     far, near = DataRelay(security), DataRelay(security)
     await far.listen("127.0.0.1", 0)
     for name, relay in (("far", far), ("near", near)):
         (tmp_path / name).mkdir()
-        await relay.admit(f"ann/{name}", tmp_path / "data.sock", tmp_path / name)
-    near.know([far.address.removeprefix("relay:")])
+        await relay.add_environment(f"ann/{name}", tmp_path / "data.sock", tmp_path / name)
+    near.set_relays([far.address.removeprefix("relay:")])
     yield f"{far.address}/ann/far", tmp_path / "near" / GATE
     await near.close()
     await far.close()
@@ -94,22 +94,22 @@ def tls(tmp_path_factory: pytest.TempPathFactory) -> Tls:
 
 
 @pytest.fixture(params=["unix", "tcp", "relay", "gate", "tcp with tls", "relay with tls", "gate with tls"])
-def way(request: pytest.FixtureRequest) -> str:
-    """By which a link goes."""
+def transport(request: pytest.FixtureRequest) -> str:
+    """Kind of connection that carries a link."""
     chosen: str = request.param
     return chosen
 
 
 @pytest.fixture
 async def pair(
-    way: str, port: tuple[Listener, list[str]], relays: tuple[str, Path], security: Tls | None
+    transport: str, port: tuple[Listener, list[str]], relays: tuple[str, Path], security: Tls | None
 ) -> AsyncIterator[tuple[End, End]]:
     listener, addresses = port
     relayed, gate = relays
     here, there = End("here"), End("there")
     listener.expect(there.link, KEY)
-    dialler = DataPort(gate) if way.startswith("gate") else DataPort(tls=security)
-    kind = "relay" if way.startswith("gate") else way.partition(" ")[0]
+    dialler = DataPort(gate) if transport.startswith("gate") else DataPort(tls=security)
+    kind = "relay" if transport.startswith("gate") else transport.partition(" ")[0]
     await dialler.dial(here.link, KEY, [each for each in (*addresses, relayed) if each.startswith(kind)])
     await asyncio.wait_for(asyncio.gather(here.link.opened, there.link.opened), WAIT)
     yield here, there

@@ -1,4 +1,4 @@
-// What users of TypeScript write; test_typescript.py has it checked. A line after @ts-expect-error must be an error.
+// Typical code of users of TypeScript, compiled by test_typescript.py. A line after @ts-expect-error must be an error.
 
 import {
   Environment, Event, InvalidRequest, Message, NotFound, Publisher, RceError, Robot, ServiceClient, Stream, Subscriber,
@@ -56,16 +56,16 @@ export async function main(): Promise<void> {
 }
 
 export async function wrong(robot: Robot): Promise<void> {
-  // @ts-expect-error: whose robot it is must be said
+  // @ts-expect-error: user is required
   new Robot("https://localhost:9000/", { robot: "tablet", key: "rce_0" });
-  // @ts-expect-error: there is no such option
+  // @ts-expect-error: unknown option
   await robot.createEnvironment("brain", { memmory: 5 });
-  // @ts-expect-error: there is no such kind of interface
+  // @ts-expect-error: unknown kind of interface
   await robot.addInterface("brain", "x", "Publisher", "std_msgs/String");
-  // @ts-expect-error: a callback takes what the subscriber holds
+  // @ts-expect-error: the callback must accept the type of the messages
   await robot.subscriber<Text>("x", "std_msgs/String", { callback: (message: number) => console.log(message) });
-  // @ts-expect-error: commands are named as in the protocol
+  // @ts-expect-error: unknown command
   await robot.configure(["createContainer", {}]);
-  // @ts-expect-error: it is not for users to say
+  // @ts-expect-error: read-only
   robot.connected = true;
 }

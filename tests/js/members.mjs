@@ -1,4 +1,4 @@
-// members.mjs: what instances of the client's classes have, as JSON, for comparison with rce.d.ts.
+// Prints the members of the client's classes as JSON, for comparison with rce.d.ts.
 
 import * as rce from "../../rce/js/rce.js";
 

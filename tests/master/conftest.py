@@ -1,4 +1,4 @@
-"""Time turned by hand, for what waits without sockets; a database with the user ann."""
+"""Fixtures: a loop whose time is turned by hand, databases, a Master with processes."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 import sqlalchemy as sa
-from hand_turned import HandTurnedLoop
-from peers import LONG, Furnished, Platform
 from twisted.internet.base import ReactorBase
 
-from master import attendance
-from master.store import Store
-from master.users import Users
+from master.access.users import Users
+from master.execution import process_tracker
+from master.storage.store import Store
+from tests.support.master.hand_turned import HandTurnedLoop
+from tests.support.master.peers import LONG, Furnished, Platform
 
 POSTGRES = os.environ.get("RCE_TEST_POSTGRES", "")
 needs_postgres = pytest.mark.skipif(
@@ -26,7 +26,7 @@ needs_postgres = pytest.mark.skipif(
 
 @pytest.fixture
 def hand() -> Iterator[HandTurnedLoop]:
-    """A loop of its own for the test; fails when an exception was left for nobody."""
+    """Loop of its own for a test; fails if an exception was not retrieved."""
     loop = HandTurnedLoop()
     unhandled: list[dict[str, Any]] = []
     loop.set_exception_handler(lambda _, context: unhandled.append(context))
@@ -40,7 +40,7 @@ def hand() -> Iterator[HandTurnedLoop]:
 
 @pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=needs_postgres)])
 def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
-    """Of an empty database. In PostgreSQL each process of a test run has a schema of its own."""
+    """URL of an empty database. In PostgreSQL each process of a test run has its own schema."""
     if request.param == "sqlite":
         return f"sqlite:///{tmp_path / 'master.db'}"
     schema = os.environ.get("PYTEST_XDIST_WORKER", "alone")
@@ -69,7 +69,7 @@ async def users(store: Store) -> Users:
 
 @pytest.fixture
 async def platform(reactor: ReactorBase, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Platform]:
-    monkeypatch.setattr(attendance, "RETRY_FIRST", 0.0)
+    monkeypatch.setattr(process_tracker, "RETRY_FIRST", 0.0)
     platform = Platform(reactor, f"sqlite:///{tmp_path / 'master.db'}", LONG)
     await platform.start()
     await platform.master.users.add("ann", "secret")

@@ -1,17 +1,16 @@
-"""What docs/administration.md says of rights and bounds is what the code has."""
+"""Rights and limits in docs/administration.md are those of the code."""
 
 from __future__ import annotations
 
-from pathlib import Path
+from master.access import passwords, throttle
+from master.access.rights import COLUMNS, RIGHTS
+from master.graph.limits import Policy
+from tests.support.paths import ROOT
 
-from master import passwords, throttle
-from master.policies import Policy
-from master.rights import COLUMNS, RIGHTS
-
-TEXT = (Path(__file__).parents[2] / "docs" / "administration.md").read_text()
+TEXT = (ROOT / "docs" / "administration.md").read_text()
 
 
-def test_the_table_of_rights() -> None:
+def test_table_of_rights() -> None:
     rows = [
         [cell.strip(" `") for cell in line.split("|")[1:-1]] for line in TEXT.splitlines() if line.startswith("| `")
     ]
@@ -21,15 +20,15 @@ def test_the_table_of_rights() -> None:
     assert found == RIGHTS
 
 
-def test_the_numbers() -> None:
+def test_numbers() -> None:
     for said in (
-        f"At least {passwords.LEAST} characters",
-        f"After {throttle.FREE_OF_USER} wrong passwords for a name, or {throttle.FREE_OF_ADDRESS} from an address",
-        f"up to {throttle.LONGEST / 60:g} minutes; after {throttle.FORGET / 60:g} minutes",
+        f"At least {passwords.MIN_LENGTH} characters",
+        f"After {throttle.FREE_BY_USER} wrong passwords for a name, or {throttle.FREE_BY_ADDRESS} from an address",
+        f"up to {throttle.MAX_WAIT / 60:g} minutes; after {throttle.FORGET_AFTER / 60:g} minutes",
     ):
         assert said in TEXT.replace("\n", " "), said
 
 
-def test_every_limit_is_named() -> None:
+def test_every_limit_is_documented() -> None:
     for name in Policy.__struct_fields__:
         assert f"`{name}`" in TEXT or name.startswith("default_"), name

@@ -1,4 +1,4 @@
-"""The HTTP entry as a robot sees it: the original's status codes, content types and answers."""
+"""HTTP entry as a robot sees it: status codes, content types and answers of the original."""
 
 from __future__ import annotations
 
@@ -6,16 +6,15 @@ import asyncio
 import http.client
 import json
 from collections.abc import AsyncIterator, Awaitable, Callable
+from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from fleet import Fleet
-from twisted.internet import endpoints
 from twisted.internet.base import ReactorBase
 
-from master.entry import Entry
-from master.redirect import EntrySite
-from rce.messages import CURRENT_VERSION, MINIMAL_VERSION
+from rce.protocol.messages import CURRENT_VERSION, MINIMAL_VERSION
+from tests.support.master.fleet import Fleet
+from tests.support.master.served import serve_entry
 
 GOOD = f"/?userID=ann&version={CURRENT_VERSION}"
 PLAIN = "text/plain; charset=utf-8"
@@ -39,12 +38,9 @@ def fleet() -> Fleet:
 
 
 @pytest.fixture
-async def port(reactor: ReactorBase, fleet: Fleet) -> AsyncIterator[int]:
-    loop = asyncio.get_running_loop()
-    endpoint = endpoints.serverFromString(reactor, "tcp:0:interface=127.0.0.1")
-    port = await endpoint.listen(EntrySite(Entry(fleet.state))).asFuture(loop)
-    yield port.getHost().port
-    await port.stopListening().asFuture(loop)
+async def port(reactor: ReactorBase, fleet: Fleet, tmp_path: Path) -> AsyncIterator[int]:
+    async with serve_entry(fleet.state, tmp_path) as port:
+        yield port
 
 
 @pytest.fixture
@@ -65,19 +61,19 @@ def ask(port: int) -> Ask:
     return ask
 
 
-async def test_the_address_of_a_robot_endpoint(ask: Ask) -> None:
+async def test_answer_is_the_address_of_a_robot_endpoint(ask: Ask) -> None:
     status, kind, body, _ = await ask(GOOD, Host="cloud.example:9000")
     assert (status, kind) == (200, "application/json; charset=utf-8")
     assert json.loads(body) == {"url": "ws://cloud.example:9010/"}
 
 
 @pytest.mark.parametrize("path", ["/robot", "/a/b/c"])
-async def test_any_path_will_do(ask: Ask, path: str) -> None:
+async def test_any_path_is_answered_as_the_root(ask: Ask, path: str) -> None:
     assert (await ask(path + GOOD[1:])).status == 200
 
 
 @pytest.mark.parametrize("version", [MINIMAL_VERSION, "20130901"])
-async def test_an_older_client_is_told_the_current_version(ask: Ask, version: str) -> None:
+async def test_older_client_is_told_the_current_version(ask: Ask, version: str) -> None:
     _, _, body, _ = await ask(f"/?userID=anybody&version={version}", Host="c")
     assert json.loads(body) == {"url": "ws://c:9010/", "current": CURRENT_VERSION}
 
@@ -99,14 +95,14 @@ async def test_an_older_client_is_told_the_current_version(ask: Ask, version: st
         (f"version={CURRENT_VERSION}&userID=%ff", 400, "userID"),
     ],
 )
-async def test_refusals(ask: Ask, query: str, status: int, named: str) -> None:
+async def test_wrong_parameters_are_refused(ask: Ask, query: str, status: int, named: str) -> None:
     answer = await ask("/?" + query)
     assert (answer.status, answer.kind) == (status, PLAIN)
     assert named in answer.body.decode()
     assert answer.body.count(b"\n") == 1
 
 
-async def test_no_robot_endpoint(ask: Ask, fleet: Fleet) -> None:
+async def test_without_a_robot_endpoint_the_entry_is_unavailable(ask: Ask, fleet: Fleet) -> None:
     fleet.state.joined.clear()
     status, kind, body, _ = await ask(GOOD)
     assert (status, kind) == (503, PLAIN)
@@ -128,16 +124,16 @@ async def test_head_has_no_body_and_post_is_not_allowed(ask: Ask) -> None:
         ('e"vil\\', 'ws://e"vil\\:9010/'),
     ],
 )
-async def test_without_a_public_address_the_host_is_that_of_the_request(ask: Ask, host: str, url: str) -> None:
+async def test_endpoint_without_a_host_is_on_the_host_of_the_request(ask: Ask, host: str, url: str) -> None:
     assert json.loads((await ask(GOOD, Host=host)).body)["url"] == url
 
 
-async def test_a_public_address_is_given_as_it_is(ask: Ask, fleet: Fleet) -> None:
+async def test_public_address_of_an_endpoint_is_not_changed(ask: Ask, fleet: Fleet) -> None:
     fleet.join("west", "robot", url="wss://robots.example/ws/")
     assert json.loads((await ask(GOOD)).body)["url"] == "wss://robots.example/ws/"
 
 
-async def test_the_endpoint_with_the_fewest_robots(ask: Ask, fleet: Fleet) -> None:
+async def test_endpoint_with_the_fewest_robots_is_chosen(ask: Ask, fleet: Fleet) -> None:
     fleet.join("east", "robot", url="ws://east:1/")
     urls = []
     for number in range(4):
@@ -156,25 +152,25 @@ def service(fleet: Fleet) -> None:
 
 
 @pytest.mark.parametrize("method", ["GET", "HEAD", "POST", "PATCH", "DELETE", "OPTIONS"])
-async def test_a_service_is_redirected_to(ask: Ask, service: None, method: str) -> None:
+async def test_request_for_a_service_is_redirected(ask: Ask, service: None, method: str) -> None:
     answer = await ask("/map-service/uploads/1?key=rce_1", method, Host="cloud:9000")
     assert (answer.status, answer.location) == (307, "http://cloud:9020/map-service/uploads/1?key=rce_1")
     assert (await ask("/map-service", Host="[::1]:9000")).location == "http://[::1]:9020/map-service"
 
 
-async def test_a_service_with_an_address_of_its_own(ask: Ask, fleet: Fleet) -> None:
+async def test_public_address_of_a_service_is_not_changed(ask: Ask, fleet: Fleet) -> None:
     fleet.join("map-service", "service", url="https://maps.example/")
     assert (await ask("//map-service/a%20b", Host="c")).location == "https://maps.example/map-service/a%20b"
 
 
-async def test_a_service_that_is_away(ask: Ask, fleet: Fleet, service: None) -> None:
+async def test_service_that_is_away_is_unavailable(ask: Ask, fleet: Fleet, service: None) -> None:
     fleet.state.joined.discard("map-service")
     answer = await ask("/map-service/jobs")
     assert (answer.status, answer.location) == (503, None)
     assert b"map-service is away" in answer.body
 
 
-async def test_only_services_are_redirected_to(ask: Ask) -> None:
+async def test_only_services_are_redirected(ask: Ask) -> None:
     assert (await ask("/west/")).status == 400
     assert (await ask("/map-service/")).status == 400
 
@@ -184,19 +180,51 @@ async def test_only_services_are_redirected_to(ask: Ask) -> None:
     ("path", "status", "location"),
     [("/map-service/uploads", b"307", b"http://c:9020/map-service/uploads"), ("/", b"413", b"")],
 )
-async def test_a_recording_is_turned_away_by_its_headers(
+async def test_large_body_is_refused_before_it_is_sent(
     port: int, service: None, path: str, framing: str, status: bytes, location: bytes
 ) -> None:
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     writer.write(f"POST {path} HTTP/1.1\r\nHost: c:9000\r\nExpect: 100-continue\r\n{framing}\r\n\r\n".encode())
-    answer = await asyncio.wait_for(reader.read(), 20)
+    answer = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 20)
     assert answer.split()[1] == status
     assert location in answer
     assert b"100 Continue" not in answer
     writer.close()
 
 
-async def test_pages_of_any_origin_may_ask(port: int) -> None:
+async def test_body_that_is_not_announced_is_read_before_the_answer(port: int) -> None:
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    writer.write(b"POST / HTTP/1.1\r\nHost: c\r\nExpect: 100-continue\r\nContent-Length: 2\r\n\r\n")
+    assert await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 20) == b"HTTP/1.1 100 Continue\r\n\r\n"
+    writer.write(b"{}")
+    assert (await asyncio.wait_for(reader.readline(), 20)).split()[1] == b"405"
+    writer.close()
+
+
+@pytest.mark.parametrize(
+    "request_line",
+    [b"nonsense", b"GET", b"GET / HTTP/3.7", b"GET nowhere HTTP/1.1", b"GET /" + b"x" * 20_000 + b" HTTP/1.1"],
+)
+async def test_malformed_request_line_is_a_bad_request_and_logs_nothing(
+    port: int, request_line: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    writer.write(request_line + b"\r\nHost: c\r\nAuthorization: Bearer secret\r\n\r\n")
+    assert (await asyncio.wait_for(reader.readline(), 20)).split()[1] == b"400"
+    writer.close()
+    assert not caplog.records
+
+
+@pytest.mark.parametrize("length", [16_000, 20_000])
+async def test_long_header_is_a_bad_request(port: int, length: int) -> None:
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    writer.write(f"GET {GOOD} HTTP/1.1\r\nHost: c\r\nX: {'x' * length}\r\n\r\n".encode())
+    status = (await asyncio.wait_for(reader.readline(), 20)).split()[1]
+    assert status == (b"200" if length < 16_384 else b"400")
+    writer.close()
+
+
+async def test_pages_of_any_origin_may_read_the_answer(port: int) -> None:
     def header() -> str | None:
         connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
         connection.request("GET", GOOD, headers={"Connection": "close", "Origin": "https://elsewhere.example"})

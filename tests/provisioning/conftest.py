@@ -1,4 +1,4 @@
-"""Small interface packages, and the type support that the tests of real builds share."""
+"""Interface packages, type support, and fake systems."""
 
 from __future__ import annotations
 
@@ -8,12 +8,17 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.paths import TEST_PACKAGE
+
 pytest.importorskip("rosidl_adapter", reason="needs ROS 2: pip install '.[ros]'")
 
+from provisioning.system import System
 from provisioning.typesupport import TypeSupport, build, shipped
+from tests.support.provisioning.systems import make_system
 
-TEST_PACKAGE = Path(__file__).parents[1] / "ros" / "Test"
 MANIFEST = '<?xml version="1.0"?>\n<package format="3">\n  <name>{name}</name>\n</package>\n'
+
+SYSTEMS = [("debian", "12", "3.11"), ("debian", "13", "3.13"), ("ubuntu", "24.04", "3.12")]
 
 
 @pytest.fixture
@@ -38,5 +43,34 @@ def compiler() -> None:
 
 @pytest.fixture(scope="session")
 def typesupport(compiler: None) -> TypeSupport:
-    """Type support of all that ships with RCE and of `Test`, in the cache that `provision test` fills."""
+    """Type support of RCE's interface packages and of `Test`, in the cache that `provision test` fills."""
     return build([*shipped(), TEST_PACKAGE])
+
+
+@pytest.fixture
+def no_docker(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Let Docker not answer, as on a fresh system. Other tests may run a daemon."""
+    monkeypatch.setenv("DOCKER_HOST", f"unix://{tmp_path}/none.sock")
+
+
+@pytest.fixture(params=SYSTEMS, ids=lambda each: "-".join(each[:2]))
+def fresh(request: pytest.FixtureRequest, tmp_path: Path, no_docker: None) -> System:
+    return make_system(tmp_path, *request.param)
+
+
+@pytest.fixture
+def debian(tmp_path: Path, no_docker: None) -> System:
+    return make_system(tmp_path, "debian", "12", "3.11")
+
+
+@pytest.fixture
+def installed(tmp_path: Path) -> System:
+    """System on which all roles are installed."""
+    for place in ("etc/rce", "var/lib/rce/master", "opt/rce", "etc/systemd/system", "etc/sysctl.d"):
+        (tmp_path / place).mkdir(parents=True)
+    (tmp_path / "etc/sysctl.d/60-rce.conf").touch()
+    for role in ("master", "robot", "container", "map-service"):
+        (tmp_path / f"etc/rce/{role}.toml").touch()
+        (tmp_path / f"etc/systemd/system/rce-{role}.service").touch()
+    (tmp_path / "etc/passwd").write_text("rce:x:999:999::/:/bin/false\n")
+    return System(tmp_path)

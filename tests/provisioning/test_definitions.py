@@ -1,4 +1,4 @@
-"""Packages that are wrong are refused with the file and line at fault, before anything is built."""
+"""Malformed packages are refused with file and line before anything is built."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ MakePackage = Callable[..., Path]
         ({"msg/A.msg": "", "package.xml": "<package/>"}, InvalidName, "package.xml", "not a legal package name"),
     ],
 )
-def test_wrong_file(
+def test_malformed_package_is_refused(
     make_package: MakePackage, files: dict[str, str], error: type[RceError], where: str, words: str
 ) -> None:
     root = make_package("own", files)
@@ -54,24 +54,24 @@ def test_wrong_file(
     assert words in str(caught.value)
 
 
-def test_no_package_xml(tmp_path: Path) -> None:
+def test_directory_without_package_xml_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidRequest, match=r"package\.xml does not exist"):
         read_packages([tmp_path])
 
 
 @pytest.mark.parametrize("name", ["std_msgs", "numpy", "json"])
-def test_name_taken_in_this_python(make_package: MakePackage, name: str) -> None:
-    with pytest.raises(AlreadyExists, match=f"the name {name} is taken"):
+def test_name_of_an_installed_module_is_refused(make_package: MakePackage, name: str) -> None:
+    with pytest.raises(AlreadyExists, match=f"the name {name} is used"):
         read_packages([make_package(name, {"msg/A.msg": ""})])
 
 
-def test_two_packages_of_one_name(make_package: MakePackage) -> None:
+def test_duplicate_name_is_refused(make_package: MakePackage) -> None:
     roots = [make_package(name, {"msg/A.msg": ""}, directory=name + "_dir") for name in ("own", "Own")]
     with pytest.raises(AlreadyExists, match="Own"):
         read_packages(roots)
 
 
-def test_packages_come_after_those_that_they_use(make_package: MakePackage) -> None:
+def test_dependencies_come_first(make_package: MakePackage) -> None:
     top = make_package("alpha", {"msg/A.msg": "beta/B b\nstd_msgs/Header header\n"})
     bottom = make_package("beta", {"msg/B.msg": "int32 b\n"})
     packages = read_packages([top, bottom])
@@ -79,13 +79,13 @@ def test_packages_come_after_those_that_they_use(make_package: MakePackage) -> N
     assert packages[1].uses == {Reference("beta", "B"), Reference("std_msgs", "Header")}
 
 
-def test_packages_that_use_each_other(make_package: MakePackage) -> None:
+def test_circular_dependencies_are_refused(make_package: MakePackage) -> None:
     roots = [make_package("alpha", {"msg/A.msg": "beta/B b"}), make_package("beta", {"msg/B.msg": "alpha/A a"})]
-    with pytest.raises(InvalidRequest, match="use each other"):
+    with pytest.raises(InvalidRequest, match="depend on each other"):
         read_packages(roots)
 
 
-def test_names_of_ros_1(make_package: MakePackage) -> None:
+def test_names_of_ros_1_are_accepted(make_package: MakePackage) -> None:
     [package] = read_packages([make_package("Own", {"msg/A.msg": "Own/B recipeUID\nB b\n", "msg/B.msg": "bool aB\n"})])
     assert package.interfaces[0].references == {Reference("Own", "B"): 1}
 

@@ -1,4 +1,4 @@
-"""What goes into the build of the images."""
+"""Build context of the images."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _read(archive: tarfile.TarFile, member: tarfile.TarInfo) -> bytes:
     return file.read()
 
 
-def test_what_an_environment_runs_is_in_it_and_no_more() -> None:
+def test_context_contains_code_of_environments_only() -> None:
     names = set(context())
     assert {"images/base/Dockerfile", "images/mapping/Dockerfile", "images/mapping/start"} <= names
     assert {"code/endpoints/environment/__main__.py", "code/containers/nodes/rce_demo/echo.py"} <= names
@@ -40,25 +40,26 @@ def test_what_an_environment_runs_is_in_it_and_no_more() -> None:
     assert not [name for name in names if name.startswith("code/containers/") and "/nodes/" not in name][1:]
 
 
-def test_the_same_checkout_gives_the_same_context() -> None:
+def test_context_is_reproducible() -> None:
     assert image.make_context() == image.make_context()
 
 
-def test_requirements_are_those_of_the_project() -> None:
+def test_requirements_are_those_of_pyproject() -> None:
     lines = context()["base.txt"].decode().splitlines()
+    assert lines[0] == "-c constraints.txt"
     assert "ros-rclpy" in lines
     assert any(line.startswith("msgspec") for line in lines)
     assert not any(line.startswith(("docker", "opencv", "SQLAlchemy")) for line in lines)
 
 
-def test_the_certificates_of_the_host_go_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ca_certificates_of_the_host_are_added(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "certificates/ca-certificates.crt" not in context()
     (tmp_path / "ca.pem").write_text("a company's own")
     monkeypatch.setenv("SSL_CERT_FILE", str(tmp_path / "ca.pem"))
     assert context()["certificates/ca-certificates.crt"] == b"a company's own"
 
 
-def test_a_failed_build_shows_its_last_lines() -> None:
+def test_failed_build_shows_its_last_lines() -> None:
     output = iter([{"stream": "Step 1\n"}, {"stream": "no such package\n"}, {"error": "returned 1"}])
     with pytest.raises(image.StartFailed, match=r"no such package\n+rce/base was not built: returned 1"):
         image._follow("rce/base", output)

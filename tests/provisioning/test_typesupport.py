@@ -13,35 +13,36 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from domains import domain
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from provisioning import typesupport as module
 from provisioning.definitions import read_packages
 from provisioning.typesupport import TypeSupport, build, cache_key, main, shipped
+from tests.support.domains import domain
+from tests.support.paths import TESTS
 
 MakePackage = Callable[..., Path]
-TALK = Path(__file__).with_name("talk.py")
+TALK = TESTS / "support" / "ros_talk.py"
 LIMIT = 60  # seconds until a ROS 2 program that hangs is killed
 PARAMETERS = ("int:=99", "str:=hello", "float:=2.5", "bool:=true", "list:=[1, 2, 3]")
 
 
 def environment(support: TypeSupport) -> dict[str, str]:
-    """PYTHONPATH is all that a program needs; the rest keeps these programs among themselves."""
+    """Return the environment of a program: PYTHONPATH, and a ROS domain of these tests."""
     own = {"ROS_DOMAIN_ID": str(domain("types")), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     return {**os.environ, **own, "PYTHONPATH": str(support.prefix / "python")}
 
 
 @contextmanager
 def running(support: TypeSupport, *command: str | Path, stop: signal.Signals = signal.SIGTERM) -> Iterator[None]:
-    """A ROS 2 program that must end with status 0 and without complaint when it is told to stop."""
+    """Run a ROS 2 program, which must exit with status 0 and no output on the signal."""
     pipe = subprocess.PIPE
     program = subprocess.Popen([sys.executable, *command], env=environment(support), stderr=pipe, text=True)
     try:
         yield
         program.send_signal(stop)
-        _, complaints = program.communicate(timeout=LIMIT)
-        assert (program.returncode, complaints) == (0, "")
+        _, errors = program.communicate(timeout=LIMIT)
+        assert (program.returncode, errors) == (0, "")
     finally:
         program.kill()
         program.communicate()
@@ -90,8 +91,8 @@ def test_string_tester(typesupport: TypeSupport) -> None:
     assert min(times) > 0
 
 
-def test_types_are_those_of_the_public_packages(typesupport: TypeSupport) -> None:
-    """The hash that ROS 2 programs compare, against an independent implementation and its own copy of tf2_msgs."""
+def test_type_hashes_are_those_of_public_packages(typesupport: TypeSupport) -> None:
+    """Compare type hashes with an independent implementation, which has its own copy of tf2_msgs."""
     store = get_typestore(Stores.ROS2_KILTED)
     own = {f"{path.parts[-3]}/msg/{path.stem}": path for path in typesupport.prefix.glob("share/*/msg/*.msg")}
     for name, path in own.items():
@@ -103,7 +104,7 @@ def test_types_are_those_of_the_public_packages(typesupport: TypeSupport) -> Non
     assert len(own) == 6
 
 
-def test_key_changes_with_what_is_built(make_package: MakePackage) -> None:
+def test_key_depends_on_definitions(make_package: MakePackage) -> None:
     root = make_package("own", {"msg/A.msg": "std_msgs/Header header\n"})
     keys = [cache_key(read_packages([root]))]
     (root / "msg" / "A.msg").write_text("std_msgs/Header header\nint32 a\n")
@@ -115,10 +116,10 @@ def test_key_changes_with_what_is_built(make_package: MakePackage) -> None:
     assert cache_key(read_packages([root])) == keys[2]
 
 
-def test_key_changes_with_what_is_used(
+def test_key_depends_on_dependencies(
     make_package: MakePackage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A dependency that is installed in another version makes another result."""
+    """Another version of an installed dependency changes the key."""
     for path in ("ament_index", "other_msgs/msg"):
         (tmp_path / "prefix" / "share" / path).mkdir(parents=True)
     used = tmp_path / "prefix" / "share" / "other_msgs" / "msg"
@@ -131,7 +132,7 @@ def test_key_changes_with_what_is_used(
     assert cache_key(packages) != before
 
 
-def test_two_builders_at_once(
+def test_concurrent_builds_build_once(
     compiler: None, make_package: MakePackage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     built: list[Path] = []
@@ -152,7 +153,7 @@ def test_two_builders_at_once(
     assert sorted(path.name for path in first.prefix.iterdir()) == ["python", "rce-typesupport", "share"]
 
 
-def test_a_build_that_fails_leaves_nothing(
+def test_failed_build_leaves_nothing(
     make_package: MakePackage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("CXX", "no-such-compiler")
@@ -162,7 +163,7 @@ def test_a_build_that_fails_leaves_nothing(
     assert [path.name for path in (tmp_path / "cache").iterdir()] == [".lock"]
 
 
-def test_command_names_what_it_leaves_out(
+def test_command_reports_what_it_leaves_out(
     compiler: None,
     make_package: MakePackage,
     tmp_path: Path,
@@ -179,5 +180,5 @@ def test_command_names_what_it_leaves_out(
     assert (tmp_path / "cache" / "current").resolve() == prefix
 
 
-def test_what_is_shipped() -> None:
+def test_shipped_packages() -> None:
     assert [path.name for path in shipped()] == ["map_msgs", "nav2_msgs", "slam_toolbox", "tf2_msgs"]

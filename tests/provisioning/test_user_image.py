@@ -1,4 +1,4 @@
-"""What goes into an image of a user's own packages."""
+"""Images of users' own packages: build context and installation."""
 
 from __future__ import annotations
 
@@ -15,8 +15,6 @@ from containers.images.user.install import install
 from provisioning import user_image
 from rce.errors import InvalidRequest, NotFound
 
-ROOT = Path(__file__).parents[2]
-
 
 def names(directory: Path) -> set[str]:
     _, context = user_image.make_context(directory)
@@ -32,42 +30,42 @@ def package(root: Path, *files: str) -> Path:
     return root
 
 
-def test_what_pip_installs(tmp_path: Path) -> None:
-    seen = names(package(tmp_path / "p", "setup.py", "p/node.py"))
-    assert {"Dockerfile", "install.py", "sources/p/setup.py", "sources/p/p/node.py", "sources/p/package.xml"} <= seen
-    assert not any(name.startswith("prefix/lib") for name in seen)
+def test_pip_packages_are_added_as_sources(tmp_path: Path) -> None:
+    files = names(package(tmp_path / "p", "setup.py", "p/node.py"))
+    assert {"Dockerfile", "install.py", "sources/p/setup.py", "sources/p/p/node.py", "sources/p/package.xml"} <= files
+    assert not any(name.startswith("prefix/lib") for name in files)
 
 
-def test_what_runs_as_it_is(tmp_path: Path) -> None:
-    seen = names(package(tmp_path / "p", "scripts/talk.py", "top.py", "data/map.yaml"))
+def test_other_packages_are_added_as_they_are(tmp_path: Path) -> None:
+    files = names(package(tmp_path / "p", "scripts/talk.py", "top.py", "data/map.yaml"))
     programs = {"prefix/lib/p/talk.py", "prefix/lib/p/top.py"}
-    assert {*programs, "prefix/share/p/package.xml", "prefix/share/p/data/map.yaml"} <= seen
+    assert {*programs, "prefix/share/p/package.xml", "prefix/share/p/data/map.yaml"} <= files
 
 
 @pytest.mark.parametrize("file", ["src/node.cpp", "fast.pyx"])
-def test_what_takes_a_compiler(tmp_path: Path, file: str) -> None:
+def test_package_that_needs_a_compiler_is_refused(tmp_path: Path, file: str) -> None:
     with pytest.raises(InvalidRequest, match="no compiler"):
         user_image.make_context(package(tmp_path / "p", file))
 
 
-def test_an_install_space(tmp_path: Path) -> None:
+def test_install_space_is_refused(tmp_path: Path) -> None:
     package(tmp_path / "share/p", "x")
     with pytest.raises(InvalidRequest, match="rce package push"):
         user_image.make_context(tmp_path)
 
 
-def test_no_package(tmp_path: Path) -> None:
+def test_directory_without_package_is_refused(tmp_path: Path) -> None:
     with pytest.raises(NotFound):
         user_image.make_context(tmp_path)
 
 
 @pytest.mark.parametrize("name", ["Upper", "a//b", "../x", "a b", "-a"])
-def test_names_that_are_none(tmp_path: Path, name: str) -> None:
-    with pytest.raises(InvalidRequest, match="no name for an image"):
+def test_invalid_name_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InvalidRequest, match="not a valid name of an image"):
         user_image.build(package(tmp_path / "p"), name, "rce/base", "")
 
 
-def test_installed_in_the_image(tmp_path: Path) -> None:
+def test_installation_in_the_image(tmp_path: Path) -> None:
     _, context = user_image.make_context(package(tmp_path / "p", "scripts/talk.py"))
     with tarfile.open(fileobj=io.BytesIO(context)) as archive:
         archive.extractall(tmp_path / "context", filter="data")
@@ -76,7 +74,7 @@ def test_installed_in_the_image(tmp_path: Path) -> None:
     assert (tmp_path / "prefix/lib/p/talk.py").read_text() == "x"
 
 
-def test_types_for_another_python(tmp_path: Path) -> None:
+def test_type_support_of_another_python_is_refused(tmp_path: Path) -> None:
     (tmp_path / "context/types").mkdir(parents=True)
     (tmp_path / "context/types/python").write_text("2.7")
     with pytest.raises(SystemExit, match=r"built for Python 2\.7"):

@@ -1,4 +1,4 @@
-"""Errors keep their class, code and fields over the wire."""
+"""Errors keep their class, code and fields when they cross process boundaries."""
 
 import msgspec
 import pytest
@@ -7,7 +7,7 @@ from rce import errors
 from rce.errors import ErrorInfo, NoCapacity, RceError
 
 
-def crossed(error: RceError) -> RceError:
+def round_trip(error: RceError) -> RceError:
     packed = msgspec.msgpack.encode(error.info)
     return RceError.from_info(msgspec.msgpack.decode(packed, type=ErrorInfo))
 
@@ -16,9 +16,9 @@ CLASSES = [kind for kind in vars(errors).values() if isinstance(kind, type) and 
 
 
 @pytest.mark.parametrize("kind", CLASSES)
-def test_every_error_comes_out_as_itself(kind: type[RceError]) -> None:
+def test_every_error_keeps_its_class_and_fields(kind: type[RceError]) -> None:
     error = kind("it is wrong", item="addNodes[2]", field="pose.x", limit=5, names=["a"])
-    back = crossed(error)
+    back = round_trip(error)
     assert type(back) is kind
     assert (back.info, str(back)) == (error.info, "it is wrong")
     assert (back.item, back.field, back.info.fields) == ("addNodes[2]", "pose.x", {"limit": 5, "names": ["a"]})
@@ -29,20 +29,20 @@ def test_codes_are_distinct() -> None:
     assert len(set(codes)) == len(codes)
 
 
-def test_an_unknown_code_is_kept() -> None:
+def test_unknown_code_is_kept() -> None:
     back = RceError.from_info(ErrorInfo("from_the_future", "new"))
     assert type(back) is RceError
     assert back.info.code == "from_the_future"
 
 
-def test_the_place_is_added_on_the_way() -> None:
+def test_item_can_be_added_later() -> None:
     error = NoCapacity("full", free=0)
-    assert error.at("connect[1]") is error
-    assert crossed(error).info == ErrorInfo("no_capacity", "full", "connect[1]", "", {"free": 0})
+    assert error.with_item("connect[1]") is error
+    assert round_trip(error).info == ErrorInfo("no_capacity", "full", "connect[1]", "", {"free": 0})
 
 
-def test_an_error_without_a_code_of_its_own_crosses_as_what_it_is_derived_from() -> None:
+def test_subclass_without_a_code_of_its_own_crosses_as_its_base_class() -> None:
     class Special(NoCapacity):
         pass
 
-    assert type(crossed(Special("it is full"))) is NoCapacity
+    assert type(round_trip(Special("it is full"))) is NoCapacity

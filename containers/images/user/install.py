@@ -1,8 +1,8 @@
-"""Runs in the build of a user's image: what `rce image build` has copied here becomes part of the image's ROS 2.
+"""Installs a user's ROS packages in the build of an image; `rce image build` has copied them to this directory.
 
-`prefix/` goes into the environment's prefix as it is, `types/` (type support, built for the Python that `types/python`
-names) among its modules, and each directory in `sources/` is installed by pip, its console scripts as executables of
-the ROS package.
+`prefix/` is merged into the environment's prefix. `types/` (type support, built for the Python version in
+`types/python`) is merged into the Python modules. Each directory in `sources/` is installed by pip, and its console
+scripts become executables of the ROS package.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from pathlib import Path
 
 
 def install(here: Path, prefix: Path, modules: Path) -> None:
+    """Install what `here` contains into a prefix and a directory of Python modules."""
     if (here / "types").is_dir():
         built_for = (here / "types" / "python").read_text()
         if built_for != sysconfig.get_python_version():
-            sys.exit(f"type support was built for Python {built_for}, this image has {sysconfig.get_python_version()}")
+            sys.exit(f"type support was built for Python {built_for}; this image has {sysconfig.get_python_version()}")
         shutil.copytree(here / "types" / "modules", modules, dirs_exist_ok=True)
     if (here / "prefix").is_dir():
         shutil.copytree(here / "prefix", prefix, dirs_exist_ok=True)

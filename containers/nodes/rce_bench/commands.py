@@ -1,4 +1,7 @@
-"""Answers each velocity command on `command` with the time when it came, on `arrival`: seconds, monotonic clock."""
+"""ROS 2 node that answers each velocity command on `command` with the time of its arrival on `arrival`.
+
+The time is in seconds of the monotonic clock, which all processes of a machine share.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +14,15 @@ from std_msgs.msg import Float64
 
 
 class CommandNode(LeanNode):
+    """Node that time-stamps velocity commands."""
+
     def __init__(self, _words: list[str]) -> None:
+        """Create the topics; the node takes no arguments."""
         super().__init__("commands")
         self._arrivals = self.create_publisher(Float64, "arrival", DEPTH)
-        self.create_subscription(Twist, "command", self._came, DEPTH)
+        self.create_subscription(Twist, "command", self._on_command, DEPTH)
 
-    def _came(self, _command: Twist) -> None:
+    def _on_command(self, _command: Twist) -> None:
         self._arrivals.publish(Float64(data=time.monotonic()))
 
 

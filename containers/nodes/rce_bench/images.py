@@ -1,4 +1,4 @@
-"""Takes the images on `image` and does nothing with them."""
+"""ROS 2 node that receives the images on `image` and discards them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from sensor_msgs.msg import Image
 
 
 class ImageNode(LeanNode):
+    """Node that discards images."""
+
     def __init__(self, _words: list[str]) -> None:
+        """Create the topic; the node takes no arguments."""
         super().__init__("images")
         self.create_subscription(Image, "image", lambda _image: None, DEPTH)
 

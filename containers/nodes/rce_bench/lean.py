@@ -1,4 +1,4 @@
-"""What the benchmark's nodes share: a node with as little beside its own work as rclpy allows, and how it is run."""
+"""Common base of the benchmark's nodes: a node with as little overhead as rclpy allows, and its main function."""
 
 from __future__ import annotations
 
@@ -15,18 +15,23 @@ from std_msgs.msg import String, UInt8MultiArray
 
 DEPTH = 10
 TOPICS = {"string": String, "bytes": UInt8MultiArray, "image": Image}
-SERVICE = AddDiagnostics  # a string in, a string out
+SERVICE = AddDiagnostics  # a string in the request, a string in the response
 
 
 class LeanNode(Node):
-    """Without parameter services and log topic: rclpy's executors look at every entity at every wake."""
+    """Node without parameter services and log topic: at each wake-up an executor of rclpy looks at every entity."""
 
     def __init__(self, name: str) -> None:
+        """Create a node of this name."""
         super().__init__(name, start_parameter_services=False, enable_rosout=False)
 
 
 def run(make: Callable[[list[str]], Node]) -> int:
-    """Run a node, made from the command line's words, until SIGINT or SIGTERM."""
+    """Run a node until SIGINT or SIGTERM; return the exit status.
+
+    Args:
+        make: Returns the node, given the arguments of the command line without those of ROS.
+    """
     rclpy.init()
     try:
         rclpy.spin(make(remove_ros_args(sys.argv)[1:]))

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""A node as small as they come: what is said on /say is heard on /heard."""
+"""Minimal ROS 2 node: publishes each message of the topic /say on the topic /heard."""
 
 import signal
 
@@ -9,12 +9,14 @@ from std_msgs.msg import String
 
 
 def main() -> None:
-    for number in (signal.SIGINT, signal.SIGTERM):  # before rclpy, which calls these too: alone it may miss one
+    """Run the node until SIGINT or SIGTERM."""
+    # Installed before rclpy, whose handlers call these as well: a signal during its start could be lost otherwise.
+    for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
     rclpy.init()
     node = Node("echo")
-    heard = node.create_publisher(String, "/heard", 10)
-    node.create_subscription(String, "/say", heard.publish, 10)
+    publisher = node.create_publisher(String, "/heard", 10)
+    node.create_subscription(String, "/say", publisher.publish, 10)
     try:
         rclpy.spin(node)
     except KeyboardInterrupt:

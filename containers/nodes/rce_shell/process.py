@@ -1,4 +1,4 @@
-"""A program on a pseudo-terminal, in a session of its own."""
+"""Program on a pseudo-terminal, in its own session."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from rce.terminal import Request
+from rce.protocol.terminal import Request
 
-PATIENCE = 1.0  # seconds from the hang-up to SIGKILL
-LOOK = 0.02
-# Run in the new session: its leader opens the terminal, which becomes that of the session, and becomes the program.
-# (A fork of this process itself would be one with threads of ROS.)
-INSIDE = """
+KILL_AFTER = 1.0  # seconds from the hang-up to SIGKILL
+POLL_INTERVAL = 0.02  # seconds between checks whether the session has ended
+# Runs in the new session: the session leader opens the terminal, which thereby becomes the controlling terminal, and
+# executes the program. A separate interpreter does this, since a fork of this process would have threads of ROS.
+BOOTSTRAP = """
 import os, sys
 terminal = os.open(sys.argv[1], os.O_RDWR)
 for number in (0, 1, 2):
@@ -33,26 +33,35 @@ os.execvp(sys.argv[2], sys.argv[2:])
 
 
 class Process:
-    """The program; `master` is our end of its terminal, in non-blocking mode. `status` is None while it runs."""
+    """Program on a pseudo-terminal.
 
-    def __init__(self, wanted: Request) -> None:
+    Attributes:
+        master: Descriptor of our end of the terminal, non-blocking.
+        ended: Monotonic time when the exit status was first read; 0 before.
+    """
+
+    def __init__(self, request: Request) -> None:
+        """Start the program of a request, by default a shell."""
         self.master, slave = pty.openpty()
         os.set_blocking(self.master, False)
-        self.resize(wanted.rows, wanted.columns)
+        self.resize(request.rows, request.columns)
         shell = shutil.which("bash") or "/bin/sh"
-        program = [shell, "-c", wanted.command] if wanted.command else [shell]
+        program = [shell, "-c", request.command] if request.command else [shell]
         self._child = subprocess.Popen(
-            [sys.executable, "-I", "-S", "-c", INSIDE, os.ttyname(slave), *program],
+            [sys.executable, "-I", "-S", "-c", BOOTSTRAP, os.ttyname(slave), *program],
             stdin=subprocess.DEVNULL,
-            env={**os.environ, "TERM": wanted.term, "SHELL": shell},
+            env={**os.environ, "TERM": request.term, "SHELL": shell},
             start_new_session=True,
         )
-        self._slave = slave  # kept open: where nobody has it open, reading and writing fail
+        self._slave = slave  # kept open: reading and writing fail when no process has it open
         self.ended = 0.0
 
     @property
     def status(self) -> int | None:
-        """The exit status, when all that was written before has been read; 128 and the signal that ended it."""
+        """Exit status, or 128 and the number of the signal that ended the program.
+
+        It is None while the program runs, and until its output has been read.
+        """
         code = self._child.poll()
         if code is None or self._readable():
             return None
@@ -60,7 +69,7 @@ class Process:
         return code if code >= 0 else 128 - code
 
     def read(self, count: int) -> bytes:
-        """What has been written on the terminal; the kernel gives some kB of it at a time."""
+        """Return up to `count` bytes of output. The kernel returns a few kB a call, so this reads repeatedly."""
         found = bytearray()
         with suppress(BlockingIOError):
             while len(found) < count:
@@ -68,23 +77,25 @@ class Process:
         return bytes(found)
 
     def write(self, data: bytes) -> int:
+        """Write input; return the number of bytes that the terminal has accepted."""
         try:
             return os.write(self.master, data)
         except BlockingIOError:
             return 0
 
     def resize(self, rows: int, columns: int) -> None:
+        """Set the size of the terminal."""
         fcntl.ioctl(self.master, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
 
     def end(self) -> None:
-        """Hang up, and see to it that nothing of the session is left."""
+        """Hang up the terminal, and kill what is left of the session after a grace period."""
         os.close(self._slave)
-        os.close(self.master)  # the kernel sends SIGHUP to the session's foreground
-        until = time.monotonic() + PATIENCE
-        while self._session() and time.monotonic() < until:
+        os.close(self.master)  # the kernel sends SIGHUP to the foreground of the session
+        deadline = time.monotonic() + KILL_AFTER
+        while self._session_pids() and time.monotonic() < deadline:
             self._child.poll()
-            time.sleep(LOOK)
-        for pid in self._session():
+            time.sleep(POLL_INTERVAL)
+        for pid in self._session_pids():
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
         self._child.wait()
@@ -92,8 +103,8 @@ class Process:
     def _readable(self) -> bool:
         return bool(select.select([self.master], [], [], 0)[0])
 
-    def _session(self) -> list[int]:
-        """The processes of the session that are no zombies."""
+    def _session_pids(self) -> list[int]:
+        """Return the processes of the session that are not zombies."""
         found = []
         for path in Path("/proc").glob("[0-9]*/stat"):
             with suppress(OSError):

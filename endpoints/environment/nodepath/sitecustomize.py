@@ -1,4 +1,4 @@
-"""On the PYTHONPATH of users' nodes: hides RCE's own packages, whose names may be those of the users' modules."""
+"""Module on the PYTHONPATH of users' nodes that hides RCE's packages: users may have modules of the same names."""
 
 import sys
 from importlib.abc import MetaPathFinder
@@ -10,9 +10,10 @@ ROOT = Path(__file__).parents[3]
 
 
 class Hider(MetaPathFinder):
-    """Finds modules with the names of ours, but not ours."""
+    """Finder for the names of RCE's packages that skips the directory of RCE."""
 
     def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        """Find a top-level module with the name of one of RCE's packages elsewhere on the path."""
         if path is not None or name not in OURS:
             return None
         spec = PathFinder.find_spec(name, [entry for entry in sys.path if Path(entry or ".").resolve() != ROOT])

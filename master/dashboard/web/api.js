@@ -1,4 +1,4 @@
-// The HTTP API of the Master: JSON with an API key, its problems as errors, its logs as streams.
+// Client of the Master's HTTP API: JSON with an API key, problems as errors, logs as streams.
 
 const BASE = "/api/v1";
 
@@ -34,7 +34,7 @@ export class Api {
     return call("DELETE", path, `Bearer ${this.key}`, { query });
   }
 
-  /** All items of a list, page by page. */
+  /** Return all items of a list, fetched page by page. */
   async list(path, query = {}) {
     const items = [];
     let after = "";
@@ -46,7 +46,7 @@ export class Api {
     return items;
   }
 
-  /** The data of server-sent events, until `signal` or the server ends them. */
+  /** Yield the data of server-sent events, until `signal` or the server ends them. */
   async* follow(path, query, signal) {
     const answer = await ask("GET", path, `Bearer ${this.key}`, { query, signal, accept: "text/event-stream" });
     const reader = answer.body.pipeThrough(new TextDecoderStream()).getReader();
@@ -64,7 +64,7 @@ export class Api {
   }
 }
 
-/** An API key for this page, by user and password. */
+/** Create an API key for this page, with user and password. */
 export function signIn(user, password, wanted) {
   const pair = new TextEncoder().encode(`${user}:${password}`);
   return call("POST", "/keys", `Basic ${btoa(String.fromCharCode(...pair))}`, { body: wanted });
@@ -83,7 +83,7 @@ async function ask(method, path, authorization, { body, query = {}, signal, acce
   if (method === "POST") headers["idempotency-key"] = Array.from(crypto.getRandomValues(new Uint32Array(4))).join("-");
   let answer;
   try {
-    // Without `omit` the browser would ask for a password of its own after a 401.
+    // Without `omit` the browser would open its own password dialog after a 401.
     answer = await fetch(url, { method, headers, signal, credentials: "omit", body: body && JSON.stringify(body) });
   } catch (error) {
     if (error.name === "AbortError") throw error;

@@ -1,4 +1,4 @@
-// Who did what to what, and with what result.
+// Page of the audit log.
 
 import { attempt, h, show, table, time } from "./dom.js";
 

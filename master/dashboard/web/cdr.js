@@ -1,8 +1,8 @@
-// The few ROS messages that are read as they are (CDR, little-endian): maps and paths are large, and quick to read so.
+// Decoders of the ROS messages that come as CDR (little-endian): maps and paths are large, and fast to read this way.
 
 class Reader {
   #view;
-  #at = 4; // after the encapsulation, from which alignment counts
+  #at = 4; // after the encapsulation header, where alignment begins
 
   constructor(bytes) {
     this.#view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
@@ -41,14 +41,14 @@ class Reader {
     this.int8s(); // frame
   }
 
-  /** In the plane: metres and radians. */
+  /** Read a pose in the plane: metres and radians. */
   pose() {
     const [x, y, , qx, qy, qz, qw] = Array.from({ length: 7 }, () => this.float64());
     return { x, y, angle: Math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz)) };
   }
 }
 
-/** nav_msgs/OccupancyGrid. */
+/** Decode nav_msgs/OccupancyGrid. */
 export function readMap(bytes) {
   const reader = new Reader(bytes);
   reader.header();
@@ -57,7 +57,7 @@ export function readMap(bytes) {
   return { resolution, width, height, origin: reader.pose(), cells: reader.int8s() };
 }
 
-/** map_msgs/OccupancyGridUpdate. */
+/** Decode map_msgs/OccupancyGridUpdate. */
 export function readUpdate(bytes) {
   const reader = new Reader(bytes);
   reader.header();
@@ -65,7 +65,7 @@ export function readUpdate(bytes) {
   return { x, y, width, height, cells: reader.int8s() };
 }
 
-/** nav_msgs/Path: the poses. */
+/** Decode the poses of nav_msgs/Path. */
 export function readPath(bytes) {
   const reader = new Reader(bytes);
   reader.header();
@@ -75,7 +75,7 @@ export function readPath(bytes) {
   });
 }
 
-/** geometry_msgs/PoseStamped and PoseWithCovarianceStamped. */
+/** Decode geometry_msgs/PoseStamped or PoseWithCovarianceStamped. */
 export function readPose(bytes) {
   const reader = new Reader(bytes);
   reader.header();

@@ -1,15 +1,15 @@
-// Which environment and which topics of it are looked at.
+// Choice of an environment and of the topics to show.
 
 import { h, show } from "./dom.js";
 
-/** The types of the topics of an environment that interfaces make known, by topic. */
+/** Return the types of an environment's topics that have an interface, by topic. */
 export function topicsOf(app, owner, environment) {
   const of = [...app.live.interfaces.values()].filter((each) =>
     each.user === owner && each.endpointTag === environment && /^(Publisher|Subscriber)Interface$/.test(each.interfaceType));
   return new Map(of.map((each) => [each.addr, each.className]));
 }
 
-/** A form for `fields` {name, label, type, value}; sent, it leads to `page` with what was chosen. */
+/** Return a form for `fields` {name, label, type, value}; submitting it opens `page` with the chosen values. */
 export function chooser(app, page, owner, environment, fields) {
   const select = h("select", { name: "environment", required: true });
   const inputs = fields.map((each) => h("input", { name: each.name, value: each.value, list: `${each.name}-topics`, size: 16, autocomplete: "off" }));

@@ -1,8 +1,8 @@
-// Elements, tables and notices: all that the pages need of the DOM.
+// DOM helpers of all pages: elements, tables and notices.
 
 const SVG = "http://www.w3.org/2000/svg";
 
-/** An element: `h("button.small", {onclick, title}, "text", child…)`. What is null or false is left out. */
+/** Create an element: `h("button.small", {onclick, title}, "text", child…)`. Null and false are ignored. */
 export function h(name, ...rest) {
   return fill(document.createElement(name.split(".")[0]), name, rest);
 }
@@ -24,7 +24,7 @@ function fill(element, name, rest) {
   return element;
 }
 
-/** A table of `columns`, {title: cell(row)}; a title that begins with # is of numbers, one that is blank of buttons. */
+/** Create a table of `columns` {title: cell(row)}; a title with # in front is of numbers, a blank one of buttons. */
 export function table(columns, rows, none) {
   if (!rows.length) return h("p.empty", none);
   const kind = (title) => (title.startsWith("#") ? ".number" : title.trim() ? "" : ".actions");
@@ -34,8 +34,8 @@ export function table(columns, rows, none) {
     h("tbody", rows.map((row) => h("tr", titles.map((title) => h(`td${kind(title)}`, columns[title](row))))))));
 }
 
-/** Make `element` hold what `children` are. What is the same stays, so that a click or the focus is not lost; listeners
- * of what stays are the old ones: use one on `element` (`data-do`) where they must know the newest. */
+/** Make the children of `element` equal to `children`. Equal nodes stay, so that no click or focus is lost. They keep
+ * their old listeners: use one listener on `element` (`data-do`) if it needs the newest data. */
 export function show(element, ...children) {
   patch(element, h("div", ...children));
 }
@@ -57,14 +57,14 @@ function patch(old, fresh) {
   for (const node of have.slice(want.length)) node.remove();
 }
 
-/** Something to be seen for a while; `more` is an element beside the words. */
+/** Show a notice for a while; `more` is an element beside the text. */
 export function notice(text, bad = false, more = null) {
   const box = h(bad ? "div.bad" : "div", h("span", String(text)), more, h("button.small", { onclick: () => box.remove() }, "Close"));
   document.getElementById("notices").append(box);
   setTimeout(() => box.remove(), bad ? 20_000 : 5_000);
 }
 
-/** Run what a click asks for; what the server says against it is shown. */
+/** Run the action of a click, and show the error if the server refuses it. */
 export async function attempt(work, done = "") {
   try {
     const result = await work();

@@ -1,4 +1,4 @@
-// One environment: its nodes, parameters, interfaces, output, and what it uses.
+// Page of one environment: nodes, parameters, interfaces, output and usage.
 
 import { attempt, bytes, h, rate, short, show, state, table } from "./dom.js";
 import { Chart } from "./chart.js";
@@ -65,7 +65,7 @@ export function environmentPage(main, app, user, tag, query) {
   return () => { off(); logs.stop(); };
 }
 
-/** What the buttons that say `data-do` do, with their `data-of`. */
+/** Return the actions of the buttons, by their `data-do`; each takes the button's `data-of`. */
 function bind(element, actions) {
   element.onclick = (event) => {
     const button = event.target.closest("[data-do]");

@@ -1,9 +1,9 @@
-// What happens that a person should hear of, as notices: nodes that die, environments that are lost, limits, machines.
+// Notices of events: nodes that die, environments that are lost, limits, machines.
 
 import { h, notice } from "./dom.js";
 import { tell } from "./forms.js";
 
-const AGAIN = 5000; // milliseconds
+const RETRY = 5000; // milliseconds until the stream is opened again
 const WORDS = {
   "node.died": (event, what) => `Node ${what} ended${event.status === null ? "" : ` with status ${event.status}`}.`,
   "environment.failed": (event, what) => `Environment ${what} did not start: ${event.text}`,
@@ -12,15 +12,15 @@ const WORDS = {
   "machine.left": (event, what) => `Machine ${what} is away. ${event.text}`,
 };
 
-/** Follow the events of whom the feed shows, until `signal`. */
+/** Follow the events of the user whom the feed shows, until `signal`. */
 export async function followEvents(app, signal) {
   while (!signal.aborted) {
     try {
       for await (const event of app.api.follow("/events", {}, signal)) tellOf(app, event);
     } catch (error) {
-      if (signal.aborted || (error.status >= 400 && error.status < 500)) return; // not theirs to hear
+      if (signal.aborted || (error.status >= 400 && error.status < 500)) return; // not allowed, which will not change
     }
-    await new Promise((resolve) => { setTimeout(resolve, AGAIN); });
+    await new Promise((resolve) => { setTimeout(resolve, RETRY); });
   }
 }
 

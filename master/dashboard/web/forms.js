@@ -1,9 +1,9 @@
-// Dialogs that ask for something, and the ones by which things are created.
+// Dialogs: the general form, and those that create resources.
 
 import { h } from "./dom.js";
 
-/** A dialog with `fields` {name, label, …attributes, help, options}; `submit(values)` runs when they are given, and what
- * the server says against it is shown in the dialog, which stays. */
+/** Open a dialog with `fields` {name, label, …attributes, help, options}. `submit(values)` runs on confirmation; if the
+ * server refuses, the dialog stays open with the error. */
 export function ask(title, fields, submit, { button = "Create", text = "" } = {}) {
   const error = h("p.error", { role: "alert" });
   const send = h("button.main", { type: "submit" }, button);
@@ -28,12 +28,12 @@ export function ask(title, fields, submit, { button = "Create", text = "" } = {}
   dialog.showModal();
 }
 
-/** Ask whether something shall really be done. */
+/** Ask for confirmation. */
 export function confirm(title, text, button, work) {
   ask(title, [], work, { button, text });
 }
 
-/** Something to read, with `children`. */
+/** Open a dialog with a text and `children`. */
 export function tell(title, ...children) {
   const dialog = h("dialog", { "aria-label": title }, h("h2", title), ...children,
     h("div.buttons", h("button.main", { onclick: () => dialog.close() }, "Close")));
@@ -57,7 +57,7 @@ function field({ name, label, help, options, value, type = "text", list, ...attr
     list && h("datalist", { id: `${name}-list` }, list.map((each) => h("option", { value: each }))));
 }
 
-/** What was given; what was left empty is left out, except of required fields. */
+/** Return the values of the form, without empty optional ones. */
 function values(dialog, fields) {
   const given = {};
   for (const { name, type } of fields) {

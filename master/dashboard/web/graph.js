@@ -1,10 +1,10 @@
-// The live graph. Only what is near the window is in the document, so that it stays quick with thousands of interfaces.
+// Page of the live graph. Only what is near the window is in the document, so it stays fast with thousands of interfaces.
 
 import { attempt, h, rate, short, show, state, svg, table } from "./dom.js";
 import { confirm, newEnvironment, newInterface, newNode, tell } from "./forms.js";
 import { line, model, place, wires } from "./layout.js";
 
-const MARGIN = 600; // pixels above and below the window that are drawn too
+const MARGIN = 600; // pixels above and below the window that are drawn as well
 
 export function graphPage(main, app) {
   const graph = new Graph(app);
@@ -26,7 +26,7 @@ export function graphPage(main, app) {
   };
 }
 
-/** Which kinds of interfaces go together. */
+/** Return whether two interfaces can be connected. */
 export function fit(a, b) {
   const kinds = (view) => view.interfaceType.replace(/(Interface|Converter|Forwarder)$/, "");
   const opposite = { Publisher: "Subscriber", Subscriber: "Publisher", ServiceClient: "ServiceProvider", ServiceProvider: "ServiceClient" };
@@ -36,11 +36,11 @@ export function fit(a, b) {
 
 class Graph {
   #app;
-  #folds = new Map(); // what was folded or unfolded by hand
-  #chosen = null; // the interface that waits for another
+  #folds = new Map(); // cards that the user folded or unfolded
+  #chosen = null; // key of the interface to be connected
   #cards = new Map();
   #wires = [];
-  #drawn = new Map(); // elements in the document, by key, with what they show
+  #drawn = new Map(); // elements in the document by key, with the content that they show
   #summary = h("span.soft", { "aria-live": "polite" });
   #none = h("p.empty");
 
@@ -56,7 +56,7 @@ class Graph {
       app.me.may("environment.create") && h("button.main", { onclick: () => newEnvironment(app) }, "New environment"));
   }
 
-  /** Everything has its place anew. */
+  /** Compute the layout of all cards and wires. */
   draw() {
     const { live } = this.#app;
     const folded = (key, many) => this.#folds.get(key) ?? many;
@@ -72,7 +72,7 @@ class Graph {
     this.paint();
   }
 
-  /** What is near the window comes into the document, what is not leaves it. */
+  /** Add what is near the window to the document, and remove the rest. */
   paint() {
     const top = -this.element.getBoundingClientRect().top - MARGIN;
     const bottom = top + window.innerHeight + 2 * MARGIN;
@@ -137,7 +137,7 @@ class Graph {
     h("span.tag", view.interfaceTag), h("span.type", short(view.className)));
   }
 
-  /** `show` may put a copy where the same was: so its clicks are taken here, once. */
+  /** Handle all clicks here, because `show` may keep elements with their old listeners. */
   #listen(element, key) {
     element.onclick = (event) => {
       const button = event.target.closest("[data-do]");

@@ -1,4 +1,4 @@
-// What a camera sees.
+// Page of the images of a camera.
 
 import { h } from "./dom.js";
 import { chooser, topicsOf } from "./chooser.js";
@@ -15,10 +15,10 @@ export function imagePage(main, app, owner, environment, query) {
   }
   app.reveal(owner);
   const picture = new Picture();
-  main.append(h("section.panel", picture.says, picture.element));
+  main.append(h("section.panel", picture.status, picture.element));
   const subscriptions = new Subscriptions(app, owner, environment);
   const type = topicsOf(app, owner, environment).get(topic) ?? "sensor_msgs/Image";
   subscriptions.add(topic, type, { format: "jpeg", depth: 1, qos: { depth: 1 }, callback: (message) => picture.take(message) })
-    .catch((error) => { picture.says.textContent = error.message; });
+    .catch((error) => { picture.status.textContent = error.message; });
   return () => { pick.stop(); subscriptions.close(); };
 }

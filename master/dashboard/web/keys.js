@@ -1,4 +1,4 @@
-// API keys: made, shown once, rotated, revoked.
+// Page of API keys: create, rotate and revoke; a secret is shown once.
 
 import { attempt, h, show, table, time } from "./dom.js";
 import { ask, confirm, tell } from "./forms.js";
@@ -15,7 +15,7 @@ export function keysPage(main, app) {
   return () => {};
 }
 
-/** The keys of one user in `list`; `who` names the user as a query. */
+/** Show the keys of one user in `list`; `who` is the query that names the user. */
 export function keysOf(app, list, who) {
   const { api, me } = app;
   const owner = who.user ?? me.user;

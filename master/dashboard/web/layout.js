@@ -1,9 +1,9 @@
-// Where everything of the graph stands: robots on the left, environments on the right, wires in between. No DOM here.
+// Layout of the graph: robots on the left, environments on the right, wires in between. Free of the DOM.
 
-const [TITLE, PORT, GAP, GUTTER] = [48, 28, 18, 200]; // pixels; the gutter is at least so wide
-export const FEW = 24; // up to so many cards show their interfaces unless they are folded
+const [TITLE, PORT, GAP, GUTTER] = [48, 28, 18, 200]; // pixels; of the gutter the minimum
+export const MAX_UNFOLDED = 24; // up to this number, cards show their interfaces unless the user folds them
 
-/** The cards and wires of what is there. `folded(key, many)` says whether a card hides its interfaces. */
+/** Return the cards and wires of the graph. `folded(key, many)` returns whether a card hides its interfaces. */
 export function model(live, filter, folded) {
   const cards = new Map();
   const all = [...live.robots].map(([key, view]) => card(key, "robot", view.robotID, view))
@@ -23,13 +23,13 @@ export function model(live, filter, folded) {
   const kept = words ? all.filter(fits) : all;
   for (const each of kept) {
     each.ports.sort((a, b) => compare(a.key, b.key));
-    each.folded = folded(each.key, kept.length > FEW);
+    each.folded = folded(each.key, kept.length > MAX_UNFOLDED);
     each.height = TITLE + (each.folded ? 0 : each.ports.length * PORT);
   }
   return { cards: new Map(order(kept).map((each) => [each.key, each])), links, total: all.length };
 }
 
-/** Give every card its place in a graph of this width; the graph's height. */
+/** Place every card in a graph of this width, and return the graph's height. */
 export function place(cards, width) {
   const column = Math.min(420, (width - Math.min(GUTTER + (width - 500) / 4, width * 0.34)) / 2);
   const ends = { robot: 0, environment: 0 };
@@ -40,7 +40,7 @@ export function place(cards, width) {
   return Math.max(ends.robot, ends.environment);
 }
 
-/** The wires between placed cards: connections that have the same ends on the page are one, which may go both ways. */
+/** Return the wires between placed cards: connections with the same ends are one wire, which may go both ways. */
 export function wires(cards, links) {
   const found = new Map();
   for (const link of links) {
@@ -60,7 +60,7 @@ export function wires(cards, links) {
   return [...found.values()];
 }
 
-/** The line of a wire, and the middle of it. Both ends of one column: it makes an arc into the gutter. */
+/** Return the path of a wire and its middle. A wire within one column is an arc into the gutter. */
 export function line({ from, to, both }) {
   const reach = from.side === to.side ? 90 + Math.min(60, Math.abs(to.y - from.y) / 6) : Math.max(40, Math.abs(to.x - from.x) / 2);
   const [a, b] = [from.x + from.side * reach, to.x + to.side * reach];
@@ -90,7 +90,7 @@ function card(key, kind, name, view) {
   return { key, kind, name, view, ports: [], peers: new Set() };
 }
 
-/** Environments by name, robots beside what they are connected to. */
+/** Order environments by name, and robots beside the environments that they are connected to. */
 function order(cards) {
   const environments = cards.filter(({ kind }) => kind === "environment").sort((a, b) => compare(a.key, b.key));
   const rank = new Map(environments.map(({ key }, index) => [key, index]));

@@ -1,28 +1,28 @@
-// What there is on the platform, kept up to date by the feed: one WebSocket, a snapshot, then what changed.
+// State of the platform, kept up to date by the live feed: one WebSocket with a snapshot, then changes.
 
 const KINDS = ["robots", "environments", "nodes", "parameters", "interfaces", "connections", "groups", "machines"];
-const [FIRST, MOST] = [500, 15_000]; // milliseconds until it is tried again
-const DENIED = 4401; // the close code of a key that is not good any more
+const [MIN_RETRY, MAX_RETRY] = [500, 15_000]; // milliseconds between attempts to connect
+const DENIED = 4401; // close code for a key that is wrong or revoked
 
 export class Live {
   #socket = null;
   #listeners = new Set();
   #greeting;
-  #pause = FIRST;
+  #pause = MIN_RETRY;
   #told = false;
   #closed = false;
 
-  /** `user` is whose things are shown, `*` for everybody's. `denied` is called when the key is not good any more. */
+  /** `user` is the owner of the resources shown, `*` for all. `denied` is called when the key is refused. */
   constructor(key, user, denied) {
     this.#greeting = { key, user };
     this.denied = denied;
     this.connected = false;
-    this.complete = false; // once all has come that there is
+    this.complete = false; // true after the first snapshot
     for (const kind of KINDS) this[kind] = new Map();
     this.#dial();
   }
 
-  /** Show the things of another user. */
+  /** Show the resources of another user. */
   watch(user) {
     this.#greeting.user = user;
     this.complete = false;
@@ -33,7 +33,7 @@ export class Live {
     return this.#greeting.user;
   }
 
-  /** `listener` is called before the next picture after something changed; returns what ends that. */
+  /** Call `listener` before the next frame after a change; returns a function that ends this. */
   on(listener) {
     this.#listeners.add(listener);
     return () => this.#listeners.delete(listener);
@@ -56,13 +56,13 @@ export class Live {
       if (this.#closed) return;
       if (code === DENIED) return void this.denied();
       setTimeout(() => this.#closed || this.#dial(), this.#pause);
-      this.#pause = Math.min(2 * this.#pause, MOST);
+      this.#pause = Math.min(2 * this.#pause, MAX_RETRY);
     };
   }
 
   #take({ snapshot, put = {}, drop = {} }) {
     this.connected = this.complete = true;
-    this.#pause = FIRST;
+    this.#pause = MIN_RETRY;
     if (snapshot) for (const kind of KINDS) this[kind].clear();
     for (const kind of KINDS) {
       for (const key of drop[kind] ?? []) this[kind].delete(key);

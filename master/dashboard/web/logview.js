@@ -1,8 +1,8 @@
-// The output of an environment or of one of its nodes, as it comes.
+// View of the output of an environment or one of its nodes, as it comes.
 
 import { h, show } from "./dom.js";
 
-const LINES = 2000; // that are kept
+const LINES = 2000; // kept in the view
 
 export class LogView {
   #app;
@@ -20,7 +20,7 @@ export class LogView {
     this.#select.onchange = () => this.select(this.#select.value);
   }
 
-  /** The nodes whose output there is beside the environment's own. A node that is gone has still had some. */
+  /** Set the nodes to choose from, beside the environment itself; nodes that are gone stay in the list. */
   nodes(names) {
     this.#names = [...new Set([...names, ...this.#names, this.#chosen])].filter(Boolean).sort();
     show(this.#select, h("option", { value: "" }, "the environment"), this.#names.map((name) => h("option", { value: name }, name)));
@@ -41,7 +41,7 @@ export class LogView {
       } catch (error) {
         if (stop.signal.aborted) return;
         this.#add([`— ${error.message} —`]);
-        if (error.status) return; // the server has said why
+        if (error.status) return; // the server's error is shown already
       }
       await new Promise((resolve) => { setTimeout(resolve, 3000); });
     }

@@ -1,4 +1,4 @@
-// The platform's machines and what of them is taken.
+// Page of the platform's machines and their usage.
 
 import { bytes, h, show, state, table } from "./dom.js";
 import { ask, tell } from "./forms.js";

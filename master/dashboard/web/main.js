@@ -1,4 +1,4 @@
-// The frame of the dashboard: who is signed in, the bar at the top, and which page is shown.
+// Frame of the dashboard: sign-in, the bar at the top, and the current page.
 
 import { Api, signIn } from "./api.js";
 import { auditPage } from "./audit.js";
@@ -14,10 +14,10 @@ import { mapPage } from "./map.js";
 import { Person } from "./person.js";
 import { userPage, usersPage } from "./users.js";
 
-const KEY = "rce.key"; // in the session's storage: gone with the tab
+const KEY = "rce.key"; // in sessionStorage, so it is gone with the tab
 const HOURS = 12;
 const [bar, main] = [document.getElementById("bar"), document.getElementById("main")];
-const PAGES = [ // what the address says, the page, its place in the bar, and the operation that it takes
+const PAGES = [ // path, page, label in the bar, and the operation that it needs
   [/^\/$/, graphPage, "Graph"],
   [/^\/environments\/(\w+)\/(\w+)$/, environmentPage],
   [/^\/map(?:\/(\w+)\/(\w+))?$/, mapPage, "Map", "data.read"],
@@ -30,7 +30,7 @@ const PAGES = [ // what the address says, the page, its place in the bar, and th
 ];
 
 let app = null;
-let leave = null; // what ends the page that is shown
+let leave = null; // ends the current page
 
 async function start() {
   const stored = sessionStorage.getItem(KEY);
@@ -116,11 +116,11 @@ function signInPage(message = "") {
 
 async function signOut() {
   await attempt(() => app.api.remove(`/keys/${app.me.key}`));
-  history.replaceState(null, "", location.pathname); // who signs in next begins at the graph
+  history.replaceState(null, "", location.pathname); // the next user begins at the graph
   forget();
 }
 
-/** The key is of no use any more. */
+/** Forget the key, and show the form to sign in. */
 function forget(message = "") {
   sessionStorage.removeItem(KEY);
   window.removeEventListener("hashchange", route);

@@ -1,4 +1,4 @@
-// A map as it grows, with the robot's pose and trail.
+// Page of a map while it grows, with the robot's pose and trail.
 
 import { readMap, readPath, readPose, readUpdate } from "./cdr.js";
 import { h } from "./dom.js";
@@ -21,8 +21,8 @@ export function mapPage(main, app, owner, environment, query) {
   }
   app.reveal(owner);
   const picture = new MapPicture();
-  const says = h("p.soft", { role: "status" }, "Waiting for a map …");
-  main.append(h("section.panel", h("div.head", says, h("span.grow"), h("button", { onclick: () => picture.fit() }, "Whole map")), picture.element));
+  const status = h("p.soft", { role: "status" }, "Waiting for a map …");
+  main.append(h("section.panel", h("div.head", status, h("span.grow"), h("button", { onclick: () => picture.fit() }, "Whole map")), picture.element));
   const subscriptions = new Subscriptions(app, owner, environment);
   const { topic, pose, path } = pick.values();
   const all = { raw: true, depth: 1 };
@@ -30,10 +30,10 @@ export function mapPage(main, app, owner, environment, query) {
   subscriptions.add(topic, "nav_msgs/OccupancyGrid", {
     qos: LATCHED, ...take(readMap, (map) => {
       picture.map(map);
-      says.textContent = `${map.width} × ${map.height} cells of ${Math.round(map.resolution * 1000) / 10} cm`;
+      status.textContent = `${map.width} × ${map.height} cells of ${Math.round(map.resolution * 1000) / 10} cm`;
     }),
-  }).catch((error) => { says.textContent = error.message; });
-  // A node need not have these: then the map is shown without them.
+  }).catch((error) => { status.textContent = error.message; });
+  // A node may lack these topics: then the map is shown without them.
   const optional = (promise) => promise.catch(() => {});
   optional(subscriptions.add(`${topic}_updates`, "map_msgs/OccupancyGridUpdate", { ...take(readUpdate, (update) => picture.update(update)), depth: 10 }));
   if (pose) optional(subscriptions.add(pose, topicsOf(app, owner, environment).get(pose) ?? "geometry_msgs/PoseWithCovarianceStamped", take(readPose, (at) => picture.pose(at))));

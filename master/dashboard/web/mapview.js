@@ -1,4 +1,4 @@
-// A map on a canvas: moved by dragging and arrow keys, scaled by wheel, plus and minus; follows nobody unless told.
+// Map on a canvas: moved by dragging and arrow keys, scaled by wheel, plus and minus; follows the robot on request.
 
 import { h } from "./dom.js";
 
@@ -8,7 +8,7 @@ export class MapPicture {
   #pose = null;
   #trail = [];
   #path = [];
-  #view = null; // {x, y, scale}: the map's point in the middle, pixels for each metre; null: the whole map
+  #view = null; // {x, y, scale}: point of the map in the middle, pixels per metre; null: the whole map
   #drawn = false;
 
   constructor() {
@@ -44,7 +44,7 @@ export class MapPicture {
     this.#draw();
   }
 
-  /** A part of the map that has changed. */
+  /** Replace a part of the map. */
   update({ x, y, width, height, cells }) {
     const map = this.#map;
     if (!map || x < 0 || y < 0 || x + width > map.width || y + height > map.height) return;
@@ -62,7 +62,7 @@ export class MapPicture {
     this.#draw();
   }
 
-  /** The way as it is known now: it stands in place of the poses that came before. */
+  /** Set the trajectory, which replaces earlier poses. */
   path(poses) {
     this.#path = poses;
     this.#trail = poses.slice(-1);
@@ -132,7 +132,7 @@ export class MapPicture {
     if (!this.#map?.width) return;
     const { x, y, scale } = this.#view ?? this.#whole();
     const pixels = scale * density;
-    context.setTransform(pixels, 0, 0, -pixels, width / 2 - x * pixels, height / 2 + y * pixels); // metres, up is up
+    context.setTransform(pixels, 0, 0, -pixels, width / 2 - x * pixels, height / 2 + y * pixels); // metres, y axis up
     const { origin, resolution } = this.#map;
     context.save();
     context.translate(origin.x, origin.y);
@@ -143,7 +143,7 @@ export class MapPicture {
     this.#way(context, 1 / scale);
   }
 
-  /** `dot` is the size of a pixel in metres. */
+  /** Draw the trajectory and the trail; `dot` is the size of a pixel in metres. */
   #way(context, dot) {
     const accent = getComputedStyle(this.element).getPropertyValue("--accent");
     const points = [...this.#path, ...this.#trail];
@@ -170,7 +170,7 @@ export class MapPicture {
   }
 }
 
-/** A colour of the style sheet, `#rgb` or `#rrggbb`, as three numbers. */
+/** Return a colour of the style sheet, `#rgb` or `#rrggbb`, as three numbers. */
 function colour(element, name) {
   const digits = getComputedStyle(element).getPropertyValue(name).trim().slice(1);
   const pairs = digits.length === 3 ? [...digits].map((digit) => digit + digit) : digits.match(/../g) ?? ["80", "80", "80"];

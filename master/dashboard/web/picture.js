@@ -1,4 +1,4 @@
-// Images of a topic on a canvas; those that come while one is being drawn are left out.
+// Images of a topic on a canvas; images that come while one is decoded are dropped.
 
 import { h } from "./dom.js";
 
@@ -8,10 +8,10 @@ export class Picture {
 
   constructor() {
     this.element = h("canvas.picture", { role: "img", "aria-label": "Image of the topic", width: 4, height: 3 });
-    this.says = h("p.soft", { role: "status" }, "Waiting for an image …");
+    this.status = h("p.soft", { role: "status" }, "Waiting for an image …");
   }
 
-  /** The bytes of a picture, or a CompressedImage, whose data is base64. */
+  /** Show the bytes of an image file, or a CompressedImage, whose data is base64. */
   async take(message) {
     if (this.#busy || document.hidden) return;
     this.#busy = true;
@@ -24,7 +24,7 @@ export class Picture {
       bitmap.close();
       this.#tell();
     } catch (error) {
-      this.says.textContent = `This image cannot be shown: ${error.message}`;
+      this.status.textContent = `This image cannot be shown: ${error.message}`;
     } finally {
       this.#busy = false;
     }
@@ -33,6 +33,6 @@ export class Picture {
   #tell() {
     const now = performance.now();
     this.#times = [...this.#times.filter((each) => each > now - 2000), now];
-    this.says.textContent = `${this.element.width} × ${this.element.height}, ${Math.round(this.#times.length / 2)} images a second`;
+    this.status.textContent = `${this.element.width} × ${this.element.height}, ${Math.round(this.#times.length / 2)} images a second`;
   }
 }

@@ -1,8 +1,8 @@
-// The guest that this page is where it shows data, with the rights of who is signed in; what it makes goes with it.
+// The guest robot through which a page receives data, with the rights of the signed-in user; its interfaces go with it.
 
 import { Robot } from "./rce/rce.js";
 
-/** Subscriptions of one page to topics of an environment of `owner`'s: `add` makes one, `close` ends them all. */
+/** Subscriptions of one page to topics of an owner's environment: `add` makes one, `close` ends all. */
 export class Subscriptions {
   #robot;
   #opened;
@@ -12,7 +12,7 @@ export class Subscriptions {
     this.environment = environment;
     this.#robot = new Robot(location.origin, { user: app.me.user, owner, robot: `@browser_${digits.join("")}`, key: app.key });
     this.#opened = this.#robot.open();
-    this.#opened.catch(() => {}); // who adds something hears of it
+    this.#opened.catch(() => {}); // `add` reports the error
     app.guest = this.#robot;
   }
 

@@ -1,4 +1,4 @@
-// Users for administrators: roles, passwords, quotas and what is used of them, keys.
+// Pages of users for administrators: roles, passwords, quotas with their usage, and keys.
 
 import { attempt, bytes, h, notice, show, table, time } from "./dom.js";
 import { ask, confirm } from "./forms.js";
@@ -62,7 +62,7 @@ export function userPage(main, app, name) {
   return () => {};
 }
 
-const QUOTAS = [ // of the limits: key, label, whether usage counts it, words
+const QUOTAS = [ // limits: name, label, whether usage has it, format
   ["environments", "Environments", true],
   ["cores", "Cores", true],
   ["total_memory", "Memory", true, bytes],
@@ -83,7 +83,7 @@ function quotas(given, used) {
   }, QUOTAS, "");
 }
 
-/** One's own needs the old one. */
+/** Open the dialog for a new password; changing one's own needs the old one. */
 export function newPassword(app, name) {
   const old = name === app.me.user ? [{ name: "old", label: "Old password", ...PASSWORD }] : [];
   ask(`Password of ${name}`, [...old, { name: "new", label: "New password", ...PASSWORD }], async (wanted) => {

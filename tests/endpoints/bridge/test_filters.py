@@ -1,4 +1,4 @@
-"""What a bridge does to messages on their way."""
+"""Filters of forwarded messages."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import pytest
 
 from converters.types import TypeRegistry
 from converters.wire import Wire
-from endpoints.bridge.filters import IMAGE, TF, Pace, as_picture, chosen_transforms, from_picture
-from rce.blobs import Buffer
+from endpoints.bridge.filters import IMAGE, TF, RateLimit, image_decoder, image_encoder, transform_filter
 from rce.errors import ConversionError
+from rce.protocol.blobs import Buffer
 
 TRANSFORMS = TypeRegistry().message(TF)
 PIXELS = np.random.default_rng(0).integers(0, 256, (4, 6, 3), np.uint8)
@@ -33,40 +33,40 @@ def frames(cdr: Buffer | None) -> list[str]:
     return [each["child_frame_id"] for each in msgspec.json.decode(TRANSFORMS.decode(cdr).raw)["transforms"]]
 
 
-def test_a_pace_keeps_the_mean_rate() -> None:
+def test_rate_limit_keeps_mean_rate() -> None:
     clock = Clock()
-    pace = Pace(10, clock)
+    limit = RateLimit(10, clock)
     passed = 0
-    for _ in range(300):  # 30 a second, for 10 s: every third would be 10 a second, every fourth 7.5
-        passed += pace.due()
+    for _ in range(300):  # 30 Hz for 10 s: every third message would be 10 Hz, every fourth 7.5 Hz
+        passed += limit.allows()
         clock.now += 1 / 30
     assert 98 <= passed <= 102
 
 
-def test_after_a_silence_nothing_is_made_up_for() -> None:
+def test_rate_limit_allows_no_burst_after_pause() -> None:
     clock = Clock()
-    pace = Pace(10, clock)
-    assert pace.due()
+    limit = RateLimit(10, clock)
+    assert limit.allows()
     clock.now += 60
-    assert [pace.due(), pace.due(), pace.due()] == [True, False, False]
+    assert [limit.allows(), limit.allows(), limit.allows()] == [True, False, False]
 
 
-def test_without_a_rate_everything_passes() -> None:
-    pace = Pace(0, Clock())
-    assert all(pace.due() for _ in range(10))
+def test_rate_limit_of_zero_allows_everything() -> None:
+    limit = RateLimit(0, Clock())
+    assert all(limit.allows() for _ in range(10))
 
 
-def test_transforms_are_chosen_by_their_child_frames() -> None:
-    choose = chosen_transforms(["base_link", "/camera"], 0, Clock())
+def test_transforms_are_selected_by_child_frame() -> None:
+    choose = transform_filter(["base_link", "/camera"], 0, Clock())
     assert frames(choose(transforms("wheel", "base_link", "camera"))) == ["base_link", "camera"]
     assert choose(transforms("wheel")) is None
     whole = transforms("camera")
     assert choose(whole) is whole
 
 
-def test_each_transform_has_its_own_pace() -> None:
+def test_each_transform_has_its_own_rate_limit() -> None:
     clock = Clock()
-    choose = chosen_transforms(["a", "b"], 1, clock)
+    choose = transform_filter(["a", "b"], 1, clock)
     assert frames(choose(transforms("a"))) == ["a"]
     assert frames(choose(transforms("a", "b"))) == ["b"]
     clock.now += 1
@@ -79,13 +79,13 @@ def image(encoding: str, pixels: np.ndarray) -> Buffer:
     return TypeRegistry().message(IMAGE, "json").encode(Wire(False, msgspec.json.encode(value), {}))
 
 
-def test_a_png_comes_back_as_it_was() -> None:
+def test_png_round_trip() -> None:
     cdr = image("rgb8", PIXELS)
-    back = TypeRegistry().message(IMAGE, "json").decode(from_picture()(as_picture("png")(cdr)))
+    back = TypeRegistry().message(IMAGE, "json").decode(image_decoder()(image_encoder("png")(cdr)))
     value = msgspec.json.decode(back.raw)
     assert (value["width"], value["height"], value["encoding"]) == (6, 4, "rgb8")
 
 
-def test_an_encoding_without_a_picture_format_is_refused() -> None:
+def test_encoding_that_cannot_be_compressed_is_rejected() -> None:
     with pytest.raises(ConversionError):
-        as_picture("jpeg")(image("32FC1", np.zeros((4, 6), np.float32)))
+        image_encoder("jpeg")(image("32FC1", np.zeros((4, 6), np.float32)))

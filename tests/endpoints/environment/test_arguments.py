@@ -1,4 +1,4 @@
-"""The command line of a node."""
+"""Command line of a node."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ import pytest
 
 from endpoints.environment.arguments import ros_arguments, split, substitute
 from endpoints.environment.packages import Packages
-from rce.calls.endpoints import NodeSpec
+from rce.control.calls.endpoints import NodeSpec
 from rce.errors import InvalidName, InvalidRequest, NotFound
 
 PACKAGES = Packages([], [Path(__file__).parent / "packages"])
@@ -21,34 +21,34 @@ def test_substitutions() -> None:
     ("text", "error"),
     [("$(find nothing)", NotFound), ("$(env NOTHING)", InvalidRequest), ("$(eval 1)", InvalidRequest)],
 )
-def test_what_cannot_be_substituted_is_said(text: str, error: type[Exception]) -> None:
+def test_invalid_substitution_is_rejected(text: str, error: type[Exception]) -> None:
     with pytest.raises(error):
         substitute(text, PACKAGES, {})
 
 
-def test_what_becomes_too_long() -> None:
-    with pytest.raises(InvalidRequest, match="at most"):
+def test_length_after_substitution_is_limited() -> None:
+    with pytest.raises(InvalidRequest, match="the limit is"):
         substitute("$(env BIG)" * 4, PACKAGES, {"BIG": "x" * 30_000})
 
 
-def test_a_package_is_looked_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[str] = []
+def test_package_is_looked_up_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    lookups: list[str] = []
     packages = Packages([], [])
 
     def share(name: str) -> Path:
-        asked.append(name)
+        lookups.append(name)
         return Path("/p")
 
     monkeypatch.setattr(packages, "share", share)
     assert substitute("$(find probe)" * 3, packages, {}) == "/p/p/p"
-    assert asked == ["probe"]
+    assert lookups == ["probe"]
 
 
-def test_split_as_a_shell_but_without_one() -> None:
+def test_arguments_are_split_without_other_shell_syntax() -> None:
     assert split("a 'b c' \"d\" ; $(x) | > e") == ["a", "b c", "d", ";", "$(x)", "|", ">", "e"]
 
 
-def test_open_quote() -> None:
+def test_unbalanced_quote_is_rejected() -> None:
     with pytest.raises(InvalidRequest, match="quotation"):
         split("a 'b")
 
@@ -60,11 +60,11 @@ def test_name_and_namespace_are_remapped() -> None:
     assert arguments[-6:] == ["--enclave", "/tag", "-r", "__node:=walker", "-r", "__ns:=/left/leg"]
 
 
-def test_own_ros_arguments_win() -> None:
+def test_given_enclave_takes_precedence() -> None:
     assert "/tag" not in ros_arguments(NodeSpec("tag", "p", "e"), ["--ros-args", "--enclave", "/mine"], Path("/p"))
 
 
 @pytest.mark.parametrize("spec", [NodeSpec("t", "p", "e", name="a b"), NodeSpec("t", "p", "e", namespace="a//b")])
-def test_illegal_names(spec: NodeSpec) -> None:
+def test_invalid_names_are_rejected(spec: NodeSpec) -> None:
     with pytest.raises(InvalidName):
         ros_arguments(spec, [], Path("/p"))

@@ -1,14 +1,14 @@
-"""The parameters that nodes start with."""
+"""Parameters of nodes at their start."""
 
 import math
 
 import pytest
 import yaml
 
-from endpoints.environment.parameters import Parameters, checked, params_file
-from rce.calls.endpoints import ParameterSpec
+from endpoints.environment.parameters import Parameters, params_file, validate
+from rce.control.calls.endpoints import ParameterSpec
 from rce.errors import InvalidRequest
-from rce.messages import ParameterValue
+from rce.protocol.messages import ParameterValue
 
 VALUES: dict[str, ParameterValue] = {
     "flag": True,
@@ -24,7 +24,7 @@ VALUES: dict[str, ParameterValue] = {
 }
 
 
-def test_file_has_every_type() -> None:
+def test_file_supports_every_type() -> None:
     assert yaml.safe_load(params_file(VALUES.items())) == {"/**": {"ros__parameters": VALUES}}
 
 
@@ -32,13 +32,13 @@ def test_file_without_parameters() -> None:
     assert yaml.safe_load(params_file({}.items())) == {"/**": {"ros__parameters": {}}}
 
 
-def test_file_has_what_numbers_there_are() -> None:
+def test_file_supports_infinity_and_nan() -> None:
     read = yaml.safe_load(params_file({"inf": -math.inf, "nan": math.nan}.items()))["/**"]["ros__parameters"]
     assert read["inf"] == -math.inf
     assert math.isnan(read["nan"])
 
 
-def test_those_of_a_node_win() -> None:
+def test_parameters_of_single_node_take_precedence() -> None:
     parameters = Parameters()
     for spec in (ParameterSpec("a", 1), ParameterSpec("b", 1), ParameterSpec("a", 2, "x"), ParameterSpec("c", 3, "y")):
         parameters.put(spec)
@@ -47,11 +47,11 @@ def test_those_of_a_node_win() -> None:
     assert parameters.of("x") == {"a": 1, "b": 1}
 
 
-def test_numbers_of_a_list_become_one_type() -> None:
-    assert checked(ParameterSpec("a", [1, 2.5])).value == [1.0, 2.5]
+def test_mixed_numbers_of_list_become_floats() -> None:
+    assert validate(ParameterSpec("a", [1, 2.5])).value == [1.0, 2.5]
 
 
 @pytest.mark.parametrize("value", [[1, "a"], [True, 1], [], 1 << 63, [0, -(1 << 63) - 1]])
-def test_what_ros_has_no_type_for(value: ParameterValue) -> None:
+def test_value_without_ros_type_is_rejected(value: ParameterValue) -> None:
     with pytest.raises(InvalidRequest, match="parameter a"):
-        checked(ParameterSpec("a", value))
+        validate(ParameterSpec("a", value))

@@ -1,4 +1,4 @@
-"""What a mapper hears: scans, and the odometry from a topic or from tf."""
+"""Inputs of a mapper: scans, odometry from a topic or from tf, and static transforms."""
 
 from __future__ import annotations
 
@@ -18,60 +18,71 @@ from rce.mapping.geometry import ORIGIN, Pose
 from . import messages
 from .optional import TFMessage
 
-EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
-AS_IT_COMES = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
-STATIC = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-OFTEN = 100  # scans; a loss is logged at the first, and then as often
+LOSSLESS = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
+BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+STATIC_TRANSFORMS = QoSProfile(
+    depth=100, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+LOG_EVERY = 100  # lost scans from one warning to the next; the first loss is logged at once
 
 
 class ScanInput:
-    """A topic of scans: reliable, so that a recording arrives whole; best effort where a driver offers no more.
+    """Subscription to scans: reliable, so that a recording arrives complete, or best effort if a driver offers no more.
 
-    What ROS drops before it is taken, because the mapper does not keep up, is counted and logged.
+    Scans that ROS drops because the mapper does not keep up are counted and logged.
+
+    Attributes:
+        lost: Number of scans that were dropped.
     """
 
-    def __init__(self, node: Node, topic: str, take: Callable[[LaserScan], None]) -> None:
+    def __init__(self, node: Node, topic: str, on_scan: Callable[[LaserScan], None]) -> None:
+        """Subscribe to a topic and call `on_scan` with each scan."""
         self.lost = 0
         self._node = node
         self._topic = topic
-        self._take = take
-        self._subscribe(EVERYTHING)
+        self._on_scan = on_scan
+        self._subscribe(LOSSLESS)
 
     def _subscribe(self, qos: QoSProfile) -> None:
         events = SubscriptionEventCallbacks(message_lost=self._on_lost, incompatible_qos=self._on_incompatible)
         self._subscription = self._node.create_subscription(
-            LaserScan, self._topic, self._take, qos, event_callbacks=events
+            LaserScan, self._topic, self._on_scan, qos, event_callbacks=events
         )
 
     def _on_incompatible(self, _: QoSRequestedIncompatibleQoSInfo) -> None:
+        """Subscribe again with best effort: a publisher does not offer reliable delivery."""
         if self._subscription.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT:
             return
-        self._node.get_logger().info("scans are offered as best effort only: some may be lost on their way")
+        self._node.get_logger().info(
+            f"the publisher of {self._topic} offers best effort only: scans may be lost on the way"
+        )
         self._node.destroy_subscription(self._subscription)
-        self._subscribe(AS_IT_COMES)
+        self._subscribe(BEST_EFFORT)
 
     def _on_lost(self, info: QoSMessageLostInfo) -> None:
         before, self.lost = self.lost, self.lost + info.total_count_change
-        if before // OFTEN != self.lost // OFTEN or not before:
-            self._node.get_logger().warning(f"{self.lost} scans were dropped: they come faster than they are mapped")
+        if before // LOG_EVERY != self.lost // LOG_EVERY or not before:
+            self._node.get_logger().warning(f"{self.lost} scans were dropped: they arrive faster than they are mapped")
 
 
 class Transforms:
-    """What `/tf` and `/tf_static` say: the odometry (odom to base frame), and where the laser is on the robot."""
+    """Transforms from `/tf` and `/tf_static`: the odometry (odom to base frame) and the mounting of the laser."""
 
-    def __init__(self, node: Node, odom_frame: str, base_frame: str, take: Callable[[Time, Pose], None] | None) -> None:
-        """`take` gets the odometry with its stamp; None if it is not wanted."""
+    def __init__(
+        self, node: Node, odom_frame: str, base_frame: str, on_odometry: Callable[[Time, Pose], None] | None
+    ) -> None:
+        """Subscribe to static transforms, and to odometry unless `on_odometry` is None."""
         self._odom, self._base = odom_frame, base_frame
-        self._take = take
-        self._fixed: dict[str, tuple[str, Pose]] = {}  # parent frame and place in it, by child frame
+        self._on_odometry = on_odometry
+        self._fixed: dict[str, tuple[str, Pose]] = {}  # parent frame and pose in it, by child frame
         if TFMessage is None:
             return
-        node.create_subscription(TFMessage, "/tf_static", self._on_static, STATIC)
-        if take is not None:
+        node.create_subscription(TFMessage, "/tf_static", self._on_static, STATIC_TRANSFORMS)
+        if on_odometry is not None:
             node.create_subscription(TFMessage, "/tf", self._on_moving, 100)
 
-    def place(self, frame: str) -> Pose:
-        """Of a frame on the robot, in the base frame, as far as it is flat; the base's own for one that is unknown."""
+    def lookup(self, frame: str) -> Pose:
+        """Return the pose in the plane of a frame on the robot, in the base frame; the origin if it is unknown."""
         frame = frame.lstrip("/")
         pose = ORIGIN
         for _ in range(len(self._fixed)):
@@ -83,24 +94,25 @@ class Transforms:
 
     def _on_static(self, message: Any) -> None:
         for each in message.transforms:
-            self._fixed[each.child_frame_id.lstrip("/")] = each.header.frame_id.lstrip("/"), _flat(each)
+            self._fixed[each.child_frame_id.lstrip("/")] = each.header.frame_id.lstrip("/"), _planar_pose(each)
 
     def _on_moving(self, message: Any) -> None:
         for each in message.transforms:
             ends = each.header.frame_id.lstrip("/"), each.child_frame_id.lstrip("/")
-            if ends == (self._odom, self._base) and self._take is not None:
-                self._take(each.header.stamp, _flat(each))
+            if ends == (self._odom, self._base) and self._on_odometry is not None:
+                self._on_odometry(each.header.stamp, _planar_pose(each))
 
 
-def listen_to_odometry(node: Node, topic: str, take: Callable[[Time, Pose], None]) -> None:
-    """The odometry as a topic of its own."""
+def subscribe_to_odometry(node: Node, topic: str, on_odometry: Callable[[Time, Pose], None]) -> None:
+    """Subscribe to a topic of odometry and call `on_odometry` with the stamp and the pose of each message."""
 
-    def on_odometry(message: Odometry) -> None:
-        take(message.header.stamp, messages.pose_from(message))
+    def on_message(message: Odometry) -> None:
+        on_odometry(message.header.stamp, messages.pose_from(message))
 
-    node.create_subscription(Odometry, topic, on_odometry, EVERYTHING)
+    node.create_subscription(Odometry, topic, on_message, LOSSLESS)
 
 
-def _flat(transform: TransformStamped) -> Pose:
+def _planar_pose(transform: TransformStamped) -> Pose:
+    """Project a transform onto the plane."""
     place, turn = transform.transform.translation, transform.transform.rotation
     return Pose(place.x, place.y, messages.yaw_of(turn))

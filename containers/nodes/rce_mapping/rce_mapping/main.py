@@ -1,4 +1,4 @@
-"""Start and end of the nodes."""
+"""Main function of the nodes."""
 
 from __future__ import annotations
 
@@ -9,15 +9,21 @@ from rclpy.executors import ExternalShutdownException
 
 
 def main(module: str, name: str) -> int:
-    """Run a node, a class of a module of this package, until SIGINT or SIGTERM; both are a normal end."""
+    """Run a node until SIGINT or SIGTERM, which are a normal end; return the exit status.
+
+    Args:
+        module: Module of this package.
+        name: Class of the node in that module.
+    """
     rclpy.init()
     try:
-        # Imports and compiles the kernels, which may take seconds: by now a signal ends the node as it should.
+        # The import may compile the kernels, which takes seconds. It comes after rclpy.init, so that a signal ends the
+        # node normally meanwhile.
         make = getattr(importlib.import_module(f".{module}", __package__), name)
         rclpy.spin(make())
     except (KeyboardInterrupt, ExternalShutdownException):
         return 0
-    except Exception:  # what fails because of the shutdown is no failure
+    except Exception:  # a consequence of the shutdown if rclpy is shut down already
         if rclpy.ok():
             raise
     finally:

@@ -1,4 +1,4 @@
-"""The map as it is published: whole from time to time, and what has changed since then in between."""
+"""Publication of the map: the whole map from time to time, and updates in between."""
 
 from __future__ import annotations
 
@@ -19,29 +19,32 @@ LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability
 
 
 class MapOutput:
-    """The topics `map` (latched) and `map_updates`. An update covers all that differs from the last whole map, so that
-    who missed the one before needs no other."""
+    """Topics `map` (latched) and `map_updates`.
+
+    An update covers all that differs from the last whole map, so that a subscriber that misses one needs only the next.
+    """
 
     def __init__(self, node: Node, frame: str) -> None:
+        """Create the topics; `frame` is that of the map."""
         self._frame = frame
         self._whole: OccupancyGrid | None = None
         self._map = node.create_publisher(GridMessage, "map", LATCHED)
         self._updates = node.create_publisher(OccupancyGridUpdate, "map_updates", 10) if OccupancyGridUpdate else None
 
     @property
-    def followed(self) -> bool:
-        """Whether anybody wants updates."""
+    def has_update_subscribers(self) -> bool:
+        """True if `map_updates` has subscribers."""
         return self._updates is not None and self._updates.get_subscription_count() > 0
 
     def publish(self, grid: OccupancyGrid, stamp: Time) -> GridMessage:
-        """The whole map."""
+        """Publish the whole map; return the message."""
         message = messages.grid_message(grid, stamp, self._frame)
         self._map.publish(message)
         self._whole = grid
         return message
 
     def update(self, grid: OccupancyGrid, stamp: Time) -> None:
-        """What has changed; the whole map if it has grown or moved."""
+        """Publish what has changed since the last whole map, or the whole map if it has grown or moved."""
         before = self._whole
         if before is None or (before.x, before.y, before.cells.shape) != (grid.x, grid.y, grid.cells.shape):
             self.publish(grid, stamp)

@@ -1,4 +1,7 @@
-"""ROS messages from and to the types of `rce.mapping`. Arrays are viewed or copied as a whole, never item by item."""
+"""Conversion between ROS messages and the types of `rce.mapping`.
+
+Arrays are viewed or copied as a whole, never item by item.
+"""
 
 from __future__ import annotations
 
@@ -23,36 +26,42 @@ PLANAR = (0, 1, 5)  # x, y and yaw among the six dimensions of a ROS covariance
 
 
 def seconds(stamp: Time) -> float:
+    """Convert a stamp to seconds."""
     return float(stamp.sec + stamp.nanosec * 1e-9)
 
 
 def stamp_of(seconds: float) -> Time:
+    """Convert seconds to a stamp, rounded to microseconds."""
     microseconds = round(seconds * 1e6)
     return Time(sec=microseconds // 10**6, nanosec=microseconds % 10**6 * 1000)
 
 
 def scan_from(message: LaserScan) -> Scan:
-    """The ranges are a view of those of the message."""
+    """Convert a scan; its ranges are a view of those of the message."""
     ranges = np.frombuffer(message.ranges, np.float32)
     stamp = seconds(message.header.stamp)
     return Scan(stamp, ranges, message.angle_min, message.angle_increment, message.range_max)
 
 
 def yaw_of(q: Quaternion) -> float:
+    """Return the yaw of a rotation, radians."""
     return math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
 
 
 def pose_from(message: Odometry | PoseWithCovarianceStamped) -> Pose:
+    """Return the pose in the plane of a message."""
     position = message.pose.pose.position
     return Pose(position.x, position.y, yaw_of(message.pose.pose.orientation))
 
 
 def fill_pose(message: PoseMessage, x: float, y: float, theta: float) -> None:
+    """Set a pose message to a pose in the plane."""
     message.position.x, message.position.y = x, y
     message.orientation.z, message.orientation.w = math.sin(theta / 2), math.cos(theta / 2)
 
 
 def pose_message(estimate: Estimate, stamp: Time, frame: str) -> PoseWithCovarianceStamped:
+    """Convert the answer of a mapper."""
     message = PoseWithCovarianceStamped()
     message.header.stamp, message.header.frame_id = stamp, frame
     fill_pose(message.pose.pose, *estimate.pose)
@@ -63,6 +72,7 @@ def pose_message(estimate: Estimate, stamp: Time, frame: str) -> PoseWithCovaria
 
 
 def grid_message(grid: OccupancyGrid, stamp: Time, frame: str) -> GridMessage:
+    """Convert a map."""
     message = GridMessage()
     message.header.stamp, message.header.frame_id = stamp, frame
     message.info.map_load_time = stamp
@@ -74,7 +84,13 @@ def grid_message(grid: OccupancyGrid, stamp: Time, frame: str) -> GridMessage:
 
 
 def path_message(trajectory: NDArray[np.float64], stamps: list[Time], frame: str) -> Path:
-    """`trajectory`: (n, 4) stamp, x, y, theta; `stamps`: the same stamps as they came."""
+    """Convert a trajectory.
+
+    Args:
+        trajectory: (n, 4) stamp, x, y, theta.
+        stamps: The same stamps as they were received, without rounding.
+        frame: Frame of the trajectory.
+    """
     message = Path()
     message.header.frame_id = frame
     poses = []

@@ -1,9 +1,9 @@
-"""A mapper as a ROS 2 node.
+"""ROS 2 node `mapper`: builds a map from the scans of one robot.
 
-In: `scan`; `odom`, or the odometry in `/tf`; where the laser is on the robot from `/tf_static`; `initialpose`. Out:
-`map` (its first publication, still empty, says that the node is ready), `map_updates`, `pose` (one for each scan, with
-the stamp of the scan, whatever the scan is worth: it is also the acknowledgement that lets a sender pace itself),
-`path`, and in `/tf` the correction of the odometry. Services: `dynamic_map`, and those of services.py.
+Subscriptions: `scan`; `odom`, or the odometry in `/tf`; `/tf_static` for the pose of the laser on the robot;
+`initialpose`. Publications: `map` (the first, empty one means that the node is ready), `map_updates`, `path`, the
+correction of the odometry in `/tf`, and `pose`: exactly one for each scan, with its stamp, even for an unusable scan,
+so that a sender can limit how many scans are unanswered. Services: `dynamic_map`, and those of `services`.
 """
 
 from __future__ import annotations
@@ -26,36 +26,43 @@ from .track import Track
 
 
 class MapperNode(Node):
-    """Feeds a mapper with what arrives and publishes what it says."""
+    """Node around a `Mapper`.
+
+    Attributes:
+        settings: Settings from the parameters.
+        mapper: The current mapper.
+        track: Scans, odometry, poses and path of the robot.
+    """
 
     def __init__(self) -> None:
+        """Declare the parameters and start an empty map."""
         super().__init__("mapper")
         declare(self, list(MAPPERS))
         self.settings = settings_of(self)
         self._kind = MAPPERS[choice(self, MAPPER, list(MAPPERS))]
-        self._published = -1  # how many scans the last map has
+        self._published = -1  # number of scans in the last published map
         self._map_out = MapOutput(self, text(self, "map_frame"))
         self.track = Track(self, lambda scan: self.mapper.add(scan))
         self.create_service(GetMap, "dynamic_map", self._on_get_map)
-        self._steering = Services(self)
+        self._control_services = Services(self)
         self._map_timer = self.create_timer(number(self, INTERVAL), self.publish)
-        self._update_timer = self._timer_of_updates(number(self, UPDATES))
+        self._update_timer = self._create_update_timer(number(self, UPDATES))
         self.add_post_set_parameters_callback(self._on_parameters)
         self.reset()
 
     def reset(self) -> None:
-        """Forget the map and begin a new one."""
-        self.begin(self._kind(self.settings))
+        """Discard the map and start an empty one."""
+        self.use(self._kind(self.settings))
 
-    def begin(self, mapper: Mapper) -> None:
-        """Go on with this mapper."""
+    def use(self, mapper: Mapper) -> None:
+        """Continue with another mapper."""
         self.mapper = mapper
         self.track.restart([messages.stamp_of(row[0]) for row in mapper.trajectory()])
         self._published = -1
         self.publish()
 
     def publish(self) -> None:
-        """Publish map and path, if there is anything new."""
+        """Publish map and path if there are new scans."""
         if self._published != len(self.track.stamps):
             self._publish_path()
             self._publish_map()
@@ -68,7 +75,7 @@ class MapperNode(Node):
         return self._map_out.publish(self.mapper.grid(), self._stamp())
 
     def _update(self) -> None:
-        if self._map_out.followed and self._published != len(self.track.stamps):
+        if self._map_out.has_update_subscribers and self._published != len(self.track.stamps):
             self._map_out.update(self.mapper.grid(), self._stamp())
 
     def _stamp(self) -> Time:
@@ -79,7 +86,7 @@ class MapperNode(Node):
         response.map = self._publish_map()
         return response
 
-    def _timer_of_updates(self, seconds: float) -> Timer | None:
+    def _create_update_timer(self, seconds: float) -> Timer | None:
         return self.create_timer(seconds, self._update) if seconds else None
 
     def _on_parameters(self, parameters: list[Parameter[float]]) -> None:
@@ -90,4 +97,4 @@ class MapperNode(Node):
             elif parameter.name == UPDATES:
                 if self._update_timer is not None:
                     self.destroy_timer(self._update_timer)
-                self._update_timer = self._timer_of_updates(parameter.value)
+                self._update_timer = self._create_update_timer(parameter.value)

@@ -1,4 +1,4 @@
-"""Types of packages that the ROS 2 wheels lack; None where they are not installed, and then the node does without."""
+"""Message types of packages that the ROS 2 wheels lack. They are None, and their features off, if not installed."""
 
 from __future__ import annotations
 

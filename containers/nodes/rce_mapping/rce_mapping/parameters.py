@@ -1,4 +1,4 @@
-"""The parameters of the node, with what `ros2 param describe` says of them."""
+"""Parameters of the nodes, with the descriptions that `ros2 param describe` shows."""
 
 from __future__ import annotations
 
@@ -12,29 +12,41 @@ INTERVAL, UPDATES, MAPPER = "map_update_interval", "map_updates_interval", "mapp
 
 
 def declare(node: Node, mappers: list[str]) -> None:
-    """Declare all parameters; all but the interval are fixed once the node runs. The first mapper is the default."""
-    _text(node, MAPPER, mappers[0], f"How the map is made: {', '.join(mappers)}.")
-    _number(node, "resolution", 0.05, (0.01, 0.5), "Size of a cell of the map, m.")
-    _number(node, "max_range", 30.0, (1.0, 200.0), "Beams longer than this are not used, m.")
-    _count(node, "particles", 30, (1, 1000), "Of the mapper particle: more close larger loops and take longer.")
-    _count(node, "seed", 0, (0, 2**31 - 1), "Of the random numbers of the mapper particle; the same map for the same.")
-    _number(node, INTERVAL, 5.0, (0.1, 3600.0), "Wall time between two publications of map and path, s.", fixed=False)
+    """Declare all parameters. All but the two intervals are read-only; the first mapper is the default."""
+    _text(node, MAPPER, mappers[0], f"Mapper: {', '.join(mappers)}.")
+    _number(node, "resolution", 0.05, (0.01, 0.5), "Size of a cell of the map, metres.")
+    _number(node, "max_range", 30.0, (1.0, 200.0), "Maximum length of the beams that are used, metres.")
+    _count(
+        node,
+        "particles",
+        30,
+        (1, 1000),
+        "Number of particles of the mapper particle. More close larger loops and take longer.",
+    )
+    _count(
+        node,
+        "seed",
+        0,
+        (0, 2**31 - 1),
+        "Seed of the random numbers of the mapper particle. The same seed gives the same map.",
+    )
+    _number(node, INTERVAL, 5.0, (0.1, 3600.0), "Wall time between publications of map and path, seconds.", fixed=False)
     _number(
-        node, UPDATES, 1.0, (0.0, 3600.0), "Wall time between two messages of map_updates, s; 0: none.", fixed=False
+        node, UPDATES, 1.0, (0.0, 3600.0), "Wall time between messages of map_updates, seconds; 0: none.", fixed=False
     )
     _number(
-        node, "odom_timeout", 0.5, (0.0, 60.0), "How long a scan waits for the odometry of its stamp, wall time, s."
+        node, "odom_timeout", 0.5, (0.0, 60.0), "Wall time that a scan waits for the odometry of its stamp, seconds."
     )
     node.declare_parameter(
-        "use_odometry", True, ParameterDescriptor(description="Use odometry where there is any.", read_only=True)
+        "use_odometry", True, ParameterDescriptor(description="Use odometry if there is any.", read_only=True)
     )
     node.declare_parameter(
         "odometry_from_tf",
         False,
-        ParameterDescriptor(description="Take the odometry from tf instead of the topic odom.", read_only=True),
+        ParameterDescriptor(description="Use the odometry in /tf instead of the topic odom.", read_only=True),
     )
     _text(node, "map_frame", "map", "Frame of the map, the poses and the path.")
-    _text(node, "odom_frame", "odom", "Frame of the odometry, for tf.")
+    _text(node, "odom_frame", "odom", "Frame of the odometry in /tf.")
     _text(node, "base_frame", "base_link", "Frame of the robot.")
 
 
@@ -60,6 +72,7 @@ def _text(node: Node, name: str, default: str, description: str) -> None:
 
 
 def settings_of(node: Node) -> MapperSettings:
+    """Return the settings of the mapper from the parameters."""
     return MapperSettings(
         resolution=number(node, "resolution"),
         max_range=number(node, "max_range"),
@@ -69,27 +82,34 @@ def settings_of(node: Node) -> MapperSettings:
 
 
 def texts(node: Node, name: str, description: str) -> list[str]:
-    """Declare a list of texts, which has no default; empty if it is not set."""
+    """Declare a list of strings without a default; return its value, empty if it is not set."""
     kind = Parameter.Type.STRING_ARRAY
     node.declare_parameter(name, kind, ParameterDescriptor(description=description, read_only=True))
     return [str(each) for each in node.get_parameter_or(name, Parameter(name, kind, [])).value or []]
 
 
 def number(node: Node, name: str) -> float:
+    """Return the value of a number."""
     return float(node.get_parameter(name).value)
 
 
 def flag(node: Node, name: str) -> bool:
+    """Return the value of a boolean."""
     return bool(node.get_parameter(name).value)
 
 
 def text(node: Node, name: str) -> str:
+    """Return the value of a string."""
     return str(node.get_parameter(name).value)
 
 
 def choice(node: Node, name: str, allowed: list[str]) -> str:
-    """The text of a parameter. ValueError if it is not one of those allowed."""
+    """Return the value of a string that is one of `allowed`.
+
+    Raises:
+        ValueError: It is not.
+    """
     value = text(node, name)
     if value not in allowed:
-        raise ValueError(f"the parameter {name} is {value!r}; it may be: {', '.join(allowed)}")
+        raise ValueError(f"the parameter {name} is {value!r}; it must be one of: {', '.join(allowed)}")
     return value

@@ -1,9 +1,8 @@
-"""Several robots that build one map together, as a ROS 2 node.
+"""ROS 2 node `team`: builds one map from the scans of several robots.
 
-The parameter `robots` names them. Each has topics of its own under its name: `NAME/scan` and `NAME/odom` in,
-`NAME/pose` (one for each scan, as that of the node `mapper`), `NAME/path` and `NAME/map` out, and the service
-`NAME/dynamic_map`. Maps, poses and paths of robots whose maps are joined are in one frame and show one map;
-`NAME/team` says with whom.
+The parameter `robots` lists their names. Each robot has its own topics under its name: it publishes `NAME/scan` and
+`NAME/odom`; the node publishes `NAME/pose` (one for each scan, as the node `mapper`), `NAME/path` and `NAME/map`, and
+serves `NAME/dynamic_map`. Robots whose maps are joined share one map and one frame; `NAME/team` lists them.
 """
 
 from __future__ import annotations
@@ -17,25 +16,36 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 from rce.errors import InvalidRequest
-from rce.mapping.team import TeamMapper
+from rce.mapping.pose_graph.team_mapper import TeamMapper
 
 from . import messages
 from .map_output import LATCHED
 from .parameters import INTERVAL, declare, number, settings_of, text, texts
 from .track import Track
 
-MAPPER = ["graph"]  # the one whose maps can be joined
+MAPPERS = ["graph"]  # mappers whose maps can be joined
 
 
 class TeamNode(Node):
-    """Feeds a team's mapper and publishes what it says to each robot."""
+    """Node around a `TeamMapper`.
+
+    Attributes:
+        team: The mapper.
+    """
 
     def __init__(self) -> None:
+        """Declare the parameters and start an empty map for each robot.
+
+        Raises:
+            InvalidRequest: The parameter `robots` is empty.
+        """
         super().__init__("team")
-        declare(self, MAPPER)
+        declare(self, MAPPERS)
         names = texts(self, "robots", "Names of the robots of the team.")
         if not names:
-            raise InvalidRequest("the parameter robots is empty: name the robots of the team", field="robots")
+            raise InvalidRequest(
+                "the parameter robots is empty: list the names of the robots of the team", field="robots"
+            )
         self.team = TeamMapper(names, settings_of(self))
         self._frame = text(self, "map_frame")
         self._members = {name: _Member(self, name) for name in names}
@@ -48,7 +58,7 @@ class TeamNode(Node):
 
 
 class _Member:
-    """One robot of the team."""
+    """Topics and services of one robot of the team."""
 
     def __init__(self, node: TeamNode, name: str) -> None:
         self._node, self._name = node, name
@@ -59,12 +69,12 @@ class _Member:
         node.create_service(GetMap, f"{name}/dynamic_map", self._on_get_map)
 
     def publish(self) -> None:
-        """Map, path and team, if there is anything new in the team."""
+        """Publish map, path and team if the team has new scans or new members."""
         team = self._node.team.team(self._name)
-        news = sum(len(self._node._members[each]._track.stamps) for each in team), team
-        if news != self._published:
+        current = sum(len(self._node._members[each]._track.stamps) for each in team), team
+        if current != self._published:
             self._publish_map()
-            self._published = news
+            self._published = current
 
     def _publish_map(self) -> OccupancyGrid:
         node = self._node

@@ -1,13 +1,13 @@
-// Drives a robot and shows its camera: all that it takes to use rce.js in a page.
+// Drives a robot and shows its camera: a complete example of rce.js in a page.
 
 import { Picture } from "../picture.js";
 import { Robot } from "../rce/rce.js";
 
-const [FORWARD, TURN] = [0.5, 1.5]; // metres and radians a second, at most
-const PERIOD = 100; // milliseconds between velocities while the stick is held
-const [form, says, stick] = ["form", "says", "stick"].map((id) => document.getElementById(id));
+const [FORWARD, TURN] = [0.5, 1.5]; // maximum, metres and radians per second
+const PERIOD = 100; // milliseconds between commands while the stick is held
+const [form, status, stick] = ["form", "status", "stick"].map((id) => document.getElementById(id));
 const picture = new Picture();
-document.getElementById("camera").append(picture.says, picture.element);
+document.getElementById("camera").append(picture.status, picture.element);
 
 let velocity = null; // the publisher
 let held = { forward: 0, turn: 0 }; // each from -1 to 1
@@ -15,18 +15,18 @@ let held = { forward: 0, turn: 0 }; // each from -1 to 1
 form.onsubmit = async (event) => {
   event.preventDefault();
   const { user, key, environment: tag, velocity: topic, camera } = Object.fromEntries(new FormData(form));
-  says.textContent = "connecting …";
+  status.textContent = "connecting …";
   try {
     const robot = new Robot(location.origin, { user, key, robot: "joystick" });
     await robot.open();
     const environment = robot.environment(tag);
     velocity = await environment.publisher(topic, "geometry_msgs/Twist");
     await environment.subscriber(camera, "sensor_msgs/Image", { format: "jpeg", depth: 1, callback: (image) => picture.take(image) });
-    says.textContent = `drives ${tag}`;
+    status.textContent = `drives ${tag}`;
     form.hidden = true;
-    for await (const happened of robot.events()) says.textContent = happened.topic === "reconnected" ? `drives ${tag}` : happened.topic;
+    for await (const happened of robot.events()) status.textContent = happened.topic === "reconnected" ? `drives ${tag}` : happened.topic;
   } catch (error) {
-    says.textContent = error.message;
+    status.textContent = error.message;
   }
 };
 
@@ -40,10 +40,10 @@ function hold(forward, turn) {
 function send() {
   const twist = { linear: { x: held.forward * FORWARD }, angular: { z: held.turn * TURN } };
   document.getElementById("velocity").textContent = `${twist.linear.x.toFixed(2)} m/s, ${twist.angular.z.toFixed(2)} rad/s`;
-  velocity?.offer(twist); // only the newest counts
+  velocity?.offer(twist); // a newer command replaces one that waits
 }
 
-setInterval(() => (held.forward || held.turn) && send(), PERIOD); // robots stop by themselves when nothing comes
+setInterval(() => (held.forward || held.turn) && send(), PERIOD); // robots stop by themselves without commands
 
 const clamp = (value) => Math.max(-1, Math.min(1, value));
 stick.onpointerdown = (event) => { stick.setPointerCapture(event.pointerId); stick.onpointermove(event); };

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Prints what it hears on /loud, and ends with status 3 at the word `die`."""
+"""Print messages on /loud, and exit with status 3 after the message `die`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 
-def heard(message: String) -> None:
+def receive(message: String) -> None:
     print(message.data, flush=True)
     if message.data == "die":
         raise SystemExit(3)
@@ -22,7 +22,7 @@ def main() -> None:
         signal.signal(number, signal.default_int_handler)
     rclpy.init()
     node = Node("loud")
-    node.create_subscription(String, "/loud", heard, 10)
+    node.create_subscription(String, "/loud", receive, 10)
     print("listening", flush=True)
     with suppress(KeyboardInterrupt):  # how a node is stopped
         rclpy.spin(node)

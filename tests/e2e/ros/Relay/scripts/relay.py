@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""For each type pkg/Name in the arguments: what comes on /in_Name goes out on /out_Name, through Python's objects."""
+"""Send messages on /in_NAME back on /out_NAME, through Python objects, for each type PACKAGE/NAME in the arguments."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
-DEPTH = 1000  # a busy machine may keep this node from its turn for a while
+DEPTH = 1000  # for times when a busy machine does not run this node
 
 
 class RelayNode(Node):

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Publishes a latched map once, numbers at best effort all the time, and on /go as many large texts as it is told."""
+"""Publish a latched map once, numbers with best effort continuously, and on /go the requested number of large texts."""
 
 from __future__ import annotations
 

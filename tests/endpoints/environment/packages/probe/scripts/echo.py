@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Echoes a topic and a service, has a parameter, publishes with the QoS that its arguments name."""
+"""Echoes a topic and a service, has parameters, and publishes with the QoS that its arguments name."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class Echo(Node):
         self.create_subscription(String, "there", back.publish, qos)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         kept = self.create_publisher(String, "latched", latched)
-        while "once_heard" in sys.argv and not kept.get_subscription_count():
-            time.sleep(0.0001)  # to publish in the very moment in which a subscription is there
+        while "once_subscribed" in sys.argv and not kept.get_subscription_count():
+            time.sleep(0.0001)  # to publish right when the subscription appears
         kept.publish(String(data="kept"))
         self.create_service(SetBool, "flip", self.flip)
         self.declare_parameter("speed", 1.0)
@@ -55,4 +55,4 @@ if __name__ == "__main__":
         with rclpy.init():
             rclpy.spin(Echo())
     except (KeyboardInterrupt, ExternalShutdownException):
-        pass  # SIGINT and SIGTERM are how a node is stopped
+        pass  # the node is stopped by SIGINT or SIGTERM

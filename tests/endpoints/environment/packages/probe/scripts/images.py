@@ -12,4 +12,4 @@ if __name__ == "__main__":
             node.create_subscription(Image, "image", back.publish, 10)
             rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
-        pass  # SIGINT and SIGTERM are how a node is stopped
+        pass  # the node is stopped by SIGINT or SIGTERM

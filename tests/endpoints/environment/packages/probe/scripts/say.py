@@ -1,4 +1,4 @@
-"""Says what it was given and sees, starts a child, and lives or dies as its first argument says."""
+"""Prints its arguments and what it can see, starts a child, and ends or goes on as its first argument says."""
 
 import importlib
 import os

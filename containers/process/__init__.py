@@ -1,0 +1,1 @@
+"""The engine `process`, which runs environments as process trees on this machine, without isolation."""

@@ -1,0 +1,140 @@
+"""Interface: one end of connections, with a robot or ROS behind it."""
+
+from __future__ import annotations
+
+import asyncio
+from abc import ABC, abstractmethod
+
+import msgspec
+from twisted.logger import Logger
+
+from endpoints.data.frames import Message
+from endpoints.data.hops import HopRecorder
+from endpoints.data.link import Link
+from endpoints.data.traffic import InterfaceCounter
+from rce.control.calls.endpoints import InterfaceSpec
+from rce.errors import ErrorInfo, LimitExceeded, NotConnected, RceError
+
+MAX_REQUESTS = 1000  # service messages of one interface that may wait for a link
+
+log = Logger()
+
+
+class Interface(ABC):
+    """One end of connections.
+
+    Subclasses implement what happens to received messages and what happens when peers come and go.
+
+    Attributes:
+        peers: Link to each peer, by the id of the peer's interface.
+        dropped: Number of messages dropped so far, in both directions.
+    """
+
+    def __init__(self, spec: InterfaceSpec, hops: HopRecorder) -> None:
+        self.spec = spec
+        self.id = bytes.fromhex(spec.id)
+        self.hops = hops
+        self.peers: dict[bytes, Link] = {}
+        self.dropped = 0
+        self.traffic = InterfaceCounter()
+
+    @abstractmethod
+    def receive(self, message: Message, link: Link) -> None:
+        """Handle a message of a peer.
+
+        It must not raise for malformed content and must not block; `link.pause` applies back-pressure to the sender.
+        """
+
+    @property
+    def connected(self) -> bool:
+        """True if the interface has a peer."""
+        return bool(self.peers)
+
+    def joined(self, peer: bytes) -> None:
+        """Handle a new peer."""
+
+    def started(self) -> None:
+        """Handle the arrival of the first peer; called before `joined`."""
+
+    def stopped(self) -> None:
+        """Handle the departure of the last peer."""
+
+    def close(self) -> None:
+        """Release what the interface holds; it has no peers any more."""
+
+    @property
+    def keep(self) -> int | None:
+        """Number of messages to one peer that may wait: the newest `depth` of a topic; None for all."""
+        return None if self.spec.qos.history == "keep_all" else self.spec.qos.depth
+
+    def send(self, message: Message) -> None:
+        """Send a message to every peer, or to `message.destination`.
+
+        Raises:
+            NotConnected: There is no such peer.
+        """
+        self._deliver(message, self.keep)
+
+    def _deliver(self, message: Message, keep: int | None) -> None:
+        if message.destination is not None:
+            link = self.peers.get(message.destination)
+            if link is None:
+                raise NotConnected(f"interface {self.spec.tag}: the peer to which this message is addressed is gone")
+            self._put(message, link, keep)
+            self.traffic.sent.count(len(message.payload))
+            return
+        if not self.peers:
+            raise NotConnected(f"interface {self.spec.tag} has no connection: wait for its status, or connect it")
+        for link in set(self.peers.values()):
+            self._put(message, link, keep)
+        self.traffic.sent.count(len(message.payload))
+
+    def _put(self, message: Message, link: Link, keep: int | None) -> None:
+        dropped = link.send(message, keep)
+        if dropped:
+            self.dropped += dropped
+            for peer, towards in self.peers.items():
+                if towards is link:
+                    self.traffic.of(peer).drops += dropped
+
+    def wait_for_room(self) -> asyncio.Future[None] | None:
+        """Return None while more may be sent, else a future that is done when it may; only with `keep_all`."""
+        if self.keep is None:
+            for link in self.peers.values():
+                waiting = link.wait_for_room(self.id)
+                if waiting is not None:
+                    return waiting
+        return None
+
+    def request(self, message: Message) -> None:
+        """Send a message of a service, which is never dropped.
+
+        Raises:
+            LimitExceeded: Too many messages wait already.
+            NotConnected: There is no such peer.
+        """
+        if any(link.backlog(self.id) >= MAX_REQUESTS for link in self.peers.values()):
+            raise LimitExceeded(
+                f"{self.spec.owner}/{self.spec.tag}: {MAX_REQUESTS} service messages wait already: send fewer at a time"
+            )
+        self._deliver(message, None)
+
+    def fail(self, request: Message, error: RceError) -> None:
+        """Answer the request of a peer with an error."""
+        payload = msgspec.msgpack.encode(error.info)
+        try:
+            self.request(Message(self.id, request.msg_id, payload, destination=request.source, error=True))
+        except RceError as undelivered:  # the peer is gone or its queue is full: its call will time out
+            log.info(
+                "the answer to a request was not delivered ({undelivered}): {error}",
+                error=str(error),
+                undelivered=str(undelivered),
+            )
+
+
+def error_of(message: Message) -> RceError:
+    """Return the error that a message with `error` set carries."""
+    try:
+        return RceError.from_info(msgspec.msgpack.decode(message.payload, type=ErrorInfo))
+    except msgspec.DecodeError:
+        return RceError("the service failed, and its error message is malformed")

@@ -1,0 +1,263 @@
+"""Data links: a stream between two endpoints (TCP or UNIX socket), or a queue between interfaces of one process."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from collections.abc import Callable, Iterator
+from typing import Protocol
+
+from twisted.logger import Logger
+
+from endpoints.data.frames import Buffer, FrameReader, Message, pieces
+from endpoints.data.throttle import Throttle
+from rce.errors import LimitExceeded, Unavailable
+from rce.net.outbox import Outbox
+from rce.net.sockets import tune
+
+HIGH_WATER = 256 * 1024  # bytes; while the transport holds more, messages wait in the outbox, where they take turns
+
+log = Logger()
+
+
+class Link(Protocol):
+    """Carrier of messages to the peers of an interface."""
+
+    name: str
+    opened: asyncio.Future[None]
+
+    def send(self, message: Message, keep: int | None) -> int:
+        """Queue a message.
+
+        Args:
+            message: The message to send.
+            keep: Number of messages of this source that may wait, the newest; None for all.
+
+        Returns:
+            The number of older messages of the same source that were dropped.
+        """
+
+    def wait_for_room(self, source: bytes) -> asyncio.Future[None] | None:
+        """Return None while `source` may send, else a future that is done when it may send again."""
+
+    def backlog(self, source: bytes) -> int:
+        """Return the number of messages of `source` that wait."""
+
+    def discard(self, source: bytes) -> None:
+        """Drop the waiting messages of `source`."""
+
+    def pause(self, until: asyncio.Future[None]) -> None:
+        """Stop receiving until the future is done."""
+
+    def close(self) -> None:
+        """Close the link on purpose, which is not reported as a loss."""
+
+
+class LoopLink:
+    """Link between interfaces of one process; messages wait only while a receiver has paused it."""
+
+    def __init__(self, name: str, deliver: Callable[[Message, Link], None], sent: Callable[[Message], None]) -> None:
+        """Create an open link; `sent` is called right before each message is delivered."""
+        self.name = name
+        self._sent = sent
+        self.opened: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self.opened.set_result(None)
+        self._deliver = deliver
+        self._outbox: Outbox[Message] = Outbox(self._write)
+        self._until: asyncio.Future[None] | None = None
+
+    def send(self, message: Message, keep: int | None) -> int:
+        """Deliver a message, or queue it while the link is paused; return the number of dropped messages."""
+        return self._outbox.put(message.source, iter((message,)), keep)
+
+    def wait_for_room(self, source: bytes) -> asyncio.Future[None] | None:
+        """Return None while `source` may send, else a future that is done when it may send again."""
+        return self._outbox.wait_for_room(source)
+
+    def backlog(self, source: bytes) -> int:
+        """Return the number of messages of `source` that wait."""
+        return self._outbox.backlog(source)
+
+    def discard(self, source: bytes) -> None:
+        """Drop the waiting messages of `source`."""
+        self._outbox.discard(source)
+
+    def pause(self, until: asyncio.Future[None]) -> None:
+        """Stop delivering until the future is done."""
+        if self._until is None:
+            self._until = until
+            self._outbox.pause()
+            until.add_done_callback(self._resume)
+
+    def close(self) -> None:
+        """Drop all waiting messages."""
+        self._outbox.clear()
+
+    def _resume(self, _: asyncio.Future[None]) -> None:
+        self._until = None
+        self._outbox.resume()
+
+    def _write(self, message: Message) -> bool:
+        self._sent(message)
+        self._deliver(message, self)
+        return self._until is None
+
+
+class StreamLink(asyncio.BufferedProtocol):
+    """One end of a link over a socket.
+
+    The link queues messages from the start. `DataPort` connects and authenticates it, then calls `attach`.
+
+    Attributes:
+        opened: Done when the link is open; fails with Unavailable when it cannot be opened.
+        broken: Reason for which the link broke; empty while it has not.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        deliver: Callable[[Message, Link], None],
+        lost: Callable[[StreamLink, str], None],
+        sent: Callable[[Message], None],
+        throttle: Throttle | None = None,
+    ) -> None:
+        """Create a link that is not open yet.
+
+        Args:
+            name: Name of the link, the same at both ends.
+            deliver: Called with each received message.
+            lost: Called once with the reason when the link breaks or cannot be opened; not after `close`.
+            sent: Called with each message right before its first frame goes out.
+            throttle: Rate limit for received bytes, which several links may share.
+        """
+        self.name = name
+        self.opened: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self.opened.add_done_callback(lambda opened: opened.exception())  # mark it as retrieved: `lost` reports it
+        self.broken = ""
+        self._deliver = deliver
+        self._lost = lost
+        self._sent = sent
+        self._reader = FrameReader()
+        self._outbox: Outbox[list[Buffer]] = Outbox(self._write)
+        self._outbox.pause()  # until the link is open
+        self._streams = itertools.cycle(range(1 << 32))
+        self._transport: asyncio.Transport | None = None
+        self._full = False
+        self._throttle = throttle
+        self._pauses = 0  # number of futures that must be done before reading resumes
+
+    def attach(self, transport: asyncio.Transport) -> None:
+        """Open the link over `transport`, on which the handshake is complete."""
+        if self.opened.done():  # closed during the handshake
+            transport.abort()
+            return
+        transport.set_protocol(self)
+        transport.set_write_buffer_limits(high=HIGH_WATER)
+        tune(transport)
+        self._transport = transport
+        self.opened.set_result(None)
+        self._outbox.resume()
+
+    def fail(self, reason: str) -> None:
+        """Mark the link as broken and report it; waiting messages are kept until it is closed."""
+        if not self._end(reason):
+            return
+        log.warn("link {link}: {reason}", link=self.name, reason=reason)
+        self._lost(self, reason)
+
+    def _end(self, reason: str) -> bool:
+        if self.broken:
+            return False
+        self.broken = reason
+        self._outbox.pause()
+        if not self.opened.done():
+            self.opened.set_exception(Unavailable(f"link {self.name} did not open: {reason}"))
+        return True
+
+    # Link
+
+    def send(self, message: Message, keep: int | None) -> int:
+        """Queue a message; return the number of older messages of the same source that were dropped."""
+        return self._outbox.put(message.source, self._pieces(message), keep)
+
+    def _pieces(self, message: Message) -> Iterator[list[Buffer]]:
+        self._sent(message)
+        yield from pieces(message, next(self._streams))
+
+    def wait_for_room(self, source: bytes) -> asyncio.Future[None] | None:
+        """Return None while `source` may send, else a future that is done when it may send again."""
+        return self._outbox.wait_for_room(source)
+
+    def backlog(self, source: bytes) -> int:
+        """Return the number of messages of `source` that wait."""
+        return self._outbox.backlog(source)
+
+    def discard(self, source: bytes) -> None:
+        """Drop the waiting messages of `source`."""
+        self._outbox.discard(source)
+
+    def pause(self, until: asyncio.Future[None]) -> None:
+        """Stop reading from the socket until the future is done."""
+        if self._transport is None or self._transport.is_closing():
+            return
+        self._pauses += 1
+        if self._pauses == 1:
+            self._transport.pause_reading()
+        until.add_done_callback(self._pause_over)
+
+    def _pause_over(self, _: asyncio.Future[None]) -> None:
+        self._pauses -= 1
+        if not self._pauses and self._transport is not None and not self._transport.is_closing():
+            self._transport.resume_reading()
+
+    def _pause_for(self, seconds: float) -> None:
+        loop = asyncio.get_running_loop()
+        over: asyncio.Future[None] = loop.create_future()
+        loop.call_later(seconds, over.set_result, None)
+        self.pause(over)
+
+    def close(self) -> None:
+        """Close the link and drop all waiting messages; `lost` is not called."""
+        self._end("closed")
+        self._outbox.clear()
+        if self._transport is not None:
+            self._transport.close()
+
+    # asyncio.BufferedProtocol
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Report the loss of the connection."""
+        self._transport = None
+        self.fail(str(exc) if exc else "closed by the other side")
+
+    def pause_writing(self) -> None:
+        """Keep messages in the outbox while the transport is full."""
+        self._full = True
+        self._outbox.pause()
+
+    def resume_writing(self) -> None:
+        """Let messages leave the outbox again."""
+        self._full = False
+        if not self.broken:
+            self._outbox.resume()
+
+    def get_buffer(self, sizehint: int) -> memoryview:
+        """Return the buffer for the next bytes."""
+        return self._reader.get_buffer()
+
+    def buffer_updated(self, nbytes: int) -> None:
+        """Deliver the messages that the received bytes complete; a malformed stream breaks the link."""
+        if self._throttle is not None and (wait := self._throttle.consume(nbytes)):
+            self._pause_for(wait)
+        try:
+            for message in self._reader.buffer_updated(nbytes):
+                self._deliver(message, self)
+        except (LimitExceeded, UnicodeDecodeError) as error:
+            self.fail(str(error))
+            if self._transport is not None:
+                self._transport.abort()
+
+    def _write(self, buffers: list[Buffer]) -> bool:
+        assert self._transport is not None
+        self._transport.writelines(buffers)
+        return not self._full

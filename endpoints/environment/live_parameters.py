@@ -1,0 +1,155 @@
+"""Parameters of running nodes, set through the parameter services of ROS 2 nodes."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import Any
+
+from rcl_interfaces.msg import Parameter, ParameterType
+from rcl_interfaces.msg import ParameterValue as RosValue
+from rcl_interfaces.srv import GetParameterTypes, SetParameters
+from rclpy.serialization import deserialize_message, serialize_message
+from twisted.logger import Logger
+
+from endpoints.environment.arguments import enclave
+from endpoints.environment.ros import NODE, RosThread
+from endpoints.environment.ros_services import RawClient
+from rce.control.calls.endpoints import ParameterSpec
+from rce.errors import InvalidRequest
+from rce.protocol.messages import ParameterValue
+
+TIMEOUT = 2.0  # seconds for a node to appear and to answer
+POLL_INTERVAL = 0.02  # seconds
+
+log = Logger()
+_fields = {
+    ParameterType.PARAMETER_BOOL: ("bool_value", bool),
+    ParameterType.PARAMETER_INTEGER: ("integer_value", int),
+    ParameterType.PARAMETER_DOUBLE: ("double_value", float),
+    ParameterType.PARAMETER_STRING: ("string_value", str),
+    ParameterType.PARAMETER_BOOL_ARRAY: ("bool_array_value", bool),
+    ParameterType.PARAMETER_INTEGER_ARRAY: ("integer_array_value", int),
+    ParameterType.PARAMETER_DOUBLE_ARRAY: ("double_array_value", float),
+    ParameterType.PARAMETER_STRING_ARRAY: ("string_array_value", str),
+}
+
+
+class _Client:
+    """Service client with message objects and futures, kept while its node exists."""
+
+    def __init__(self, ros: RosThread, kind: Any, name: str) -> None:
+        """Create the client; called in the ROS thread."""
+        self.raw = RawClient(ros, kind, name, self._answered)
+        self._ros = ros
+        self._kind = kind
+        self._waiting: dict[int, asyncio.Future[bytes]] = {}
+
+    async def call(self, request: Any) -> Any:
+        """Call the service; return None when it does not answer in time."""
+        answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
+        payload = serialize_message(request)
+        try:
+            async with asyncio.timeout(TIMEOUT):
+                while not await self._ros.run(self.raw.available):  # noqa: ASYNC110  # ROS has no event for it
+                    await asyncio.sleep(POLL_INTERVAL)
+                self._ros.post(lambda: self._send(payload, answer))
+                return deserialize_message(await answer, self._kind.Response)
+        except TimeoutError:
+            return None
+
+    def _send(self, payload: bytes, answer: asyncio.Future[bytes]) -> None:
+        self._waiting = {number: waiting for number, waiting in self._waiting.items() if not waiting.done()}
+        self._waiting[self.raw.call(payload)] = answer
+
+    def _answered(self, number: int, payload: bytes) -> None:
+        waiting = self._waiting.pop(number, None)
+        if waiting is not None:
+            self._ros.deliver(lambda: None if waiting.done() else waiting.set_result(payload))
+
+
+class LiveParameters:
+    """Sets parameters of the running nodes that declare them."""
+
+    def __init__(self, ros: RosThread) -> None:
+        self._ros = ros
+        self._clients: dict[str, tuple[_Client, _Client]] = {}
+        self._enclaves: set[str] = set()  # of the nodes in the ROS graph
+        self._lock = asyncio.Lock()
+
+    async def put(self, spec: ParameterSpec, starting: set[str]) -> None:
+        """Set a parameter of all running nodes, or of the node that `spec` names.
+
+        Args:
+            spec: The parameter.
+            starting: Tags of nodes that may not have appeared in the ROS graph yet, and are waited for.
+
+        Raises:
+            InvalidRequest: Nodes refuse the value; the message has the reason of each.
+        """
+        async with self._lock:
+            nodes = await self._wait_for_nodes(spec.node, starting)
+            refused = await asyncio.gather(*(self._put(node, spec) for node in nodes))
+        reasons = [reason for reason in refused if reason]
+        if reasons:
+            raise InvalidRequest(f"parameter {spec.name} was rejected: {'; '.join(reasons)}", field="value")
+
+    async def _wait_for_nodes(self, tag: str, starting: set[str]) -> list[str]:
+        """Wait up to TIMEOUT for `starting` nodes; return the ROS names of the nodes of a tag, or of all nodes."""
+        until = time.monotonic() + TIMEOUT
+        while True:
+            nodes = await self._ros.run(lambda: self._find(tag))
+            if {enclave(each) for each in starting} <= self._enclaves or time.monotonic() > until:
+                return nodes
+            await asyncio.sleep(POLL_INTERVAL)
+
+    def _find(self, tag: str) -> list[str]:
+        """Return the ROS names of nodes and create clients for them; called in the ROS thread."""
+        present = [
+            (f"{namespace.rstrip('/')}/{name}", place)
+            for name, namespace, place in self._ros.node.get_node_names_and_namespaces_with_enclaves()
+            if name != NODE
+        ]
+        self._enclaves = {place for _, place in present}
+        for gone in set(self._clients) - {name for name, _ in present}:
+            for client in self._clients.pop(gone):
+                self._ros.remove_waitable(client.raw)
+        found = [name for name, place in present if not tag or place == enclave(tag)]
+        for name in set(found) - set(self._clients):
+            self._clients[name] = (
+                _Client(self._ros, GetParameterTypes, f"{name}/get_parameter_types"),
+                _Client(self._ros, SetParameters, f"{name}/set_parameters"),
+            )
+        return found
+
+    async def _put(self, node: str, spec: ParameterSpec) -> str:
+        """Return why a node refuses the value; empty if it accepts it, does not declare it, or does not answer."""
+        types_of, setter = self._clients[node]
+        known = await types_of.call(GetParameterTypes.Request(names=[spec.name]))
+        if known is None:
+            log.warn("parameter {name} not set: node {node} does not answer", node=node, name=spec.name)
+            return ""
+        if not known.types or known.types[0] == ParameterType.PARAMETER_NOT_SET:
+            return ""
+        value = ros_value(spec.value, known.types[0])
+        answer = await setter.call(SetParameters.Request(parameters=[Parameter(name=spec.name, value=value)]))
+        if answer is None or answer.results[0].successful:
+            return ""
+        return f"node {node}: {answer.results[0].reason}"
+
+
+def ros_value(value: ParameterValue, declared: int) -> RosValue:
+    """Return the value as a ROS message; integers become floating point if that is the `declared` type."""
+    items = value if isinstance(value, list) else [value]
+    kind = type(items[0])
+    if kind is int and declared in (ParameterType.PARAMETER_DOUBLE, ParameterType.PARAMETER_DOUBLE_ARRAY):
+        kind = float
+    number = next(
+        number
+        for number, (field, of) in _fields.items()
+        if of is kind and ("array" in field) == isinstance(value, list)
+    )
+    message = RosValue(type=number)
+    converted = [kind(item) for item in items]
+    setattr(message, _fields[number][0], converted if isinstance(value, list) else converted[0])
+    return message

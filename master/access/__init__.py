@@ -1,0 +1,1 @@
+"""Access control: users, keys, tokens, rights, and the audit log of what was done with them."""

@@ -1,0 +1,103 @@
+"""Join tokens: each is valid once, for one process, and is exchanged for the credential of that process.
+
+Tokens are random, so that the database has their SHA-256: a slow hash would add nothing.
+"""
+
+from __future__ import annotations
+
+import secrets
+
+import sqlalchemy as sa
+
+from master.access.grants import digest
+from master.graph.records import Role
+from master.storage import tables as db
+from master.storage.store import Store
+from rce.errors import Unauthorized
+
+MACHINE = "machine"  # role of the invitation of a machine
+
+
+class JoinTokens:
+    """Join tokens and credentials of processes, in the database."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+
+    async def allow(self, process: str, role: Role, token: str) -> None:
+        """Allow a process to join with this token, unless the token was used already."""
+
+        def put(connection: sa.Connection) -> None:
+            row = {"digest": digest(token), "process": process, "role": role, "used": False}
+            if connection.execute(sa.select(db.tokens).where(db.tokens.c.digest == row["digest"])).first() is None:
+                connection.execute(db.tokens.insert(), row)
+
+        await self._store.run(put)
+
+    async def invite(self, machine: str, invitation: str) -> None:
+        """Store the invitation of a machine by its digest; an earlier unused one is revoked."""
+
+        def put(connection: sa.Connection) -> None:
+            unused = sa.and_(db.tokens.c.process == machine, db.tokens.c.role == MACHINE, db.tokens.c.used.is_(False))
+            connection.execute(db.tokens.delete().where(unused))
+            row = {"digest": invitation, "process": machine, "role": MACHINE, "used": False}
+            connection.execute(db.tokens.insert(), row)
+
+        await self._store.run(put)
+
+    async def redeem(self, machine: str, invitation: str) -> bool:
+        """Use up an invitation; return whether it was valid."""
+        where = sa.and_(
+            db.tokens.c.digest == invitation,
+            db.tokens.c.process == machine,
+            db.tokens.c.role == MACHINE,
+            db.tokens.c.used.is_(False),
+        )
+        statement = db.tokens.update().where(where).values(used=True)
+        return bool(await self._store.run(lambda connection: connection.execute(statement).rowcount))
+
+    async def admit(self, process: str, role: str, secret: str) -> str:
+        """Return the credential of a process that presents a join token or its earlier credential.
+
+        Raises:
+            Unauthorized: The secret is unknown or was used.
+        """
+        fresh = secrets.token_hex(32)
+        if role == MACHINE:
+            raise Unauthorized("an invitation is for a machine, not for a process")
+
+        def check(connection: sa.Connection) -> str | None:
+            known = connection.execute(sa.select(db.credentials).where(db.credentials.c.process == process)).first()
+            if known is not None and known.role == role and secrets.compare_digest(known.digest, digest(secret)):
+                return secret
+            token = sa.and_(
+                db.tokens.c.digest == digest(secret),
+                db.tokens.c.process == process,
+                db.tokens.c.role == role,
+                db.tokens.c.used.is_(False),
+            )
+            if not connection.execute(db.tokens.update().where(token).values(used=True)).rowcount:
+                return None
+            connection.execute(db.credentials.delete().where(db.credentials.c.process == process))
+            row = {"process": process, "role": role, "digest": digest(fresh)}
+            connection.execute(db.credentials.insert(), row)
+            return fresh
+
+        credential = await self._store.run(check)
+        if credential is None:
+            raise Unauthorized(f"{role} {process} may not join: its token is unknown or was used; get a new one")
+        return credential
+
+    async def names(self) -> list[str]:
+        """Return the processes that have joined at least once, without environments."""
+        query = sa.select(db.credentials.c.process).where(db.credentials.c.role != "environment")
+        return await self._store.run(lambda connection: sorted(connection.scalars(query)))
+
+    async def forget(self, process: str) -> None:
+        """Revoke the credential and the tokens of a process."""
+
+        def drop(connection: sa.Connection) -> None:
+            connection.execute(db.credentials.delete().where(db.credentials.c.process == process))
+            connection.execute(db.tokens.delete().where(db.tokens.c.process == process))
+
+        await self._store.run(drop)

@@ -1,0 +1,1 @@
+"""Carrying plans out: calls to processes, what becomes ready by them, and what ends by itself."""

@@ -1,0 +1,92 @@
+"""Command executor: robots' and users' commands change the graph, and are complete when their effects are."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+
+from master.access import guests
+from master.access.audit import Audit, Origin
+from master.access.user_limits import Limits
+from master.execution.effect_runner import EffectRunner, new_id, raise_first_error
+from master.execution.lifecycle import Lifecycle
+from master.graph.changes import undo
+from master.graph.commands import CommandContext, execute
+from master.graph.effects import Outcome
+from master.graph.records import Process, Ref
+from rce.control.calls.call import Nothing
+from rce.control.calls.robots import Execute
+from rce.control.connection import Handlers
+from rce.errors import NotFound, RceError
+from rce.process import metrics
+from rce.protocol.messages import Command, DestroyContainer
+from rce.protocol.names import is_guest
+
+START_TIMEOUT = 60.0  # seconds until everything that a command asked for must be ready
+
+_commands = metrics.Timing("rce_command_seconds", "Time until a command was complete", "command")
+
+
+class CommandExecutor:
+    """Executes commands, within the rights of the sender and the limits of the owner."""
+
+    def __init__(self, runner: EffectRunner, lifecycle: Lifecycle, limits: Limits, audit: Audit) -> None:
+        self._runner = runner
+        self._state = runner.state
+        self._readiness = runner.readiness
+        self._lifecycle = lifecycle
+        self._limits = limits
+        self._audit = audit
+
+    def add_handlers(self, handlers: Handlers, process: Process) -> None:
+        """Answer the commands that a Robot endpoint passes on."""
+        handlers.on(Execute, lambda call: self._by_robot(process, call))
+
+    async def _by_robot(self, process: Process, call: Execute) -> Nothing:
+        robot = self._state.robots.get(call.robot)
+        if robot is None or robot.endpoint != process.name:
+            raise NotFound(f"robot {call.robot} has no session at {process.name}")
+        user, _, tag = call.robot.partition("/")
+        command, origin = call.command, Origin("websocket", robot.address)
+        about = guests.object_of(user, tag, command)
+        with self._audit.auditing(guests.operation(tag, command), user, about, origin) as action:
+            action.who, action.quiet = robot.by, guests.is_exempt_from_audit(tag, command)
+            guests.check_command(robot.by, self._state, user, tag, command)
+            await self.execute(user, command, call.again, tag if is_guest(tag) else "")
+        return Nothing()
+
+    async def execute(self, user: str, command: Command, repeated: bool = False, guest: str = "") -> None:
+        """Execute a command of `user`; return when it is complete and stored.
+
+        A command that does not become ready is taken back. `guest` is the robotID of the guest that gave it.
+
+        Raises:
+            RceError: The reason why it was refused or did not become ready.
+        """
+        began = time.perf_counter()
+        context = CommandContext(self._state, user, new_id, self._limits.of(user), repeated, guest)
+        outcome = execute(context, command)
+        saved = self._runner.save(by_command=True)
+        await self._complete(outcome)
+        await saved
+        _commands.labels(type(command).__name__).observe_since(began)
+        if isinstance(command, DestroyContainer):
+            self._lifecycle.resettle()
+
+    async def _complete(self, outcome: Outcome) -> None:
+        waiting: dict[Ref, asyncio.Future[None]] = {
+            awaited: self._readiness.when_ready(awaited) for awaited in outcome.awaits
+        }
+        try:
+            answers = await self._runner.run(outcome.plan)
+            self._lifecycle.handle(answers)
+            raise_first_error(answers)
+            for awaited, future in waiting.items():
+                await self._readiness.wait(awaited, START_TIMEOUT, future)
+        except RceError:
+            if waiting and all(future.done() and not future.exception() for future in waiting.values()):
+                return  # a later command removed it while this one was under way
+            for future in waiting.values():
+                future.cancel()
+            self._lifecycle.apply(undo(self._state, outcome))
+            raise

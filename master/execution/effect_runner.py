@@ -1,0 +1,211 @@
+"""Effect runner: stores what changed, runs plans, and sends status messages to robots."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections.abc import Callable, Coroutine, Iterable
+from typing import Any, NamedTuple, TypeVar
+
+from msgspec.structs import replace
+from twisted.logger import Logger
+
+from master.access.join_tokens import JoinTokens
+from master.execution.dispatcher import Dispatcher, Turn
+from master.execution.readiness import Readiness
+from master.graph import packages
+from master.graph.effects import MarkReady, Plan, Send
+from master.graph.records import ref
+from master.graph.state import State
+from master.storage.depot import Depot
+from master.storage.store import Store
+from rce.control.calls.call import Call
+from rce.control.calls.environments import StartEnvironment
+from rce.control.calls.robots import SendStatus
+from rce.errors import ErrorInfo, NotFound, RceError, Unavailable
+from rce.process.metrics import Family, gauge_family
+from rce.protocol.messages import StatusData
+
+log = Logger()
+T = TypeVar("T")
+Steps = list[MarkReady | Turn]
+
+
+class Answer(NamedTuple):
+    """Result of one call: what the process answered, or the error that it raised."""
+
+    send: Send
+    result: object
+
+
+def new_id() -> str:
+    """Return a random identifier of 32 hex digits."""
+    return secrets.token_hex(16)
+
+
+def raise_first_error(answers: Iterable[Answer]) -> None:
+    """Raise the first error among the answers, if there is one."""
+    for answer in answers:
+        if isinstance(answer.result, RceError):
+            raise answer.result
+
+
+class EffectRunner:
+    """Runs plans over the dispatcher. `depot` has the archives of packages that environments may need."""
+
+    def __init__(self, state: State, store: Store, tokens: JoinTokens, depot: Depot | None) -> None:
+        self.state = state
+        self.dispatcher = Dispatcher()
+        self.readiness = Readiness()
+        self.status_observers: list[Callable[[str, StatusData], None]] = []  # called with a user and a status for them
+        self._store = store
+        self._tokens = tokens
+        self._depot = depot
+        self._plans: set[asyncio.Task[list[Answer]]] = set()
+        self._tasks: set[asyncio.Task[Any]] = set()
+
+    # --- plans --------------------------------------------------------------------------------------------------------
+
+    def run(self, plan: Plan) -> asyncio.Task[list[Answer]]:
+        """Begin to run a plan; the task returns the answers of all calls that were made.
+
+        The turns of all calls are reserved at once, so plans keep the order in which they were made.
+        """
+        sequences: list[Steps] = [
+            [self.dispatcher.reserve(step) if isinstance(step, Send) else step for step in steps] for steps in plan
+        ]
+        task = asyncio.create_task(self._run_plan(sequences))
+        self._plans.add(task)
+        task.add_done_callback(self._plan_ended)
+        return task
+
+    def _plan_ended(self, task: asyncio.Task[list[Answer]]) -> None:
+        self._plans.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            log.error("defect while running a plan: {error!r}", error=error)
+
+    async def _run_plan(self, sequences: list[Steps]) -> list[Answer]:
+        results = await asyncio.gather(*map(self._run_sequence, sequences), return_exceptions=True)
+        answers: list[Answer] = []
+        for result in results:
+            if isinstance(result, BaseException):
+                raise result
+            answers += result
+        return answers
+
+    async def _run_sequence(self, steps: Steps) -> list[Answer]:
+        """Take the steps in order; the first error ends them, except for a process that is away."""
+        answers: list[Answer] = []
+        complete = True
+        try:
+            for step in steps:
+                if isinstance(step, MarkReady):
+                    if complete:
+                        self.readiness.mark_ready(step.ref)
+                    continue
+                try:
+                    answers.append(Answer(step.send, await self._call(step)))
+                except Unavailable as error:  # the others in the sequence get theirs in any case
+                    log.info("{error}: it gets this by its next Sync", error=str(error))
+                    complete = False
+                except RceError as error:
+                    answers.append(Answer(step.send, error))
+                    break
+        finally:
+            for step in steps:
+                if isinstance(step, Turn):
+                    step.end()
+        return answers
+
+    async def _call(self, turn: Turn) -> object:
+        try:
+            control = await self.dispatcher.wait(turn)
+            return await control.call(await self._with_token(turn.send.call))
+        finally:
+            turn.end()
+
+    async def _with_token(self, call: Call[Any]) -> Call[Any]:
+        """Issue the join token of an environment's new life; earlier lives of it cannot join any more."""
+        if not isinstance(call, StartEnvironment):
+            return call
+        token = secrets.token_hex(32)
+        await self._tokens.forget(call.environment.name)
+        await self._tokens.allow(call.environment.name, "environment", token)
+        return StartEnvironment(replace(call.environment, token=token))
+
+    # --- records ------------------------------------------------------------------------------------------------------
+
+    def save(self, by_command: bool = False) -> asyncio.Task[None]:
+        """Begin to store what changed; the task ends when it is safe.
+
+        Who waits for something that was removed is woken: without an error if a command removed it on purpose.
+        """
+        state = self.state
+        if state.packages.changed or any(key not in state.environments for key in state.environments.changed):
+            self.remove_unused_archives()
+        for table in state.tables():
+            for gone in table.removed():
+                if by_command:
+                    self.readiness.release(gone)
+                else:
+                    self.readiness.fail(gone, NotFound(f"{gone} was removed before it came up"))
+        return self.keep(asyncio.create_task(self._store.save(state)))
+
+    def remove_unused_archives(self) -> None:
+        """Remove the archives that no package and no environment needs any more."""
+        if self._depot is not None:
+            self._depot.sweep(packages.named(self.state))
+
+    # --- robots -------------------------------------------------------------------------------------------------------
+
+    def tell(self, user: str, status: StatusData | None = None, error: ErrorInfo | None = None) -> None:
+        """Send a status or an error to all robots of a user; endpoints filter by what a robot asked for."""
+        if status is not None:
+            for observer in self.status_observers:
+                observer(user, status)
+        for robot in self.state.robots.by(user):
+            if robot.endpoint in self.state.joined:
+                self.run([[Send(robot.endpoint, SendStatus(robot.name, status, error), ref(robot))]])
+
+    # --- background tasks ---------------------------------------------------------------------------------------------
+
+    def later(self, seconds: float, work: Callable[[], Coroutine[None, None, None]]) -> asyncio.Task[None]:
+        """Run a coroutine after a pause."""
+
+        async def wait() -> None:
+            await asyncio.sleep(seconds)
+            await work()
+
+        return self.keep(asyncio.create_task(wait()))
+
+    def keep(self, task: asyncio.Task[T]) -> asyncio.Task[T]:
+        """Hold a task until it ends, and log its error."""
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        task.add_done_callback(_log_error)
+        return task
+
+    def families(self) -> list[Family]:
+        """Return the metrics of plans and waiters."""
+        return [
+            gauge_family("rce_plans", "Commands whose effects are under way at processes", [], {(): len(self._plans)}),
+            gauge_family(
+                "rce_waiting", "Commands that wait for something to become ready", [], {(): self.readiness.waiters()}
+            ),
+        ]
+
+    async def close(self) -> None:
+        """Cancel all tasks, and store what changed."""
+        for task in [*self._tasks, *self._plans]:
+            task.cancel()
+        await asyncio.gather(*self._tasks, *self._plans, return_exceptions=True)
+        await self.save()
+
+
+def _log_error(task: asyncio.Task[Any]) -> None:
+    if task.cancelled() or (error := task.exception()) is None:
+        return
+    if isinstance(error, RceError):
+        log.warn("{error}", error=str(error))
+    else:
+        log.error("defect: {error!r}", error=error)

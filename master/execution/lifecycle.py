@@ -1,0 +1,192 @@
+"""Lifecycle of environments and nodes: they become ready, die, are reported to their users, and are started again."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable
+from typing import Literal
+
+from twisted.logger import Logger
+
+from master.execution.effect_runner import Answer, EffectRunner, new_id, raise_first_error
+from master.graph import reconcile, wiring
+from master.graph.effects import Plan, Send
+from master.graph.records import Environment, Process, Ref, ref, user_of
+from master.graph.translation import node_spec, parameter_spec
+from rce.control.calls.call import BatchResult, Nothing
+from rce.control.calls.endpoints import NodeDied, StartNode, Sync
+from rce.control.calls.environments import EnvironmentDied, LimitReached, StartEnvironment
+from rce.control.connection import Handlers
+from rce.errors import ErrorInfo, RceError, StartFailed
+from rce.protocol.messages import EnvironmentEvent, LimitEvent, NodeEvent
+
+RETRY_FIRST, RETRY_MOST = 0.5, 30.0  # seconds
+STEADY = 5.0  # seconds; what ran this long before it died did start, so it is started again
+
+log = Logger()
+
+
+class Lifecycle:
+    """Applies plans, and acts on the answers: endpoints that are in sync, environments that did not start."""
+
+    def __init__(self, runner: EffectRunner) -> None:
+        self._runner = runner
+        self._state = runner.state
+        self._readiness = runner.readiness
+        self._retries: dict[str, float] = {}  # seconds to the next start of environments that keep dying
+
+    def add_machine_handlers(self, handlers: Handlers) -> None:
+        """Answer the reports of a task set."""
+        handlers.on(EnvironmentDied, self._environment_died)
+        handlers.on(LimitReached, self._limit_reached)
+
+    def add_environment_handlers(self, handlers: Handlers, process: Process) -> None:
+        """Answer the reports of an Environment endpoint."""
+        handlers.on(NodeDied, lambda call: self._node_died(process, call))
+
+    # --- plans --------------------------------------------------------------------------------------------------------
+
+    def apply(self, plan: Plan) -> None:
+        """Save what changed and run a plan in the background; errors go to the users whom they concern."""
+        self._runner.save()
+        for sequence in plan:  # each by itself, so that a slow one does not delay what follows from the others
+            self._runner.keep(asyncio.create_task(self._follow(self._runner.run([sequence]))))
+
+    def resettle(self) -> None:
+        """Place environments that wait for a machine, because there may be room now."""
+        self.apply(reconcile.resettle(self._state, new_id))
+
+    async def _follow(self, running: asyncio.Task[list[Answer]]) -> None:
+        answers = await running
+        self.handle(answers)
+        raise_first_error(answers)
+
+    def handle(self, answers: Iterable[Answer]) -> None:
+        """Act on the answers of a plan."""
+        for send, result in answers:
+            match send.call, result:
+                case Sync() as sync, BatchResult(failed):
+                    self._synced(send.to, sync, failed)
+                case StartEnvironment(spec), RceError() as error:
+                    self._died(EnvironmentDied(spec.name, spec.run, str(error)))
+
+    # --- ready --------------------------------------------------------------------------------------------------------
+
+    def _synced(self, process: str, sync: Sync, failed: dict[str, ErrorInfo]) -> None:
+        """Mark ready what an endpoint has now; what failed there fails for whoever waits for it."""
+        state = self._state
+        links = {route.link for route in sync.routes}
+        for spec in sync.interfaces:
+            interface = state.interfaces.get(f"{spec.owner}/{spec.tag}")
+            if interface is not None and interface.id == spec.id:
+                self._conclude(ref(interface), failed.get(spec.id), spec.owner)
+                for connection in state.connections.by(interface.key):
+                    if connection.link in links:
+                        self._readiness.mark_ready(ref(connection))
+        environment = state.environments.get(process)
+        if environment is None:
+            return
+        for node in state.nodes.by(process):
+            if node_spec(node) in sync.nodes:
+                self._conclude(ref(node), failed.get(f"node:{node.tag}"), process)
+        for parameter in state.parameters.by(process):
+            spec_of = parameter_spec(parameter)
+            if spec_of in sync.parameters:
+                self._conclude(ref(parameter), failed.get(f"parameter:{spec_of.key}"), process)
+        self._readiness.mark_ready(ref(environment))
+        ready = EnvironmentEvent(process.partition("/")[2], "ready", address=environment.address)
+        self._runner.tell(user_of(process), ready)
+
+    def _conclude(self, wanted: Ref, error: ErrorInfo | None, owner: str) -> None:
+        if error is None:
+            self._readiness.mark_ready(wanted)
+        elif not self._readiness.fail(wanted, RceError.from_info(error)):
+            self._runner.tell(user_of(owner), error=error)
+
+    # --- environments that end ----------------------------------------------------------------------------------------
+
+    async def _environment_died(self, call: EnvironmentDied) -> Nothing:
+        self._died(call)
+        return Nothing()
+
+    def _died(self, call: EnvironmentDied) -> None:
+        """An environment ended or did not start: take it down and retry after a pause."""
+        environment = self._state.environments.get(call.name)
+        if environment is None or environment.run != call.run:
+            return  # an earlier life
+        lived = self._readiness.is_ready(ref(environment))
+        self.take_down(environment, call.reason)
+        if call.name in self._state.environments:
+            self._runner.later(self._pause(call.name, lived), lambda: self._restart(call.name, call.run))
+        else:
+            self.resettle()
+
+    def take_down(self, environment: Environment, reason: str) -> None:
+        """Take an environment's connections down, and tell its user the reason."""
+        name = environment.name
+        log.warn("environment {name} died: {reason}", name=name, reason=reason)
+        lived = self._readiness.is_ready(ref(environment))
+        # A command that waits for the first start removes the environment; then there is nothing to restart.
+        self._readiness.fail(ref(environment), StartFailed(f"environment {name}: {reason}"))
+        for each in self._inside(environment):
+            self._readiness.forget(each)
+        self.apply(reconcile.environment_down(self._state, environment))
+        kept = name in self._state.environments
+        event: Literal["failed", "lost", "gone"] = "failed" if not lived else "lost" if kept else "gone"
+        self._runner.tell(user_of(name), EnvironmentEvent(name.partition("/")[2], event, reason))
+
+    def _inside(self, environment: Environment) -> list[Ref]:
+        state, name = self._state, environment.name
+        return [
+            ref(environment),
+            *map(ref, state.nodes.by(name)),
+            *map(ref, state.parameters.by(name)),
+            *map(ref, state.interfaces.by(name)),
+            *map(ref, wiring.connections_of(state, name)),
+        ]
+
+    async def _restart(self, name: str, run: str) -> None:
+        environment = self._state.environments.get(name)
+        if environment is not None and environment.run == run:
+            self.apply(reconcile.restart(self._state, environment, new_id))
+
+    def _pause(self, key: str, lived: bool) -> float:
+        """Return the seconds to the next start, which double with each failure in a row."""
+        pause = RETRY_FIRST if lived else min(RETRY_MOST, 2 * self._retries.get(key, RETRY_FIRST))
+        self._retries[key] = pause
+        return pause
+
+    async def _limit_reached(self, call: LimitReached) -> Nothing:
+        environment = self._state.environments.get(call.name)
+        if environment is not None and environment.run == call.run:
+            tag = call.name.partition("/")[2]
+            self._runner.tell(user_of(call.name), LimitEvent(f"environment {tag}: {call.reason}"))
+        return Nothing()
+
+    # --- nodes that end -----------------------------------------------------------------------------------------------
+
+    async def _node_died(self, process: Process, call: NodeDied) -> Nothing:
+        node = self._state.nodes.get(f"{process.name}/{call.node}")
+        environment = self._state.environments.get(process.name)
+        if node is None or environment is None:
+            return Nothing()
+        tag = process.name.partition("/")[2]
+        self._runner.tell(user_of(process.name), NodeEvent(tag, call.node, call.status, call.lines))
+        if call.status == 0 or environment.options.restart == "no" or call.seconds < STEADY:
+            self._state.nodes.drop(node.key)  # it ended by itself or never worked: its tag is free
+            self.apply([])
+        else:
+            self._runner.later(RETRY_FIRST, lambda: self._restart_node(node.key))
+        return Nothing()
+
+    async def _restart_node(self, key: str) -> None:
+        node = self._state.nodes.get(key)
+        if node is None:
+            return
+        try:
+            raise_first_error(await self._runner.run([[Send(node.owner, StartNode(node_spec(node)), ref(node))]]))
+        except RceError as error:
+            if self._state.nodes.get(key) == node:
+                self._state.nodes.drop(key)
+                self.apply([])
+            self._runner.tell(user_of(key), error=error.info)

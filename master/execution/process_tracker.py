@@ -1,0 +1,132 @@
+"""Process tracker: which processes are connected; those that are lost have a grace period to come back."""
+
+from __future__ import annotations
+
+import asyncio
+
+from twisted.logger import Logger
+
+from master.execution.effect_runner import EffectRunner, new_id
+from master.execution.lifecycle import RETRY_FIRST, Lifecycle
+from master.graph import reconcile
+from master.graph.effects import Plan
+from master.graph.placement import place
+from master.graph.records import Process, Robot, ref, user_of
+from master.graph.state import at
+from master.live.events import Events
+from master.live.view_cache import ViewCache
+from rce.control.calls.joining import Hello
+from rce.control.connection import Control
+from rce.errors import NoCapacity
+
+log = Logger()
+
+
+class ProcessTracker:
+    """Tracks processes; `grace` is that of Robot endpoints and robots, `machine_grace` that of machines, in seconds."""
+
+    def __init__(
+        self,
+        runner: EffectRunner,
+        lifecycle: Lifecycle,
+        events: Events,
+        view_cache: ViewCache,
+        grace: float,
+        machine_grace: float,
+    ) -> None:
+        self.grace = grace
+        self.machine_grace = machine_grace
+        self._runner = runner
+        self._state = runner.state
+        self._controls = runner.dispatcher.controls
+        self._lifecycle = lifecycle
+        self._events = events
+        self._view_cache = view_cache
+        self._away: dict[str, asyncio.Task[None]] = {}  # running grace periods by process
+
+    def begin(self) -> None:
+        """Begin with the processes of an earlier Master, which have twice their grace period to join."""
+        for process in self._state.processes:
+            self._begin_grace(process, 2)
+        self._drop_later(2 * self.grace)
+
+    def joined(self, process: Process, hello: Hello, control: Control) -> None:
+        """Take a process that has joined, and reconcile what it has with the records."""
+        log.info("{role} {name} joined from {address}", role=process.role, name=process.name, address=control.address)
+        old = self._controls.get(process.name)
+        self._controls[process.name] = control
+        if old is not None:
+            old.close()
+        control.lost.add_done_callback(lambda _: self._lost(process, control))
+        if process.name in self._away:
+            self._away.pop(process.name).cancel()
+        self._events.process_moved(process, True)
+        self._lifecycle.apply(reconcile.joined(self._state, process, hello, new_id))
+        self._view_cache.process_moved(process.name)
+        self._drop_later(self.grace)
+        if process.role == "container":
+            self._refuse_unplaceable()
+
+    def _lost(self, process: Process, control: Control) -> None:
+        if self._controls.get(process.name) is not control:
+            return  # it has joined again
+        del self._controls[process.name]
+        log.info("{role} {name} is away", role=process.role, name=process.name)
+        self._events.process_moved(process, False)
+        reconcile.left(self._state, process.name)
+        self._view_cache.process_moved(process.name)
+        if process.name in self._state.processes:
+            self._begin_grace(process)
+
+    def _begin_grace(self, process: Process, times: float = 1) -> None:
+        name = process.name
+        self._state.expected.add(name)
+        if process.role == "robot":
+            self._away[name] = self._runner.later(times * self.grace, lambda: self._endpoint_gone(name))
+        else:
+            self._away[name] = self._runner.later(times * self.machine_grace, lambda: self._machine_gone(name))
+
+    async def _machine_gone(self, name: str) -> None:
+        """Take down the environments of a task set, or of an Environment endpoint, that did not come back."""
+        self._away.pop(name, None)
+        self._state.expected.discard(name)
+        self._view_cache.process_moved(name)
+        for environment in reconcile.lost_with(self._state, name):
+            reason = f"its machine {environment.machine} has been away for {self.machine_grace:g} s"
+            self._lifecycle.take_down(environment, reason)
+        self._refuse_unplaceable()
+        self._runner.later(RETRY_FIRST, self._resettle)
+
+    async def _resettle(self) -> None:
+        self._lifecycle.resettle()
+
+    def _refuse_unplaceable(self) -> None:
+        """Fail commands that wait for a machine that was expected back and is not any more."""
+        for environment in self._state.environments.by(at("")):
+            try:
+                place(self._state, user_of(environment.name), environment.options)
+            except NoCapacity as error:
+                self._runner.readiness.fail(ref(environment), error)
+
+    async def _endpoint_gone(self, name: str) -> None:
+        """Remove the robots of a Robot endpoint that did not come back."""
+        self._away.pop(name, None)
+        self._state.expected.discard(name)
+        self._view_cache.process_moved(name)
+        plan, robots = reconcile.endpoint_gone(self._state, name)
+        for robot in robots:
+            plan += reconcile.robot_left(self._state, robot)
+        self._lifecycle.apply(plan)
+
+    def _drop_later(self, seconds: float) -> None:
+        """Remove robots without an endpoint unless they appear at one within `seconds`."""
+        robots = reconcile.stranded(self._state)
+        if robots:
+            self._runner.later(seconds, lambda: self._drop(robots))
+
+    async def _drop(self, robots: list[Robot]) -> None:
+        plan: Plan = []
+        for robot in robots:
+            if self._state.robots.get(robot.name) == robot:  # unchanged: it did not come back meanwhile
+                plan += reconcile.robot_left(self._state, robot.name)
+        self._lifecycle.apply(plan)

@@ -1,0 +1,112 @@
+"""Changes of the graph that commands and reconciliation share: removals, and the start of environments."""
+
+from __future__ import annotations
+
+from master.graph import groups
+from master.graph.effects import MarkReady, Outcome, Plan, Send
+from master.graph.records import Connection, Environment, Interface, Node, Parameter, Ref, ref
+from master.graph.state import State
+from master.graph.translation import container_data, parameter_spec
+from master.graph.wiring import connections_of, deactivate, interface_ref
+from rce.control.calls.endpoints import DropParameter, PutParameter, StartNode, StopNode, Unbind
+from rce.control.calls.environments import EnvironmentSpec, StartEnvironment, StopEnvironment
+
+
+def start(state: State, environment: Environment) -> Plan:
+    """Return the plan that starts an environment at its machine; an empty plan while it waits for a machine.
+
+    The join token is issued when the call leaves: it is valid for that call alone.
+    """
+    if not environment.machine:
+        return []
+    group = groups.spec(state, environment)
+    options = container_data(environment.options)
+    spec = EnvironmentSpec(
+        environment.name, environment.run, "", options, group, environment.packages, environment.egress
+    )
+    return [[Send(environment.machine, StartEnvironment(spec), ref(environment))]]
+
+
+def remove_environment(state: State, environment: Environment) -> Plan:
+    """Remove an environment and all that is in it from the graph, and stop it."""
+    name = environment.name
+    plan = remove_interfaces(state, name)
+    for node in state.nodes.by(name):
+        state.nodes.drop(node.key)
+    for parameter in state.parameters.by(name):
+        state.parameters.drop(parameter.key)
+    state.environments.drop(name)
+    state.forget(name)  # no further calls go to its process, and a later environment of this name gets a process anew
+    if environment.machine in state.joined:  # else KeepEnvironments tells it when it joins again
+        plan.append([Send(environment.machine, StopEnvironment(name), ref(environment))])
+    return plan
+
+
+def remove_node(state: State, node: Node) -> Plan:
+    """Remove a node from the graph and stop it."""
+    state.nodes.drop(node.key)
+    return call_host(state, node, StopNode(node.tag))
+
+
+def remove_interface(state: State, interface: Interface) -> Plan:
+    """Remove an interface and its connections from the graph."""
+    plan: Plan = []
+    for connection in state.connections.by(interface.key):
+        plan += remove_connection(state, connection)
+    state.interfaces.drop(interface.key)
+    host = state.host(interface.owner)
+    if host:
+        plan.append([Send(host, Unbind(interface.id), interface_ref(interface))])
+    return plan
+
+
+def remove_interfaces(state: State, owner: str) -> Plan:
+    """Remove all interfaces of a robot or environment from the graph."""
+    plan: Plan = []
+    for connection in connections_of(state, owner):
+        plan += remove_connection(state, connection)
+    for interface in state.interfaces.by(owner):
+        plan += remove_interface(state, interface)
+    return plan
+
+
+def remove_connection(state: State, connection: Connection) -> Plan:
+    """Remove a connection from the graph, and its routes."""
+    plan = deactivate(state, connection)
+    state.connections.drop(connection.key)
+    return plan
+
+
+def call_host(
+    state: State, record: Node | Parameter, call: StartNode | StopNode | PutParameter | DropParameter
+) -> Plan:
+    """Return the plan for a call at a record's environment. An environment that is away gets it by its Sync."""
+    host = state.host(record.owner)
+    if not host:
+        return []
+    send = Send(host, call, ref(record))
+    return [[send] if isinstance(call, StopNode | DropParameter) else [send, MarkReady(ref(record))]]
+
+
+def undo(state: State, outcome: Outcome) -> Plan:
+    """Take back what a command made, because it did not become ready."""
+    if outcome.replaced is not None and outcome.replaced.key in state.parameters:
+        state.parameters.put(outcome.replaced)
+        return call_host(state, outcome.replaced, PutParameter(parameter_spec(outcome.replaced)))
+    return [sequence for awaited in outcome.awaits for sequence in _undo_one(state, awaited)]
+
+
+def _undo_one(state: State, awaited: Ref) -> Plan:
+    plan: Plan = []
+    match awaited.kind:
+        case "environment" if environment := state.environments.get(awaited.key):
+            plan = remove_environment(state, environment)
+        case "interface" if interface := state.interfaces.get(awaited.key):
+            plan = remove_interface(state, interface)
+        case "connection" if connection := state.connections.get(awaited.key):
+            plan = remove_connection(state, connection)
+        case "node" if node := state.nodes.get(awaited.key):
+            plan = remove_node(state, node)
+        case "parameter" if parameter := state.parameters.drop(awaited.key):
+            plan = call_host(state, parameter, DropParameter(parameter_spec(parameter).key))
+    return plan

@@ -1,0 +1,284 @@
+"""Commands of users: each changes the records and returns the effects that follow. Nothing here waits.
+
+Everything is looked up under `user/`, so that another user's things do not exist here. A repeated command (its answer
+was lost) accepts what it made the first time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, get_args
+
+from master.graph import changes, groups, hard_limits
+from master.graph.changes import call_host, start
+from master.graph.effects import MarkReady, Outcome, Plan, Send
+from master.graph.limits import UNLIMITED, Policy, check_connections, check_totals, granted
+from master.graph.packages import resolve_all
+from master.graph.placement import place
+from master.graph.records import Connection, Environment, Interface, Parameter, parameter_key, ref
+from master.graph.state import State
+from master.graph.translation import interface_from, interface_spec, node_from, node_spec, options_from, parameter_spec
+from master.graph.wiring import Ids, activate, interface_ref
+from rce.control.calls.endpoints import Bind, DropParameter, PutParameter, StartNode
+from rce.errors import AlreadyExists, InvalidRequest, NotConnectable, NotFound
+from rce.protocol import messages as m
+from rce.protocol.names import check_new_name, check_tag, parse_type, split_interface
+from rce.protocol.variables import check_variables
+
+KINDS = get_args(m.InterfaceType)
+OPPOSITE = {"Publisher": "Subscriber", "ServiceClient": "ServiceProvider"}
+SENDERS = {"Subscriber", "ServiceProvider"}  # the side that topic messages, or requests, come from
+
+
+class CommandContext(NamedTuple):
+    """User and state of a command.
+
+    `ids` makes identifiers, `policy` has the user's limits. `repeated`: the command was given before and its answer was
+    lost. `guest` is the robotID by which it comes if that is a guest's: names under it are for the guest alone.
+    """
+
+    state: State
+    user: str
+    ids: Ids
+    policy: Policy = UNLIMITED
+    repeated: bool = False
+    guest: str = ""
+
+    def environment(self, tag: str, field: str = "containerTag") -> Environment:
+        """Return the user's environment of this tag.
+
+        Raises:
+            NotFound: The user has no such environment.
+        """
+        environment = self.state.environments.get(f"{self.user}/{tag}")
+        if environment is None:
+            raise NotFound(f"there is no environment {tag[:80]!r}", field=field)
+        return environment
+
+
+def execute(context: CommandContext, command: m.Command) -> Outcome:
+    """Apply one command.
+
+    Raises:
+        RceError: The error for the user; then nothing has changed. LimitExceeded if the policy does not allow it.
+    """
+    return HANDLERS[type(command)](context, command)
+
+
+# --- environments -----------------------------------------------------------------------------------------------------
+
+
+def create_container(context: CommandContext, command: m.CreateContainer) -> Outcome:
+    """CC: add an environment and start it on the machine that placement chooses."""
+    state, user, policy = context.state, context.user, context.policy
+    check_tag(command.containerTag, "containerTag")
+    name = f"{user}/{command.containerTag}"
+    if context.repeated and name in state.environments:
+        return Outcome([], [ref(state.environments[name])])
+    if name in state.environments or name in state.robots:
+        kind = "an environment" if name in state.environments else "a robot"
+        raise AlreadyExists(f"containerTag {command.containerTag} is in use by {kind} of yours", field="containerTag")
+    check_variables(command.containerData.env)
+    options = granted(policy, options_from(command.containerData))
+    check_totals(state, user, policy, options)
+    packages = resolve_all(state, user, options.packages)
+    subnet, address = groups.join(state, user, options)
+    machine = place(state, user, options)
+    environment = Environment(name, options, context.ids(), machine, subnet, address, packages, policy.egress)
+    state.environments.put(environment)
+    return Outcome(start(state, environment), [ref(environment)])
+
+
+def destroy_container(context: CommandContext, command: m.DestroyContainer) -> Outcome:
+    """DC: remove an environment with all that is in it."""
+    if context.repeated and f"{context.user}/{command.containerTag}" not in context.state.environments:
+        return Outcome([])
+    return Outcome(changes.remove_environment(context.state, context.environment(command.containerTag)))
+
+
+# --- nodes and parameters ---------------------------------------------------------------------------------------------
+
+
+def add_node(context: CommandContext, command: m.AddNode) -> Outcome:
+    """CN: add a node to an environment and start it."""
+    state = context.state
+    owner = context.environment(command.containerTag).name
+    check_new_name(command.nodeTag, "nodeTag", context.guest)
+    node = node_from(owner, command)
+    present = state.nodes.get(node.key)
+    if present is not None:
+        if context.repeated and present == node:
+            return Outcome([], [ref(node)])
+        raise AlreadyExists(f"nodeTag {command.nodeTag} is in use in {command.containerTag}", field="nodeTag")
+    hard_limits.check_count(state.nodes, owner, hard_limits.NODES, "nodeTag")
+    state.nodes.put(node)
+    return Outcome(call_host(state, node, StartNode(node_spec(node))), [ref(node)])
+
+
+def remove_node(context: CommandContext, command: m.RemoveNode) -> Outcome:
+    """CN: remove a node and stop it."""
+    owner = context.environment(command.containerTag).name
+    node = context.state.nodes.get(f"{owner}/{command.nodeTag}")
+    if node is None:
+        if context.repeated:
+            return Outcome([])
+        raise NotFound(f"{command.containerTag} has no node {command.nodeTag}", field="nodeTag")
+    return Outcome(changes.remove_node(context.state, node))
+
+
+def set_parameter(context: CommandContext, command: m.SetParameter) -> Outcome:
+    """CN: set a parameter of an environment, for all of its nodes or for one."""
+    state = context.state
+    owner = context.environment(command.containerTag).name
+    if command.nodeTag:
+        check_tag(command.nodeTag, "nodeTag")
+    parameter = Parameter(owner, command.name, command.value, command.nodeTag)
+    hard_limits.check_parameter(state, parameter)
+    before = state.parameters.get(parameter.key)
+    state.parameters.put(parameter)
+    return Outcome(call_host(state, parameter, PutParameter(parameter_spec(parameter))), [ref(parameter)], before)
+
+
+def delete_parameter(context: CommandContext, command: m.DeleteParameter) -> Outcome:
+    """CN: remove a parameter from an environment."""
+    owner = context.environment(command.containerTag).name
+    parameter = context.state.parameters.drop(parameter_key(owner, command.nodeTag, command.name))
+    if parameter is None:
+        if context.repeated:
+            return Outcome([])
+        raise NotFound(f"{command.containerTag} has no parameter {command.name[:80]!r}", field="name")
+    return Outcome(call_host(context.state, parameter, DropParameter(parameter_spec(parameter).key)))
+
+
+# --- interfaces -------------------------------------------------------------------------------------------------------
+
+
+def split_kind(kind: str) -> tuple[str, str]:
+    """Split an interface type, as `PublisherConverter` into `Publisher` and `Converter`.
+
+    Raises:
+        InvalidRequest: There is no such interface type.
+    """
+    for suffix in ("Interface", "Converter", "Forwarder"):
+        if kind.endswith(suffix):
+            return kind.removesuffix(suffix), suffix
+    raise InvalidRequest(f"interfaceType {kind[:80]!r} does not exist", field="interfaceType")
+
+
+def add_interface(context: CommandContext, command: m.AddInterface) -> Outcome:
+    """CN: add an interface to a robot or an environment."""
+    state = context.state
+    kind = m.ALIASES.get(command.interfaceType, command.interfaceType)
+    owner = _owner_of_new_interface(context, command, kind)
+    parse_type(command.className)
+    interface = interface_from(context.ids(), owner, kind, command)
+    present = state.interfaces.get(interface.key)
+    if present is not None:
+        if context.repeated and (present.kind, present.type) == (kind, command.className):
+            return Outcome([], [ref(present)])
+        raise AlreadyExists(
+            f"interfaceTag {command.interfaceTag} is in use at {command.endpointTag}", field="interfaceTag"
+        )
+    hard_limits.check_count(state.interfaces, owner, hard_limits.INTERFACES, "interfaceTag")
+    state.interfaces.put(interface)
+    host = state.host(owner)
+    bind = Bind(interface_spec(interface))
+    plan: Plan = [[Send(host, bind, interface_ref(interface)), MarkReady(ref(interface))]] if host else []
+    return Outcome(plan, [ref(interface)])
+
+
+def _owner_of_new_interface(context: CommandContext, command: m.AddInterface, kind: str) -> str:
+    if kind not in KINDS:
+        raise InvalidRequest(
+            f"interfaceType {kind[:80]!r} does not exist; it is one of {', '.join(KINDS)}", field="interfaceType"
+        )
+    if split_kind(kind)[1] == "Interface":
+        owner = context.environment(command.endpointTag, "endpointTag").name
+        check_new_name(command.interfaceTag, "interfaceTag", context.guest)
+        return owner
+    owner = f"{context.user}/{command.endpointTag}"
+    if owner not in context.state.robots:
+        raise NotFound(f"there is no robot {command.endpointTag[:80]!r} to take a {kind}", field="endpointTag")
+    check_tag(command.interfaceTag, "interfaceTag")
+    return owner
+
+
+def remove_interface(context: CommandContext, command: m.RemoveInterface) -> Outcome:
+    """CN: remove an interface and its connections."""
+    interface = context.state.interfaces.get(f"{context.user}/{command.endpointTag}/{command.interfaceTag}")
+    if interface is None:
+        if context.repeated:
+            return Outcome([])
+        raise NotFound(
+            f"{command.endpointTag[:80]} has no interface {command.interfaceTag[:80]!r}", field="interfaceTag"
+        )
+    return Outcome(changes.remove_interface(context.state, interface))
+
+
+# --- connections ------------------------------------------------------------------------------------------------------
+
+
+def connect(context: CommandContext, command: m.Connect) -> Outcome:
+    """CX: connect two interfaces of opposite kinds and the same type."""
+    state = context.state
+    one, other = _pair(context, command.tagA, command.tagB)
+    (prefix, _), (opposite, _) = split_kind(one.kind), split_kind(other.kind)
+    if OPPOSITE.get(prefix) != opposite and OPPOSITE.get(opposite) != prefix:
+        raise NotConnectable(
+            f"{command.tagA} is a {one.kind} and {command.tagB} a {other.kind}: "
+            "a Publisher goes with a Subscriber, a ServiceClient with a ServiceProvider"
+        )
+    if parse_type(one.type) != parse_type(other.type):
+        raise NotConnectable(f"{command.tagA} has type {one.type} and {command.tagB} {other.type}")
+    sender, receiver = (one, other) if prefix in SENDERS else (other, one)
+    connection = Connection(sender.key, receiver.key)
+    if connection.key in state.connections:
+        if context.repeated:
+            return Outcome([], [ref(connection)])
+        raise AlreadyExists(f"{command.tagA} and {command.tagB} are connected already")
+    if sender.kind.startswith("ServiceProvider") and state.connections.by(sender.key):
+        raise NotConnectable(f"{sender.key.partition('/')[2]} is a {sender.kind}: it takes one connection only")
+    if not any(state.visits(interface.owner) for interface in (one, other)):
+        check_connections(state, context.user, context.policy)
+    state.connections.put(connection)
+    return Outcome(activate(state, connection, context.ids), [ref(connection)])
+
+
+def disconnect(context: CommandContext, command: m.Disconnect) -> Outcome:
+    """CX: disconnect two interfaces."""
+    one, other = _pair(context, command.tagA, command.tagB)
+    for sender, receiver in ((one, other), (other, one)):
+        connection = context.state.connections.get(Connection(sender.key, receiver.key).key)
+        if connection is not None:
+            return Outcome(changes.remove_connection(context.state, connection))
+    if context.repeated:
+        return Outcome([])
+    raise NotFound(f"{command.tagA} and {command.tagB} are not connected")
+
+
+def _pair(context: CommandContext, tag_a: str, tag_b: str) -> tuple[Interface, Interface]:
+    found = []
+    for field, tag in (("tagA", tag_a), ("tagB", tag_b)):
+        endpoint, name = split_interface(tag, field)
+        interface = context.state.interfaces.get(f"{context.user}/{endpoint}/{name}")
+        if interface is None:
+            raise NotFound(f"there is no interface {tag}", field=field)
+        found.append(interface)
+    if found[0] is found[1]:
+        raise NotConnectable(f"{tag_a} cannot be connected with itself")
+    return found[0], found[1]
+
+
+HANDLERS: dict[type[m.Command], Callable[[CommandContext, Any], Outcome]] = {
+    m.CreateContainer: create_container,
+    m.DestroyContainer: destroy_container,
+    m.AddNode: add_node,
+    m.RemoveNode: remove_node,
+    m.SetParameter: set_parameter,
+    m.DeleteParameter: delete_parameter,
+    m.AddInterface: add_interface,
+    m.RemoveInterface: remove_interface,
+    m.Connect: connect,
+    m.Disconnect: disconnect,
+}
+"""The function of each command."""

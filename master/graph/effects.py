@@ -1,0 +1,43 @@
+"""Effects of commands: the calls that the Master makes at processes. Plain data; nothing here waits or does I/O."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from msgspec import Struct
+
+from master.graph.records import Parameter, Ref
+from rce.control.calls.call import Call
+
+
+class Send(Struct, frozen=True):
+    """A control call at a process.
+
+    Calls with the same `about` reach one process in the order in which their plans were made. Without `about` a call
+    is about everything that the process has: later calls to this process wait until it is answered.
+    """
+
+    to: str
+    call: Call[Any]
+    about: Ref | None
+
+
+class MarkReady(Struct, frozen=True):
+    """Step that marks a reference ready and wakes who waits for it."""
+
+    ref: Ref
+
+
+Sequence = list[Send | MarkReady]
+"""Steps in order; the first failure ends them. If a process is away and misses a call, nothing is marked ready."""
+
+Plan = list[Sequence]
+"""Sequences that run concurrently."""
+
+
+class Outcome(Struct, frozen=True):
+    """Result of a command: it is complete when `plan` has run and everything in `awaits` is ready."""
+
+    plan: Plan
+    awaits: list[Ref] = []
+    replaced: Parameter | None = None  # the value before; restored if the new one is refused

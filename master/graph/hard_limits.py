@@ -1,0 +1,52 @@
+"""Hard limits for every user, independent of policies: they keep one user from exhausting the Master's memory."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from master.graph.records import Parameter, ParameterValue
+from master.graph.state import State, Table
+from rce.errors import LimitExceeded
+
+NODES = 1000  # of one environment, as are those below
+PARAMETERS = 10_000
+PARAMETER_TEXT = 16 * 1024 * 1024  # characters and items of lists, in all of its parameters together
+INTERFACES = 10_000  # of one robot or environment
+SMALL = 1024  # smaller parameters are bounded by their number alone
+
+
+def check_count(table: Table[Any], owner: str, most: int, field: str) -> None:
+    """Check that `owner` may have one more record.
+
+    Raises:
+        LimitExceeded: It has `most` already.
+    """
+    if table.count(owner) >= most:
+        kind = table.kind.__name__.lower()
+        raise LimitExceeded(f"{owner.partition('/')[2]} has {most} {kind}s: remove some", field=field, limit=most)
+
+
+def check_parameter(state: State, parameter: Parameter) -> None:
+    """Check number and total size of an environment's parameters with this one.
+
+    Raises:
+        LimitExceeded: One of the two is too large.
+    """
+    if parameter.key not in state.parameters:
+        check_count(state.parameters, parameter.owner, PARAMETERS, "name")
+    size = _size(parameter.value)
+    if size <= SMALL:
+        return
+    others = (each for each in state.parameters.by(parameter.owner) if each.key != parameter.key)
+    if size + sum(_size(each.value) for each in others) > PARAMETER_TEXT:
+        raise LimitExceeded(
+            f"the parameters of {parameter.owner.partition('/')[2]} would have more than {PARAMETER_TEXT} characters",
+            field="value",
+            limit=PARAMETER_TEXT,
+        )
+
+
+def _size(value: ParameterValue) -> int:
+    if isinstance(value, list):
+        return sum(map(_size, value))
+    return len(value) if isinstance(value, str) else 1

@@ -1,0 +1,243 @@
+"""Limits of users: maximum and default of each environment's resources, and totals over all that a user has.
+
+The platform's limits are settings of the Master. Changes for one user are kept in the database and replace them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from fnmatch import fnmatchcase
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta, Struct
+from msgspec.structs import replace
+
+from master.graph import packages
+from master.graph.records import Egress, EnvironmentOptions, IoRates
+from master.graph.state import State
+from rce.api import quantities
+from rce.api.views import UsageView
+from rce.errors import InvalidRequest, LimitExceeded
+from rce.protocol import slots
+
+Number = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+Cores = Annotated[float, Meta(ge=0)]
+IMAGES = ("rce/base", "rce/mapping")  # what `provisioning/provision image` builds
+_AMOUNTS = ("cpu", "memory", "pids", "disk", "bandwidth")  # each has a default and a maximum
+
+
+class Policy(Struct, frozen=True, forbid_unknown_fields=True):
+    """Limits of one user; 0 means no limit. Sizes are in bytes, rates in bytes a second."""
+
+    # maximum of one environment, and its value where neither the user nor a default gives one
+    size: Number = 0
+    cpu: Cores = 0
+    memory: Number = 0
+    pids: Number = 0
+    disk: Number = 0
+    bandwidth: Number = 0
+    io: Number = 0
+    gpus: Number = 0
+
+    # defaults; 0: in proportion to the slots (rce.protocol.slots)
+    default_cpu: Cores = 0
+    default_memory: Number = 0
+    default_pids: Number = 0
+    default_disk: Number = 0
+    default_bandwidth: Number = 0
+    default_io: Number = 0
+
+    # network access of environments, beside their group
+    egress: Egress = "none"
+
+    # images beside those of all users; a name without a tag allows all of its tags, `*` matches any characters
+    images: list[str] = []
+
+    # totals of the user
+    environments: Number = 0
+    cores: Cores = 0
+    total_memory: Number = 0
+    total_bandwidth: Number = 0
+    robots: Number = 0
+    connections: Number = 0
+    package_bytes: Number = 0
+
+
+UNLIMITED = Policy()
+NAMES = {field.name: field.type for field in msgspec.structs.fields(Policy)}
+
+
+def granted(policy: Policy, options: EnvironmentOptions) -> EnvironmentOptions:
+    """Return the options of an environment after defaults and limits were applied.
+
+    Raises:
+        LimitExceeded: A value is above its maximum; the error has the numbers.
+    """
+    _check_image(policy, options.image)
+    _check("size", options.size, policy.size)
+    _check("gpus", options.gpus, policy.gpus)
+    # The total of bandwidths needs a number for each environment, so it bounds the single one too.
+    policy = replace(policy, bandwidth=_least(policy.bandwidth, policy.total_bandwidth))
+    got = {
+        name: _grant(name, getattr(options, name), getattr(policy, name), getattr(policy, f"default_{name}"))
+        for name in _AMOUNTS
+    }
+    rates = IoRates(
+        _grant("io.read", options.io.read, policy.io, policy.default_io),
+        _grant("io.write", options.io.write, policy.io, policy.default_io),
+    )
+    return replace(options, io=rates, **got)
+
+
+def check_totals(state: State, user: str, policy: Policy, options: EnvironmentOptions) -> None:
+    """Check the user's totals with one more environment.
+
+    Raises:
+        LimitExceeded: A total is above its limit; the error has the numbers.
+    """
+    wanted = [*(other.options for other in state.environments.by(user)), options]
+    subject = "all of your environments together"
+    _check_total("environments", len(wanted), policy.environments, "you")
+    _check_total("cores", _cores(wanted), policy.cores, subject)
+    _check_total("total_memory", _memory(wanted), policy.total_memory, subject)
+    _check_total("total_bandwidth", sum(each.bandwidth for each in wanted), policy.total_bandwidth, subject)
+
+
+def usage(state: State, user: str) -> UsageView:
+    """Return what a user has of everything that totals limit."""
+    options = [environment.options for environment in state.environments.by(user)]
+    return UsageView(
+        environments=len(options),
+        cores=_cores(options),
+        total_memory=_memory(options),
+        total_bandwidth=sum(each.bandwidth for each in options),
+        robots=state.robots_of_user(user),
+        connections=state.connections_of_user(user),
+        package_bytes=packages.usage(state, user),
+    )
+
+
+def _cores(wanted: Iterable[EnvironmentOptions]) -> float:
+    return sum(each.cpu or each.size * slots.CORES for each in wanted)
+
+
+def _memory(wanted: Iterable[EnvironmentOptions]) -> int:
+    return sum(each.memory or each.size * slots.MEMORY for each in wanted)
+
+
+def _least(one: int, other: int) -> int:
+    """Return the smaller of two limits, where 0 means none."""
+    return min(one or other, other or one)
+
+
+def check_robots(state: State, user: str, policy: Policy) -> None:
+    """Check that a user may have one more robot.
+
+    Raises:
+        LimitExceeded: The user has all robots that the policy allows.
+    """
+    _check_total("robots", state.robots_of_user(user) + 1, policy.robots, "you", "robotID")
+
+
+def check_connections(state: State, user: str, policy: Policy) -> None:
+    """Check that a user may have one more connection.
+
+    Raises:
+        LimitExceeded: The user has all connections that the policy allows.
+    """
+    _check_total("connections", state.connections_of_user(user) + 1, policy.connections, "you", "tagA")
+
+
+def is_allowed(image: str, patterns: Iterable[str]) -> bool:
+    """Return whether a pattern matches `image`, with or without its tag."""
+    name = image.rpartition(":")[0] if ":" in image.rpartition("/")[2] else image
+    return any(fnmatchcase(image, pattern) or fnmatchcase(name, pattern) for pattern in patterns)
+
+
+def parse(assignments: Iterable[str]) -> dict[str, Any]:
+    """Parse assignments such as `memory=2Gi`, `images=rce/base,mine/*` or `cpu=` into fields of a Policy.
+
+    An empty value becomes None.
+
+    Raises:
+        InvalidRequest: An assignment is malformed or names no limit.
+    """
+    found: dict[str, Any] = {}
+    for assignment in assignments:
+        name, equals, text = assignment.partition("=")
+        if not equals:
+            raise InvalidRequest(f"{assignment!r}: write key=value; keys are {', '.join(NAMES)}", field=name)
+        found[name] = text
+    return changes(found)
+
+
+def changes(wanted: dict[str, Any]) -> dict[str, Any]:
+    """Return fields of a Policy from values or from text as people write it; None or empty text resets a limit.
+
+    Raises:
+        InvalidRequest: There is no such limit, or the value does not fit.
+    """
+    found: dict[str, Any] = {}
+    for name, value in wanted.items():
+        if name not in NAMES:
+            raise InvalidRequest(f"there is no limit {name[:80]!r}; there are {', '.join(NAMES)}", field=name[:80])
+        try:
+            meant = _value(name, value) if isinstance(value, str) else value
+            found[name] = None if value in (None, "") else msgspec.convert(meant, NAMES[name], strict=False)
+        except (msgspec.ValidationError, ValueError) as error:
+            raise InvalidRequest(f"{name}={str(value)[:80]}: {error}", field=name) from None
+    return found
+
+
+def _value(name: str, text: str) -> Any:
+    if isinstance(getattr(UNLIMITED, name), list):
+        return [item for item in text.split(",") if item]
+    amount = quantities.parse_number(text)
+    return text if amount is None else amount
+
+
+def with_changes(policy: Policy, changes: dict[str, Any]) -> Policy:
+    """Return a policy with some fields changed, ignoring None and fields that this version does not know."""
+    known = {name: value for name, value in changes.items() if name in Policy.__struct_fields__ and value is not None}
+    return replace(policy, **known)
+
+
+def _check_image(policy: Policy, image: str) -> None:
+    if image and not is_allowed(image, policy.images):
+        raise LimitExceeded(
+            f"image {image[:80]} is not among those that you may use: {', '.join(policy.images) or 'none'}",
+            field="containerData.image",
+            asked=image[:80],
+            allowed=policy.images,
+        )
+
+
+def _grant(name: str, asked: float, maximum: float, default: float) -> Any:
+    _check(name, asked, maximum)
+    value = asked or default
+    return min(value, maximum) if value and maximum else value or maximum
+
+
+def _check(name: str, asked: float, maximum: float) -> None:
+    if maximum and asked > maximum:
+        raise LimitExceeded(
+            f"{name} {_amount(asked)} is more than an environment of yours may have: {_amount(maximum)}",
+            field=f"containerData.{name}",
+            asked=asked,
+            limit=maximum,
+        )
+
+
+def _check_total(name: str, total: float, limit: float, subject: str, field: str = "containerData") -> None:
+    if limit and total > limit:
+        raise LimitExceeded(
+            f"{name}: {_amount(total)} with this one; {subject} may have {_amount(limit)}",
+            field=field,
+            asked=total,
+            limit=limit,
+        )
+
+
+def _amount(amount: float) -> str:
+    return f"{amount:.0f}" if float(amount).is_integer() else f"{amount:g}"

@@ -1,0 +1,88 @@
+"""Placement: the machine of an environment, and the Robot endpoint of a robot."""
+
+from __future__ import annotations
+
+from master.graph.groups import machine_of
+from master.graph.records import Environment, EnvironmentOptions, Process
+from master.graph.state import State, at
+from rce.errors import NoCapacity, Unavailable
+
+
+def free_slots(state: State, machine: Process, moving: str = "") -> int:
+    """Return the free slots of a machine; those of the environment `moving` count as free."""
+    return machine.capacity - sum(other.options.size for other in _others(state, machine, moving))
+
+
+def free_gpus(state: State, machine: Process, moving: str = "") -> int:
+    """Return the free GPUs of a machine; those of the environment `moving` count as free."""
+    return machine.gpus - sum(other.options.gpus for other in _others(state, machine, moving))
+
+
+def _others(state: State, machine: Process, moving: str) -> list[Environment]:
+    return [other for other in state.environments.by(at(machine.name)) if other.name != moving]
+
+
+def place(state: State, user: str, options: EnvironmentOptions, moving: str = "") -> str:
+    """Return the machine for an environment: one that runs environments of the user, else that with most free slots.
+
+    This is the rule of the original. Members of a network group go to one machine. The result is empty if no connected
+    machine can take the environment but one within its grace period could. `moving` is the environment's name if it
+    leaves a machine.
+
+    Raises:
+        NoCapacity: No machine can take it; the error has the numbers.
+    """
+    fitting = _fitting(state, user, options, moving)
+    there = {name: free for name, free in fitting.items() if name in state.joined}
+    own = {environment.machine for environment in state.environments.by(user) if environment.name != moving}
+    return min(there, key=lambda name: (name not in own, -there[name], name), default="")
+
+
+def _fitting(state: State, user: str, options: EnvironmentOptions, moving: str) -> dict[str, int]:
+    """Return the free slots of each machine, connected or expected back, that can take the environment."""
+    machines = [machine for machine in state.processes.by("container") if not state.gone(machine.name)]
+    if not machines:
+        raise NoCapacity("no machine takes environments at present: start `rce container` on one, or wait for it")
+    wanted = set(options.features)
+    able = [machine for machine in machines if wanted <= set(machine.features)]
+    if not able:
+        raise NoCapacity(f"no machine offers the special features {', '.join(sorted(wanted))}")
+    home = machine_of(state, user, options.group, moving)
+    if home:
+        able = [machine for machine in able if machine.name == home]
+        if not able:
+            raise NoCapacity(
+                f"network group {options.group} is on machine {home}, which does not offer the special features "
+                f"{', '.join(sorted(wanted))}; a group is on one machine"
+            )
+    spare = {machine.name: free_gpus(state, machine, moving) for machine in able}
+    if options.gpus > max(spare.values()):
+        raise NoCapacity(
+            f"no machine has {options.gpus} free GPUs; the one with most has {max(0, *spare.values())}",
+            field="containerData.gpus",
+            asked=options.gpus,
+            free=max(0, *spare.values()),
+        )
+    able = [machine for machine in able if spare[machine.name] >= options.gpus]
+    free = {machine.name: free_slots(state, machine, moving) for machine in able}
+    fitting = {name: slots for name, slots in free.items() if slots >= options.size}
+    if not fitting:
+        where = f"machine {home}, which has network group {options.group}, has not" if home else "no machine has"
+        raise NoCapacity(
+            f"{where} {options.size} free slots; the emptiest has {max(free.values())}",
+            asked=options.size,
+            free=max(free.values()),
+        )
+    return fitting
+
+
+def robot_endpoint(state: State) -> Process:
+    """Return the connected Robot endpoint with the fewest robots.
+
+    Raises:
+        Unavailable: No Robot endpoint is connected.
+    """
+    endpoints = [process for process in state.processes.by("robot") if process.name in state.joined]
+    if not endpoints:
+        raise Unavailable("no Robot endpoint is connected to the Master at present; try again in a moment")
+    return min(endpoints, key=lambda process: (len(state.robots.by(at(process.name))), process.name))

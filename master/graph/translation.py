@@ -1,0 +1,72 @@
+"""Translation between the robots' messages, the records of the graph, and the arguments of control calls."""
+
+from __future__ import annotations
+
+from master.graph.records import EnvironmentOptions, Interface, IoRates, Node, Parameter, Qos
+from rce.control.calls.endpoints import InterfaceSpec, NodeSpec, ParameterSpec
+from rce.protocol import messages as m
+
+SAME = ("image", "size", "cpu", "memory", "pids", "disk", "bandwidth", "gpus", "packages", "group", "restart")
+"""Options with one name in `containerData` and in records."""
+
+
+def options_from(data: m.ContainerData) -> EnvironmentOptions:
+    """Return the options that `containerData` of a CC asks for."""
+    return EnvironmentOptions(
+        **{name: getattr(data, name) for name in SAME},
+        io=IoRates(data.io.read, data.io.write),
+        features=data.specialFeatures,
+        variables=data.env,
+        group_address=data.groupIP or data.groupIp,
+    )
+
+
+def container_data(options: EnvironmentOptions) -> m.ContainerData:
+    """Return options as `containerData`, for task sets and for views."""
+    return m.ContainerData(
+        **{name: getattr(options, name) for name in SAME},
+        io=m.Rates(options.io.read, options.io.write),
+        specialFeatures=options.features,
+        env=options.variables,
+        groupIP=options.group_address,
+    )
+
+
+def node_from(owner: str, command: m.AddNode) -> Node:
+    """Return the record of a node that a command adds to environment `owner`."""
+    return Node(owner, command.nodeTag, command.pkg, command.exe, command.args, command.name, command.namespace)
+
+
+def node_spec(node: Node) -> NodeSpec:
+    """Return a node as its environment starts it."""
+    return NodeSpec(node.tag, node.package, node.executable, node.arguments, node.name, node.namespace)
+
+
+def parameter_spec(parameter: Parameter) -> ParameterSpec:
+    """Return a parameter as its environment sets it."""
+    return ParameterSpec(parameter.name, parameter.value, parameter.node)
+
+
+def interface_from(id: str, owner: str, kind: str, command: m.AddInterface) -> Interface:
+    """Return the record of an interface that a command adds to `owner`."""
+    qos = Qos(command.qos.reliability, command.qos.durability, command.qos.history, command.qos.depth)
+    return Interface(id, owner, command.interfaceTag, kind, command.className, command.addr, qos, command.format)
+
+
+def qos_message(qos: Qos) -> m.Qos:
+    """Return quality of service as robots and views see it."""
+    return m.Qos(qos.reliability, qos.durability, qos.history, qos.depth)
+
+
+def interface_spec(interface: Interface) -> InterfaceSpec:
+    """Return an interface as its endpoint makes it."""
+    return InterfaceSpec(
+        interface.id,
+        interface.owner,
+        interface.tag,
+        interface.kind,
+        interface.type,
+        interface.address,
+        qos_message(interface.qos),
+        interface.format,
+    )

@@ -1,0 +1,1 @@
+"""State of the running platform as others see it: views, feed, events, traces and metrics."""

@@ -1,0 +1,100 @@
+"""Events of the platform for followers.
+
+The newest are kept, so that a follower that was away or slow continues where it stopped. One that is too late for that
+gets an event `missed`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import time
+from collections.abc import AsyncIterator
+from typing import Any
+
+from master.graph.records import Connection, Environment, Process, Record, Robot, user_of
+from master.graph.state import State
+from rce.api.views import Event
+from rce.api.views.live import EventType
+from rce.protocol import messages as m
+
+MAX_EVENTS = 10_000
+
+
+class Events:
+    """Events by number. Their ids contain one of this life of the Master, because the next life counts anew."""
+
+    def __init__(self, state: State) -> None:
+        self._life = secrets.token_hex(4)
+        self._kept: dict[int, Event] = {}
+        self._next = 1
+        self._news = asyncio.Event()
+        for table in (state.robots, state.environments, state.connections):
+            watchers: list[Any] = table.watchers
+            watchers.append(self._changed)
+
+    def position(self, id: str) -> int:
+        """Return the position after the event `id`; an empty id is the end."""
+        life, _, number = id.partition("-")
+        if not id:
+            return self._next
+        return int(number) + 1 if life == self._life and number.isdecimal() else 0
+
+    async def follow(self, position: int) -> AsyncIterator[Event]:
+        """Yield the events from a position on, and new ones as they happen."""
+        while True:
+            news = self._news
+            oldest = self._next - len(self._kept)
+            if position < oldest or position > self._next:
+                yield self._event(oldest - 1, "missed", "", "", text="events before this are not kept any more")
+                position = oldest
+            while (event := self._kept.get(position)) is not None:
+                position += 1
+                yield event
+            if position >= self._next:
+                await news.wait()
+
+    # --- sources ------------------------------------------------------------------------------------------------------
+
+    def status_sent(self, user: str, status: m.StatusData) -> None:
+        """Add the event for a status that was sent to the robots of a user."""
+        match status:
+            case m.EnvironmentEvent(tag, "ready"):
+                self._add("environment.ready", user, f"{user}/{tag}")
+            case m.EnvironmentEvent(tag, state, reason):
+                self._add(
+                    "environment.failed" if state == "failed" else "environment.lost", user, f"{user}/{tag}", reason
+                )
+            case m.NodeEvent(tag, node, code, lines):
+                text = f"ended with status {code}"
+                self._add("node.died", user, f"{user}/{tag}/{node}", text, status=code, lines=lines)
+            case m.LimitEvent(reason):
+                self._add("limit.reached", user, user, reason)
+
+    def process_moved(self, process: Process, here: bool) -> None:
+        """Add the event for a process that joined or left."""
+        if process.role != "environment":
+            self._add("machine.joined" if here else "machine.left", "", process.name)
+
+    def _changed(self, before: Record | None, after: Record | None) -> None:
+        record = after or before
+        if record is None or (before is not None and after is not None):
+            return
+        here, user = after is not None, user_of(record.key)
+        match record:
+            case Robot():
+                self._add("robot.came" if here else "robot.left", user, record.key)
+            case Connection():
+                self._add("connection.made" if here else "connection.gone", user, record.key)
+            case Environment() if not here:
+                self._add("environment.gone", user, record.key)
+
+    def _add(self, type: EventType, user: str, object: str, text: str = "", **more: Any) -> None:
+        self._kept[self._next] = self._event(self._next, type, user, object, text=text, **more)
+        self._kept.pop(self._next - MAX_EVENTS, None)
+        self._next += 1
+        news, self._news = self._news, asyncio.Event()
+        news.set()
+
+    def _event(self, number: int, type: EventType, user: str, object: str, **more: Any) -> Event:
+        return Event(f"{self._life}-{number}", time.time(), type, user, object, **more)

@@ -1,0 +1,152 @@
+"""Presenter: views of records for the API and the feed."""
+
+from __future__ import annotations
+
+from master.execution.readiness import Readiness
+from master.graph.groups import of_user
+from master.graph.placement import free_gpus, free_slots
+from master.graph.records import Connection, Environment, Interface, Node, Parameter, Process, Robot, ref
+from master.graph.state import State, at
+from master.graph.translation import container_data, qos_message
+from rce.api.views import (
+    ConnectionView,
+    EnvironmentView,
+    GroupView,
+    InterfaceView,
+    MachineView,
+    NodeView,
+    ParameterView,
+    Rate,
+    RobotView,
+    Usage,
+)
+from rce.api.views.resources import EnvironmentState
+from rce.protocol.names import is_guest
+
+
+class Presenter:
+    """Makes views. `rates` and `usage` have the last measurements, filled by `Gauges`.
+
+    Keys of `rates` are those of interfaces and connections, of `usage` those of environments.
+    """
+
+    def __init__(self, state: State, readiness: Readiness) -> None:
+        self.state = state
+        self.rates: dict[str, Rate] = {}
+        self.usage: dict[str, Usage] = {}
+        self._readiness = readiness
+
+    def robot(self, record: Robot) -> RobotView:
+        """Return the view of a robot."""
+        user, tag = _parts(record.name)
+        return RobotView(
+            user,
+            tag,
+            "connected" if record.endpoint in self.state.joined and record.name not in self.state.away else "away",
+            record.endpoint,
+            len(self.state.interfaces.by(record.name)),
+            record.by.user if is_guest(tag) else "",
+        )
+
+    def environment(self, record: Environment) -> EnvironmentView:
+        """Return the view of an environment."""
+        name = record.name
+        state = self.state
+        return EnvironmentView(
+            *_parts(name),
+            self._state_of(record),
+            record.machine,
+            container_data(record.options),
+            record.address,
+            record.egress,
+            record.packages,
+            len(state.nodes.by(name)),
+            len(state.parameters.by(name)),
+            len(state.interfaces.by(name)),
+            self.usage.get(name),
+        )
+
+    def _state_of(self, record: Environment) -> EnvironmentState:
+        if not record.machine:
+            return "waiting"
+        if record.name in self.state.joined:
+            return "ready" if self._readiness.is_ready(ref(record)) else "starting"
+        return "away" if record.name in self.state.processes else "starting"
+
+    def node(self, record: Node) -> NodeView:
+        """Return the view of a node."""
+        return NodeView(
+            *_parts(record.owner),
+            record.tag,
+            "running" if self._readiness.is_ready(ref(record)) else "starting",
+            record.package,
+            record.executable,
+            record.arguments,
+            record.name,
+            record.namespace,
+        )
+
+    def parameter(self, record: Parameter) -> ParameterView:
+        """Return the view of a parameter."""
+        return ParameterView(*_parts(record.owner), record.node, record.name, record.value)
+
+    def interface(self, record: Interface) -> InterfaceView:
+        """Return the view of an interface."""
+        return InterfaceView(
+            *_parts(record.owner),
+            record.tag,
+            "ready" if self._readiness.is_ready(ref(record)) else "starting",
+            record.kind,
+            record.type,
+            record.address,
+            qos_message(record.qos),
+            record.format,
+            len(self.state.connections.by(record.key)),
+            self.rates.get(record.key),
+        )
+
+    def connection(self, record: Connection) -> ConnectionView:
+        """Return the view of a connection."""
+        user, sender = _parts(record.sender)
+        return ConnectionView(
+            user,
+            sender,
+            _parts(record.receiver)[1],
+            "up" if record.link else "down",
+            self.state.interfaces[record.sender].type,
+            self.rates.get(record.key),
+        )
+
+    def process(self, record: Process) -> MachineView:
+        """Return the view of a process."""
+        name = record.name
+        environments = self.state.environments.by(at(name)) if record.role == "container" else []
+        measured = [self.usage[each.name] for each in environments if each.name in self.usage]
+        return MachineView(
+            name,
+            record.role,  # type: ignore[arg-type]  # environments have views of their own
+            "joined" if name in self.state.joined else "away" if name in self.state.expected else "gone",
+            record.host,
+            record.url,
+            record.capacity,
+            record.capacity - free_slots(self.state, record),
+            record.gpus,
+            record.gpus - free_gpus(self.state, record),
+            record.features,
+            len(environments),
+            len(self.state.robots.by(at(name))) if record.role == "robot" else 0,
+            Usage(sum(each.cores for each in measured), sum(each.memory for each in measured)) if measured else None,
+        )
+
+    def groups(self, user: str) -> list[GroupView]:
+        """Return the network groups of a user."""
+        found = []
+        for group, members in of_user(self.state, user).items():
+            subnet = self.state.environments[next(iter(members))].subnet
+            found.append(GroupView(user, group, subnet, {_parts(name)[1]: ip for name, ip in members.items()}))
+        return found
+
+
+def _parts(name: str) -> tuple[str, str]:
+    user, _, tag = name.partition("/")
+    return user, tag

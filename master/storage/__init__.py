@@ -1,0 +1,1 @@
+"""Persistent state of the Master: the database and the archives of packages."""

@@ -1,0 +1,147 @@
+"""Depot: archives of users' packages on the Master's disk, by their digests.
+
+An upload is announced first: user, digest and size are checked against the quota. The body that then comes with the
+ticket must have that size, and goes straight to disk. So nobody fills disk or memory without permission.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hashlib
+import os
+import tempfile
+from pathlib import Path
+
+from msgspec import Struct
+from twisted.logger import Logger
+
+from master.access.tickets import Tickets
+from rce.errors import InvalidRequest, LimitExceeded, NotFound
+from rce.packages import archive
+from rce.packages.archive import MAX_BYTES, Contents
+
+UPLOAD_SECONDS, FETCH_SECONDS = 300.0, 60.0  # validity of tickets
+UPLOAD_PATH, FETCH_PATH = "/api/v1/uploads", "/api/v1/archives"
+UPLOADS_AT_ONCE = 4  # of one user
+
+log = Logger()
+
+
+class AnnouncedUpload(Struct, frozen=True):
+    """An upload that was checked and may begin."""
+
+    user: str
+    name: str
+    digest: str
+    size: int
+
+
+class Upload:
+    """File to which an upload is written; `close` removes it unless it was kept."""
+
+    def __init__(self, depot: Depot, announced: AnnouncedUpload) -> None:
+        self.announced = announced
+        self._depot = depot
+        self._hash = hashlib.sha256()
+        descriptor, path = tempfile.mkstemp(dir=depot.incoming)
+        self._file = os.fdopen(descriptor, "wb")
+        self.path = Path(path)
+        depot.running.add(self)
+
+    def write(self, data: bytes) -> None:
+        """Append bytes to the file."""
+        self._hash.update(data)
+        self._file.write(data)
+
+    def close(self) -> None:
+        """Close the file, and remove it unless it was kept."""
+        self._depot.running.discard(self)
+        self._file.close()
+        self.path.unlink(missing_ok=True)
+
+    async def check(self) -> Contents:
+        """Check that the body is what was announced, and read it as an archive.
+
+        Raises:
+            InvalidRequest: It has another digest, or is no archive.
+            LimitExceeded: It is too large unpacked.
+        """
+        self._file.close()
+        if self._hash.hexdigest() != self.announced.digest:
+            raise InvalidRequest(f"the upload does not have the SHA-256 {self.announced.digest}: push it again")
+        return await asyncio.to_thread(_inspect, self.path)
+
+
+class Depot:
+    """Archives in `directory`."""
+
+    def __init__(self, directory: Path) -> None:
+        self._directory = directory
+        self.incoming = directory / "incoming"
+        self.running: set[Upload] = set()
+        self._uploads: Tickets[AnnouncedUpload] = Tickets(UPLOAD_SECONDS)
+        self._fetches: Tickets[Path] = Tickets(FETCH_SECONDS)
+        self.incoming.mkdir(parents=True, exist_ok=True, mode=0o700)
+        for path in self.incoming.iterdir():
+            path.unlink()  # unfinished uploads of an earlier Master
+
+    def announce(self, announced: AnnouncedUpload) -> str:
+        """Issue the ticket of an upload.
+
+        Raises:
+            InvalidRequest: The digest is malformed.
+            LimitExceeded: It is too large, or the user has too many uploads.
+        """
+        if not archive.DIGEST.fullmatch(announced.digest):
+            raise InvalidRequest(f"digest {announced.digest[:80]!r} is not a SHA-256 in hex", field="digest")
+        if not 0 < announced.size <= MAX_BYTES:
+            raise LimitExceeded(f"an archive has 1 to {MAX_BYTES} bytes", field="size", limit=MAX_BYTES)
+        if sum(each.user == announced.user for each in self.pending()) >= UPLOADS_AT_ONCE:
+            raise LimitExceeded(
+                f"{UPLOADS_AT_ONCE} uploads of yours are under way or announced; wait for one to end",
+                limit=UPLOADS_AT_ONCE,
+            )
+        return self._uploads.issue(announced)
+
+    def pending(self) -> list[AnnouncedUpload]:
+        """Return uploads that are announced or running."""
+        return [*self._uploads.outstanding(), *(upload.announced for upload in self.running)]
+
+    def begin(self, token: str, length: int | None) -> Upload | None:
+        """Begin the upload of a ticket, if it is valid and for this many bytes."""
+        announced = self._uploads.take(token)
+        return None if announced is None or announced.size != length else Upload(self, announced)
+
+    def keep(self, upload: Upload) -> None:
+        """Turn a checked upload into an archive. The caller must add it to the records before anything else can run."""
+        upload.path.chmod(0o400)
+        upload.path.rename(self._directory / upload.announced.digest)
+
+    def ticket(self, digest: str) -> tuple[str, int]:
+        """Issue a ticket to fetch an archive; return it and the size.
+
+        Raises:
+            NotFound: There is no such archive.
+        """
+        path = self._directory / digest
+        if not archive.DIGEST.fullmatch(digest) or not path.is_file():
+            raise NotFound(f"there is no archive {digest[:80]}")
+        return self._fetches.issue(path), path.stat().st_size
+
+    def fetch(self, token: str) -> Path | None:
+        """Redeem the ticket of an archive."""
+        return self._fetches.take(token)
+
+    def sweep(self, named: set[str]) -> None:
+        """Remove the archives whose digests are not in `named`."""
+        for path in self._directory.iterdir():
+            if archive.DIGEST.fullmatch(path.name) and path.name not in named:
+                with contextlib.suppress(FileNotFoundError):
+                    path.unlink()
+                log.info("removed archive {digest}, which is not used any more", digest=path.name)
+
+
+def _inspect(path: Path) -> Contents:
+    with path.open("rb") as file:
+        return archive.inspect(file)

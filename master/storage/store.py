@@ -1,0 +1,160 @@
+"""Store: the database of the Master, SQLite or PostgreSQL through SQLAlchemy.
+
+One worker thread owns the database, so that writes keep their order and the event loop never waits for a disk. Records
+that change during a write are written together in the next one.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+import sqlalchemy as sa
+from sqlalchemy.pool import StaticPool
+from twisted.logger import Logger
+
+from master.graph.state import State
+from master.storage.migration import upgrade
+from master.storage.tables import records
+from rce.errors import InvalidRequest
+from rce.process import metrics
+
+log = Logger()
+_transactions = metrics.Timing("rce_database_seconds", "Time of a transaction, with waiting for the one before")
+PATIENCE = 5.0  # seconds
+R = TypeVar("R")
+
+
+class Store:
+    """A database; `url` is SQLAlchemy's (`sqlite:////var/lib/rce/master.db`, `postgresql+psycopg://…`)."""
+
+    def __init__(self, url: str) -> None:
+        try:
+            parsed = sa.make_url(url)
+            memory = parsed.get_backend_name() == "sqlite" and parsed.database in (None, "", ":memory:")
+            self._engine = sa.create_engine(parsed, **({"poolclass": StaticPool} if memory else {}))
+        except (sa.exc.ArgumentError, sa.exc.NoSuchModuleError, ModuleNotFoundError) as error:
+            raise InvalidRequest(f"database {url!r} cannot be used: {error}", field="database") from None
+        if parsed.get_backend_name() == "sqlite":
+            if not memory and not str(parsed.database).startswith("file:"):  # SQLite's own URIs are left alone
+                _make_private(Path(str(parsed.database)))
+            sa.event.listen(self._engine, "connect", _tune_sqlite)
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="store")
+        self._waiting: dict[tuple[str, str], str | None] = {}
+        self._flush: asyncio.Task[None] | None = None
+        self._check: asyncio.Future[Any] | None = None
+
+    async def open(self) -> None:
+        """Create the tables, or migrate them to this version.
+
+        Raises:
+            InvalidRequest: The database cannot be opened or migrated.
+        """
+        try:
+            await self._do(lambda: upgrade(self._engine))
+        except sa.exc.SQLAlchemyError as error:
+            reason = str(getattr(error, "orig", None) or error).partition("\n")[0]  # without SQLAlchemy's own advice
+            raise InvalidRequest(
+                f"database {self._engine.url!r} cannot be opened: {reason}; check that its disk has room and that the "
+                "file may be written, or put a backup in its place (docs/operations.md)",
+                field="database",
+            ) from None
+
+    async def run(self, work: Callable[[sa.Connection], R]) -> R:
+        """Run `work` in a transaction of its own in the database's thread, and return its result.
+
+        Raises:
+            InvalidRequest: The database cannot hold a value, as PostgreSQL text with NUL.
+        """
+
+        def transact() -> R:
+            with self._engine.begin() as connection:
+                return work(connection)
+
+        began = time.perf_counter()
+        try:
+            return await self._do(transact)
+        except sa.exc.DataError as error:
+            raise InvalidRequest(f"the database cannot hold this: {error.orig}") from None
+        finally:
+            _transactions.labels().observe_since(began)
+
+    async def _do(self, work: Callable[[], R]) -> R:
+        return await asyncio.get_running_loop().run_in_executor(self._thread, work)
+
+    async def load(self, state: State) -> None:
+        """Load all records into an empty state."""
+        kinds = {table.kind.__name__: table for table in state.tables()}
+        for kind, value in await self.run(lambda db: list(db.execute(sa.select(records.c.kind, records.c.value)))):
+            table = kinds[kind]
+            table.load(msgspec.json.decode(value, type=table.kind))
+
+    async def save(self, state: State) -> None:
+        """Write what changed in `state`; return when it is stored."""
+        for table in state.tables():
+            for key in table.changed:
+                record = table.get(key)
+                value = None if record is None else msgspec.json.encode(record).decode()
+                self._waiting[table.kind.__name__, key] = value
+            table.changed.clear()
+        if self._flush is None or self._flush.done():
+            self._flush = asyncio.create_task(self._write())
+        await asyncio.shield(self._flush)
+
+    async def _write(self) -> None:
+        while self._waiting:
+            rows, self._waiting = self._waiting, {}
+            try:
+                await self.run(lambda db, rows=rows: _put(db, rows))  # type: ignore[misc]  # mypy: default of a lambda
+            except BaseException:
+                self._waiting = rows | self._waiting  # written by the next try, unless changed again
+                raise
+
+    async def missing(self) -> list[str]:
+        """Return a sentence if the database does not work, else nothing."""
+        if self._check is None or self._check.done():  # one check at a time, however many callers
+            self._check = asyncio.ensure_future(self.run(lambda db: db.execute(sa.select(1)).scalar()))
+        try:
+            await asyncio.wait_for(asyncio.shield(self._check), PATIENCE)
+        except (TimeoutError, sa.exc.SQLAlchemyError) as error:
+            log.warn("the database does not answer: {error}", error=str(error) or f"for {PATIENCE:g} s")
+            return ["the database does not answer: what changes is not stored"]
+        return []
+
+    async def close(self) -> None:
+        """Finish the write under way and close the database."""
+        if self._flush is not None:
+            await self._flush
+        await self._do(self._engine.dispose)
+        self._thread.shutdown()
+
+
+def _put(connection: sa.Connection, rows: dict[tuple[str, str], str | None]) -> None:
+    keys = [{"k": kind, "n": key} for kind, key in rows]
+    connection.execute(
+        records.delete().where(records.c.kind == sa.bindparam("k"), records.c.key == sa.bindparam("n")), keys
+    )
+    fresh = [{"kind": kind, "key": key, "value": value} for (kind, key), value in rows.items() if value is not None]
+    if fresh:
+        connection.execute(records.insert(), fresh)
+
+
+def _make_private(file: Path) -> None:
+    """Create the file with mode 0600, because it has hashes of passwords. SQLite's other files get the same mode."""
+    with contextlib.suppress(OSError):  # opening it reports the error
+        file.touch(mode=0o600)
+        if file.stat().st_uid == os.geteuid():
+            file.chmod(0o600)
+
+
+def _tune_sqlite(connection: Any, _: object) -> None:
+    connection.execute("PRAGMA journal_mode=WAL")
+    connection.execute("PRAGMA synchronous=NORMAL")  # survives the death of the process; a power cut costs the last ms
+    connection.execute("PRAGMA foreign_keys=ON")

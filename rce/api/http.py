@@ -1,0 +1,134 @@
+"""Blocking HTTP requests to a platform's entry, whose error responses are raised as errors of `rce.errors`.
+
+For use outside of an event loop, or in a thread. Only the standard library and msgspec are needed.
+"""
+
+from __future__ import annotations
+
+import base64
+import http.client
+import ipaddress
+import ssl
+import urllib.error
+import urllib.request
+from typing import Any, BinaryIO
+from urllib.parse import urljoin, urlsplit
+
+import msgspec
+from msgspec import Struct
+
+from rce.errors import ErrorInfo, InvalidRequest, RceError, Unavailable
+
+TIMEOUT = 60.0  # seconds without a byte
+PROBLEM = "application/problem+json"
+MAX_RESPONSE = 16 * 1024 * 1024
+
+
+class Problem(Struct, frozen=True, omit_defaults=True):
+    """Error response (RFC 9457), extended by the code, the field at fault and the details of an `RceError`."""
+
+    title: str
+    status: int
+    detail: str
+    code: str
+    field: str = ""
+    fields: dict[str, str | int | float | bool | list[str]] = {}
+    type: str = "about:blank"
+
+
+class EntryClient:
+    """HTTP client of the platform entry at `url`.
+
+    Attributes:
+        url: URL of the entry, with a slash at its end.
+    """
+
+    def __init__(
+        self, url: str, headers: dict[str, str], context: ssl.SSLContext | None = None, *, direct: bool = False
+    ) -> None:
+        """Prepare a client; nothing is sent yet.
+
+        Args:
+            url: URL of the entry.
+            headers: Headers of each request, such as those of `basic` or `bearer`.
+            context: TLS context in place of the system's certificates.
+            direct: Ignore the proxy that the environment variables configure.
+
+        Raises:
+            InvalidRequest: The URL is not http or https.
+        """
+        if urlsplit(url).scheme not in ("http", "https"):
+            raise InvalidRequest(f"url {url!r} must begin with http:// or https://", field="url")
+        self.url = url if url.endswith("/") else url + "/"
+        self._headers = headers
+        proxy = urllib.request.ProxyHandler({} if direct or is_loopback(url) else None)
+        self._opener = urllib.request.build_opener(proxy, urllib.request.HTTPSHandler(context=context), _NoRedirect())
+
+    def open(self, method: str, path: str, body: bytes | BinaryIO | None = None, **headers: str) -> Any:
+        """Make a request and return the response, which the caller must read and close.
+
+        Raises:
+            Unavailable: There is no response.
+            RceError: The error that the response describes.
+        """
+        url = urljoin(self.url, path)
+        request = urllib.request.Request(url, body, self._headers | headers, method=method)
+        try:
+            return self._opener.open(request, timeout=TIMEOUT)
+        except urllib.error.HTTPError as error:
+            with error:
+                raise error_of_response(error.code, error.headers.get_content_type(), _read(error)) from None
+        except (OSError, http.client.HTTPException, ValueError) as error:
+            raise Unavailable(f"cannot reach {url}: {getattr(error, 'reason', error)}") from None
+
+    def json(self, method: str, path: str, body: Struct | None = None) -> bytes:
+        """Make a request with a JSON body and return the body of the response; raises as `open`."""
+        content = None if body is None else msgspec.json.encode(body)
+        with self.open(method, path, content, **{"Content-Type": "application/json"}) as response:
+            return _read(response)
+
+
+class _NoRedirect(urllib.request.HTTPRedirectHandler):
+    """Handler that follows no redirects: the entry sends none, and credentials must not reach another server."""
+
+    def redirect_request(self, *_: Any) -> None:
+        return None
+
+
+def basic(user: str, secret: str) -> dict[str, str]:
+    """Return the header that authenticates with a user's password or API key."""
+    return {"Authorization": "Basic " + base64.b64encode(f"{user}:{secret}".encode()).decode()}
+
+
+def bearer(token: str) -> dict[str, str]:
+    """Return the header that authenticates with a token or an API key."""
+    return {"Authorization": f"Bearer {token}"}
+
+
+def error_of_response(status: int, media_type: str, body: bytes) -> RceError:
+    """Return the error that a response describes; Unavailable if it does not come from a platform."""
+    if media_type == PROBLEM:
+        try:
+            problem = msgspec.json.decode(body, type=Problem)
+        except msgspec.DecodeError:
+            return Unavailable(f"HTTP status {status} with a malformed problem document")
+        return RceError.from_info(ErrorInfo(problem.code, problem.detail, "", problem.field, problem.fields))
+    text = body[:500].decode(errors="replace").strip()
+    return Unavailable(f"HTTP status {status}: {text or 'no reason given'}; is this the entry of a platform?")
+
+
+def is_loopback(url: str) -> bool:
+    """Return True if the URL's host is this machine."""
+    host = urlsplit(url).hostname or ""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _read(response: Any) -> bytes:
+    try:
+        body: bytes = response.read(MAX_RESPONSE)
+    except (OSError, http.client.HTTPException) as error:
+        raise Unavailable(f"the connection broke during the response: {error}") from None
+    return body

@@ -1,0 +1,65 @@
+"""Request bodies that create resources: the items of CC, CN and CX without the parts that are in the path."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from msgspec import Struct
+
+from rce.protocol.messages import (
+    ContainerData,
+    InterfaceTag,
+    InterfaceType,
+    ParameterName,
+    ParameterValue,
+    Qos,
+    Tag,
+    TagOrNone,
+    Text,
+    TypeText,
+)
+
+
+class NewEnvironment(Struct, frozen=True, forbid_unknown_fields=True):
+    """Environment to start."""
+
+    containerTag: Tag
+    containerData: ContainerData = ContainerData()
+
+
+class NewNode(Struct, frozen=True, forbid_unknown_fields=True):
+    """ROS 2 node to start in the environment of the path."""
+
+    nodeTag: Tag
+    pkg: Text
+    exe: Text
+    args: str = ""
+    name: str = ""
+    namespace: str = ""
+
+
+class NewParameter(Struct, frozen=True, forbid_unknown_fields=True):
+    """Parameter to set or replace, for the environment of the path or one of its nodes."""
+
+    name: ParameterName
+    value: ParameterValue
+    nodeTag: TagOrNone = ""
+
+
+class NewInterface(Struct, frozen=True, forbid_unknown_fields=True):
+    """Interface to add to a robot (`…Converter`, `…Forwarder`) or an environment (`…Interface`)."""
+
+    endpointTag: Tag
+    interfaceTag: Tag
+    interfaceType: InterfaceType
+    className: TypeText
+    addr: str = ""
+    qos: Qos = Qos()
+    format: Literal["png", "jpeg", "json"] = "png"
+
+
+class NewConnection(Struct, frozen=True, forbid_unknown_fields=True):
+    """Two interfaces to connect, each as `endpointTag/interfaceTag`, in either order."""
+
+    tagA: InterfaceTag
+    tagB: InterfaceTag

@@ -1,0 +1,117 @@
+"""Types of the command graph: robots, environments and their contents, interfaces, connections, groups."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from msgspec import Struct
+
+from rce.control.calls.environments import Egress
+from rce.protocol.messages import ContainerData, ParameterValue, Qos
+
+
+class Usage(Struct, frozen=True):
+    """Current resource usage of an environment; measured only while it is watched."""
+
+    cores: float  # average of the last seconds
+    memory: int  # bytes
+
+
+class Rate(Struct, frozen=True):
+    """Current traffic of an interface or connection; counted only while it is watched."""
+
+    messages: float  # per second
+    bytes: float  # per second
+    drops: int = 0  # since its creation
+
+
+class RobotView(Struct, frozen=True):
+    """Robot with a session. `away`: its socket or its Robot endpoint is lost, and it is within the grace period."""
+
+    user: str
+    robotID: str
+    state: Literal["connected", "away"]
+    endpoint: str  # the Robot endpoint's name
+    interfaces: int
+    guest: str = ""  # for a guest, the user who opened it
+
+
+EnvironmentState = Literal["waiting", "starting", "ready", "away"]
+"""Waiting for a machine with room, starting or restarting, ready, or temporarily without the Master."""
+
+
+class EnvironmentView(Struct, frozen=True):
+    """Environment and its state. `containerData` has the resources that it actually got."""
+
+    user: str
+    containerTag: str
+    state: EnvironmentState
+    machine: str  # empty while it is waiting
+    containerData: ContainerData
+    address: str  # in its network group; empty without one
+    egress: Egress
+    packages: list[str]  # digests of its users' packages
+    nodes: int
+    parameters: int
+    interfaces: int
+    usage: Usage | None = None
+
+
+class NodeView(Struct, frozen=True):
+    """ROS 2 node of an environment."""
+
+    user: str
+    containerTag: str
+    nodeTag: str
+    state: Literal["starting", "running"]
+    pkg: str
+    exe: str
+    args: str
+    name: str
+    namespace: str
+
+
+class ParameterView(Struct, frozen=True):
+    """ROS 2 parameter of an environment or, with `nodeTag`, of one of its nodes."""
+
+    user: str
+    containerTag: str
+    nodeTag: str
+    name: str
+    value: ParameterValue
+
+
+class InterfaceView(Struct, frozen=True):
+    """Interface of a robot or an environment."""
+
+    user: str
+    endpointTag: str  # robotID or containerTag
+    interfaceTag: str
+    state: Literal["starting", "ready"]
+    interfaceType: str
+    className: str
+    addr: str
+    qos: Qos
+    format: str
+    connections: int
+    rate: Rate | None = None
+
+
+class ConnectionView(Struct, frozen=True):
+    """Connection of two interfaces; topic messages and service requests go from `tagA` to `tagB`."""
+
+    user: str
+    tagA: str  # endpointTag/interfaceTag
+    tagB: str
+    state: Literal["up", "down"]  # down: one side is offline
+    className: str
+    rate: Rate | None = None
+
+
+class GroupView(Struct, frozen=True):
+    """Network group, which exists while it has members."""
+
+    user: str
+    group: str
+    subnet: str  # as 10.128.0.0/24
+    members: dict[str, str]  # address by containerTag

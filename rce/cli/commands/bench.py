@@ -1,0 +1,136 @@
+"""`bench`: measurements of a platform."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from rce import __version__
+from rce.api.map_jobs import MAPPERS
+from rce.cli.arguments import ENGINES, RUNNING_OR_OWN, Argument, argument
+from rce.cli.command import Command, Group, Lazy, Section
+
+QUICK_SIZES, QUICK_SAMPLES = 4, 3
+MODULE = "rce.cli.lazy.bench"
+
+SAMPLES_JSON = argument("--json", action="store_true", help="print every sample as JSON instead of a table")
+FIGURES_JSON = argument("--json", action="store_true", help="print the figures as JSON")
+ENGINE = argument("--engine", choices=ENGINES, default="process", help="(default: %(default)s)")
+RECORDINGS = (
+    argument("recordings", nargs="+", type=Path, metavar="FILE", help="CARMEN log, ROS 1 or ROS 2 bag"),
+    argument("--mappers", default=",".join(MAPPERS), help="comma-separated list (default: %(default)s)"),
+    FIGURES_JSON,
+    argument("--plot", type=Path, metavar="FILE", help="draw the figures, as .svg or .png"),
+)
+
+
+def _rtt_arguments() -> tuple[Argument, ...]:
+    from rce.bench.routes import DEFAULT_ROUTES, ROUTES  # slow
+
+    routes, usual = ", ".join(ROUTES), ",".join(DEFAULT_ROUTES)
+    return (
+        argument("--routes", default=usual, help=f"comma-separated list of {routes} (default: {usual})"),
+        argument("--features", default="", help="for route c2c2: two special features, each of one machine only"),
+        argument("--sizes", type=int, default=25, help="how many, from 10 B to 10 MB (default: %(default)s)"),
+        argument("--samples", type=int, default=20, help="of each size (default: %(default)s)"),
+        argument("--quick", action="store_true", help=f"{QUICK_SIZES} sizes, {QUICK_SAMPLES} samples of each"),
+        SAMPLES_JSON,
+        argument("--plot", type=Path, metavar="FILE", help="draw the round trips, as .svg or .png"),
+    )
+
+
+GROUP = Group("bench", "Measure a platform.")
+
+COMMANDS = (
+    Command(
+        "bench rtt",
+        "Measure round trips of messages of all sizes, beside those between two nodes.",
+        Lazy(MODULE, "measure_round_trips"),
+        _rtt_arguments,
+        ("bench rtt --quick",),
+        platform=RUNNING_OR_OWN,
+        section=Section.LOCAL,
+    ),
+    Command(
+        "bench overtake",
+        "Measure velocity commands of a robot that sends 10 MB images at the same time.",
+        Lazy(MODULE, "measure_overtake"),
+        (argument("--samples", type=int, default=300, help="(default: %(default)s)"), SAMPLES_JSON),
+        platform=RUNNING_OR_OWN,
+        section=Section.LOCAL,
+    ),
+    Command(
+        "bench start",
+        "Measure the time from the command to a ready environment, beside a bare container.",
+        Lazy(MODULE, "measure_start"),
+        (
+            argument("--engines", default="process,docker", help="comma-separated list (default: %(default)s)"),
+            argument("--samples", type=int, default=10, help="of each (default: %(default)s)"),
+            argument(
+                "--image",
+                default=f"rce/mapping:{__version__}",
+                help="image of the bare container (default: %(default)s)",
+            ),
+            SAMPLES_JSON,
+        ),
+        platform=None,
+        section=Section.LOCAL,
+    ),
+    Command(
+        "bench map-service",
+        "Measure the map service with a large recording and another user's job at the same time.",
+        Lazy(MODULE, "measure_map_service"),
+        (
+            argument("--size", type=int, default=4000, help="of the recording, MB (default: %(default)s)"),
+            argument(
+                "--dir",
+                type=Path,
+                default=Path(tempfile.gettempdir()),
+                help="directory on the disk to use (default: %(default)s)",
+            ),
+            ENGINE,
+            FIGURES_JSON,
+        ),
+        platform=None,
+        section=Section.LOCAL,
+    ),
+    Command(
+        "bench dashboard",
+        "Measure dashboard and lists of a Master with many robots and environments.",
+        Lazy(MODULE, "measure_dashboard"),
+        (
+            argument("--robots", type=int, default=200, help="with an environment each (default: %(default)s)"),
+            argument("--interfaces", type=int, default=5, help="of each robot and environment (default: %(default)s)"),
+            argument("--seconds", type=float, default=20, help="to measure CPU shares for (default: %(default)s)"),
+            argument("--samples", type=int, default=5, help="of page loads and lists (default: %(default)s)"),
+            SAMPLES_JSON,
+        ),
+        platform=None,
+        section=Section.LOCAL,
+    ),
+    Command(
+        "bench map",
+        "Measure time, memory and map quality of each mapper, with and without the map service.",
+        Lazy(MODULE, "measure_maps"),
+        (
+            *RECORDINGS,
+            argument("--odometry", default="", help="comma-separated list of recorded, noisy, worse, none"),
+            argument("--no-service", action="store_true", help="the mappers alone, without a platform"),
+            argument("--out", type=Path, metavar="DIR", help="for the maps"),
+            ENGINE,
+        ),
+        platform=None,
+        section=Section.LOCAL,
+    ),
+    Command(
+        "bench endless",
+        "Measure memory and time per scan while a recording is replayed forward and back again and again.",
+        Lazy(MODULE, "measure_endless"),
+        (
+            *RECORDINGS,
+            argument("--scans", type=int, default=36_000, help="(default: %(default)s, an hour at 10 Hz)"),
+        ),
+        platform=None,
+        section=Section.LOCAL,
+    ),
+)

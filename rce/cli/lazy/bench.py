@@ -1,0 +1,187 @@
+"""Implementation of `rce bench`."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import secrets
+import sys
+import tempfile
+from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from rce.api.map_jobs import MAPPERS
+from rce.bench import overtake, payloads, report, start
+from rce.bench.nodes import Place
+from rce.bench.routes import ROUTES
+from rce.bench.run import take
+from rce.cli.arguments import DEV_USER, ENGINES
+from rce.cli.commands.bench import QUICK_SAMPLES, QUICK_SIZES
+from rce.cli.platform import own_platform, platform, programs_log
+from rce.cli.session import ConsoleSession
+from rce.client import Robot
+from rce.client.map_service import MapServiceClient
+from rce.errors import InvalidRequest
+
+if TYPE_CHECKING:
+    from twisted.internet.base import ReactorBase
+
+N = TypeVar("N", bound=str)
+
+
+def _command(
+    function: Callable[[argparse.Namespace], Coroutine[Any, Any, None]],
+) -> Callable[[ConsoleSession, argparse.Namespace], None]:
+    """Return the function of a command that runs a coroutine."""
+
+    @wraps(function)
+    def run(session: ConsoleSession, args: argparse.Namespace) -> None:
+        asyncio.run(function(args))
+
+    return run
+
+
+def measure_dashboard(session: ConsoleSession, args: argparse.Namespace) -> int:
+    """Measure the dashboard, on Twisted's event loop because the bench stands in for processes of the platform."""
+    from rce.bench import dashboard as measured  # needs the extra `bench`
+    from rce.bench.crowd import Size
+    from rce.process import loop
+
+    if min(args.robots, args.interfaces, args.samples) < 1:
+        raise InvalidRequest("rce bench: --robots, --interfaces and --samples must be at least 1")
+    program, size = measured.browser(), Size(args.robots, args.interfaces)
+
+    async def run(reactor: ReactorBase) -> None:
+        with programs_log() as log:
+            result = await measured.measure(reactor, program, size, args.seconds, args.samples, log)
+        print(json.dumps(measured.as_data(result)) if args.json else measured.as_text(result))
+
+    return loop.run(run)
+
+
+@_command
+async def measure_round_trips(args: argparse.Namespace) -> None:
+    """Measure round trips over the routes of --routes."""
+    names = args.routes.split(",")
+    unknown = set(names) - set(ROUTES)
+    if unknown:
+        raise InvalidRequest(f"rce bench: there is no route {', '.join(unknown)}: it is one of {', '.join(ROUTES)}")
+    count, samples = (QUICK_SIZES, QUICK_SAMPLES) if args.quick else (args.sizes, args.samples)
+    sizes = payloads.sizes(count)
+    async with _bench_place(args) as place:
+        probes = [probe for name in names for probe in await ROUTES[name](place)]
+        series = await take(probes, sizes, samples, _show_progress)
+    print(json.dumps(report.as_data(series)) if args.json else report.as_text(series))
+    if args.plot is not None:
+        from rce.bench.plot import plot  # needs the extra `bench`
+
+        plot(series, args.plot)
+
+
+@_command
+async def measure_overtake(args: argparse.Namespace) -> None:
+    """Measure velocity commands that share a robot's connection with large images."""
+    async with _bench_place(args) as place:
+        result = await overtake.measure(place, args.samples)
+    print(json.dumps(overtake.as_data(result)) if args.json else overtake.as_text(result))
+
+
+@_command
+async def measure_start(args: argparse.Namespace) -> None:
+    """Measure how long environments take to start, with each engine."""
+    async with AsyncExitStack() as stack:
+        robots: dict[str, Robot] = {}
+        for engine in args.engines.split(","):
+            if engine not in ENGINES:
+                raise InvalidRequest(f"rce bench: there is no engine {engine}: it is one of {', '.join(ENGINES)}")
+            access = await stack.enter_async_context(platform(argparse.Namespace(url="", engine=engine)))
+            robot = Robot(access.url, user=access.user, robot="bench", password=access.password)
+            robots[engine] = await stack.enter_async_context(robot)
+        result = await start.measure(robots, args.image, args.samples)
+    print(json.dumps(start.as_data(result)) if args.json else start.as_text(result))
+
+
+@_command
+async def measure_map_service(args: argparse.Namespace) -> None:
+    """Measure the map service with a recording of several GB."""
+    from rce.bench import large_recording as large  # compiles kernels
+
+    result = await large.measure(args.dir, args.size * large.MEGABYTE, args.engine)
+    print(json.dumps(large.as_data(result)) if args.json else large.as_text(result))
+
+
+@_command
+async def measure_maps(args: argparse.Namespace) -> None:
+    """Measure each mapper with each recording."""
+    mappers = _parse_names("mapper", args.mappers, MAPPERS)
+    from rce.bench import maps, maps_report  # compile kernels
+
+    odometry = _parse_names("odometry", args.odometry, maps.ODOMETRIES)
+    recordings = [maps.inspect_recording(path) for path in args.recordings]
+    served = []
+    if not args.no_service:
+        with tempfile.TemporaryDirectory(prefix="rce-") as directory:
+            async with own_platform(Path(directory), args.engine) as entry:
+                service = MapServiceClient(entry.url, user=DEV_USER, password=DEV_USER)
+                for each in recordings:
+                    served += [await maps.serve(service, each, mapper) for mapper in mappers]
+    results = maps.Results(recordings, served, list(maps.trials(recordings, mappers, odometry, args.out)))
+    print(json.dumps(maps_report.as_data(results)) if args.json else maps_report.as_text(results))
+    if args.plot is not None:
+        from rce.bench.maps_plot import plot  # needs the extra `bench`
+
+        plot(results, args.plot)
+
+
+@_command
+async def measure_endless(args: argparse.Namespace) -> None:
+    """Measure each mapper over a long drive made of one recording."""
+    mappers = _parse_names("mapper", args.mappers, MAPPERS)
+    from rce.bench import maps, maps_report  # compile kernels
+
+    runs = {
+        f"{path.name.partition('.')[0]}, {mapper}": maps.endless(path, mapper, args.scans)
+        for path in args.recordings
+        for mapper in mappers
+    }
+    print(json.dumps(maps_report.endless_data(runs)) if args.json else maps_report.endless_text(runs))
+    if args.plot is not None:
+        from rce.bench.maps_plot import plot_endless  # needs the extra `bench`
+
+        plot_endless(runs, args.plot)
+
+
+def _parse_names(kind: str, text: str, known: Sequence[N]) -> list[N]:
+    """Return the known names in a comma-separated list.
+
+    Raises:
+        InvalidRequest: The list has another name.
+    """
+    names = [name for name in known if name in text.split(",")]
+    unknown = set(text.split(",")) - {"", *names}
+    if unknown:
+        raise InvalidRequest(f"rce bench: there is no {kind} {', '.join(unknown)}: it is one of {', '.join(known)}")
+    return names
+
+
+@asynccontextmanager
+async def _bench_place(args: argparse.Namespace) -> AsyncIterator[Place]:
+    """Create a robot and an environment for the measurement, and remove both afterwards."""
+    name = f"bench_{secrets.token_hex(4)}"
+    async with (
+        platform(args) as access,
+        Robot(access.url, user=access.user, robot=name, password=access.password, key=access.key) as robot,
+        robot.environment(f"env_{name}", restart="no") as environment,
+        AsyncExitStack() as stack,
+    ):
+        features = getattr(args, "features", "")
+        yield Place(robot, environment, stack, features.split(",") if features else [])
+
+
+def _show_progress(done: int, total: int) -> None:
+    if sys.stderr.isatty():
+        print(f"\r{done}/{total} sizes", end="\n" if done == total else "", file=sys.stderr, flush=True)

@@ -1,0 +1,188 @@
+"""Implementation of `rce map`: recordings are sent to the mapping node of an environment, which returns the map."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import math
+import os
+import secrets
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import AsyncExitStack
+from pathlib import Path
+
+import numpy as np
+
+from rce.cli.commands.maps import MAPPERS
+from rce.cli.contexts import Access
+from rce.cli.platform import platform
+from rce.cli.session import ConsoleSession
+from rce.client import Robot
+from rce.errors import InvalidRequest
+from rce.mapping.evaluation.simulation import Accuracy, Simulation, evaluate, simulate
+from rce.mapping.files.outputs import trajectory_text, write_atomically, write_outputs
+from rce.mapping.files.recordings import Recording, open_recording
+from rce.mapping.robot import MappingRobot, Result, start_node
+from rce.protocol.messages import ParameterValue
+
+Source = Recording | Simulation
+
+TERMINAL_INTERVAL, LINE_INTERVAL = 0.2, 5.0  # seconds between reports of progress on a terminal, and elsewhere
+
+
+def run(session: ConsoleSession, args: argparse.Namespace) -> None:
+    """Map the recordings, or the simulated drive, and write the maps.
+
+    Raises:
+        InvalidRequest: Wrong options, or a file that cannot be read or written, before a platform is started.
+    """
+    if bool(args.recordings) == args.simulate:
+        raise InvalidRequest("give recordings, or --simulate")
+    if args.team and (len(args.recordings) < 2 or args.mapper != MAPPERS[0]):
+        raise InvalidRequest(f"--team needs several recordings and the mapper {MAPPERS[0]}")
+    sources: list[Source] = [
+        open_recording(path, args.scan_topic, args.odometry_topic) for path in args.recordings
+    ] or [simulate()]
+    existing = next(path for path in (args.out, *args.out.absolute().parents) if path.exists())
+    if not existing.is_dir() or not os.access(existing, os.W_OK):
+        fault = "is not writable" if existing.is_dir() else "is not a directory"
+        raise InvalidRequest(f"{existing} {fault}: choose another directory with --out")
+    asyncio.run(_map(args, sources))
+
+
+async def _map(args: argparse.Namespace, sources: list[Source]) -> None:
+    async with platform(args) as access:
+        if args.team:
+            results = await map_as_team(access, sources, node_parameters(args))
+            save_team_maps(args.out, sources, results)
+            return
+        for source in sources:
+            directory = args.out if len(sources) == 1 else args.out / source.name
+            result = await map_alone(access, source, node_parameters(args))
+            written = write_outputs(directory, result.grid, result.trajectory)
+            print(f"{result.scans} scans mapped; map in {directory}: {', '.join(path.name for path in written)}")
+            if isinstance(source, Simulation):
+                print(describe(evaluate(result.grid, result.trajectory, source)))
+
+
+def save_team_maps(directory: Path, sources: Sequence[Source], results: Sequence[Result]) -> None:
+    """Write each distinct map to a directory of its own, with the trajectories of the robots that are on it."""
+    maps: list[tuple[Result, Path]] = []
+    for number, (source, result) in enumerate(zip(sources, results, strict=True), 1):
+        known = next((path for other, path in maps if np.array_equal(other.grid.cells, result.grid.cells)), None)
+        path = known or (directory / f"map_{len(maps) + 1}" if maps else directory)
+        if known is None:
+            maps.append((result, path))
+            write_outputs(path, result.grid, result.trajectory)
+        write_atomically(path / f"trajectory_{number}.txt", trajectory_text(result.trajectory))
+        print(f"robot {number} ({source.name}): {result.scans} scans mapped, on the map in {path}")
+    if len(maps) > 1:
+        print(f"{len(maps)} maps: no overlap was found between robots on different maps")
+
+
+def describe(accuracy: Accuracy) -> str:
+    """Return the accuracy of a map of the simulation as a sentence."""
+    return (
+        f"compared with the simulation's ground truth: poses {100 * accuracy.translation:.1f} cm and "
+        f"{math.degrees(accuracy.rotation):.2f}° off on average, {accuracy.walls_found:.0%} of the walls that "
+        f"the robot saw are in the map, {accuracy.walls_true:.0%} of the map's walls are real"
+    )
+
+
+def node_parameters(args: argparse.Namespace) -> dict[str, ParameterValue]:
+    """Return the parameters of the mapping node."""
+    return {
+        "resolution": args.resolution,
+        "mapper": args.mapper,
+        "particles": args.particles,
+        "seed": args.seed,
+    }
+
+
+async def map_alone(access: Access, source: Source, parameters: Mapping[str, ParameterValue]) -> Result:
+    """Map one recording in an environment of its own, which is removed afterwards."""
+    name = f"mapper_{secrets.token_hex(4)}"
+    progress = Progress(source)
+    async with (
+        Robot(access.url, user=access.user, robot=name, password=access.password, key=access.key) as robot,
+        robot.environment(f"env_{name}", restart="no") as environment,
+        MappingRobot(robot, environment) as mapping,
+    ):
+        await mapping.prepare(parameters)
+        progress.begin()
+        await mapping.drive(source, progress.update)
+        progress.end()
+        return await mapping.result()
+
+
+async def map_as_team(
+    access: Access, sources: Sequence[Source], parameters: Mapping[str, ParameterValue]
+) -> list[Result]:
+    """Map several recordings at the same time, each as a robot of its own, in one environment whose node joins maps."""
+    name = f"team_{secrets.token_hex(4)}"
+    tags = [f"robot_{number}" for number, _ in enumerate(sources, 1)]
+    async with AsyncExitStack() as stack:
+        robots = [
+            await stack.enter_async_context(
+                Robot(access.url, user=access.user, robot=f"{name}_{tag}", password=access.password, key=access.key)
+            )
+            for tag in tags
+        ]
+        environment = await stack.enter_async_context(robots[0].environment(f"env_{name}", restart="no"))
+        await start_node(environment, "team", {**parameters, "robots": [*tags]})
+        team = [
+            await stack.enter_async_context(MappingRobot(robot, robot.environment(environment.tag), f"/{tag}"))
+            for robot, tag in zip(robots, tags, strict=True)
+        ]
+        await asyncio.gather(*(each.wire() for each in team))
+        progress = [Progress(source) for source in sources]
+        for each in progress:
+            each.begin()
+        await asyncio.gather(
+            *(each.drive(source, report.update) for each, source, report in zip(team, sources, progress, strict=True))
+        )
+        for each in progress:
+            each.end()
+        return list(await asyncio.gather(*(each.result() for each in team)))
+
+
+class Progress:
+    """Progress of a drive on standard error: scans, speed as a multiple of real time, and remaining time."""
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._began = 0.0
+        self._printed_at = 0.0
+        self._count = 0
+        self._terminal = sys.stderr.isatty()
+
+    def begin(self) -> None:
+        """Start the clock."""
+        self._began = self._printed_at = time.monotonic()
+
+    def update(self, count: int) -> None:
+        """Record the number of scans so far, and print it from time to time."""
+        self._count = count
+        now = time.monotonic()
+        if now - self._printed_at >= (TERMINAL_INTERVAL if self._terminal else LINE_INTERVAL):
+            self._printed_at = now
+            self._print("\r" if self._terminal else "", "" if self._terminal else "\n")
+
+    def end(self) -> None:
+        """Print the final state."""
+        self._print("\r" if self._terminal else "", "\n")
+
+    def _print(self, start: str, end: str) -> None:
+        elapsed = max(time.monotonic() - self._began, 1e-9)
+        text = f"{self._source.name}: {self._count} scans"
+        total, duration = self._source.scans, self._source.duration
+        if total:
+            share = self._count / total
+            text = f"{self._source.name}: {self._count}/{total} scans"
+            if duration:
+                text += f", {share * duration / elapsed:.1f} times real time"
+            if 0 < share < 1:
+                text += f", {elapsed / share - elapsed:.0f} s to go"
+        print(f"{start}{text}, {elapsed:.1f} s", end=end.ljust(4) if start else end, file=sys.stderr, flush=True)

@@ -1,0 +1,67 @@
+"""Platforms that a command uses: a running one, or one that it starts for itself."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import sys
+import tempfile
+from collections import deque
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+from typing import IO
+
+from rce.cli.arguments import DEV_USER
+from rce.cli.contexts import Access, running_platform
+from rce.errors import InternalError, StartFailed
+from rce.process import up
+from rce.process.ready import Ready
+
+LOG_LINES = 20  # printed when a started program fails
+
+
+@contextlib.asynccontextmanager
+async def platform(args: argparse.Namespace) -> AsyncIterator[Access]:
+    """Give access to the running platform of --url, or to a new one that ends with the context."""
+    if args.url:
+        yield running_platform(args)
+        return
+    with tempfile.TemporaryDirectory(prefix="rce-") as directory:
+        async with own_platform(Path(directory), args.engine) as entry:
+            yield Access(entry.url, DEV_USER, DEV_USER, None)
+
+
+@contextlib.asynccontextmanager
+async def own_platform(directory: Path, engine: str) -> AsyncIterator[Ready]:
+    """Run a new platform that keeps its data in `directory` and ends with the context."""
+    with programs_log() as log:
+        settings = up.Settings(data_dir=directory, http_port=0, dev=True, engine=engine)  # type: ignore[arg-type]
+        entry: asyncio.Future[Ready] = asyncio.get_running_loop().create_future()
+
+        async def started(ready: Ready) -> None:
+            entry.set_result(ready)
+            await asyncio.Event().wait()
+
+        running = asyncio.create_task(up.run(settings, started, log))
+        try:
+            await asyncio.wait([running, entry], return_when=asyncio.FIRST_COMPLETED)  # type: ignore[type-var]
+            if not entry.done():
+                await running  # raises the reason why it did not start
+            yield entry.result()
+        finally:
+            running.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await running
+
+
+@contextlib.contextmanager
+def programs_log() -> Iterator[IO[str]]:
+    """Open a file for the log of started programs; print its last lines when they fail."""
+    with tempfile.TemporaryFile("w+") as log:
+        try:
+            yield log
+        except (StartFailed, InternalError) as error:
+            log.seek(0)
+            sys.stderr.writelines(deque(log, LOG_LINES))
+            raise error from None

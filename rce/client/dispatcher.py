@@ -1,0 +1,98 @@
+"""Distribution of what a session receives to the robot's interfaces and to the readers of its events."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Mapping
+
+from rce.client.connection import Message
+from rce.client.declarations import Declarations
+from rce.client.events import Disconnected, Event, Reconnected
+from rce.client.interface import Interface
+from rce.client.stream import Stream
+from rce.errors import RceError
+from rce.protocol.messages import Command, InterfaceStatus, StatusData
+
+EVENT_BACKLOG = 1000  # unread events that one reader may have
+
+log = logging.getLogger("rce.client")
+
+
+class Dispatcher:
+    """Listener of one robot's session.
+
+    Attributes:
+        interfaces: The robot's interfaces by tag.
+    """
+
+    def __init__(self, robot: str, declarations: Declarations) -> None:
+        self.interfaces: dict[str, Interface] = {}
+        self._robot = robot
+        self._declarations = declarations
+        self._readers: set[Stream[Event]] = set()
+        self._ended = False
+        self._error: RceError | None = None
+
+    def events(self) -> Stream[Event]:
+        """Return a new stream of the events from now on."""
+        stream: Stream[Event] = Stream(EVENT_BACKLOG)
+        self._readers.add(stream)
+        if self._ended:
+            stream.end(self._error)
+        return stream
+
+    def message_received(self, message: Message) -> None:
+        """Give a data message to its interface."""
+        interface = self.interfaces.get(message.data.iTag)
+        if interface is None:
+            log.debug("%s: dropped a message for the unknown interface %s", self._robot, message.data.iTag)
+            return
+        try:
+            interface._receive(message)
+        except RceError as error:
+            self.error_received(error)
+
+    def status_received(self, status: StatusData) -> None:
+        """Apply an interface's status, or publish any other status as an event."""
+        if isinstance(status, InterfaceStatus):
+            if status.iTag in self.interfaces:
+                self.interfaces[status.iTag]._set_status(status.status)
+        else:
+            self._publish(status)  # type: ignore[arg-type]
+
+    def error_received(self, error: RceError) -> None:
+        """Fail the service call that the error answers, or publish it as an event."""
+        msg_id = error.info.fields.get("msgID")
+        if msg_id is not None and any(each._fail_call(error, str(msg_id)) for each in self.interfaces.values()):
+            return
+        log.warning("%s: %s", self._robot, error)
+        self._publish(error)
+
+    def disconnected(self, reason: str) -> None:
+        """Tell interfaces and readers that the socket broke."""
+        log.warning("%s: the connection broke (%s); reconnecting", self._robot, reason)
+        for interface in self.interfaces.values():
+            interface._disconnected()
+        self._publish(Disconnected(reason))
+
+    def reconnected(self, resumed: bool, interfaces: Mapping[str, bool]) -> None:
+        """Apply the interface statuses of the new connection."""
+        for interface in self.interfaces.values():
+            interface._set_status(interfaces.get(interface.tag, False))
+        self._publish(Reconnected(resumed))
+
+    def declarations(self) -> Iterable[Command]:
+        """Return the commands that restore the robot's interfaces and connections."""
+        return self._declarations.commands()
+
+    def ended(self, error: RceError | None) -> None:
+        """End all interfaces and event streams."""
+        self._ended, self._error = True, error
+        for interface in self.interfaces.values():
+            interface._end(error)
+        for reader in self._readers:
+            reader.end(error)
+
+    def _publish(self, event: Event) -> None:
+        for reader in self._readers:
+            reader.put(event)

@@ -1,1 +1,0 @@
-"""The commands that `rce` carries out itself, each imported when it is called."""

@@ -1,0 +1,64 @@
+"""Calls between a task set and its agents, one on each node of a swarm."""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+from rce.control.calls.call import Call, Nothing
+from rce.errors import ErrorInfo
+
+
+class NodeReport(Call[Nothing], frozen=True):
+    """Report the state of an agent's node, after each join and whenever it changes."""
+
+    runs: list[str]  # of the environments that run there and are fully set up
+    images: dict[str, str]  # id by tag, of the images for this version
+    protected: bool  # True if Docker runs containers with no-new-privileges by default
+    relay: str  # HOST:PORT of the data relay of the node
+
+
+class ContainerEnded(Call[Nothing], frozen=True):
+    """Report that the container of an environment has ended, for whatever reason."""
+
+    run: str
+    reason: str
+    status: int
+    lines: list[str]
+
+
+class EnvironmentUnusable(Call[Nothing], frozen=True):
+    """Report that an environment cannot be set up on its node, where its container waits without running anything."""
+
+    run: str
+    error: ErrorInfo
+
+
+class PullImage(Call[Nothing], frozen=True):
+    """Let the node's Docker pull an image from the task set's registry and tag it; answered when it is there.
+
+    Raises StartFailed.
+    """
+
+    tag: str
+    source: str  # REPOSITORY@DIGEST
+    user: str
+    secret: str
+
+
+class SetGroupMembers(Call[Nothing], frozen=True):
+    """Set the members of the network group `userID/group`: addresses by containerTag."""
+
+    name: str
+    members: dict[str, str]
+
+
+class RemovedRun(Struct, frozen=True):
+    """Result of RemoveRun; `found` is true if there was a container."""
+
+    found: bool
+
+
+class RemoveRun(Call[RemovedRun], frozen=True):
+    """Stop the container of an environment and remove everything that belongs to it; answered when it is gone."""
+
+    run: str

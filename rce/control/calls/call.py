@@ -1,0 +1,35 @@
+"""Base class of control calls, and results that several calls share."""
+
+from __future__ import annotations
+
+from typing import Generic, TypeVar, get_args
+
+from msgspec import Struct
+
+from rce.errors import ErrorInfo
+
+R = TypeVar("R")
+
+
+class Call(Struct, Generic[R], frozen=True):
+    """Call from one process to another; the fields are its arguments, `R` is the type of its result."""
+
+
+def result_type(call: type[Call[R]]) -> type[R]:
+    """Return the type of a call's result."""
+    kind: type[R] = get_args(call.__orig_bases__[0])[0]  # type: ignore[attr-defined]  # every generic subclass has it
+    return kind
+
+
+class Nothing(Struct, frozen=True):
+    """Result of calls that return nothing."""
+
+
+class BatchResult(Struct, frozen=True):
+    """Result of calls about several named objects: the errors of those that failed."""
+
+    failed: dict[str, ErrorInfo] = {}
+
+
+class Ping(Call[Nothing], frozen=True):
+    """Check that the peer is alive."""

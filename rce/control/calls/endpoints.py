@@ -1,0 +1,167 @@
+"""Calls between the Master and endpoints about interfaces, links, routes, nodes and parameters."""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+from rce.control.calls.call import BatchResult, Call, Nothing
+from rce.errors import ErrorInfo
+from rce.protocol.messages import ParameterValue, Qos
+
+
+class InterfaceSpec(Struct, frozen=True):
+    """Interface of an endpoint.
+
+    `id` (32 hex digits) identifies it in data frames; `owner` is its robot or environment, as `userID/tag`.
+    """
+
+    id: str
+    owner: str
+    tag: str
+    kind: str  # e.g. PublisherConverter
+    type: str  # className, as spelled in addInterfaces
+    addr: str = ""
+    qos: Qos = Qos()
+    format: str = "png"
+
+
+class Route(Struct, frozen=True):
+    """Route: `interface` of this endpoint exchanges messages with the remote interface `peer` over `link`."""
+
+    interface: str
+    peer: str
+    link: str
+
+
+class LinkSpec(Struct, frozen=True):
+    """Data link to another endpoint. The side with `dial` connects to the first of these addresses that answers."""
+
+    name: str
+    key: str  # 32 hex digits, known to both ends, valid for opening the link once
+    dial: list[str] = []  # unix:/PATH, tcp:HOST:PORT, relay:HOST:PORT/user/tag; empty: the other side dials
+    rate: int = 0  # bytes per second received from `sender` over all links together; 0 for no limit
+    sender: str = ""
+
+
+class NodeSpec(Struct, frozen=True):
+    """ROS 2 node to run in an environment."""
+
+    tag: str
+    pkg: str
+    exe: str
+    args: str = ""
+    name: str = ""
+    namespace: str = ""
+
+
+class ParameterSpec(Struct, frozen=True):
+    """ROS 2 parameter of one node of the environment, or with `node` empty of all of its nodes."""
+
+    name: str
+    value: ParameterValue
+    node: str = ""
+
+    @property
+    def key(self) -> str:
+        """Identifies the parameter in its environment."""
+        return f"{self.node}:{self.name}"
+
+
+class Sync(Call[BatchResult], frozen=True):
+    """Reconcile the endpoint with its desired state: it removes objects that are not listed and creates missing ones.
+
+    Errors are keyed by interface id, `node:TAG`, `parameter:KEY` and `link:NAME`.
+    """
+
+    interfaces: list[InterfaceSpec] = []
+    links: list[LinkSpec] = []
+    routes: list[Route] = []
+    nodes: list[NodeSpec] = []
+    parameters: list[ParameterSpec] = []
+    robots: list[str] = []  # userID/robotID of the robots with a session at this endpoint
+
+
+class Bind(Call[Nothing], frozen=True):
+    """Create an interface."""
+
+    interface: InterfaceSpec
+
+
+class Unbind(Call[Nothing], frozen=True):
+    """Remove an interface and its routes."""
+
+    interface: str
+
+
+class OpenLink(Call[Nothing], frozen=True):
+    """Open a data link, or expect the other side to open it; answered at once, not when the link is open."""
+
+    link: LinkSpec
+
+
+class CloseLink(Call[Nothing], frozen=True):
+    """Close a data link."""
+
+    link: str
+
+
+class AddRoute(Call[Nothing], frozen=True):
+    """Connect two interfaces; the first route of an interface starts it."""
+
+    route: Route
+
+
+class RemoveRoute(Call[Nothing], frozen=True):
+    """Disconnect two interfaces; an interface without routes is stopped."""
+
+    interface: str
+    peer: str
+
+
+class StartNode(Call[Nothing], frozen=True):
+    """Start a node; answered when its process runs. Raises StartFailed, NotFound (package or executable)."""
+
+    node: NodeSpec
+
+
+class StopNode(Call[Nothing], frozen=True):
+    """Stop a node with SIGINT, then SIGTERM, then SIGKILL; answered when its process group is gone."""
+
+    node: str
+
+
+class PutParameter(Call[Nothing], frozen=True):
+    """Set a parameter for nodes started later, and at once on running nodes that declare it."""
+
+    parameter: ParameterSpec
+
+
+class DropParameter(Call[Nothing], frozen=True):
+    """Delete a parameter."""
+
+    key: str
+
+
+class NodeDied(Call[Nothing], frozen=True):
+    """Report that a node of this environment ended by itself, `seconds` after its start."""
+
+    node: str
+    status: int
+    lines: list[str]
+    seconds: float = 0
+
+
+class LinkLost(Call[Nothing], frozen=True):
+    """Report that a data link broke or did not open; the Master then gives both ends a new key."""
+
+    link: str
+    reason: str
+
+
+class Report(Call[Nothing], frozen=True):
+    """Report an error of an interface, or the number of its dropped messages, to its owner."""
+
+    owner: str
+    interface: str
+    error: ErrorInfo | None = None
+    drops: int = 0

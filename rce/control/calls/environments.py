@@ -1,0 +1,96 @@
+"""Calls between the Master and task sets about environments."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from msgspec import Struct
+
+from rce.control.calls.call import Call, Nothing
+from rce.protocol.messages import ContainerData
+
+
+class Group(Struct, frozen=True):
+    """Network group of an environment. `name` is `userID/group`; `members` are addresses by containerTag."""
+
+    name: str
+    subnet: str  # as 10.128.0.0/24, unique in the platform
+    address: str  # of the environment, in the subnet
+    members: dict[str, str] = {}  # at present, with this environment; others may join later
+
+
+Egress = Literal["none", "internet", "all"]
+"""Network access of an environment, besides its group: `none`; `internet`, without private and link-local networks,
+cloud metadata services, and its host; or `all`."""
+
+
+class EnvironmentSpec(Struct, frozen=True):
+    """Environment to run. `name` is `userID/containerTag`; `run` (32 hex digits) identifies this start of it."""
+
+    name: str
+    run: str
+    token: str  # one-time join token of its Environment endpoint
+    options: ContainerData
+    group: Group | None = None
+    packages: list[str] = []  # digests of its user packages; if two have the same ROS package, the first one counts
+    egress: Egress = "none"
+
+
+class StartEnvironment(Call[Nothing], frozen=True):
+    """Start an environment; answered when its process or container runs. Its endpoint then joins the Master."""
+
+    environment: EnvironmentSpec
+
+
+class StopEnvironment(Call[Nothing], frozen=True):
+    """Stop an environment and remove everything that belongs to it; answered when it is gone."""
+
+    name: str
+
+
+class KeepEnvironments(Call[Nothing], frozen=True):
+    """Keep only the environments with these runs; stop and remove all others."""
+
+    runs: list[str]
+
+
+class SetRelays(Call[Nothing], frozen=True):
+    """Set the data relays of all machines, as HOST:PORT. Environments may connect to these relays only."""
+
+    relays: list[str]
+
+
+class EnvironmentDied(Call[Nothing], frozen=True):
+    """Report that an environment of this task set ended by itself or did not start."""
+
+    name: str
+    run: str
+    reason: str
+
+
+class LimitReached(Call[Nothing], frozen=True):
+    """Report that an environment of this task set reached a limit but is still running."""
+
+    name: str
+    run: str
+    reason: str
+
+
+class DownloadTicket(Struct, frozen=True):
+    """Permission to download an archive once, within a short time, from the Master's HTTP entry.
+
+    `path` is requested with `token` as bearer token. `scheme` and `port` are those of the entry; its host is the host
+    of the Master. `size` is that of the archive.
+    """
+
+    scheme: str
+    port: int
+    path: str
+    token: str
+    size: int
+
+
+class FetchPackage(Call[DownloadTicket], frozen=True):
+    """Request the archive of a user package that an environment of this task set needs. Raises NotFound."""
+
+    digest: str

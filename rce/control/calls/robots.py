@@ -1,0 +1,116 @@
+"""Calls between the Master and the Robot endpoints about the sessions and commands of robots."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+import msgspec
+from msgspec import Raw, Struct
+
+from rce.control.calls.call import Call, Nothing
+from rce.errors import ErrorInfo, InvalidRequest
+from rce.protocol.messages import Command, StatusData
+
+_commands: dict[str, type[Command]] = {kind.__name__: kind for kind in get_args(Command)}
+
+
+class LoggedIn(Struct, frozen=True):
+    """Session of a robot.
+
+    `token` resumes it later. The interfaces and routes of a resumed session exist at its endpoint before this answer.
+    """
+
+    token: str
+    resumed: bool
+
+
+class Login(Call[LoggedIn], frozen=True):
+    """Log a robot in at this Robot endpoint.
+
+    Raises Unauthorized, InvalidName, AlreadyExists (robotID in use).
+    """
+
+    user: str
+    robot: str
+    secret: str  # API key, or SHA-256 hex of the password
+    resume: str = ""  # token of the session to resume
+    features: list[str] = []
+    address: str = ""
+    owner: str = ""  # user who owns the robot; empty for `user`
+
+
+class SocketStatus(Call[Nothing], frozen=True):
+    """Report that a robot's socket was opened, or was lost while its session continues."""
+
+    robot: str
+    connected: bool
+
+
+class SessionExpired(Call[Nothing], frozen=True):
+    """Report that the grace period of a robot is over: its session ends, with its interfaces and connections."""
+
+    robot: str
+
+
+class Execute(Call[Nothing], frozen=True):
+    """Execute a robot's command; answered on completion, or with its error.
+
+    `again` marks a retry of a command that was in progress when the Master was lost: it is not an error if its object
+    exists already.
+    """
+
+    robot: str
+    kind: str
+    item: Raw
+    again: bool = False
+
+    @staticmethod
+    def of(robot: str, command: Command, again: bool = False) -> Execute:
+        """Make the call for a command; `kind` is needed because the structs of commands have no tag."""
+        return Execute(robot, type(command).__name__, Raw(msgspec.msgpack.encode(command)), again)
+
+    @property
+    def command(self) -> Command:
+        """The decoded command.
+
+        Raises:
+            InvalidRequest: It is malformed.
+        """
+        if self.kind not in _commands:
+            raise InvalidRequest(f"{self.kind[:80]!r} is not a command")
+        try:
+            return msgspec.msgpack.decode(self.item, type=_commands[self.kind])
+        except msgspec.DecodeError as error:
+            raise InvalidRequest(f"{self.kind}: {error}") from None
+
+
+class Definitions(Struct, frozen=True):
+    """Type definitions with their dependencies: text of `.msg` and `.srv` files by `pkg/msg/Name`, `pkg/srv/Name`."""
+
+    texts: dict[str, str]
+
+
+class DescribeType(Call[Definitions], frozen=True):
+    """Request the definition of a type: a Robot endpoint from the Master, the Master from an environment of the user.
+
+    Raises UnknownType.
+    """
+
+    user: str
+    type: str
+    service: bool
+
+
+class SendStatus(Call[Nothing], frozen=True):
+    """Send a status (ST) or an error (ER) to a robot of this Robot endpoint."""
+
+    robot: str
+    status: StatusData | None = None
+    error: ErrorInfo | None = None
+
+
+class DropRobot(Call[Nothing], frozen=True):
+    """End a robot's session and close its socket with this reason."""
+
+    robot: str
+    reason: str

@@ -1,0 +1,168 @@
+"""The connecting side of control connections: TLS, the join handshake, and reconnection with backoff."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from twisted.internet import endpoints
+from twisted.internet.base import ReactorBase
+from twisted.internet.defer import Deferred
+from twisted.internet.error import ConnectionLost
+from twisted.logger import Logger
+from twisted.python.failure import Failure
+from twisted.spread import pb
+
+from rce.control.calls.call import Call
+from rce.control.calls.joining import Hello, Welcome
+from rce.control.connection import CallReceiver, Control, Handlers, abort, decode_pages, encode_pages
+from rce.errors import ErrorInfo, RceError, Unavailable
+from rce.net.tls import Tls
+
+JOIN_TIMEOUT = 10.0  # seconds
+BACKOFF_MIN = 0.05
+BACKOFF_MAX = 1.0  # short, so that all processes find a restarted Master within a second
+
+log = Logger()
+R = TypeVar("R")
+_TCP = re.compile(r"tcp:(?:host=)?((?:[^:\\]|\\.)*)")
+
+
+async def connect(
+    reactor: ReactorBase, description: str, hello: Hello, handlers: Handlers, tls: Tls | None = None
+) -> tuple[Control, Welcome]:
+    """Connect and join the Master at a Twisted client endpoint (`tcp:host:8080`, `unix:/path`).
+
+    Raises:
+        Unavailable: The Master cannot be reached or does not answer within JOIN_TIMEOUT.
+        RceError: The Master refuses this process.
+    """
+    loop = asyncio.get_running_loop()
+    factory = pb.PBClientFactory()
+    broker: pb.Broker | None = None
+    try:
+        async with asyncio.timeout(JOIN_TIMEOUT):
+            broker = await client_endpoint(reactor, description, tls).connect(factory).asFuture(loop)
+            root = await _get_root(factory, broker).asFuture(loop)
+            joined = root.callRemote("join", encode_pages(hello), CallReceiver(handlers))
+            good, pages, receiver = await joined.asFuture(loop)
+    except BaseException as error:  # each transport has its own classes for this
+        if broker is not None:
+            abort(broker)
+        if not isinstance(error, Exception):
+            raise
+        reason = f"no answer within {JOIN_TIMEOUT:g} s" if isinstance(error, TimeoutError) else str(error)
+        raise Unavailable(f"the Master at {description} cannot be reached: {reason}") from None
+    if not good:
+        factory.disconnect()
+        raise RceError.from_info(decode_pages(pages, ErrorInfo))
+    return Control(receiver, description), decode_pages(pages, Welcome)
+
+
+def client_endpoint(reactor: ReactorBase, description: str, tls: Tls | None) -> Any:
+    """Parse a Twisted client endpoint; with `tls`, wrap a `tcp:` endpoint in TLS."""
+    endpoint = endpoints.clientFromString(reactor, description)
+    found = _TCP.match(description)
+    if tls is None or found is None:
+        return endpoint
+    from rce.control.tls import wrap_client_endpoint  # needs pyOpenSSL, which environment images do not have
+
+    return wrap_client_endpoint(tls, re.sub(r"\\(.)", r"\1", found[1]), endpoint)
+
+
+def _get_root(factory: pb.PBClientFactory, broker: pb.Broker) -> Deferred[pb.RemoteReference]:
+    """Return the peer's root object; fails if the connection is lost first.
+
+    Twisted's endpoints do not tell the factory of the loss, so this function does.
+    """
+    deferred: Deferred[pb.RemoteReference] = factory.getRootObject()
+    broker.notifyOnDisconnect(lambda: factory.clientConnectionLost(None, Failure(ConnectionLost())))
+    if broker.disconnected:
+        factory.clientConnectionLost(None, Failure(ConnectionLost()))
+    return deferred
+
+
+class ControlClient:
+    """A process's connection to the Master, which reconnects whenever it is lost; calls wait in the meantime."""
+
+    def __init__(
+        self,
+        reactor: ReactorBase,
+        description: str,
+        hello: Callable[[], Hello],
+        handlers: Handlers,
+        welcomed: Callable[[Welcome], None],
+        tls: Tls | None = None,
+    ) -> None:
+        """Prepare a client, which connects in `run`.
+
+        Args:
+            reactor: Twisted's reactor.
+            description: The Master's Twisted client endpoint.
+            hello: Makes the Hello of each join, with the present state of this process.
+            handlers: Handlers for the Master's calls.
+            welcomed: Called with the Master's answer after each join.
+            tls: Certificates of this machine.
+        """
+        self._tls = tls
+        self._reactor = reactor
+        self._description = description
+        self._hello = hello
+        self._handlers = handlers
+        self._welcomed = welcomed
+        self._control: asyncio.Future[Control] = asyncio.get_running_loop().create_future()
+
+    async def run(self) -> None:
+        """Connect, and reconnect until cancelled.
+
+        Raises:
+            RceError: The Master refuses this process.
+        """
+        delay = BACKOFF_MIN
+        while True:
+            try:
+                control, welcome = await connect(
+                    self._reactor, self._description, self._hello(), self._handlers, self._tls
+                )
+            except Unavailable as error:
+                log.info("{error}; next attempt in {delay} s", error=str(error), delay=delay)
+                await asyncio.sleep(delay)
+                delay = min(2 * delay, BACKOFF_MAX)
+                continue
+            delay = BACKOFF_MIN
+            try:
+                self._welcomed(welcome)
+                self._control.set_result(control)
+                await control.lost
+            finally:
+                control.close()
+            self._control = asyncio.get_running_loop().create_future()
+
+    async def issue(self, call: Call[R], wait: float = 10.0) -> asyncio.Task[R]:
+        """Send a call to the Master and return a task for its answer; calls arrive in the order of their issue.
+
+        Raises:
+            Unavailable: The connection was not back within `wait` seconds.
+        """
+        if not self._control.done():
+            await asyncio.wait([self._control], timeout=wait)
+            if not self._control.done():
+                raise Unavailable(f"no connection to the Master for {wait:g} s: try again later")
+        return asyncio.create_task(self._control.result().call(call))
+
+    async def call(self, call: Call[R], wait: float = 10.0) -> R:
+        """Call the Master and return its answer.
+
+        Raises:
+            Unavailable: The connection was not back within `wait` seconds.
+            Lost: The connection broke before the answer came.
+            RceError: The Master answered with this error.
+        """
+        return await (await self.issue(call, wait))
+
+    @property
+    def connected(self) -> bool:
+        """True while this process is joined."""
+        return self._control.done()

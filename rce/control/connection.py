@@ -1,0 +1,205 @@
+"""Control connections: typed two-way calls between processes, carried by Twisted's Perspective Broker.
+
+Each process has one Referenceable per connection, and there is no object graph. A call is the name of its type and its
+fields as msgpack, split into pages because Perspective Broker refuses strings of more than 640 KiB. Errors cross as
+`ErrorInfo`. Both sides send pings, so each notices a connection that broke silently.
+
+`rce.control.server` accepts connections, `rce.control.client` opens them.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable
+from typing import Any, TypeVar, cast
+
+import msgspec
+from msgspec import Struct
+from twisted.internet.defer import Deferred
+from twisted.logger import Logger
+from twisted.spread import pb
+
+from rce.control.calls.call import Call, Nothing, Ping, result_type
+from rce.control.calls.watching import Metrics, ReadMetrics
+from rce.errors import ErrorInfo, InternalError, InvalidRequest, Lost, RceError, Unavailable
+from rce.process import logs, metrics
+
+PAGE_SIZE = 500_000  # bytes
+PING_INTERVAL = 5.0  # seconds
+PING_TIMEOUT = 10.0
+
+log = Logger()
+_call_seconds = metrics.Timing("rce_control_call_seconds", "Time to answer a call of another process", "call")
+R = TypeVar("R")
+Pages = list[bytes]
+
+
+def encode_pages(value: Struct) -> Pages:
+    """Encode a value as msgpack, split into pages that Perspective Broker accepts."""
+    data = msgspec.msgpack.encode(value)
+    return [data[start : start + PAGE_SIZE] for start in range(0, len(data), PAGE_SIZE)]
+
+
+def decode_pages(pages: Pages, kind: type[R]) -> R:
+    """Decode pages as a `kind`.
+
+    Raises:
+        msgspec.DecodeError: The pages are not a `kind`.
+        TypeError: The pages are not a list of bytes.
+    """
+    return msgspec.msgpack.decode(b"".join(pages), type=kind)
+
+
+class Handlers:
+    """The calls that this process answers: one coroutine function for each type of call."""
+
+    def __init__(self) -> None:
+        self._handlers: dict[str, tuple[type[Call[Any]], Callable[[Any], Awaitable[Struct]]]] = {}
+        self.on(Ping, _answer_ping)
+
+    def on(self, kind: type[Call[R]], handler: Callable[[Any], Awaitable[R]]) -> None:
+        """Answer calls of this type with `handler`."""
+        self._handlers[kind.__name__] = kind, cast(Callable[[Any], Awaitable[Struct]], handler)
+
+    def do(self, kind: type[Call[Nothing]], action: Callable[[Any], Awaitable[None] | None]) -> None:
+        """Answer calls of this type, which have no result, with `action`, which may be a coroutine function."""
+
+        async def handler(call: Call[Nothing]) -> Nothing:
+            done = action(call)
+            if done is not None:
+                await done
+            return Nothing()
+
+        self.on(kind, handler)
+
+    async def answer(self, name: str, pages: Pages, request: str = "") -> tuple[bool, Pages]:
+        """Run the handler of a call.
+
+        Args:
+            name: The name of the call's type.
+            pages: The call.
+            request: Id of the robot's command or HTTP request that caused the call, for the log; empty for none.
+
+        Returns:
+            True and the result, or False and the ErrorInfo.
+        """
+        if request:
+            logs.set_request_id(request)
+        began = time.perf_counter()
+        try:
+            if name not in self._handlers:
+                raise InvalidRequest(f"this process does not answer {name}")
+            kind, handler = self._handlers[name]
+            try:
+                call = decode_pages(pages, kind)
+            except (msgspec.DecodeError, TypeError) as error:
+                raise InvalidRequest(f"{name}: {error}") from None
+            result = await handler(call)
+            if request and isinstance(result, Nothing):  # calls with a result only read, and there may be many of them
+                log.info("{call} is done in {seconds:.3f} s", call=name, seconds=time.perf_counter() - began)
+            return True, encode_pages(result)
+        except RceError as error:
+            if request:
+                log.info("{call} failed: {error}", call=name[:80], error=str(error), code=error.info.code)
+            metrics.errors.add("process", error.info.code)
+            return False, encode_pages(error.info)
+        except Exception:  # noqa: BLE001  # the caller gets an InternalError, this process's log has the traceback
+            log.failure("unhandled exception while answering {name}", name=name)
+            metrics.errors.add("process", InternalError.code)
+            return False, encode_pages(
+                InternalError(f"internal error while answering {name}: see the server's log").info
+            )
+        finally:
+            if name in self._handlers:  # an unknown name would become a metric label of the peer's choice
+                _call_seconds.labels(name).observe_since(began)
+
+    def serve_metrics(self, role: str, *sources: metrics.Source) -> None:
+        """Answer `ReadMetrics` with the metrics of this process and of `sources`."""
+
+        async def read(_: ReadMetrics) -> Metrics:
+            return Metrics(metrics.collect_families(role, *sources))
+
+        self.on(ReadMetrics, read)
+
+
+async def _answer_ping(_: Ping) -> Nothing:
+    return Nothing()
+
+
+class CallReceiver(pb.Referenceable):
+    """The only object that the peer can reach: it passes the peer's calls to `handlers`."""
+
+    def __init__(self, handlers: Handlers) -> None:
+        self.handlers = handlers
+
+    def remote_call(self, name: str, pages: Pages, request: str = "") -> Deferred[tuple[bool, Pages]]:
+        """Answer a call of the peer; see `Handlers.answer`."""
+        return Deferred.fromFuture(asyncio.ensure_future(self.handlers.answer(name, pages, request)))
+
+
+class Control:
+    """One joined control connection, used to call the peer.
+
+    Attributes:
+        address: The peer's address, for messages.
+        lost: Done when the connection is gone.
+    """
+
+    def __init__(self, receiver: pb.RemoteReference, address: str) -> None:
+        """Start to send pings over a joined connection; `receiver` is the peer's CallReceiver."""
+        self.address = address
+        self.lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._receiver = receiver
+        self._pinger = asyncio.create_task(self._ping())
+        receiver.notifyOnDisconnect(self._disconnected)
+
+    async def call(self, call: Call[R]) -> R:
+        """Call the peer and return its answer.
+
+        Raises:
+            Lost: The connection broke before the answer came.
+            RceError: The peer answered with this error.
+        """
+        name = type(call).__name__
+        try:
+            deferred = self._receiver.callRemote("call", name, encode_pages(call), logs.request_id.get())
+            good, pages = await deferred.asFuture(asyncio.get_running_loop())
+        except (pb.DeadReferenceError, pb.PBConnectionLost):
+            raise Lost(f"the control connection to {self.address} was lost during {name}") from None
+        try:
+            if good:
+                return decode_pages(pages, result_type(type(call)))
+            error = RceError.from_info(decode_pages(pages, ErrorInfo))
+        except (msgspec.DecodeError, TypeError) as wrong:
+            error = InvalidRequest(f"{self.address} answered {name} with something else: {wrong}")
+        raise error
+
+    def close(self) -> None:
+        """Close the connection at once."""
+        abort(self._receiver.broker)
+
+    def _disconnected(self, _: object) -> None:
+        self._pinger.cancel()
+        if not self.lost.done():
+            self.lost.set_result(None)
+
+    async def _ping(self) -> None:
+        while True:
+            await asyncio.sleep(PING_INTERVAL)
+            try:
+                await asyncio.wait_for(self.call(Ping()), PING_TIMEOUT)
+            except (TimeoutError, Unavailable):
+                log.warn(
+                    "no answer from {address} for {seconds} s: closing the control connection",
+                    address=self.address,
+                    seconds=PING_TIMEOUT,
+                )
+                self.close()
+                return
+
+
+def abort(broker: pb.Broker) -> None:
+    """Abort the connection of a Perspective Broker, if it is still open."""
+    if broker.transport is not None and not broker.disconnected:  # Twisted's TLS cannot be aborted twice
+        broker.transport.abortConnection()

@@ -1,0 +1,239 @@
+"""`python -P -m rce.mapservice.job_program`: inspects or maps one recording, in a process of its own.
+
+The separate process protects the service from large and malicious recordings. It reads the task as JSON from standard
+input, which keeps the API key in it secret, and writes reports as JSON lines to standard output and the log to standard
+error. On SIGTERM, which the kernel also sends when the service dies, it removes its environment and ends.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import ctypes
+import itertools
+import os
+import resource
+import signal
+import ssl
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct
+
+from rce.api.map_jobs import MapOptions
+from rce.errors import ErrorInfo, InvalidRequest, NotFound, RceError
+from rce.mapservice.record_store import DiskFull
+
+PR_SET_PDEATHSIG = 1
+MAX_MEMORY = 3 * 1024**3  # bytes; the index of a recording of 10 GB takes some hundred MB
+INSPECTED_SCANS = 20  # read before a job is accepted
+REPORT_INTERVAL = 0.5  # seconds
+NICENESS = 5  # uploads and the rest of the platform have priority
+
+
+class Platform(Struct, frozen=True):
+    """Platform and credentials for a job. `trust` is a PEM file with the platform's own certificate, or empty."""
+
+    url: str
+    user: str
+    key: str
+    trust: str = ""
+
+
+class Task(Struct, frozen=True):
+    """Task of the process: inspect a recording or, with `platform`, map it.
+
+    Attributes:
+        recording: Path of the recording, a file or a directory.
+        options: Options for mapping.
+        out: Directory for the results.
+        name: Name of the environment.
+        former: Names of the environments of earlier attempts, which may still exist.
+        platform: Platform on which the recording is mapped.
+    """
+
+    recording: str
+    options: MapOptions
+    out: str = ""
+    name: str = ""
+    former: list[str] = []
+    platform: Platform | None = None
+
+
+class Report(Struct, frozen=True, omit_defaults=True):
+    """Progress of a task. `clean` is true once nothing of the task is left on the platform."""
+
+    stage: str = ""
+    scans: int = 0
+    total: int | None = None
+    times: dict[str, float] = {}
+    clean: bool = False
+    error: ErrorInfo | None = None
+
+
+def send(report: Report) -> None:
+    """Write a report to standard output."""
+    sys.stdout.buffer.write(msgspec.json.encode(report) + b"\n")
+    sys.stdout.buffer.flush()
+
+
+def inspect(task: Task) -> int | None:
+    """Open the recording and read its first scans.
+
+    Returns:
+        The number of its scans, or None if the recording does not say.
+
+    Raises:
+        RceError: The recording cannot be mapped.
+    """
+    from rce.mapping.files.recordings import open_recording
+
+    try:
+        recording = open_recording(Path(task.recording), task.options.scan_topic, task.options.odometry_topic)
+        if not list(itertools.islice(recording, INSPECTED_SCANS)):
+            raise InvalidRequest(f"{recording.name} has no laser scans", field="path")
+    except (InvalidRequest, NotFound) as error:
+        field = {"path": "uploads", "topic": "options.scan_topic"}.get(error.field, error.field)
+        raise type(error)(str(error), field=field) from None
+    return recording.scans
+
+
+async def build(task: Task, platform: Platform) -> None:
+    """Map the recording in a new environment, as `rce map` does, and write the results."""
+    from rce.client import Robot
+    from rce.mapping.files.outputs import write_outputs
+    from rce.mapping.files.recordings import open_recording
+    from rce.mapping.robot import MappingRobot
+
+    times = _Times()
+    recording = open_recording(Path(task.recording), task.options.scan_topic, task.options.odometry_topic)
+    times.end("opening")
+    robot = Robot(
+        platform.url,
+        user=platform.user,
+        robot=f"{task.name}_robot",
+        key=platform.key,
+        ssl=trust_only(platform.trust),
+        timeout=180.0,
+    )
+    last_report = 0.0
+
+    def progress(scans: int) -> None:
+        nonlocal last_report
+        if time.monotonic() - last_report > REPORT_INTERVAL:
+            last_report = time.monotonic()
+            send(Report("mapping", scans, recording.scans, times.done))
+
+    send(Report("preparing", 0, recording.scans, times.done))
+    async with robot:
+        for former in task.former:
+            await remove_environment(robot, former)
+        async with robot.environment(task.name, restart="no") as environment:
+            async with MappingRobot(robot, environment) as mapping:
+                options = task.options
+                await mapping.prepare(
+                    {"mapper": options.mapper, "resolution": options.resolution, "max_range": options.max_range}
+                )
+                times.end("preparing")
+                await mapping.drive(recording, progress)
+                result = await mapping.result()
+                times.end("mapping")
+            send(Report("writing", result.scans, result.scans, times.done))
+            await asyncio.to_thread(write_outputs, Path(task.out), result.grid, result.trajectory)
+            times.end("writing")
+    send(Report("finishing", result.scans, result.scans, times.done, clean=True))
+    log(f"{result.scans} scans mapped")
+
+
+class _Times:
+    """Durations of the consecutive stages, in seconds."""
+
+    def __init__(self) -> None:
+        self.done: dict[str, float] = {}
+        self._begin = time.monotonic()
+
+    def end(self, stage: str) -> None:
+        now = time.monotonic()
+        self.done[stage] = round(now - self._begin, 3)
+        self._begin = now
+        log(f"{stage}: {self.done[stage]} s")
+
+
+async def remove_environment(robot: object, tag: str) -> None:
+    """Remove an environment that may be left from an earlier attempt."""
+    from rce.client import Robot
+
+    assert isinstance(robot, Robot)
+    try:
+        await robot.destroy_environment(tag)
+    except NotFound:
+        return
+
+
+def trust_only(certificate: str) -> ssl.SSLContext | None:
+    """Return a context that trusts only this certificate, whatever the host name; None if `certificate` is empty."""
+    if not certificate:
+        return None
+    context = ssl.create_default_context(cafile=certificate)
+    context.check_hostname = False
+    context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN
+    return context
+
+
+def log(text: str) -> None:
+    """Write a line to the log of the job."""
+    with contextlib.suppress(OSError):  # a full disk must not end the job
+        print(f"{time.strftime('%Y-%m-%dT%H:%M:%SZ', time.gmtime())} {text}", file=sys.stderr, flush=True)
+
+
+async def run(task: Task) -> None:
+    """Perform a task; SIGTERM and SIGINT cancel it."""
+    current = asyncio.current_task()
+    assert current is not None
+    for number in (signal.SIGTERM, signal.SIGINT):
+        asyncio.get_running_loop().add_signal_handler(number, current.cancel)
+    if task.platform is None:
+        total = await asyncio.to_thread(inspect, task)
+        send(Report("inspected", 0, total, clean=True))
+    else:
+        await build(task, task.platform)
+
+
+def main() -> int:
+    """Read a task, perform it and return the exit status."""
+    parent = os.getppid()
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != parent:
+        return 1
+    os.nice(NICENESS)
+    resource.setrlimit(resource.RLIMIT_DATA, (MAX_MEMORY, MAX_MEMORY))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    task = msgspec.json.decode(sys.stdin.buffer.read(), type=Task)
+    try:
+        asyncio.run(run(task))
+    except asyncio.CancelledError:
+        send(Report("cancelled", clean=True))
+        return 1
+    except RceError as error:
+        log(f"{error.info.code}: {error}")
+        send(Report("failed", clean=True, error=error.info))
+        return 1
+    except OSError as error:
+        full = DiskFull.of(error)
+        if full is None:
+            raise
+        log(str(full))
+        send(Report("failed", clean=True, error=full.info))
+        return 1
+    except MemoryError:
+        text = "the recording needs more memory than a job may use: it is damaged or malicious"
+        log(text)
+        send(Report("failed", error=InvalidRequest(text, field="uploads").info))
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,76 @@
+"""Reading of requests as they were sent: aiohttp's own properties decode, normalise and fail on what is malformed."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+
+from aiohttp import HttpVersion11, web
+
+BODY_TIMEOUT = 60.0  # seconds for a body that is read at once
+_HOST = re.compile(r"\[?(?P<name>.*?)\]?(:\d+)?", re.DOTALL)
+
+
+def raw_path(request: web.BaseRequest) -> str:
+    """Return the path as it was sent, without the query."""
+    return request.raw_path.partition("?")[0]
+
+
+def raw_query(request: web.BaseRequest) -> str:
+    """Return the query as it was sent; empty without one."""
+    return request.raw_path.partition("?")[2]
+
+
+def header(request: web.BaseRequest, name: str) -> str | None:
+    """Return a header, the last of several; what is not UTF-8 in it is replaced."""
+    values = request.headers.getall(name, [])
+    return values[-1].encode("utf-8", "surrogateescape").decode("utf-8", "replace") if values else None
+
+
+def host_name(request: web.BaseRequest) -> str:
+    """Return the name or address in the Host header, without port and brackets; without it that of the socket."""
+    found = _HOST.fullmatch(header(request, "Host") or "")
+    if found is not None and found["name"]:
+        return found["name"].encode("ascii", "replace").decode()
+    address = request.get_extra_info("sockname")
+    return str(address[0]) if isinstance(address, tuple) else ""
+
+
+def peer_address(request: web.BaseRequest) -> str:
+    """Return the address from which the request came."""
+    return request.remote or ""
+
+
+def declared_length(request: web.BaseRequest) -> int | None:
+    """Return the number of bytes of the body; None for a chunked one, whose end is not known."""
+    return None if "Transfer-Encoding" in request.headers else request.content_length or 0
+
+
+async def accept_body(request: web.BaseRequest) -> None:
+    """Tell a client that asked first (`Expect: 100-continue`) to send its body."""
+    if request.version >= HttpVersion11 and (header(request, "Expect") or "").lower() == "100-continue":
+        await request.writer.write(b"HTTP/1.1 100 Continue\r\n\r\n")
+        request.writer.output_size = 0  # it is no part of the response
+
+
+async def read_body(request: web.BaseRequest) -> bytes:
+    """Ask for the body if the client waits for that, and return all of it; the caller has checked its length.
+
+    Raises:
+        web.HTTPRequestTimeout: It did not come in time.
+    """
+    await accept_body(request)
+    return await read_accepted_body(request)
+
+
+async def read_accepted_body(request: web.BaseRequest) -> bytes:
+    """Return the whole body, for which the client has been asked: routes of a web.Application do that themselves.
+
+    Raises:
+        web.HTTPRequestTimeout: It did not come in time.
+    """
+    try:
+        async with asyncio.timeout(BODY_TIMEOUT):
+            return await request.read()
+    except TimeoutError:
+        raise web.HTTPRequestTimeout from None

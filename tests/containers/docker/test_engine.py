@@ -1,0 +1,166 @@
+# ruff: noqa: E402  (imports after importorskip)
+"""The engine `docker` with a real daemon: the contract, and the confinement of environments."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import re
+import socket
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.support.containers.engine_contract import Endings, EngineContract, opened, spec, with_options
+
+docker = pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
+
+from containers.docker.engine import DockerEngine
+from containers.engine import RunningEnvironment
+from rce.errors import InvalidRequest, LimitExceeded, StartFailed, Unavailable
+from rce.protocol.slots import MB, PIDS
+from tests.support.containers.container_world import COMMAND
+from tests.support.containers.docker_world import DockerWorld
+
+
+@pytest.fixture
+def world(docker_world: DockerWorld) -> DockerWorld:
+    return docker_world
+
+
+class TestDockerEngine(EngineContract):
+    pass
+
+
+async def test_container_is_confined(world: DockerWorld, engine: DockerEngine) -> None:
+    await engine.start(with_options(memory=300 * MB, cpu=0.5, size=2))
+    seen = world.inspect("ann/map")
+    host = seen["HostConfig"]
+    assert host["CapDrop"] == ["ALL"]
+    assert not host["CapAdd"]
+    assert not host["Privileged"]
+    assert host["SecurityOpt"] == ["no-new-privileges"]
+    assert host["ReadonlyRootfs"]
+    assert host["NetworkMode"] == "none"
+    assert host["RestartPolicy"]["Name"] == "no"
+    assert (host["Memory"], host["MemorySwap"]) == (300 * MB, 300 * MB)
+    assert (host["NanoCpus"], host["PidsLimit"]) == (500_000_000, 2 * PIDS)
+    assert seen["Config"]["User"].split(":")[0] not in ("", "0", "root")
+    assert host["LogConfig"]["Config"] == {"max-size": "2m", "max-file": "2"}
+    binds = {mount["Destination"]: (mount["Source"], mount["RW"]) for mount in seen["Mounts"]}
+    assert binds == {
+        "/run/rce": (str(world.directory / "environments" / "ann" / "map" / spec().run), False),
+        str(world.directory / "sockets" / "ann"): (str(world.directory / "sockets" / "ann"), True),
+    }
+
+
+async def test_out_of_memory_is_reported(world: DockerWorld, endings: Endings) -> None:
+    async with opened(world.engine(endings, "eat")) as engine:
+        await engine.start(with_options(memory=32 * MB))
+        ended = await endings.next()
+        assert ended.status == -9
+        assert "memory of 32 MB" in ended.reason
+        assert world.remains() == set()
+
+
+async def test_fork_bomb_is_stopped_by_the_process_limit(world: DockerWorld, endings: Endings) -> None:
+    async with opened(world.engine(endings, "fork")) as engine:
+        await engine.start(spec())
+        ended = await endings.next()
+        (created,) = re.findall(r"(\d+) processes", "\n".join(ended.lines))
+        assert int(created) < PIDS
+
+
+async def test_missing_image_is_reported(world: DockerWorld, endings: Endings) -> None:
+    async with opened(world.engine(endings, image="rce-test/nothing:1")) as engine:
+        with pytest.raises(StartFailed, match=r"no image rce-test/nothing:1.*provision image"):
+            await engine.start(spec())
+        assert world.remains() == set()
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        ({"cpu": 10_000}, LimitExceeded),
+        ({"memory": 2**60}, LimitExceeded),
+        ({"disk": 1000}, InvalidRequest),
+    ],
+)
+async def test_request_for_more_than_the_machine_has_is_refused(
+    engine: DockerEngine, options: dict[str, Any], error: type[LimitExceeded | InvalidRequest]
+) -> None:
+    with pytest.raises(error) as raised:
+        await engine.start(with_options(**options))
+    assert raised.value.field == f"containerData.{next(iter(options))}"
+
+
+async def test_leftovers_of_a_killed_task_set_are_removed(world: DockerWorld, engine: DockerEngine) -> None:
+    """The task set was killed after it had created a container, and after it had made directories."""
+    await engine.start(spec("ann/a", 1))
+    await engine.start(spec("ann/b", 2))
+    await engine.close()
+    api, image = world.api, world.image
+    labels = {"rce.platform": "machine", "rce.directory": str(world.directory), "rce.size": "1"}
+    api.create_container(image, COMMAND, labels={**labels, "rce.environment": "bob/c", "rce.run": spec(run=3).run})
+    (world.directory / "environments" / "eve" / "d" / spec(run=4).run).mkdir(parents=True)
+    (world.directory / "sockets" / "eve").mkdir()
+    (world.directory / "sockets" / "ann" / f"{spec(run=5).run}.sock").touch()
+    async with opened(world.engine(Endings())) as again:
+        assert again.running() == {
+            "ann/a": RunningEnvironment(spec(run=1).run),
+            "ann/b": RunningEnvironment(spec(run=2).run),
+        }
+        assert world.remains() == {"ann/a", "ann/b"}
+        assert not list((world.directory / "sockets" / "ann").iterdir())
+
+
+async def test_task_sets_on_one_daemon_are_independent(
+    world: DockerWorld, engine: DockerEngine, tmp_path: Path
+) -> None:
+    await engine.start(spec())
+    world.directory, own = tmp_path / "other", world.directory
+    async with opened(world.engine(Endings())) as other:
+        assert other.running() == {}
+    world.directory = own
+    assert world.alive() == {"ann/map": spec().run}
+
+
+async def test_opening_without_docker_is_unavailable(
+    world: DockerWorld, endings: Endings, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("DOCKER_HOST", f"unix://{tmp_path}/none.sock")
+    with pytest.raises(Unavailable, match="Docker"):
+        await world.engine(endings).open()
+
+
+async def test_environment_reaches_the_master_by_its_relay(world: DockerWorld, endings: Endings) -> None:
+    """Both directions are relayed, also after a new task set has replaced the socket of an earlier one."""
+
+    async def shout(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write((await reader.readline()).upper())
+        writer.close()
+
+    async with await asyncio.start_server(shout, "127.0.0.1", 0) as server:
+        port = server.sockets[0].getsockname()[1]
+        for _ in range(2):
+            engine = world.engine(endings, master=f"tcp:127.0.0.1:{port}")
+            await engine.open()
+            await engine.start(spec())
+            assert await asyncio.to_thread(ask, world.directory, b"hello\n") == b"HELLO\n"
+            await engine.close()
+        async with opened(world.engine(endings)):
+            pass
+
+
+def ask(directory: Path, words: bytes) -> bytes:
+    (path,) = (directory / "environments").rglob("control.sock")
+    with socket.socket(socket.AF_UNIX) as line:
+        handle = os.open(path.parent, os.O_PATH)  # the whole path may be too long for a socket address
+        line.connect(f"/proc/self/fd/{handle}/{path.name}")
+        os.close(handle)
+        line.sendall(words)
+        answer = b""
+        while part := line.recv(100):
+            answer += part
+        return answer

@@ -1,0 +1,63 @@
+"""The agent of a node reports the environments that it finds at its start."""
+
+from __future__ import annotations
+
+import asyncio
+from types import SimpleNamespace
+from typing import Any
+
+from containers.swarm.agent import Agent
+from rce.control.calls.agents import NodeReport
+
+RUN, NEW_RUN = "1" * 32, "2" * 32
+
+
+class Docker:
+    """Daemon with running containers of these runs."""
+
+    def __init__(self, *runs: str) -> None:
+        self.runs = list(runs)
+
+    async def tasks(self) -> list[Any]:
+        return [SimpleNamespace(run=run, name=f"ann/{run[0]}", running=True, ended=False) for run in self.runs]
+
+    async def images(self) -> list[str]:
+        return []
+
+    async def sweep(self, runs: set[str]) -> None:
+        assert runs == set(self.runs)
+
+
+def make_agent(docker: Docker, reports: list[NodeReport], served: asyncio.Event) -> Any:
+    """Return an agent that has just started and takes its time to serve environments."""
+    agent: Any = Agent.__new__(Agent)
+
+    async def prepare(task: Any) -> None:
+        await served.wait()
+        agent._served[task.run] = task
+        del agent._preparing[task.run]
+
+    async def notify(report: NodeReport) -> None:
+        reports.append(report)
+
+    agent._docker, agent._prepare, agent._notify = docker, prepare, notify
+    agent._dead, agent._end_reported, agent._present = set(), set(), set()
+    agent._served, agent._preparing, agent._adopted = {}, {}, None
+    agent._restore_rules, agent._report = False, None
+    agent._link, agent._data_relay = SimpleNamespace(connected=True), SimpleNamespace(address="relay:10.0.0.1:1")
+    return agent
+
+
+async def test_environments_found_at_the_start_are_reported_at_once() -> None:
+    """Else a task set that starts at the same time removes them."""
+    docker, reports, served = Docker(RUN), list[NodeReport](), asyncio.Event()
+    agent = make_agent(docker, reports, served)
+    await agent._check()
+    assert reports[-1].runs == [RUN]
+    docker.runs.append(NEW_RUN)
+    await agent._check()
+    assert reports[-1].runs == [RUN], "a new environment is reported when it is served"
+    served.set()
+    await asyncio.gather(*agent._preparing.values())
+    await agent._check()
+    assert reports[-1].runs == [RUN, NEW_RUN]

@@ -1,0 +1,218 @@
+"""The programs of docs/examples, each run as its header says, and programs of other pages."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import json
+import os
+import re
+import shutil
+import signal
+import sys
+import threading
+from collections.abc import AsyncIterator, Iterator
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import pytest
+
+from tests.support.domains import domain
+from tests.support.e2e.chromium import chromium, open_page
+from tests.support.e2e.real_platform import RCE, USER, RealPlatform
+from tests.support.paths import ROOT
+
+pytestmark = pytest.mark.e2e
+EXAMPLES = ROOT / "docs" / "examples"
+TIMEOUT = 60.0
+
+
+class Program:
+    """A running example, whose output is read line by line."""
+
+    def __init__(self, process: asyncio.subprocess.Process) -> None:
+        self._process = process
+        self._lines: list[str] = []
+
+    async def line(self, pattern: str) -> str:
+        """Return the next line of output that matches."""
+        assert self._process.stdout is not None
+        async with asyncio.timeout(TIMEOUT):
+            while text := (await self._process.stdout.readline()).decode():
+                self._lines.append(text)
+                if re.search(pattern, text):
+                    return text.strip()
+        raise AssertionError(f"the program ended without a line like {pattern!r}:\n{''.join(self._lines)}")
+
+    def write(self, line: str) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.write(line.encode() + b"\n")
+
+    async def output(self) -> list[str]:
+        """Return the remaining lines once the program has ended with status 0."""
+        out, _ = await asyncio.wait_for(self._process.communicate(), TIMEOUT)
+        lines = out.decode().splitlines()
+        assert self._process.returncode == 0, "\n".join([*self._lines, *lines])
+        return lines
+
+    async def interrupt(self) -> None:
+        """End the program as Ctrl-C does; its status must be 0."""
+        self._process.send_signal(signal.SIGINT)
+        await self.output()
+
+
+@asynccontextmanager
+async def started(*command: str, **variables: str) -> AsyncIterator[Program]:
+    process = await asyncio.create_subprocess_exec(
+        *command,
+        env=os.environ | variables,
+        cwd=ROOT,
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.STDOUT,
+    )
+    try:
+        yield Program(process)
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
+
+
+def example(name: str, *arguments: str, **variables: str) -> AbstractAsyncContextManager[Program]:
+    return started(sys.executable, str(EXAMPLES / name), *arguments, **variables)
+
+
+async def output_of(name: str, *arguments: str) -> list[str]:
+    async with example(name, *arguments) as program:
+        return await program.output()
+
+
+async def test_topic(platform: RealPlatform) -> None:
+    assert await output_of("topic.py", platform.url) == ["hello 0", "hello 1", "hello 2"]
+
+
+async def test_service(platform: RealPlatform) -> None:
+    parameters, light = await output_of("service.py", platform.url)
+    assert "use_sim_time" in parameters
+    assert light == "light on"
+
+
+async def test_image(platform: RealPlatform) -> None:
+    pytest.importorskip("PIL", reason="needs Pillow: pip install '.[images]'")
+    assert await output_of("image.py", platform.url) == ["received 640 x 480 pixels; the first is [255, 0, 0]"]
+
+
+async def test_custom_type(platform: RealPlatform) -> None:
+    if shutil.which("g++") is None:
+        pytest.skip("no C++ compiler for the type of the package weather: install g++ to run this")
+    push = (RCE, "package", "push", str(EXAMPLES / "weather"), "--url", platform.url)
+    async with started(*push, RCE_PASSWORD=USER) as program:
+        await program.output()
+    assert await output_of("custom_type.py", platform.url) == [
+        "mean at roof: 10.0",
+        "mean at roof: 15.0",
+        "mean at roof: 20.0",
+    ]
+
+
+async def test_two_robots(platform: RealPlatform) -> None:
+    async with (
+        example("two_robots.py", "lander", platform.url) as lander,
+        example("two_robots.py", "rover", platform.url) as rover,
+    ):
+        assert await rover.output() == []
+        assert await lander.output() == [f"the rover is at x = {number * 0.5:.1f}" for number in range(5)]
+
+
+async def test_group(platform: RealPlatform) -> None:
+    assert await output_of("group.py", platform.url) == ["hello from the other environment"]
+
+
+async def test_bridge(platform: RealPlatform, tmp_path: Path) -> None:
+    config = tmp_path / "bridge.yaml"
+    config.write_text((EXAMPLES / "bridge.yaml").read_text().replace("http://127.0.0.1:9000/", platform.url))
+    variables = {"ROS_DOMAIN_ID": str(domain("example")), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    async with (
+        started(RCE, "bridge", str(config), **variables) as bridge,
+        example("bridge_node.py", **variables) as node,
+    ):
+        assert await node.output() == ["heard: hello cloud"] * 3
+        await bridge.interrupt()
+
+
+async def test_reconnect(platform: RealPlatform) -> None:
+    async with example("reconnect.py", platform.url) as program:
+        await program.line("published 5")
+        platform.kill(platform.pid("endpoints.robot"))
+        assert (await program.line("disconnected")).startswith("disconnected:")
+        await program.line("reconnected")
+        assert len(await program.output()) >= 19
+
+
+async def test_blocking(platform: RealPlatform) -> None:
+    assert await output_of("blocking.py", platform.url) == ["hello without asyncio"]
+
+
+@pytest.fixture
+def checkout_url() -> Iterator[str]:
+    """URL of a web server for the checkout."""
+    handler = functools.partial(QuietHandler, directory=str(ROOT))
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://localhost:{server.server_port}"
+        server.shutdown()
+        thread.join()
+
+
+class QuietHandler(SimpleHTTPRequestHandler):
+    def log_message(self, format: str, *args: object) -> None:
+        pass
+
+
+async def test_browser(platform: RealPlatform, checkout_url: str) -> None:
+    async with chromium() as browser, open_page(browser) as (page, errors):
+        await page.goto(f"{checkout_url}/docs/examples/browser.html?url={platform.url}")
+        await page.get_by_role("button", name="Say").click()
+        await page.get_by_text("hello from a page", exact=True).wait_for()
+        errors[:] = [error for error in errors if "favicon" not in error]
+    async with platform.robot("cleaner") as robot:
+        await robot.destroy_environment("browser_example")
+
+
+async def test_first_robot_of_the_readme(platform: RealPlatform, tmp_path: Path) -> None:
+    program = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.S)
+    assert program
+    file = tmp_path / "robot.py"
+    file.write_text(program[1].replace("http://127.0.0.1:9000/", platform.url))
+    async with started(sys.executable, str(file)) as robot:
+        assert await robot.output() == ["{'data': 'hello cloud'}"]
+
+
+async def test_robot_file_of_its_page(platform: RealPlatform, tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "robot-file.md").read_text()
+    found = re.search(r"```yaml\n(.*?)```", page, re.S)
+    assert found
+    file = tmp_path / "robot.yaml"
+    file.write_text(found[1].replace("http://127.0.0.1:9000/", platform.url))
+    line_in, line_out = ('{"iTag": "say", "msg": {"data": "hi"}}', '{"iTag": "heard", "type": "std_msgs/String"')
+    assert line_in in page
+    assert line_out in page
+    async with started(RCE, "run", str(file)) as robot:
+        await robot.line("is running")
+        robot.write(line_in)
+        assert json.loads(await robot.line('"heard"')) == {
+            "iTag": "heard",
+            "type": "std_msgs/String",
+            "msg": {"data": "hi"},
+        }
+        await robot.interrupt()
+
+
+def test_each_example_has_a_test_and_a_header() -> None:
+    tests = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
+    programs = {path.stem for path in EXAMPLES.iterdir() if path.suffix in {".py", ".html", ".yaml"}}
+    assert programs - {"bridge_node"} <= tests
+    assert all(re.search("Run it .*beside", path.read_text()) for path in EXAMPLES.iterdir() if path.stem in programs)

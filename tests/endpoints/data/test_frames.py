@@ -1,0 +1,145 @@
+"""Frames of data links: messages survive any fragmentation of the stream, malformed frames are rejected."""
+
+from __future__ import annotations
+
+import itertools
+import random
+import tracemalloc
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from endpoints.data import frames
+from endpoints.data.frames import FIRST, HEAD, PART, FrameReader, Message, pieces
+from rce.errors import LimitExceeded
+
+SIZES = st.one_of(
+    st.integers(0, 300),
+    st.sampled_from([16 * 1024, 16 * 1024 + 1, PART - 1, PART, PART + 1, 2 * PART, 3 * PART + 7]),
+)
+ID = st.binary(min_size=16, max_size=16)
+
+
+@st.composite
+def messages(draw: st.DrawFn) -> Message:
+    text = draw(st.text(max_size=60).filter(lambda text: len(text.encode("utf-8", "replace")) <= 255))
+    text = text.encode("utf-8", "ignore").decode()
+    payload = random.Random(draw(st.integers(0, 1000))).randbytes(draw(SIZES))
+    return Message(draw(ID), text, payload, draw(st.none() | ID), draw(st.booleans()))
+
+
+def feed(reader: FrameReader, data: bytes, cuts: itertools.cycle[int]) -> list[Message]:
+    """Feed `data` to the reader as a transport would, never more than its buffer holds."""
+    done: list[Message] = []
+    view = memoryview(data)
+    while view:
+        buffer = reader.get_buffer()
+        assert len(buffer) > 0
+        count = min(len(buffer), len(view), next(cuts))
+        buffer[:count] = view[:count]
+        done += reader.buffer_updated(count)
+        view = view[count:]
+    return done
+
+
+def plain(message: Message) -> tuple[object, ...]:
+    return message.source, message.msg_id, bytes(message.payload), message.destination, message.error
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.data())
+def test_round_trip_of_interleaved_streams_with_any_fragmentation(data: st.DataObject) -> None:
+    sent = data.draw(st.lists(messages(), min_size=1, max_size=6))
+    under_way = [pieces(message, stream) for stream, message in enumerate(sent)]
+    wire = b""
+    while under_way:
+        turn = data.draw(st.integers(0, len(under_way) - 1))
+        piece = next(under_way[turn], None)
+        if piece is None:
+            del under_way[turn]
+        else:
+            wire += b"".join(piece)
+    cuts = itertools.cycle(data.draw(st.lists(st.integers(1, 1 << 19), min_size=1, max_size=5)))
+    got = feed(FrameReader(), wire, cuts)
+    key = repr
+    assert sorted(map(plain, got), key=key) == sorted(map(plain, sent), key=key)
+
+
+def test_stream_of_single_bytes() -> None:
+    sent = [Message(bytes(16), "ä" * 100, b"x" * size, bytes(range(16)), True) for size in (0, 1, 17_000)]
+    wire = b"".join(b"".join(piece) for stream, message in enumerate(sent) for piece in pieces(message, stream))
+    assert list(map(plain, feed(FrameReader(), wire, itertools.cycle([1])))) == list(map(plain, sent))
+
+
+def test_large_payload_is_read_into_final_buffer() -> None:
+    reader = FrameReader()
+    (first, *_) = pieces(Message(bytes(16), "", bytes(10 * PART)), 1)
+    head = first[0]
+    reader.get_buffer()[: len(head)] = head
+    reader.buffer_updated(len(head))
+    buffer = reader.get_buffer()
+    assert len(buffer) == PART, "the rest of this frame, and nothing of the next"
+    assert len(buffer.obj) == 10 * PART  # type: ignore[arg-type]  # it is the bytearray of the whole payload
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.data())
+def test_hostile_bytes_raise_only_expected_errors(data: st.DataObject) -> None:
+    """Random bytes, and frames with wrong heads."""
+    wire = data.draw(
+        st.one_of(
+            st.binary(max_size=400),
+            st.lists(
+                st.tuples(
+                    st.integers(0, 255),
+                    st.integers(0, 255),
+                    st.integers(0, 3),
+                    st.integers(0, 2000) | st.integers(0, (1 << 32) - 1),
+                    st.integers(0, 2000) | st.integers(0, (1 << 32) - 1),
+                    st.binary(max_size=200),
+                ),
+                max_size=8,
+            ).map(lambda heads: b"".join(HEAD.pack(*fields) + rest for *fields, rest in heads)),
+        )
+    )
+    cuts = itertools.cycle(data.draw(st.lists(st.integers(1, 300), min_size=1, max_size=4)))
+    reader = FrameReader()
+    try:
+        feed(reader, wire, cuts)
+    except (LimitExceeded, UnicodeDecodeError):
+        return
+    assert sum(len(each.buffer) for each in reader._streams.values()) == reader._unfinished <= frames.MAX_UNFINISHED
+
+
+def test_unfinished_messages_are_bounded_in_number_and_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(frames, "MAX_UNFINISHED", 1_000_000)
+    cuts = itertools.cycle([1 << 18])
+
+    def begun(stream: int, total: int) -> bytes:
+        return HEAD.pack(FIRST, 0, stream, 0, total) + bytes(16)
+
+    for total in (1, 1000):
+        reader = FrameReader()
+        tracemalloc.start()
+        try:
+            with pytest.raises(LimitExceeded):
+                feed(reader, b"".join(begun(stream, total) for stream in range(100_000)), cuts)
+            assert tracemalloc.get_traced_memory()[0] < 12_000_000
+        finally:
+            tracemalloc.stop()
+    with pytest.raises(LimitExceeded, match="unfinished one"):
+        feed(FrameReader(), begun(1, 5) + begun(1, 5), cuts)
+    with pytest.raises(LimitExceeded, match="belongs to no message"):
+        feed(FrameReader(), begun(1, 5) + HEAD.pack(0, 0, 1, 6, 5), cuts)
+    with pytest.raises(LimitExceeded, match="exceeds"):
+        feed(FrameReader(), begun(1, frames.MAX_MESSAGE + 1), cuts)
+
+
+def test_completed_message_frees_its_share_of_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(frames, "MAX_UNFINISHED", 1_000_000)
+    reader = FrameReader()
+    for stream in range(5):
+        message = Message(bytes(16), "", bytes(900_000))
+        wire = b"".join(b"".join(piece) for piece in pieces(message, stream))
+        assert len(feed(reader, wire, itertools.cycle([100_000]))) == 1

@@ -1,0 +1,169 @@
+"""Links over real sockets: order, back-pressure, rate limits, and how they end."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+from typing import cast
+from unittest.mock import Mock
+
+from endpoints.data.frames import Message
+from endpoints.data.link import LoopLink
+from endpoints.data.throttle import BURST, Throttle
+from tests.support.endpoints.ends import A, B, End, Listener
+from tests.support.endpoints.raw_robot import WAIT
+
+
+async def test_messages_pass_complete_and_in_order_both_ways(pair: tuple[End, End]) -> None:
+    here, there = pair
+    for end, other in ((here, there), (there, here)):
+        for number in range(100):
+            end.link.send(Message(A, str(number), b"x" * number), None)
+        end.link.send(Message(B, "large", b"y" * 3_000_000), None)
+        await other.until(lambda other=other: len(other.received) == 101)  # type: ignore[misc]
+        assert sorted(message.msg_id for message in end.sent) == sorted(message.msg_id for message in other.received)
+        assert [m.msg_id for m in other.received if m.source == A] == [str(number) for number in range(100)]
+        assert bytes(next(m for m in other.received if m.source == B).payload) == b"y" * 3_000_000
+
+
+async def test_broken_link_is_reported_once_and_closed_link_never(pair: tuple[End, End]) -> None:
+    here, there = pair
+    here.link.close()
+    await there.until(lambda: bool(there.lost))
+    there.link.fail("again")
+    there.link.close()
+    await asyncio.sleep(0)
+    assert (here.lost, len(there.lost)) == ([], 1)
+
+
+async def test_close_of_broken_link_releases_waiting_senders(pair: tuple[End, End]) -> None:
+    here, there = pair
+    there.link.close()
+    await here.until(lambda: bool(here.lost))
+    for number in range(20):
+        here.link.send(Message(A, str(number), b""), None)
+    room = here.link.wait_for_room(A)
+    assert room is not None
+    here.link.close()
+    assert room.done()
+    gc.collect()
+
+
+async def test_paused_link_delivers_everything_after_pause(pair: tuple[End, End]) -> None:
+    here, there = pair
+    until: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+    there.link.pause(until)
+    for number in range(60):
+        here.link.send(Message(A, str(number), bytes(1_000_000)), None)
+    room = here.link.wait_for_room(A)
+    assert room is not None, "the sender has to wait"
+    assert not there.received
+    until.set_result(None)
+    await asyncio.wait_for(room, WAIT)
+    await there.until(lambda: len(there.received) == 60)
+    assert [m.msg_id for m in there.received] == [str(number) for number in range(60)]
+
+
+async def test_links_of_sender_share_its_rate_limit(port: tuple[Listener, list[str]]) -> None:
+    listener, addresses = port
+    rate, size = 4_000_000, 1_000_000
+    throttle = Throttle(rate)
+    ends = []
+    for number in range(2):
+        key = bytes([number]) * 16
+        here, there = End(), End(throttle=throttle)
+        listener.expect(there.link, key)
+        await listener.dial(here.link, key, addresses)
+        ends.append((here, there))
+    began = asyncio.get_running_loop().time()
+    for here, _ in ends:
+        here.link.send(Message(A, "1", bytes(size)), None)
+    for _, there in ends:
+        await there.until(lambda there=there: len(there.received) == 1)  # type: ignore[misc]
+    assert asyncio.get_running_loop().time() - began > (2 * size / rate - BURST) * 0.9 - 0.1
+    for here, there in ends:
+        here.link.close()
+        there.link.close()
+
+
+class Waits:
+    """Throttle that asks for fixed waits, one for each chunk of bytes received."""
+
+    def __init__(self, *seconds: float) -> None:
+        self._left = list(seconds)
+
+    def consume(self, amount: int) -> float:
+        return self._left.pop(0) if self._left else 0.0
+
+
+async def test_pause_outlasts_wait_of_rate_limit() -> None:
+    loop = asyncio.get_running_loop()
+    transport = Mock(is_closing=lambda: False)
+    end = End(throttle=cast(Throttle, Waits(0.01)))
+    end.link.attach(transport)
+    end.link.buffer_updated(0)  # which pauses for the wait
+    until: asyncio.Future[None] = loop.create_future()
+    end.link.pause(until)
+    timer = loop.create_future()
+    loop.call_later(0.01, timer.set_result, None)  # due after that of the wait, which was set before it
+    await timer
+    await asyncio.sleep(0)  # for the callbacks of the wait's future
+    transport.pause_reading.assert_called_once()
+    transport.resume_reading.assert_not_called()
+    until.set_result(None)
+    await asyncio.sleep(0)
+    transport.resume_reading.assert_called_once()
+    end.link.close()
+
+
+async def test_wait_of_rate_limit_outlasts_pause() -> None:
+    loop = asyncio.get_running_loop()
+    transport = Mock(is_closing=lambda: False)
+    resumed = loop.create_future()
+    transport.resume_reading.side_effect = lambda: resumed.set_result(None)
+    end = End(throttle=cast(Throttle, Waits(0.05)))
+    end.link.attach(transport)
+    end.link.buffer_updated(0)
+    until: asyncio.Future[None] = loop.create_future()
+    end.link.pause(until)
+    until.set_result(None)
+    await asyncio.sleep(0)
+    assert not resumed.done()
+    await asyncio.wait_for(resumed, WAIT)
+    end.link.close()
+
+
+async def test_flood_does_not_starve_other_tasks(pair: tuple[End, End]) -> None:
+    here, there = pair
+    turns = 0
+
+    async def other() -> None:
+        nonlocal turns
+        while True:
+            await asyncio.sleep(0)
+            turns += 1
+
+    task = asyncio.create_task(other())
+    for number in range(100):
+        here.link.send(Message(A, str(number), bytes(1_000_000)), None)
+    await there.until(lambda: len(there.received) == 100)
+    task.cancel()
+    assert turns > 10
+
+
+async def test_loop_link_queues_messages_while_paused() -> None:
+    got: list[str] = []
+    link = LoopLink("l", lambda message, link: got.append(message.msg_id), lambda message: None)
+    assert link.opened.done()
+    link.send(Message(A, "first", b""), 2)
+    until: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+    link.pause(until)
+    dropped = [link.send(Message(A, str(number), b""), 2) for number in range(4)]
+    assert (got, dropped, link.backlog(A)) == (["first"], [0, 0, 1, 1], 2)
+    for number in range(10):
+        link.send(Message(B, str(number), b""), None)
+    room = link.wait_for_room(B)
+    assert room is not None
+    until.set_result(None)
+    await asyncio.wait_for(room, WAIT)
+    assert sorted(got[1:]) == sorted(["2", "3", *map(str, range(10))])

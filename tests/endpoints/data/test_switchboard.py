@@ -1,0 +1,235 @@
+"""Routes between interfaces: delivery, idempotent changes, moved links, and traffic counts."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+
+import pytest
+from twisted.logger import LogEvent
+
+from endpoints.data.frames import Message
+from endpoints.data.hops import HopRecorder
+from endpoints.data.interface import Interface, error_of
+from endpoints.data.link import Link
+from endpoints.data.port import DataPort
+from endpoints.data.switchboard import Switchboard
+from rce.control.calls.endpoints import InterfaceSpec, LinkSpec, Route, Sync
+from rce.control.calls.watching import Counts, CountTraffic, InterfaceTraffic
+from rce.errors import NotConnected, NotFound, TimedOut, Unavailable
+from rce.protocol.messages import Qos
+
+
+class Recorder(Interface):
+    """Interface that records its events and messages; it fails while `broken` is set."""
+
+    def __init__(self, spec: InterfaceSpec, hops: HopRecorder) -> None:
+        super().__init__(spec, hops)
+        self.events: list[str] = []
+        self.received: list[Message] = []
+        self.broken = False
+
+    def receive(self, message: Message, link: Link) -> None:
+        if self.broken:
+            raise ZeroDivisionError
+        self.dropped += message.msg_id == "too much"
+        self.received.append(message)
+
+    def joined(self, peer: bytes) -> None:
+        self.events.append(f"joined {peer.hex()[-1]}")
+
+    def started(self) -> None:
+        self.events.append("started")
+
+    def stopped(self) -> None:
+        self.events.append("stopped")
+
+    def close(self) -> None:
+        self.events.append("closed")
+
+
+def spec(number: int, **more: object) -> InterfaceSpec:
+    return InterfaceSpec(f"{number:032x}", "u/r", f"i{number}", "PublisherConverter", "a/B", **more)  # type: ignore[arg-type]
+
+
+class Board(Switchboard):
+    """Switchboard of recorders, connected by a link within the process."""
+
+    def __init__(self) -> None:
+        self.lost: list[str] = []
+        super().__init__(DataPort(), lambda link, reason: self.lost.append(link))
+
+    async def make(self, spec: InterfaceSpec) -> Interface:
+        return Recorder(spec, self.hops)
+
+    async def ready(self, count: int) -> list[Recorder]:
+        self.open_link(LinkSpec("l", ""))
+        for number in range(count):
+            await self.bind(spec(number), self.make)
+        return [self.at(number) for number in range(count)]
+
+    def at(self, number: int) -> Recorder:
+        found = self.interfaces[bytes.fromhex(spec(number).id)]
+        assert isinstance(found, Recorder)
+        return found
+
+    async def join(self, one: int, other: int, link: str = "l") -> None:
+        for own, peer in ((one, other), (other, one)):
+            await self.add_route(Route(spec(own).id, spec(peer).id, link))
+
+
+@pytest.fixture
+async def board() -> AsyncIterator[Board]:
+    made = Board()
+    yield made
+    for name in list(made.links):
+        made.close_link(name)
+    await asyncio.sleep(0)
+
+
+async def test_message_goes_to_all_peers_or_to_its_destination(board: Board) -> None:
+    a, b, c, stranger = await board.ready(4)
+    await board.join(0, 1)
+    await board.join(0, 2)
+    a.send(Message(a.id, "all", b""))
+    a.send(Message(a.id, "one", b"", destination=c.id))
+    assert [[m.msg_id for m in each.received] for each in (a, b, c, stranger)] == [[], ["all"], ["all", "one"], []]
+    with pytest.raises(NotConnected):
+        a.send(Message(a.id, "", b"", destination=stranger.id))
+    with pytest.raises(NotConnected):
+        stranger.send(Message(stranger.id, "", b""))
+    assert a.events == ["started", "joined 1", "joined 2"]
+
+
+async def test_routes_are_idempotent_and_need_link_and_interface(board: Board) -> None:
+    a, b = await board.ready(2)
+    for _ in range(2):
+        await board.join(0, 1)
+    a.send(Message(a.id, "once", b""))
+    assert (len(b.received), b.events) == (1, ["started", "joined 0"])
+    with pytest.raises(NotFound, match="link"):
+        await board.add_route(Route(spec(0).id, spec(1).id, "other"))
+    with pytest.raises(NotFound, match="interface"):
+        await board.add_route(Route(spec(7).id, spec(1).id, "l"))
+    for _ in range(2):
+        board.remove_route(spec(0).id, spec(1).id)
+    assert a.events[-1] == "stopped"
+    b.send(Message(b.id, "to nobody", b""))
+    assert not a.received
+
+
+async def test_unbound_interface_loses_its_peers(board: Board) -> None:
+    a, b = await board.ready(2)
+    await board.join(0, 1)
+    for _ in range(2):
+        board.unbind(spec(0).id)
+    assert a.events == ["started", "joined 1", "stopped", "closed"]
+    b.send(Message(b.id, "", b""))
+    assert not a.received
+
+
+async def test_route_moves_to_new_link_without_interruption(board: Board) -> None:
+    a, b = await board.ready(2)
+    await board.join(0, 1)
+    until: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+    old = board.links["l"]
+    old.pause(until)
+    for number in range(10):
+        old.send(Message(a.id, str(number), b""), None)
+    room = old.wait_for_room(a.id)
+    assert room is not None
+    board.open_link(LinkSpec("new", ""))
+    await board.join(0, 1, "new")
+    assert room.done()
+    assert (a.events, b.events) == (["started", "joined 1"], ["started", "joined 0"])
+    a.send(Message(a.id, "moved", b""))
+    assert [m.msg_id for m in b.received] == ["moved"]
+    until.set_result(None)
+
+
+async def test_route_over_link_that_is_closed_while_opening_fails(board: Board) -> None:
+    await board.ready(2)
+    board.open_link(LinkSpec("slow", "00" * 16))
+    route = asyncio.create_task(board.add_route(Route(spec(0).id, spec(1).id, "slow")))
+    await asyncio.sleep(0)
+    board.close_link("slow")
+    with pytest.raises(Unavailable):
+        await asyncio.wait_for(route, 10)
+    assert not board.at(0).peers
+    assert not board.lost, "a link closed on purpose is not lost"
+
+
+async def test_sync_reconciles_interfaces_links_and_routes(board: Board) -> None:
+    a, b, c = await board.ready(3)
+    await board.join(0, 1)
+    await board.join(0, 2)
+    changed = spec(1, qos=Qos(depth=3))
+    routes = [Route(one, other, "l") for one, other in ((a.spec.id, b.spec.id), (b.spec.id, a.spec.id))]
+    call = Sync([a.spec, changed, spec(3)], [LinkSpec("l", "")], routes)
+    for _ in range(2):
+        assert await board.sync(call, board.make) == {}
+        assert {each.spec for each in board.interfaces.values()} == {a.spec, changed, spec(3)}
+        assert list(a.peers) == [b.id]
+    assert c.events[-1] == b.events[-1] == "closed"
+    assert board.at(0) is a
+    a.send(Message(a.id, "hi", b""))
+    assert len(board.at(1).received) == 1
+    await board.sync(Sync(), board.make)
+    assert not board.interfaces
+    assert not board.links
+
+
+async def test_defective_interface_does_not_affect_others(board: Board, failures: list[LogEvent]) -> None:
+    a, b, c = await board.ready(3)
+    await board.join(0, 1)
+    await board.join(0, 2)
+    b.broken = True
+    a.send(Message(a.id, "hi", b""))
+    assert len(c.received) == 1
+    assert len(failures) == 1
+    failures.clear()
+
+
+async def test_error_is_sent_to_requesting_peer(board: Board) -> None:
+    a, b = await board.ready(2)
+    await board.join(0, 1)
+    a.request(Message(a.id, "call", b""))
+    b.fail(b.received[0], TimedOut("too late"))
+    (answer,) = a.received
+    assert (answer.msg_id, answer.error, error_of(answer).info.code) == ("call", True, "timed_out")
+    assert error_of(Message(a.id, "", b"\xff\x00", error=True)).info.code == "error"
+    board.remove_route(spec(1).id, spec(0).id)
+    b.fail(b.received[0], TimedOut("nobody to tell"))
+
+
+async def test_traffic_is_counted_for_each_peer(board: Board) -> None:
+    a, b, c = await board.ready(3)
+    await board.join(0, 1)
+    await board.join(0, 2)
+    a.send(Message(a.id, "to all", b"12345"))
+    a.send(Message(a.id, "too much", b"1", destination=b.id))
+    b.send(Message(b.id, "answer", b"123"))
+    seen = (await board.traffic(CountTraffic())).interfaces
+    assert seen[a.spec.id] == InterfaceTraffic(
+        Counts(2, 6), Counts(1, 3), {b.spec.id: Counts(1, 3), c.spec.id: Counts()}
+    )
+    assert seen[b.spec.id] == InterfaceTraffic(Counts(1, 3, 1), Counts(2, 6), {a.spec.id: Counts(2, 6, 1)})
+    board.remove_route(a.spec.id, b.spec.id)
+    gone = (await board.traffic(CountTraffic())).interfaces[a.spec.id]
+    assert (gone.received, list(gone.peers)) == (Counts(1, 3), [c.spec.id]), "received messages stay counted"
+
+
+async def test_drops_are_counted_for_peers_behind_their_link(board: Board) -> None:
+    a, b, c = await board.ready(3)
+    await board.join(0, 1)
+    board.open_link(LinkSpec("other", ""))
+    await board.join(0, 2, "other")
+    until: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+    board.links["l"].pause(until)
+    for _ in range(15):  # 10 of them may wait
+        a.send(Message(a.id, "", b""))
+    seen = (await board.traffic(CountTraffic())).interfaces
+    assert seen[a.spec.id].sent == Counts(15, 0, 5)
+    assert {peer: counts.drops for peer, counts in seen[a.spec.id].peers.items()} == {b.spec.id: 5, c.spec.id: 0}
+    assert (seen[b.spec.id].received.messages, seen[c.spec.id].received.messages) == (0, 15)
+    until.set_result(None)

@@ -1,0 +1,144 @@
+"""Nodes and their parameters, at a real endpoint."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.support.domains import domain
+
+pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
+
+from rce.control.calls.endpoints import (
+    DropParameter,
+    InterfaceSpec,
+    LinkSpec,
+    NodeSpec,
+    ParameterSpec,
+    PutParameter,
+    StartNode,
+    StopNode,
+    Sync,
+)
+from rce.control.calls.watching import ReadLog
+from rce.errors import InvalidRequest, NotFound, StartFailed
+from tests.support.endpoints.environment_driver import FakeMaster, is_alive, wait_for_line
+
+
+async def test_log_is_read_from_position(master: FakeMaster) -> None:
+    await master.call(StartNode(NodeSpec("followed", "probe", "say", "live")))
+    await wait_for_line(master, "followed", "pids")
+    log = await master.call(ReadLog("followed"))
+    assert log.lines
+    assert (await master.call(ReadLog("followed", after=log.next, wait=0.01))).lines == []
+    own = await master.call(ReadLog(""))
+    assert any("node followed started: probe say" in each for each in own.lines)
+    await master.call(StopNode("followed"))
+
+
+async def test_node_that_ends_is_reported_with_status_and_last_lines(master: FakeMaster) -> None:
+    await master.call(StartNode(NodeSpec("dying", "probe", "say", "die 'a b' $(env ROS_DOMAIN_ID)")))
+    died = await master.died()
+    assert (died.node, died.status) == ("dying", 3)
+    assert died.lines[0] == f"arguments ['die', 'a b', '{domain('environment')}']"
+
+
+async def test_node_of_user_sees_no_packages_or_secrets_of_rce(master: FakeMaster) -> None:
+    await master.call(StartNode(NodeSpec("seeing", "probe", "say.py", "die")))
+    died = await master.died()
+    assert died.lines[1] == "sees ['rclpy']"
+    assert died.lines[2].startswith("secrets ['RCE_RUN'] ")
+    assert died.lines[2].endswith("/home")
+
+
+@pytest.mark.parametrize("how", ["live", "deaf"])
+async def test_stop_ends_whole_process_group(master: FakeMaster, how: str) -> None:
+    await master.call(StartNode(NodeSpec(how, "probe", "say", how)))
+    pids = [int(word) for word in (await wait_for_line(master, how, "pids")).split()[1:]]
+    if how == "deaf":
+        await wait_for_line(master, how, "deaf to")
+    assert all(map(is_alive, pids))
+    await master.call(StopNode(how))
+    assert not any(map(is_alive, pids))
+    await master.call(StopNode(how))
+
+
+async def test_start_is_idempotent_and_changed_spec_restarts_node(master: FakeMaster) -> None:
+    spec = NodeSpec("twice", "probe", "say", "live")
+    await master.call(StartNode(spec))
+    first = await wait_for_line(master, "twice", "pids")
+    await master.call(StartNode(spec))
+    assert await wait_for_line(master, "twice", "pids") == first
+    await master.call(StartNode(NodeSpec("twice", "probe", "say", "live on")))
+    assert "on" in await wait_for_line(master, "twice", "arguments ['live', 'on']")
+    await master.call(StopNode("twice"))
+
+
+@pytest.mark.parametrize(
+    ("spec", "error"),
+    [
+        (NodeSpec("bad", "nothing", "say"), NotFound),
+        (NodeSpec("bad", "probe", "nothing"), NotFound),
+        (NodeSpec("bad", "probe", "say", "$(find nothing)"), NotFound),
+        (NodeSpec("bad", "probe", "say", "'"), InvalidRequest),
+        (NodeSpec("bad", "probe", "broken.sh"), StartFailed),
+    ],
+)
+async def test_node_that_cannot_start_is_rejected(master: FakeMaster, spec: NodeSpec, error: type[Exception]) -> None:
+    with pytest.raises(error):
+        await master.call(StartNode(spec))
+
+
+async def test_log_of_unknown_node_is_not_found(master: FakeMaster) -> None:
+    with pytest.raises(NotFound):
+        await master.call(ReadLog("never"))
+
+
+async def test_parameters_set_before_start(master: FakeMaster) -> None:
+    await master.call(PutParameter(ParameterSpec("speed", 2.5, "fast")))
+    await master.call(PutParameter(ParameterSpec("words", ["yes", "1"])))
+    await master.call(StartNode(NodeSpec("fast", "probe", "echo", namespace="/fast", name="renamed")))
+    assert "speed is 2.5" in await wait_for_line(master, "fast", "speed is")
+    assert "['yes', '1']" in await wait_for_line(master, "fast", "words is")
+    assert "renamed" in await wait_for_line(master, "fast", "speed is")
+    await master.call(StopNode("fast"))
+    await master.call(DropParameter(ParameterSpec("speed", 2.5, "fast").key))
+    await master.call(DropParameter(ParameterSpec("words", [""]).key))
+    await master.call(StartNode(NodeSpec("fast", "probe", "echo", namespace="/fast")))
+    assert "speed is 1.0" in await wait_for_line(master, "fast", "speed is 1.0")
+    await master.call(StopNode("fast"))
+
+
+async def test_parameters_of_running_nodes(master: FakeMaster) -> None:
+    await wait_for_line(master, "echo", "words is")
+    await master.call(StartNode(NodeSpec("other", "probe", "echo", namespace="/other")))
+    await wait_for_line(master, "other", "words is")
+    await master.call(PutParameter(ParameterSpec("speed", 3, "other")))
+    assert "becomes 3.0" in await wait_for_line(master, "other", "speed becomes")
+    assert not [line for line in (await master.call(ReadLog("echo"))).lines if "speed becomes" in line]
+    await master.call(PutParameter(ParameterSpec("words", ["a"])))
+    for tag in ("echo", "other"):
+        assert "['a']" in await wait_for_line(master, tag, "words becomes")
+    await master.call(PutParameter(ParameterSpec("undeclared", 1)))
+    with pytest.raises(InvalidRequest, match="too fast"):
+        await master.call(PutParameter(ParameterSpec("speed", 11)))
+    await master.call(StopNode("other"))
+
+
+async def test_sync_reconciles_nodes_and_reports_failures(master: FakeMaster) -> None:
+    await master.call(StartNode(NodeSpec("away", "probe", "say", "live")))
+    pid = int((await wait_for_line(master, "away", "pids")).split()[1])
+    echo = NodeSpec("echo", "probe", "echo.py")
+    wanted = Sync(
+        interfaces=[
+            InterfaceSpec("11" * 16, "user/env", "good", "PublisherInterface", "std_msgs/String", "there"),
+            InterfaceSpec("22" * 16, "user/env", "bad", "PublisherInterface", "std_msgs/Nothing", "there"),
+        ],
+        links=[LinkSpec(await master.link(), "00" * 16)],
+        nodes=[echo, NodeSpec("missing", "probe", "nothing")],
+        parameters=[ParameterSpec("mixed", [1, "a"])],
+    )
+    settled = await master.call(wanted)
+    assert set(settled.failed) == {"22" * 16, "node:missing", "parameter::mixed"}
+    settled = await master.call(Sync(links=wanted.links, nodes=[echo]))
+    assert settled.failed == {}
+    assert not is_alive(pid)

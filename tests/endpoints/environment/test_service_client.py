@@ -1,0 +1,145 @@
+"""Limits and timeouts of a service client interface, with a fake of ROS."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import cast
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
+
+
+from endpoints.data.frames import Message
+from endpoints.data.hops import HopRecorder
+from endpoints.data.interface import MAX_REQUESTS, error_of
+from endpoints.data.link import LoopLink
+from endpoints.environment.definitions import InstalledTypes
+from endpoints.environment.interfaces import RosContext
+from endpoints.environment.ros import RosThread
+from endpoints.environment.ros_services import RawClient
+from endpoints.environment.services import MAX_IN_FLIGHT, TIMEOUT, ServiceClientInterface
+from rce.control.calls.endpoints import InterfaceSpec
+from rce.errors import RceError
+
+PEER = b"p" * 16
+
+
+class Service:
+    """Fake of the ROS thread and of the client in it; every action is executed at once."""
+
+    def __init__(self) -> None:
+        self.is_available = True
+        self.requests: list[bytes] = []
+        self.retries: list[Callable[[], None]] = []
+
+    def post(self, action: Callable[[], None]) -> None:
+        action()
+
+    deliver = post
+
+    def retry(self, action: Callable[[], None]) -> None:
+        self.retries.append(action)
+
+    def call_later(self, seconds: float, action: Callable[[], None]) -> None:
+        action()
+
+    def remove_waitable(self, client: object) -> None: ...
+
+    def available(self) -> bool:
+        return self.is_available
+
+    def call(self, request: bytes) -> int:
+        self.requests.append(request)
+        return len(self.requests)
+
+
+class Robot:
+    def __init__(self) -> None:
+        self.received: list[Message] = []
+
+    def errors(self) -> list[str]:
+        return [error.info.code for error in self.failures()]
+
+    def failures(self) -> list[RceError]:
+        return [error_of(message) for message in self.received if message.error]
+
+
+@pytest.fixture
+async def parts() -> tuple[ServiceClientInterface, Service, Robot]:
+    service, robot = Service(), Robot()
+    spec = InterfaceSpec("11" * 16, "user/env", "tag", "ServiceClientInterface", "a/B", "/name")
+    hops = HopRecorder()
+    context = RosContext(cast(RosThread, service), hops, InstalledTypes([]), lambda spec, error: None)
+    interface = ServiceClientInterface(spec, context)
+    interface._client = cast(RawClient, service)
+    interface.peers[PEER] = LoopLink("loop", lambda message, _: robot.received.append(message), hops.sent)
+    return interface, service, robot
+
+
+def send_requests(interface: ServiceClientInterface, count: int) -> None:
+    for number in range(count):
+        interface.receive(Message(PEER, str(number), str(number).encode()), interface.peers[PEER])
+
+
+Parts = tuple[ServiceClientInterface, Service, Robot]
+
+
+async def test_requests_in_flight_are_limited(parts: Parts) -> None:
+    interface, service, robot = parts
+    send_requests(interface, 20)
+    assert len(service.requests) == MAX_IN_FLIGHT
+    for number in range(1, 21):
+        interface._answered(number, b"answer")
+    assert service.requests == [str(number).encode() for number in range(20)]
+    assert [message.msg_id for message in robot.received] == [str(number) for number in range(20)]
+    assert {message.destination for message in robot.received} == {PEER}
+
+
+async def test_unanswered_requests_time_out_and_make_room(parts: Parts) -> None:
+    interface, service, robot = parts
+    send_requests(interface, MAX_IN_FLIGHT + 1)
+    for request in interface._in_flight.values():
+        request.since -= TIMEOUT
+    interface.tick(time.monotonic() + 0.1)
+    assert robot.errors() == ["timed_out"] * MAX_IN_FLIGHT
+    assert len(service.requests) == MAX_IN_FLIGHT + 1
+    interface._answered(1, b"too late")
+    assert len(robot.received) == MAX_IN_FLIGHT
+
+
+async def test_requests_waiting_for_their_turn_time_out(parts: Parts) -> None:
+    interface, _, robot = parts
+    send_requests(interface, MAX_IN_FLIGHT + 2)
+    interface.tick(time.monotonic() + TIMEOUT + 1)
+    assert robot.errors() == ["timed_out"] * (MAX_IN_FLIGHT + 2)
+
+
+async def test_unanswered_requests_are_limited(parts: Parts) -> None:
+    interface, _, robot = parts
+    send_requests(interface, MAX_REQUESTS + 1)
+    assert robot.errors() == ["limit_exceeded"]
+    interface._answered(1, b"answer")
+    send_requests(interface, 1)
+    assert robot.errors() == ["limit_exceeded"]
+
+
+async def test_requests_wait_until_service_appears(parts: Parts) -> None:
+    interface, service, robot = parts
+    service.is_available = False
+    send_requests(interface, 2)
+    assert (service.requests, robot.received) == ([], [])
+    service.is_available = True
+    service.retries.pop()()
+    assert len(service.requests) == 2
+
+
+async def test_removed_interface_sends_no_requests(parts: Parts) -> None:
+    interface, service, _ = parts
+    service.is_available = False
+    send_requests(interface, 1)
+    interface.close()
+    service.is_available = True
+    service.retries.pop()()
+    assert service.requests == []

@@ -1,0 +1,175 @@
+"""Topic interfaces between a robot and a real node."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
+
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import Image
+from std_msgs.msg import String
+
+from rce.control.calls.endpoints import NodeSpec, StartNode, StopNode, Unbind
+from rce.control.calls.robots import DescribeType
+from rce.control.calls.watching import ReadGraph, RosName
+from rce.errors import InvalidRequest, UnknownType
+from rce.protocol.messages import Qos
+from tests.support.endpoints.environment_driver import FakeMaster
+
+
+def cdr(text: str) -> bytes:
+    return serialize_message(String(data=text))
+
+
+def text(payload: bytes) -> str:
+    found: str = deserialize_message(payload, String).data
+    return found
+
+
+async def test_messages_pass_to_node_and_back(master: FakeMaster) -> None:
+    there = await master.interface("PublisherInterface", "std_msgs/String", "there")
+    back = await master.interface("SubscriberInterface", "std_msgs/msg/String", "/back")
+    for number in range(20):
+        there.publish(cdr(f"hello {number}"))
+        assert text(await back.next()) == f"hello {number}"
+
+
+async def test_messages_wait_for_first_subscription(master: FakeMaster) -> None:
+    early = await master.interface("PublisherInterface", "std_msgs/String", "early/there", Qos(depth=2))
+    late = await master.bind("SubscriberInterface", "std_msgs/String", "early/back")
+    receiver = await master.connect(late)
+    for word in ("one", "two", "three"):
+        early.publish(cdr(word))
+    await master.call(StartNode(NodeSpec("early", "probe", "echo.py", namespace="early")))
+    assert [text(await receiver.next()), text(await receiver.next())] == ["two", "three"]
+    report = await master.report(early.spec.tag)
+    assert report.drops == 1
+    await master.call(StopNode("early"))
+
+
+async def test_all_peers_get_messages_and_late_ones_those_of_latched_topics(master: FakeMaster) -> None:
+    bound = await master.bind("SubscriberInterface", "std_msgs/String", "latched")
+    first = await master.connect(bound)
+    assert text(await first.next()) == "kept"
+    second = await master.connect(bound)
+    assert text(await second.next()) == "kept"
+    assert first.received.empty()
+
+
+async def test_latched_publisher_that_comes_after_interface(master: FakeMaster) -> None:
+    receiver = await master.interface("SubscriberInterface", "std_msgs/String", "/later/latched")
+    await master.call(StartNode(NodeSpec("later", "probe", "echo.py", namespace="/later")))
+    assert text(await receiver.next()) == "kept"
+    await master.call(StopNode("later"))
+
+
+async def test_late_peer_gets_message_of_latched_publisher_that_came_after_interface(master: FakeMaster) -> None:
+    bound = await master.bind("SubscriberInterface", "std_msgs/String", "/younger/latched")
+    first = await master.connect(bound)
+    await master.call(StartNode(NodeSpec("younger", "probe", "echo.py", "once_subscribed", namespace="/younger")))
+    assert text(await first.next()) == "kept"
+    second = await master.connect(bound)
+    assert text(await second.next()) == "kept"
+    assert first.received.empty()
+    await master.call(StopNode("younger"))
+
+
+async def test_endpoint_does_not_receive_its_own_messages(master: FakeMaster) -> None:
+    sender = await master.interface("PublisherInterface", "std_msgs/String", "back")
+    receiver = await master.interface("SubscriberInterface", "std_msgs/String", "back")
+    there = await master.interface("PublisherInterface", "std_msgs/String", "there")
+    sender.publish(cdr("to myself"))
+    there.publish(cdr("to the node"))
+    assert text(await receiver.next()) == "to the node"
+
+
+async def test_qos_adapts_to_best_effort_nodes(master: FakeMaster) -> None:
+    there = await master.interface("PublisherInterface", "std_msgs/String", "/best/there")
+    back = await master.interface("SubscriberInterface", "std_msgs/String", "/best/back")
+    await master.call(StartNode(NodeSpec("best", "probe", "echo.py", "best_effort", namespace="best")))
+    async with asyncio.timeout(10):
+        while back.received.empty():  # the first messages may be lost
+            there.publish(cdr("effort"))
+            await asyncio.sleep(0.05)
+    await master.call(StopNode("best"))
+
+
+async def test_incompatible_qos_is_reported(master: FakeMaster) -> None:
+    bound = await master.bind("SubscriberInterface", "std_msgs/String", "back", Qos(durability="transient_local"))
+    report = await master.report(bound.tag)
+    assert report.error is not None
+    assert "publisher is reliable, volatile, the subscription reliable, transient_local" in report.error.message
+
+
+async def test_keep_all_drops_nothing(master: FakeMaster) -> None:
+    keep = Qos(history="keep_all")
+    there = await master.interface("PublisherInterface", "std_msgs/String", "/keep/there", keep)
+    back = await master.interface("SubscriberInterface", "std_msgs/String", "/keep/back", keep)
+    await master.call(StartNode(NodeSpec("keep", "probe", "echo.py", "keep_all", namespace="keep")))
+    for number in range(500):
+        while (room := there.wait_for_room()) is not None:
+            await room
+        there.publish(cdr(str(number)))
+    assert [text(await back.next()) for _ in range(500)] == [str(number) for number in range(500)]
+    await master.call(StopNode("keep"))
+
+
+async def test_large_messages(master: FakeMaster) -> None:
+    sender = await master.bind("PublisherInterface", "sensor_msgs/Image", "image")
+    there = await master.connect(sender)
+    back = await master.interface("SubscriberInterface", "sensor_msgs/Image", "image_back")
+    await master.call(StartNode(NodeSpec("large", "probe", "images.py")))
+    sent = Image(width=2000, height=1000, data=bytes(range(250)) * 24_000)
+    there.publish(serialize_message(sent))
+    same = deserialize_message(await back.next(), Image) == sent  # not their bytes, because padding is not initialized
+    assert same, "a bool, because pytest would print millions of numbers"
+    await master.call(StopNode("large"))
+
+
+async def test_payload_that_is_not_cdr_is_reported(master: FakeMaster) -> None:
+    there = await master.interface("PublisherInterface", "std_msgs/String", "there")
+    there.publish(b"nonsense")
+    report = await master.report(there.spec.tag)
+    assert report.error is not None
+    assert report.error.code == "conversion"
+
+
+@pytest.mark.parametrize("addr", ["", "a b", "1a", "/a//b", "a/"])
+async def test_invalid_ros_names_are_rejected(master: FakeMaster, addr: str) -> None:
+    with pytest.raises(InvalidRequest, match="addr"):
+        await master.bind("SubscriberInterface", "std_msgs/String", addr)
+
+
+@pytest.mark.parametrize("name", ["std_msgs/Strong", "none_msgs/String", "os/path", "std_srvs/SetBool"])
+async def test_unknown_types_are_rejected(master: FakeMaster, name: str) -> None:
+    with pytest.raises(UnknownType):
+        await master.bind("PublisherInterface", name, "a")
+
+
+async def test_definition_of_type_is_read(master: FakeMaster) -> None:
+    described = await master.call(DescribeType("user", "sensor_msgs/Image", service=False))
+    assert {"sensor_msgs/msg/Image", "std_msgs/msg/Header", "builtin_interfaces/msg/Time"} == set(described.texts)
+
+
+async def test_ros_graph_is_read(master: FakeMaster) -> None:
+    await master.interface("SubscriberInterface", "std_msgs/String", "/read/here")
+    await master.interface("ServiceProviderInterface", "std_srvs/SetBool", "/read/asked")
+    graph = await master.call(ReadGraph())
+    (topic,) = [each for each in graph.topics if each.name == "/read/here"]
+    assert (topic.types, topic.publishers, topic.subscribers) == (["std_msgs/msg/String"], 0, 1)
+    assert RosName("/read/asked", ["std_srvs/srv/SetBool"]) in graph.services
+
+
+async def test_unbound_interface_receives_nothing(master: FakeMaster) -> None:
+    bound = await master.bind("SubscriberInterface", "std_msgs/String", "back")
+    receiver = await master.connect(bound)
+    await master.call(Unbind(bound.id))
+    there = await master.interface("PublisherInterface", "std_msgs/String", "there")
+    back = await master.interface("SubscriberInterface", "std_msgs/String", "back")
+    there.publish(cdr("x"))
+    await back.next()
+    await asyncio.sleep(0)
+    assert receiver.received.empty()

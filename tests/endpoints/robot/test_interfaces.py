@@ -1,0 +1,180 @@
+"""Data messages, blobs and service calls through the interfaces of robots."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import struct
+from typing import Any
+
+import pytest
+
+from rce.protocol.blobs import PART
+from tests.support.endpoints.platforms import Platform, pair
+from tests.support.endpoints.raw_robot import USER, Json, Robot, eventually
+
+ID, OTHER = "0a" * 16, "0b" * 16
+BYTES = "std_msgs/UInt8MultiArray"
+
+
+@pytest.mark.parametrize("blob_first", [True, False])
+async def test_blob_and_frame_come_in_any_order(platform: Platform, blob_first: bool) -> None:
+    a, b = await pair(platform, BYTES)
+    frame = {"type": "DM", "data": {"iTag": "out", "type": BYTES, "msgID": "n", "msg": {"data*": ID}}}
+    blob = ID.encode() + bytes(range(256))
+    await a.send(*((blob, json.dumps(frame)) if blob_first else (json.dumps(frame), blob)))
+    got = await b.receive()
+    assert got["type"] == "DM", got
+    await a.expect_silence()
+
+
+def image(content: str) -> Json:
+    return {"type": "DM", "data": {"iTag": "out", "type": "std_msgs/String", "msgID": "n", "msg*": content}}
+
+
+async def forwarders(platform: Platform, features: str = "", **more: Any) -> tuple[Robot, Robot]:
+    a, b = await platform.robot("a", features), await platform.robot("b", features)
+    if features:
+        await a.receive()
+        await b.receive()
+    await a.add("out", "SubscriberForwarder", **more)
+    await a.add("in", "PublisherForwarder", of="b", **more)
+    await a.add("small", "SubscriberConverter")
+    await a.add("little", "PublisherConverter", of="b")
+    await a.connect("a/out", "b/in")
+    await a.connect("a/small", "b/little")
+    for robot in (a, b):
+        await robot.receive_all(2)
+    return a, b
+
+
+async def test_small_message_overtakes_parts_of_large_one(platform: Platform) -> None:
+    a, b = await forwarders(platform, "parts")
+    large = bytes(100) * 200_000
+    parts = [
+        ID.encode() + struct.pack("!II", offset, len(large)) + large[offset : offset + PART]
+        for offset in range(0, len(large), PART)
+    ]
+    b.socket.transport.pause_reading()
+    await a.send(image(ID), *parts)
+    await a.data("small", {"data": "quick"})
+    await a.expect_silence()
+    b.socket.transport.resume_reading()
+    frames = await b.until(lambda frame: isinstance(frame, bytes) and len(frame) < PART + 40)
+    kinds = ["part" if isinstance(frame, bytes) else frame["data"]["iTag"] for frame in frames]
+    assert kinds[0] == "in"
+    assert "little" in kinds[:-1], "before the last part"
+    got = [frame for frame in frames if isinstance(frame, bytes)]
+    assert b"".join(frame[40:] for frame in got) == large
+
+
+async def test_slow_robot_gets_newest_messages_and_report_of_drops(platform: Platform) -> None:
+    a, b = await forwarders(platform, "events", qos={"depth": 3})
+    b.socket.transport.pause_reading()
+    blob = bytes(1_000_000)
+    for number in range(40):
+        name = f"{number:032x}"
+        await a.send(image(name), name.encode() + number.to_bytes(4, "big") + blob)
+    await a.expect_silence()
+    assert platform.endpoint.sessions[f"{USER}/b"].outbox.backlog(b"") == 0
+    b.socket.transport.resume_reading()
+    frames = await b.until(lambda frame: isinstance(frame, dict) and frame["data"].get("topic") == "drops")
+    drops = frames.pop()["data"]
+    numbers = [int.from_bytes(frame[32:36], "big") for frame in frames if isinstance(frame, bytes)]
+    assert numbers == sorted(numbers)
+    assert numbers[-3:] == [37, 38, 39]
+    assert drops == {"topic": "drops", "iTag": "in", "count": 40 - len(numbers), "where": "on the way to the robot"}
+
+
+async def test_keep_all_slows_down_sender_and_drops_nothing(platform: Platform) -> None:
+    a, b = await forwarders(platform, qos={"history": "keep_all"})
+    c = await platform.robot("c")
+    b.socket.transport.pause_reading()
+    count, blob = 60, bytes(1_000_000)
+
+    async def stream() -> None:
+        for number in range(count):
+            name = f"{number:032x}"
+            await a.send(image(name), name.encode() + number.to_bytes(4, "big") + blob)
+
+    sending = asyncio.create_task(stream())
+    session = platform.endpoint.sessions[f"{USER}/a"]
+    await eventually(lambda: session.socket._paused_until is not None)  # type: ignore[union-attr]
+    held = sum(len(queue.waiting) for queue in platform.endpoint.sessions[f"{USER}/b"].outbox._queues.values())
+    assert held < 20, "the queue is bounded"
+    assert not sending.done(), "the sender has to wait"
+    await c.expect_silence()
+    b.socket.transport.resume_reading()
+    numbers = []
+    for _ in range(count):
+        await b.receive()
+        numbers.append(int.from_bytes((await b.receive())[32:36], "big"))
+    assert numbers == list(range(count))
+    await sending
+
+
+async def service(platform: Platform, features: str = "") -> tuple[Robot, Robot]:
+    """Return a robot that calls a service by its interface `ask`, and one that answers at `serve`."""
+    caller, server_ = await platform.robot("caller", features), await platform.robot("server", features)
+    if features:
+        await caller.receive()
+        await server_.receive()
+    await caller.add("ask", "ServiceProviderConverter", "std_srvs/SetBool")
+    await caller.add("serve", "ServiceClientConverter", "std_srvs/SetBool", of="server")
+    await caller.connect("caller/ask", "server/serve")
+    await caller.receive()
+    await server_.receive()
+    return caller, server_
+
+
+async def test_service_calls_between_robots(platform: Platform) -> None:
+    caller, provider = await service(platform)
+    kind = "std_srvs/SetBool"
+    for number in range(5):
+        await caller.data("ask", {"data": True}, kind, f"call{number}")
+    requests = await provider.receive_all(5)
+    assert len({request["data"]["msgID"] for request in requests}) == 5
+    for number, request in reversed(list(enumerate(requests))):
+        answer = {"success": True, "message": str(number)}
+        await provider.data("serve", answer, kind, request["data"]["msgID"])
+    answers = await caller.receive_all(5)
+    assert {(each["data"]["msgID"], each["data"]["msg"]["message"]) for each in answers} == {
+        (f"call{number}", str(number)) for number in range(5)
+    }
+    await provider.data("serve", {"success": True}, kind, requests[0]["data"]["msgID"])
+    assert "no unanswered call" in (await provider.receive())["data"], "only the first answer counts"
+
+
+async def test_failed_service_calls_are_reported(make_platform: Any) -> None:
+    platform = await make_platform(service_timeout=0.2)
+    caller, provider = await service(platform, "ack")
+    kind = "std_srvs/SetBool"
+
+    async def failure() -> tuple[str, str]:
+        answer = await caller.receive()
+        assert answer["type"] == "ER", answer
+        assert answer["error"]["fields"]["iTag"] == "ask"
+        return answer["error"]["fields"]["msgID"], answer["error"]["code"]
+
+    await caller.data("ask", {"data": True}, kind, "late")
+    late = (await provider.receive())["data"]["msgID"]
+    assert await failure() == ("late", "timed_out")
+    await provider.data("serve", {"success": True}, kind, late)
+    assert (await provider.receive())["error"]["code"] == "not_connected"
+
+    await caller.data("ask", {"data": True}, kind, "refused")
+    name = (await provider.receive())["data"]["msgID"]
+    await provider.send({"type": "DM", "data": {"iTag": "serve", "type": kind, "msgID": name, "error": "no motor"}})
+    assert (await failure())[0] == "refused"
+
+    await caller.data("ask", {"data": True}, kind, "wrong")
+    name = (await provider.receive())["data"]["msgID"]
+    await provider.data("serve", {"success": "perhaps"}, kind, name)
+    assert (await failure()) == ("wrong", "conversion")
+    assert (await provider.receive())["error"]["code"] == "conversion"
+
+    await caller.data("ask", {"data": True}, kind, "cut")
+    await provider.receive()
+    await provider.send({"type": "CX", "data": {"disconnect": [{"tagA": "caller/ask", "tagB": "server/serve"}]}})
+    frames = await caller.receive_all(2)
+    assert {frame["type"] for frame in frames} == {"ER", "ST"}

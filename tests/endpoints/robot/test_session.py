@@ -1,0 +1,97 @@
+"""Commands of a robot, acknowledgements and errors, with and without features."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.support.endpoints.platforms import Platform, pair
+from tests.support.endpoints.raw_robot import USER, dm, status
+
+
+async def test_success_is_not_acknowledged_without_features(platform: Platform) -> None:
+    a, b = await pair(platform)
+    await a.data("out", {"data": "hi"}, id=7)
+    assert await b.receive() == dm("in", {"data": "hi"})
+    await a.expect_silence()
+    await a.send({"type": "CX", "data": {"disconnect": [{"tagA": "b/in", "tagB": "a/out"}]}, "id": 1})
+    assert await a.receive() == status("out", False)
+    assert await b.receive() == status("in", False)
+    await a.data("out", {"data": "to nobody"})
+    await a.expect_silence()
+    await a.send({"type": "CN", "data": {"removeNodes": [{"containerTag": "c", "nodeTag": "n"}]}, "id": 2})
+    answer = await a.receive()
+    assert answer.keys() == {"type", "data"}
+    assert isinstance(answer["data"], str)
+
+
+@pytest.mark.parametrize("id", [0, -5, "", "text", 2**60])
+async def test_frame_with_id_is_acknowledged(platform: Platform, id: int | str) -> None:
+    a, b = await pair(platform, features="ack")
+    await a.data("out", {"data": "hi"}, id=id)
+    assert await a.receive() == {"type": "ST", "id": id, "data": {"topic": "ack"}}
+    await a.send({"type": "CN", "data": {}, "id": id})
+    assert await a.receive() == {"type": "ST", "id": id, "data": {"topic": "ack"}}
+    await a.data("none", {"data": "hi"}, id=id)
+    answer = await a.receive()
+    assert (answer["type"], answer["id"], answer["error"]["code"]) == ("ER", id, "not_found")
+    await b.send("{}")
+    assert "id" not in await b.receive()
+
+
+async def test_items_before_malformed_one_are_executed(platform: Platform) -> None:
+    a = await platform.robot("a", "ack")
+    await a.receive()
+    good = {"endpointTag": "a", "interfaceTag": "one", "interfaceType": "PublisherConverter", "className": "a/B"}
+    good["className"] = "std_msgs/String"
+    later = good | {"interfaceTag": "later"}
+    bad = {key: value for key, value in good.items() if key != "className"}
+    await a.send({"type": "CN", "id": 3, "data": {"setParam": [1], "addInterfaces": [good, bad, later]}})
+    answer = await a.receive()
+    assert (answer["type"], answer["id"], answer["error"]["item"]) == ("ER", 3, "addInterfaces[1]")
+    assert "className" in answer["data"]
+    await a.expect_silence()
+    for tag, there in (("one", True), ("later", False)):
+        item = {"endpointTag": "a", "interfaceTag": tag}
+        await a.send({"type": "CN", "id": tag, "data": {"removeInterfaces": [item]}})
+        answer = await a.receive()
+        assert (answer["type"], answer["id"]) == ("ST" if there else "ER", tag)
+
+
+async def test_rejected_item_is_named_and_others_are_executed(platform: Platform) -> None:
+    a = await platform.robot("a", "ack")
+    await a.receive()
+    item = {"endpointTag": "a", "interfaceType": "PublisherConverter", "className": "std_msgs/String"}
+    items = [item | {"interfaceTag": tag} for tag in ("one", "1", "two")]
+    await a.send({"type": "CN", "id": 3, "data": {"addInterfaces": items}})
+    answer = await a.receive()
+    assert (answer["type"], answer["id"], answer["error"]["item"]) == ("ER", 3, "addInterfaces[1]")
+    await a.expect_silence()
+    assert set(platform.endpoint.sessions[f"{USER}/a"].interfaces) == {"one", "two"}
+
+
+async def test_pipelined_commands_are_executed_in_order(platform: Platform) -> None:
+    a = await platform.robot("a", "ack")
+    await a.receive()
+    for number in range(60):
+        await a.add("x", "PublisherConverter")
+        await a.add("y", "SubscriberConverter")
+        await a.connect("a/x", "a/y")
+        items = [{"endpointTag": "a", "interfaceTag": tag} for tag in "xy"]
+        await a.send({"type": "CN", "id": number, "data": {"removeInterfaces": items}})
+    frames = await a.until(lambda frame: frame.get("id") == 59)
+    assert not [frame for frame in frames if frame["type"] == "ER"]
+    assert sorted(frame["id"] for frame in frames if "id" in frame) == list(range(60))
+
+
+async def test_commands_in_progress_are_limited(platform: Platform) -> None:
+    a = await platform.robot("a", "ack")
+    await a.receive()
+    items = [{"containerTag": "c", "nodeTag": "n"}] * 1001
+    await a.send({"type": "CN", "id": 1, "data": {"removeNodes": items}})
+    answer = await a.receive()
+    assert (answer["id"], answer["error"]["code"]) == (1, "limit_exceeded")
+    await a.send({"type": "CN", "id": 2, "data": {"x": "y" * 5_000_000}})
+    answer = await a.receive()
+    assert (answer["id"], answer["error"]["code"]) == (2, "limit_exceeded")
+    await a.send({"type": "CN", "id": 3, "data": {}})
+    assert (await a.receive())["id"] == 3

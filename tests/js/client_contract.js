@@ -1,0 +1,219 @@
+// Contract tests of the JavaScript client at a real platform, for Node and for pages. `run(rce, options)` returns the
+// names of the passed tests, or throws the first failure. `tag` makes the names of robots unique to a run, `skip` has
+// the names of tests to leave out.
+
+export async function run(rce, { url, user, password, WebSocket, tag, skip = [] }) {
+  const passed = [];
+  const robot = (name, more = {}) => new rce.Robot(url, {
+    user, password, robot: `${tag}${name}`, timeout: 20, ...(WebSocket ? { WebSocket } : {}), ...more });
+  for (const [name, test] of Object.entries(tests)) {
+    if (skip.includes(name)) continue;
+    const open = [];
+    const make = async (letter, more) => {
+      const made = robot(`${name.replace(/\W/g, "_")}_${letter}`, more);
+      open.push(made);
+      await made.open();
+      return made;
+    };
+    try {
+      await test(make, rce, tag);
+    } catch (error) {
+      throw new Error(`${name}: ${error.stack}`);
+    } finally {
+      await Promise.all(open.map((each) => each.close()));
+    }
+    passed.push(name);
+  }
+  return passed;
+}
+
+const [STRING, POSE, INT64, SET_BOOL] = ["std_msgs/String", "geometry_msgs/Pose2D", "std_msgs/Int64", "std_srvs/SetBool"];
+
+function equal(got, wanted) {
+  const text = (value) => JSON.stringify(value, (_, item) =>
+    typeof item === "bigint" || Number.isNaN(item) || Math.abs(item) === Infinity ? `${typeof item} ${item}` : item);
+  if (text(got) !== text(wanted)) throw new Error(`got ${text(got)?.slice(0, 300)}, not ${text(wanted)?.slice(0, 300)}`);
+}
+
+async function throws(kind, promise, words = "") {
+  const error = await promise.then(() => null, (reason) => reason);
+  if (!(error instanceof kind) || !error.message.includes(words)) {
+    throw new Error(`got ${error?.stack}, not ${kind.name} ${words}`);
+  }
+  return error;
+}
+
+async function pair(make, type, options = {}) {
+  const [a, b] = await Promise.all([make("a"), make("b")]);
+  const subscriber = await b.subscriber("in", type, options);
+  const publisher = await a.publisher("out", type, { ...options, to: `${b.name}/in` });
+  return { a, b, subscriber, publisher };
+}
+
+async function event(events, topic) {
+  for (;;) {
+    const each = await events.get(20);
+    if (each.topic === topic) return each;
+  }
+}
+
+const breakSocket = (robot, code = 4000) => robot.connection.close(code, "broken by the test");
+
+const tests = {
+  async "values arrive unchanged"(make) {
+    const { a, b, publisher, subscriber } = await pair(make, POSE);
+    for (const pose of [{ x: 1.5, y: -2, theta: 0.5 }, { x: NaN, y: Infinity, theta: -Infinity }]) {
+      await publisher.publish(pose);
+      equal(await subscriber.get(10), pose);
+    }
+    const numbers = await b.subscriber("numbers", INT64);
+    const number = await a.publisher("number", INT64, { to: `${b.name}/numbers` });
+    await number.publish({ data: -42 });
+    equal(await numbers.get(10), { data: -42 });
+    if (JSON.rawJSON) {
+      await number.publish({ data: 9007199254740993n });
+      equal(await numbers.get(10), { data: 9007199254740993n });
+    }
+    const words = await b.subscriber("words", STRING);
+    const word = await a.publisher("word", STRING, { to: `${b.name}/words` });
+    await word.publish({ data: "NaN" });
+    equal(await words.get(10), { data: "NaN" });
+  },
+
+  async "blobs of any size arrive unchanged"(make) {
+    const { publisher, subscriber } = await pair(make, STRING, { raw: true });
+    for (const size of [1, 1000, 262144, 3 * 262144 + 1]) {
+      const bytes = Uint8Array.from({ length: size }, (_, index) => (index * 7919) >> 3);
+      await publisher.publish(bytes);
+      const got = await subscriber.get(10);
+      equal([got instanceof Uint8Array, got.length, got.every((byte, index) => byte === bytes[index])], [true, size, true]);
+    }
+  },
+
+  async "small message overtakes large one"(make) {
+    const [a, b] = await Promise.all([make("a"), make("b")]);
+    const order = [];
+    const done = new Promise((resolve) => {
+      b.subscriber("images", STRING, { raw: true, callback: () => { order.push("large"); resolve(); } });
+    });
+    await b.subscriber("velocities", POSE, { callback: () => order.push("small") });
+    const images = await a.publisher("images", STRING, { raw: true, to: `${b.name}/images` });
+    const velocities = await a.publisher("velocities", POSE, { to: `${b.name}/velocities` });
+    await images.publish(new Uint8Array(10_000_000));
+    await velocities.publish({ x: 1 });
+    await done;
+    equal(order, ["small", "large"]);
+  },
+
+  async "service responses, errors and timeouts"(make, rce) {
+    const [a, b] = await Promise.all([make("a"), make("b")]);
+    await b.serviceProvider("gripper", SET_BOOL, async ({ data }) => {
+      if (!data) throw new TypeError("the gripper is stuck");
+      return { success: true, message: "ok" };
+    });
+    await b.serviceProvider("slow", SET_BOOL, () => new Promise(() => {}));
+    const gripper = await a.serviceClient("gripper", SET_BOOL, { to: `${b.name}/gripper` });
+    equal(await Promise.all([1, 2, 3].map(() => gripper.call({ data: true }))), Array(3).fill({ success: true, message: "ok" }));
+    await throws(rce.RceError, gripper.call({ data: false }), "the gripper is stuck");
+    const slow = await a.serviceClient("slow", SET_BOOL, { to: `${b.name}/slow` });
+    await throws(rce.TimedOut, slow.call({ data: true }, 0.05), "slow");
+  },
+
+  async "failed commands reject with their errors"(make, rce) {
+    const [a, b] = await Promise.all([make("a"), make("b")]);
+    await a.publisher("out", STRING);
+    await b.subscriber("in", POSE);
+    await throws(rce.NotFound, a.connect(`${a.name}/out`, `${b.name}/nothing`));
+    await throws(rce.NotConnectable, a.connect(`${a.name}/out`, `${b.name}/in`));
+    const add = (tag) => ["addInterfaces", {
+      endpointTag: a.name, interfaceTag: tag, interfaceType: "SubscriberConverter", className: STRING }];
+    const error = await throws(rce.AlreadyExists, a.configure(add("other"), add("out")));
+    equal([error.code, error.item], ["already_exists", "commands[1]"]);
+    await a.removeInterface(a.name, "other");
+    await throws(rce.NotFound, a.removeInterface(a.name, "other"));
+    await throws(rce.NotFound, a.publisher("trace", STRING, { to: `${b.name}/nothing` }));
+    await a.publisher("trace", STRING);
+  },
+
+  async "without peer publish rejects and offer drops"(make, rce) {
+    const [a, b] = await Promise.all([make("a"), make("b")]);
+    const publisher = await a.publisher("out", STRING);
+    await throws(rce.NotConnected, publisher.publish({ data: "x" }, 0.01), "out");
+    equal([publisher.offer({ data: "x" }), publisher.dropped], [false, 1]);
+    const subscriber = await b.subscriber("in", STRING, { to: `${a.name}/out` });
+    await publisher.waitConnected();
+    equal(publisher.offer({ data: "y" }), true);
+    equal(await subscriber.get(10), { data: "y" });
+  },
+
+  async "resumed session keeps interfaces and connections"(make) {
+    const { a, b, publisher, subscriber } = await pair(make, STRING);
+    for (const each of [a, b]) {
+      const events = each.events();
+      breakSocket(each);
+      await event(events, "disconnected");
+      const late = await a.publisher(`late_${each === a ? "a" : "b"}`, STRING); // a command while offline
+      equal((await event(events, "reconnected")).resumed, true);
+      await late.close();
+      await publisher.publish({ data: each.name });
+      equal(await subscriber.get(10), { data: each.name });
+    }
+  },
+
+  async "new session restores interfaces and connections"(make, rce) {
+    const { a, publisher, subscriber } = await pair(make, STRING);
+    const gone = await a.publisher("gone", STRING);
+    await gone.close();
+    const events = a.events();
+    breakSocket(a, 1000); // ends the session
+    equal((await event(events, "reconnected")).resumed, false);
+    await publisher.publish({ data: "again" });
+    equal(await subscriber.get(10), { data: "again" });
+    await throws(rce.NotFound, a.removeInterface(a.name, "gone"));
+  },
+
+  async "refused robots get the reason"(make, rce) {
+    await make("a");
+    await throws(rce.AlreadyExists, make("a"));
+    await throws(rce.Unauthorized, make("b", { password: "wrong" }));
+    await throws(rce.InvalidRequest, make("c-d"), "robotID");
+    await throws(rce.InvalidRequest, make("e", { key: "rce_x" }), "either a password or an API key");
+  },
+
+  async "close flushes queued messages and ends readers"(make, rce) {
+    const { a, publisher, subscriber } = await pair(make, STRING, { depth: 100 });
+    const own = await a.subscriber("own", STRING);
+    for (let count = 0; count < 20; count += 1) await publisher.publish({ data: "x".repeat(100_000) });
+    await a.close();
+    for await (const message of own) throw new Error(`got ${message}`);
+    for (let count = 0; count < 20; count += 1) await subscriber.get(10);
+    await throws(rce.Unavailable, a.connect("x/y", "y/z"));
+  },
+
+  async "environment is created, used and destroyed"(make, rce, tag) {
+    const a = await make("a");
+    const events = a.events();
+    const environment = a.environment(`${tag}_land`, { size: 1 });
+    await environment.create();
+    try {
+      await throws(rce.AlreadyExists, environment.create());
+      await environment.create({ existOk: true });
+      await environment.setParameter("rate", 10);
+      await environment.deleteParameter("rate");
+      await throws(rce.NotFound, environment.deleteParameter("rate"));
+      await environment.addNode("echo", "rce_demo", "echo.py");
+      const subscriber = await environment.subscriber("/heard", STRING);
+      const publisher = await environment.publisher("/say", STRING);
+      let answer = null;
+      for (let tries = 0; !answer && tries < 60; tries += 1) { // until the node is running
+        await publisher.publish({ data: "hello" });
+        answer = await subscriber.get(0.5).catch(() => null);
+      }
+      equal(answer, { data: "hello" });
+      await environment.removeNode("echo");
+    } finally {
+      await environment.destroy();
+    }
+    equal((await event(events, "environment")).containerTag, `${tag}_land`);
+  },
+};

@@ -1,0 +1,139 @@
+"""Events over HTTP: a client that reconnects with the id of its last event misses none."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+from twisted.internet.base import ReactorBase
+
+from master.api import streams
+from master.live import events
+from rce.api.roles import Scopes
+from rce.api.views import Event
+from rce.control.calls.endpoints import NodeDied
+from rce.control.calls.environments import EnvironmentDied, LimitReached
+from rce.protocol import messages as m
+from tests.support.master.served import Served, serve
+from tests.support.master.sse import follow
+
+
+@pytest.fixture
+async def served(reactor: ReactorBase, tmp_path: Path) -> AsyncIterator[Served]:
+    async with serve(reactor, tmp_path) as served:
+        await served.robot("ann", "r1")
+        yield served
+
+
+async def test_events_are_sent(served: Served) -> None:
+    follower = await follow(served, "/events", "ann")
+    run = served.master.commands.execute
+    await run("bob", m.CreateContainer("other"))
+    await run("ann", m.CreateContainer("brain", m.ContainerData(restart="no")))
+    ready = await follower.next()
+    assert (ready["type"], ready["user"], ready["object"]) == ("environment.ready", "ann", "ann/brain")
+    await run("ann", m.AddNode("brain", "n", "demo", "talker"))
+    await served.call_master("ann/brain", NodeDied("n", -11, ["Segmentation fault"]))
+    died = await follower.next()
+    assert (died["type"], died["object"], died["status"]) == ("node.died", "ann/brain/n", -11)
+    assert died["lines"] == ["Segmentation fault"]
+    await run("ann", m.AddInterface("brain", "out", "SubscriberInterface", "std_msgs/String"))
+    await run("ann", m.AddInterface("r1", "in", "PublisherConverter", "std_msgs/String"))
+    await run("ann", m.Connect("brain/out", "r1/in"))
+    life = served.master.state.environments["ann/brain"].run
+    await served.call_master("m1", LimitReached("ann/brain", life, "out of memory"))
+    await served.master.sessions.disconnect("ann/r1", "")
+    assert await follower.types(4) == ["connection.made", "limit.reached", "connection.gone", "robot.left"]
+    await served.call_master("m1", EnvironmentDied("ann/brain", life, "ended with status 1"))
+    assert await follower.types(2) == ["environment.gone", "environment.lost"]
+    await follower.close()
+
+
+async def test_client_continues_after_its_last_event(served: Served) -> None:
+    first = await follow(served, "/events?type=environment", "ann")
+    for tag in ("a", "b", "c"):
+        await served.master.commands.execute("ann", m.CreateContainer(tag))
+    last = (await first.next())["id"]
+    await first.close()
+    second = await follow(served, "/events?type=environment.ready", "ann", Last_Event_ID=last)
+    assert [(await second.next())["object"] for _ in range(2)] == ["ann/b", "ann/c"]
+    await second.close()
+    third = await follow(served, "/events", "ann", Last_Event_ID="0badcafe-7")  # of an earlier run of the Master
+    assert await third.types(3) == ["missed", "robot.came", "environment.ready"]
+    await third.close()
+
+
+async def test_evicted_events_are_reported_as_missed(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(events, "MAX_EVENTS", 3)
+    follower = await follow(served, "/events", "ann")
+    log = served.master.events
+    reading = log.follow(log.position(""))
+    for tag in ("a", "b", "c", "d", "e"):
+        log.status_sent("ann", m.EnvironmentEvent(tag, "ready"))
+    seen = [await anext(reading) for _ in range(4)]
+    assert [each.object for each in seen] == ["", "ann/c", "ann/d", "ann/e"]
+    assert seen[0].type == "missed"
+    log.status_sent("ann", m.EnvironmentEvent("f", "ready"))
+    assert (await anext(reading)).object == "ann/f"
+    await reading.aclose()  # type: ignore[attr-defined]
+    await follower.close()
+
+
+async def test_users_get_events_of_what_they_may_see(served: Served) -> None:
+    bob, tied = await follow(served, "/events?user=*", "bob"), Scopes(robot="r9", environments=["b"])
+    olga, key = await follow(served, "/events?user=*", "olga"), await follow(served, "/events", "ann", tied)
+    for user, tag in (("ann", "a"), ("ann", "b"), ("bob", "c")):
+        await served.master.commands.execute(user, m.CreateContainer(tag))
+    await served.process("container", "m2", capacity=1)
+    assert (await bob.next())["object"] == "bob/c"
+    assert (await key.next())["object"] == "ann/b"
+    assert [(await olga.next())["object"] for _ in range(4)] == ["ann/a", "ann/b", "bob/c", "m2"]
+    for follower in (bob, olga, key):
+        await follower.close()
+
+
+async def test_revoked_key_ends_the_stream(served: Served) -> None:
+    follower = await follow(served, "/events", "ann")
+    (key,) = await served.master.users.keys.of("ann")
+    await served.master.guard.revoke_key("ann", key.id)
+    assert await follower.next() is None
+    await follower.close()
+
+
+@pytest.mark.parametrize("path", ["/events", "/environments/brain/log"])
+async def test_last_event_id_that_is_too_long_is_refused(served: Served, path: str) -> None:
+    await served.master.commands.execute("ann", m.CreateContainer("brain"))
+    answer = await served.ask("GET", path, "ann", **{"Last-Event-ID": "1" * 256})
+    assert (answer.status, answer.body["field"]) == (400, "Last-Event-ID")
+
+
+async def test_stream_that_is_not_read_is_paused_and_can_be_revoked(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(streams, "CLOSE_TIMEOUT", 0.1)
+    sent = 0
+
+    async def endless(position: int) -> AsyncIterator[Event]:
+        nonlocal sent
+        while True:
+            sent += 1
+            yield Event(f"run-{sent}", 0.0, "environment.failed", "ann", "ann/brain", text=100_000 * "x")
+
+    monkeypatch.setattr(served.master.events, "follow", endless)
+    follower = await follow(served, "/events", "ann")
+    before = -1
+    async with asyncio.timeout(20):
+        while before != sent:
+            before = sent
+            await asyncio.sleep(0.2)
+    assert 100_000 * sent < 100_000_000
+    (key,) = await served.master.users.keys.of("ann")
+    await served.master.guard.revoke_key("ann", key.id)
+    with contextlib.suppress(ConnectionError):
+        async with asyncio.timeout(20):
+            while await follower.read_some():
+                pass
+    await follower.close()

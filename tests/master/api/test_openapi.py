@@ -1,0 +1,76 @@
+"""OpenAPI document of the API: valid, complete, and true for random requests."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import re
+import sys
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+from openapi_spec_validator import validate
+from twisted.internet.base import ReactorBase
+
+from tests.support.master.served import Served, serve
+from tests.support.paths import TESTS
+
+
+@pytest.fixture
+async def served(reactor: ReactorBase, tmp_path: Path) -> AsyncIterator[Served]:
+    async with serve(reactor, tmp_path) as served:
+        yield served
+
+
+async def test_document_is_valid_and_public(served: Served) -> None:
+    answer = await served.ask("GET", "/openapi.json", "")
+    assert answer.status == 200
+    validate(answer.body)
+    operations = [each for path in answer.body["paths"].values() for each in path.values()]
+    ids = [each["operationId"] for each in operations]
+    assert len(ids) == len(set(ids))
+    assert all(each["summary"] for each in operations)
+    described = {name for each in operations for name in re.findall(r"{(\w+)}", str(each)) if "{" in name}
+    assert not described
+    create = answer.body["paths"]["/api/v1/environments"]["post"]
+    assert create["requestBody"]["content"]["application/json"]["schema"]["$ref"].endswith("/NewEnvironment")
+    assert [each["name"] for each in create["parameters"]] == ["user", "Idempotency-Key"]
+    log = answer.body["paths"]["/api/v1/environments/{environment}/log"]["get"]["responses"]["200"]["content"]
+    assert log.keys() == {"application/json", "text/event-stream"}
+
+
+LEFT_OUT = ("/api/v1/events", "/api/v1/live")
+"""Endless answers."""
+
+
+@pytest.mark.slow
+async def test_random_requests_are_answered_as_the_document_says(
+    served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Schemathesis with a seed: good and bad requests to each operation, as an operator who has a robot."""
+    monkeypatch.setattr(served.master.users.throttle, "check", lambda name, address: None)  # it tries bad passwords
+    await served.robot("olga", "r1")
+    secret, _ = await served.master.users.keys.add("olga", "operator")
+    words = [
+        *(str(Path(sys.executable).with_name("st")), "run", f"{served.url}/api/v1/openapi.json"),
+        *("--header", f"Authorization: Bearer {secret}", "--seed", "1", "--max-examples", "1", "--no-color"),
+        *("--generation-database", "none", "--request-timeout", "20", "--continue-on-failure"),
+        *("--phases", "coverage,fuzzing"),
+        *(word for path in LEFT_OUT for word in ("--exclude-path", path)),
+        *("--exclude-operation-id", "delete_api_v_keys_key", "--exclude-operation-id", "post_api_v_keys_key_rotate"),
+    ]
+    process = await asyncio.create_subprocess_exec(
+        *words,
+        cwd=tmp_path,
+        env=os.environ | {"SCHEMATHESIS_HOOKS": "schemathesis_hooks", "PYTHONPATH": str(TESTS / "support" / "master")},
+        stdin=asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.STDOUT,
+    )
+    try:
+        output, _ = await asyncio.wait_for(process.communicate(), 400)
+    finally:
+        if process.returncode is None:
+            process.kill()
+    assert process.returncode == 0, output.decode()

@@ -1,0 +1,170 @@
+"""Lifecycle of environments and nodes: start, failure, death and restart."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+
+from master.graph.records import Ref
+from rce.control.calls.call import Nothing
+from rce.control.calls.endpoints import AddRoute, Bind, NodeDied, StartNode, Sync
+from rce.control.calls.environments import (
+    EnvironmentDied,
+    KeepEnvironments,
+    LimitReached,
+    StartEnvironment,
+    StopEnvironment,
+)
+from rce.control.calls.robots import DescribeType, SendStatus
+from rce.errors import ErrorInfo, NotFound, StartFailed, Unauthorized
+from rce.protocol import messages as m
+from tests.support.master.peers import PATIENCE, Furnished, Platform, execute, login, told
+
+
+async def test_environment_is_acknowledged_when_it_is_in_sync(platform: Platform) -> None:
+    west = await platform.endpoint()
+    m1 = await platform.process("container", "m1", capacity=4)
+    assert (await m1.next(KeepEnvironments)).runs == []
+    await login(west, "ann/r1")
+    made = asyncio.ensure_future(execute(west, "ann/r1", m.CreateContainer("brain")))
+    node = asyncio.ensure_future(execute(west, "ann/r1", m.AddNode("brain", "n", "p", "e")))
+    spec = (await m1.next(StartEnvironment)).environment
+    assert spec.name == "ann/brain"
+    assert not made.done()
+    brain = await platform.process("environment", spec.name, token=spec.token)
+    sync = await brain.next(Sync)
+    assert [each.tag for each in sync.nodes] == ["n"]
+    assert (await made, await node) == (Nothing(), Nothing())
+    await execute(west, "ann/r1", m.DestroyContainer("brain"))
+    assert (await m1.next(StopEnvironment)).name == "ann/brain"
+
+
+async def test_failed_start_is_reported_and_undone(platform: Platform) -> None:
+    west = await platform.endpoint()
+    m1 = await platform.process("container", "m1", capacity=4)
+    await login(west, "ann/r1")
+    m1.refuse[StartEnvironment] = StartFailed("no image", image="x")
+    with pytest.raises(StartFailed, match="no image") as raised:
+        await execute(west, "ann/r1", m.CreateContainer("brain"))
+    assert raised.value.info.fields == {"image": "x"}
+    await m1.next(StopEnvironment)
+    assert len(platform.master.state.environments) == 0
+
+
+async def test_environment_that_does_not_join_is_reported_and_undone(platform: Platform) -> None:
+    west = await platform.endpoint()
+    m1 = await platform.process("container", "m1", capacity=4)
+    await login(west, "ann/r1")
+    made = execute(west, "ann/r1", m.CreateContainer("brain"))
+    spec = (await m1.next(StartEnvironment)).environment
+    await m1.call(EnvironmentDied(spec.name, spec.run, "exit status 1"))
+    with pytest.raises(StartFailed, match="exit status 1"):
+        await made
+    await m1.next(StopEnvironment)
+    assert len(platform.master.state.environments) == 0
+
+
+async def test_dead_environment_is_restarted(furnished: Furnished) -> None:
+    platform, m1, west, brain = furnished.platform, furnished.m1, furnished.west, furnished.brain
+    first = platform.master.state.environments["ann/brain"].run
+    await m1.call(EnvironmentDied("ann/brain", first, "killed"))
+    told = (await west.next(SendStatus)).status
+    while told != m.EnvironmentEvent("brain", "lost", "killed"):
+        told = (await west.next(SendStatus)).status
+    spec = (await m1.next(StartEnvironment)).environment
+    assert spec.run != first
+    with pytest.raises(Unauthorized):
+        await platform.process("environment", "ann/brain", token=brain.credential)
+    second = await platform.process("environment", spec.name, token=spec.token)
+    assert [each.tag for each in (await second.next(Sync)).interfaces] == ["pose"]
+    assert (await second.next(AddRoute)).route.link != furnished.link
+
+
+async def test_failed_restart_is_retried(furnished: Furnished) -> None:
+    platform, m1 = furnished.platform, furnished.m1
+    m1.refuse[StartEnvironment] = StartFailed("engine is down")
+    run = platform.master.state.environments["ann/brain"].run
+    await m1.call(EnvironmentDied("ann/brain", run, "killed"))
+    runs = [(await m1.next(StartEnvironment)).environment.run for _ in range(3)]
+    assert len({run, *runs}) == 4
+    m1.refuse.clear()
+    await platform.environment(m1)
+
+
+async def test_type_request_does_not_prevent_a_restart(furnished: Furnished) -> None:
+    platform, m1 = furnished.platform, furnished.m1
+    run = platform.master.state.environments["ann/brain"].run
+    await m1.call(EnvironmentDied("ann/brain", run, "killed"))
+    second = (await m1.next(StartEnvironment)).environment
+    asked = asyncio.ensure_future(furnished.west.call(DescribeType("ann", "my_msgs/msg/A", False)))
+    await platform.until(lambda: Ref("environment", "ann/brain") in platform.master._runner.readiness._waiting)
+    await m1.call(EnvironmentDied("ann/brain", second.run, "killed again"))
+    await platform.environment(m1)
+    assert isinstance(await asyncio.wait_for(asyncio.wait([asked]), PATIENCE), tuple)
+    asked.exception()
+
+
+async def test_environment_with_restart_no_is_not_restarted(platform: Platform) -> None:
+    west = await platform.endpoint()
+    m1 = await platform.process("container", "m1", capacity=4)
+    await login(west, "ann/r1")
+    made = execute(west, "ann/r1", m.CreateContainer("brain", m.ContainerData(restart="no")))
+    await platform.environment(m1)
+    await made
+    run = platform.master.state.environments["ann/brain"].run
+    await m1.call(EnvironmentDied("ann/brain", run, "killed"))
+    assert len(platform.master.state.environments) == 0
+
+
+async def test_type_is_looked_up_in_the_users_environments(furnished: Furnished) -> None:
+    answer = await furnished.west.call(DescribeType("ann", "my_msgs/msg/A", False))
+    assert answer.texts == {"my_msgs/msg/A": "of ann/brain"}
+
+
+async def test_node_that_ran_is_restarted(furnished: Furnished) -> None:
+    await execute(furnished.west, "ann/r1", m.AddNode("brain", "n", "p", "e"))
+    first = await furnished.brain.next(StartNode)
+    await furnished.brain.call(NodeDied("n", -9, ["last words"], seconds=60))
+    event = await told(furnished.west, m.NodeEvent)
+    assert event == m.NodeEvent("brain", "n", -9, ["last words"])
+    assert await furnished.brain.next(StartNode) == first
+
+
+async def test_failed_restart_of_a_node_is_reported(furnished: Furnished) -> None:
+    await execute(furnished.west, "ann/r1", m.AddNode("brain", "n", "p", "e"))
+    furnished.brain.refuse[StartNode] = StartFailed("its file is gone")
+    await furnished.brain.call(NodeDied("n", 1, [], seconds=60))
+    assert (await told(furnished.west, ErrorInfo)).message == "its file is gone"
+    assert len(furnished.platform.master.state.nodes) == 0
+
+
+@pytest.mark.parametrize("died", [NodeDied("n", 0, [], seconds=60), NodeDied("n", 1, [], seconds=1)])
+async def test_ended_or_broken_node_frees_its_tag(furnished: Furnished, died: NodeDied) -> None:
+    await execute(furnished.west, "ann/r1", m.AddNode("brain", "n", "p", "e"))
+    await furnished.brain.call(died)
+    assert (await told(furnished.west, m.NodeEvent)).status == died.status
+    await execute(furnished.west, "ann/r1", m.AddNode("brain", "n", "p", "other"))
+
+
+async def test_failing_interface_is_reported_and_undone(furnished: Furnished) -> None:
+    furnished.brain.refuse[Bind] = NotFound("no such type")
+    with pytest.raises(NotFound, match="no such type"):
+        await execute(furnished.west, "ann/r1", m.AddInterface("brain", "x", "PublisherInterface", "a/B"))
+    assert "ann/brain/x" not in furnished.platform.master.state.interfaces
+
+
+async def test_defect_in_another_process_is_an_internal_error(furnished: Furnished, failures: list[Any]) -> None:
+    furnished.brain.refuse[StartNode] = ZeroDivisionError("defect")
+    with pytest.raises(Exception, match="internal error while answering StartNode"):
+        await execute(furnished.west, "ann/r1", m.AddNode("brain", "n", "p", "e"))
+    assert [event["log_failure"].type for event in failures] == [ZeroDivisionError]
+    failures.clear()
+
+
+async def test_limit_reached_is_reported_to_the_user(furnished: Furnished) -> None:
+    run = furnished.platform.master.state.environments["ann/brain"].run
+    await furnished.m1.call(LimitReached("ann/brain", "an earlier one", "late"))
+    await furnished.m1.call(LimitReached("ann/brain", run, "memory"))
+    assert await told(furnished.west, m.LimitEvent) == m.LimitEvent("environment brain: memory")

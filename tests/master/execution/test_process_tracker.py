@@ -1,0 +1,286 @@
+"""Process tracker: machines that leave and return, with a clock turned by hand."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import pytest
+
+from master.execution import links
+from master.execution.lifecycle import RETRY_FIRST
+from master.graph.records import Process, Robot, Role
+from master.graph.state import State
+from master.service import Master
+from master.storage.store import Store
+from rce.control.calls.call import BatchResult, Call, Nothing
+from rce.control.calls.endpoints import AddRoute, LinkLost, OpenLink, Sync
+from rce.control.calls.environments import KeepEnvironments, StartEnvironment
+from rce.control.calls.joining import Hello
+from rce.control.calls.robots import SendStatus
+from rce.control.connection import Control
+from rce.errors import NoCapacity, StartFailed
+from rce.protocol import messages as m
+from rce.protocol.messages import EnvironmentEvent
+from tests.support.master.fleet import interface
+from tests.support.master.hand_turned import HandTurnedLoop
+
+GRACE = 30.0
+T = TypeVar("T")
+
+
+class NoStore:
+    """Store that keeps nothing."""
+
+    async def load(self, state: State) -> None: ...
+
+    async def save(self, state: State) -> None: ...
+
+    async def run(self, work: Callable[[Any], Any]) -> Any: ...
+
+
+class Peer:
+    """Process that has joined and answers every call at once."""
+
+    def __init__(self, desk: Desk, hello: Hello) -> None:
+        self.address = "memory"
+        self.hello = hello
+        self.arrived: list[Call[Any]] = []
+        self.lost: asyncio.Future[None] = desk.hand.create_future()
+        self._desk = desk
+        role = cast(Role, hello.role)
+        process = Process(
+            hello.name, role, hello.incarnation, hello.host, hello.addresses, "", hello.capacity, hello.features
+        )
+        desk.hand.do(lambda: desk.master.process_tracker.joined(process, hello, cast(Control, self)))
+
+    async def call(self, call: Call[Any]) -> object:
+        self.arrived.append(call)
+        return BatchResult() if isinstance(call, Sync) else Nothing()
+
+    def close(self) -> None:
+        self.leave()
+
+    def leave(self) -> None:
+        """Lose the connection."""
+        if not self.lost.done():
+            self._desk.hand.do(lambda: self.lost.set_result(None))
+
+    def got(self, kind: type[T]) -> list[T]:
+        return [call for call in self.arrived if isinstance(call, kind)]
+
+
+class Desk:
+    """Master without sockets and database."""
+
+    def __init__(self, hand: HandTurnedLoop) -> None:
+        self.hand = hand
+        self.master = hand.do(lambda: Master(cast(Store, NoStore()), 10.0, machine_grace=GRACE))
+        self.state = self.master.state
+
+    def robot(self) -> Peer:
+        west = Peer(self, Hello("robot", "west", "", "", "1"))
+        self.state.robots.put(Robot("ann/r1", "west", "s"))
+        return west
+
+    def machine(self, name: str, **environments: str) -> Peer:
+        runs = {f"ann/{tag}": run for tag, run in environments.items()}
+        return Peer(self, Hello("container", name, "", "", "1", capacity=2, environments=runs))
+
+    def endpoint(self, tag: str) -> Peer:
+        """Join as the endpoint of an environment's current life."""
+        return Peer(self, Hello("environment", f"ann/{tag}", "", "", self.run(tag)))
+
+    def run(self, tag: str) -> str:
+        return self.state.environments[f"ann/{tag}"].run
+
+    def at(self, tag: str) -> str:
+        return self.state.environments[f"ann/{tag}"].machine
+
+    def do(self, *commands: m.Command) -> asyncio.Task[list[Nothing]]:
+        async def all_of_them() -> list[Nothing]:
+            return await asyncio.gather(*(self.master.commands.execute("ann", command) for command in commands))
+
+        return self.hand.begin(all_of_them())
+
+    def made(self, tag: str, **options: Any) -> Peer:
+        """Create an environment and join as its endpoint."""
+        task = self.do(m.CreateContainer(tag, m.ContainerData(**options)))
+        endpoint = self.endpoint(tag)
+        assert task.done()
+        return endpoint
+
+    def turn(self, seconds: float) -> None:
+        self.hand.turn(seconds)
+
+
+@pytest.fixture
+def desk(hand: HandTurnedLoop) -> Desk:
+    return Desk(hand)
+
+
+def events(peer: Peer) -> list[tuple[str, str]]:
+    said = [tell.status for tell in peer.got(SendStatus) if isinstance(tell.status, EnvironmentEvent)]
+    return [(status.containerTag, status.state) for status in said]
+
+
+def test_environments_of_a_lost_machine_move_with_their_contents(desk: Desk) -> None:
+    west, m1 = desk.robot(), desk.machine("m1")
+    brain = desk.made("brain")
+    desk.do(
+        m.AddNode("brain", "n", "p", "e"),
+        m.SetParameter("brain", "p", 7),
+        interface("r1", "pose", "SubscriberConverter"),
+        interface("brain", "pose", "PublisherInterface"),
+        m.Connect("r1/pose", "brain/pose"),
+    )
+    before = desk.run("brain")
+    m2 = desk.machine("m2")
+    brain.leave()
+    desk.turn(5)
+    m1.leave()
+    desk.turn(GRACE - 1)
+    assert (desk.at("brain"), events(west)) == ("m1", [("brain", "ready")])
+    desk.turn(1)
+    assert events(west)[1:] == [("brain", "lost")]
+    desk.turn(RETRY_FIRST)
+    (start,) = m2.got(StartEnvironment)
+    assert (start.environment.name, start.environment.run != before) == ("ann/brain", True)
+    again = desk.endpoint("brain")
+    (sync,) = again.got(Sync)
+    assert [each.tag for each in sync.nodes] == ["n"]
+    assert [each.value for each in sync.parameters] == [7]
+    assert [each.tag for each in sync.interfaces] == ["pose"]
+    assert len(again.got(AddRoute)) == 1
+    assert events(west)[2:] == [("brain", "ready")]
+    back = desk.machine("m1", brain=before)
+    assert back.got(KeepEnvironments) == [KeepEnvironments([])]
+    assert desk.at("brain") == "m2"
+
+
+def test_environment_lives_while_its_endpoint_is_connected(desk: Desk) -> None:
+    """The task set is gone first; the endpoint then has a grace period of its own."""
+    west, m1 = desk.robot(), desk.machine("m1")
+    brain = desk.made("brain")
+    desk.machine("m2")
+    run = desk.run("brain")
+    m1.leave()
+    desk.turn(10 * GRACE)
+    assert (desk.run("brain"), events(west)) == (run, [("brain", "ready")])
+    brain.leave()
+    desk.turn(GRACE - 1)
+    assert desk.run("brain") == run
+    desk.turn(1 + RETRY_FIRST)
+    assert (desk.at("brain"), events(west)[1:]) == ("m2", [("brain", "lost")])
+
+
+def test_machine_that_returns_in_time_loses_nothing(desk: Desk) -> None:
+    west, m1 = desk.robot(), desk.machine("m1")
+    brain = desk.made("brain")
+    m2 = desk.machine("m2")
+    run = desk.run("brain")
+    for _ in range(3):
+        brain.leave()
+        m1.leave()
+        desk.turn(GRACE - 1)
+        m1, brain = desk.machine("m1", brain=run), desk.endpoint("brain")
+        assert m1.got(KeepEnvironments) == [KeepEnvironments([run])]
+    desk.turn(10 * GRACE)
+    assert (desk.run("brain"), m2.got(StartEnvironment), m1.got(StartEnvironment)) == (run, [], [])
+    assert "lost" not in [state for _, state in events(west)]
+
+
+def test_environment_with_restart_no_is_removed_with_its_machine(desk: Desk) -> None:
+    west, m1 = desk.robot(), desk.machine("m1")
+    once, m2 = desk.made("once", restart="no"), desk.machine("m2")
+    run = desk.run("once")
+    once.leave()
+    m1.leave()
+    desk.turn(GRACE + RETRY_FIRST)
+    assert events(west)[1:] == [("once", "gone")]
+    assert ("ann/once" in desk.state.environments, m2.got(StartEnvironment)) == (False, [])
+    assert desk.machine("m1", once=run).got(KeepEnvironments) == [KeepEnvironments([])]
+
+
+def test_environment_without_another_machine_waits_and_may_survive(desk: Desk) -> None:
+    west, m1 = desk.robot(), desk.machine("m1")
+    brain = desk.made("brain")
+    run = desk.run("brain")
+    brain.leave()
+    m1.leave()
+    desk.turn(10 * GRACE)
+    assert events(west)[1:] == [("brain", "lost")]
+    m1 = desk.machine("m1", brain=run)
+    desk.endpoint("brain")
+    assert (m1.got(KeepEnvironments), m1.got(StartEnvironment)) == ([KeepEnvironments([run])], [])
+    assert events(west)[2:] == [("brain", "ready")]
+
+
+def test_waiting_environment_moves_when_there_is_room(desk: Desk) -> None:
+    m1, m2 = desk.machine("m1"), desk.machine("m2")
+    brain = desk.made("brain", size=2)
+    m1, m2 = (m1, m2) if desk.at("brain") == "m1" else (m2, m1)
+    other = desk.made("other", size=2)
+    brain.leave()
+    m1.leave()
+    desk.turn(GRACE + RETRY_FIRST)
+    assert [call.environment.name for call in m2.got(StartEnvironment)] == ["ann/other"]
+    other.leave()
+    desk.do(m.DestroyContainer("other"))
+    assert [call.environment.name for call in m2.got(StartEnvironment)] == ["ann/other", "ann/brain"]
+
+
+def test_first_start_on_a_lost_machine_fails_with_the_reason(desk: Desk) -> None:
+    m1 = desk.machine("m1")
+    task = desk.do(m.CreateContainer("brain"))
+    m1.leave()
+    desk.turn(GRACE)
+    assert isinstance(task.exception(), StartFailed)
+    assert "m1 has been away for 30 s" in str(task.exception())
+    assert "ann/brain" not in desk.state.environments
+
+
+def test_environment_requested_during_a_task_set_restart_is_started_after_it(desk: Desk) -> None:
+    desk.machine("m1").leave()
+    task = desk.do(m.CreateContainer("brain"), m.AddNode("brain", "n", "p", "e"))
+    desk.turn(GRACE - 1)
+    assert not task.done()
+    m1 = desk.machine("m1")
+    assert [call.environment.name for call in m1.got(StartEnvironment)] == ["ann/brain"]
+    assert [each.tag for each in desk.endpoint("brain").got(Sync)[0].nodes] == ["n"]
+    assert task.result() == [None, None]
+
+
+def test_environment_is_refused_if_no_task_set_returns(desk: Desk) -> None:
+    m1 = desk.machine("m1")
+    task = desk.do(m.CreateContainer("big", m.ContainerData(size=3)))
+    assert isinstance(task.exception(), NoCapacity)
+    m1.leave()
+    task = desk.do(m.CreateContainer("brain"))
+    desk.turn(GRACE)
+    assert isinstance(task.exception(), NoCapacity)
+    assert isinstance(desk.do(m.CreateContainer("brain")).exception(), NoCapacity)
+    assert len(desk.state.environments) == 0
+
+
+def test_link_that_keeps_breaking_is_reopened_with_growing_pauses(desk: Desk) -> None:
+    west = desk.robot()
+    desk.machine("m1")
+    brain = desk.made("brain")
+    desk.do(
+        interface("r1", "pose", "SubscriberConverter"),
+        interface("brain", "pose", "PublisherInterface"),
+        m.Connect("r1/pose", "brain/pose"),
+    )
+    process = desk.state.processes["west"]
+    for _ in range(600):
+        desk.turn(0.1)
+        name = west.got(OpenLink)[-1].link.name
+        desk.hand.begin(desk.master._links.lost(process, LinkLost(name, "refused")))
+    opened = len(west.got(OpenLink))
+    assert 60 / links.RETRY_MOST < opened < 60 / links.RETRY_MOST + 10
+    desk.turn(60)
+    name = west.got(OpenLink)[-1].link.name
+    desk.hand.begin(desk.master._links.lost(process, LinkLost(name, "broke")))
+    assert len(brain.got(OpenLink)) == len(west.got(OpenLink)) == opened + 2  # at once, because it had held for a while

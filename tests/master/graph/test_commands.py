@@ -1,0 +1,182 @@
+"""Commands: their changes of the records, the calls that follow, repetition and undo."""
+
+from __future__ import annotations
+
+import pytest
+
+from master.graph.changes import undo
+from master.graph.effects import MarkReady
+from master.graph.records import Ref, ref
+from master.graph.translation import node_spec, parameter_spec
+from rce.control.calls.endpoints import Bind, CloseLink, DropParameter, PutParameter, RemoveRoute, StartNode, StopNode
+from rce.control.calls.environments import StartEnvironment, StopEnvironment
+from rce.errors import (
+    AlreadyExists,
+    NoCapacity,
+)
+from rce.protocol import messages as m
+from tests.support.master.fleet import Fleet, calls, everything, full, furnished, interface, sends
+
+
+def test_create_starts_the_environment_and_awaits_it() -> None:
+    fleet = furnished()
+    outcome = fleet.do("ann", m.CreateContainer("second", m.ContainerData(size=2)))
+    environment = fleet.state.environments["ann/second"]
+    (send,) = sends(outcome.plan)
+    assert (send.to, send.about) == ("m1", Ref("environment", "ann/second"))
+    assert isinstance(send.call, StartEnvironment)
+    assert (send.call.environment.run, send.call.environment.token) == (environment.run, "")
+    assert outcome.awaits == [ref(environment)]
+
+
+def test_destroy_removes_everything_in_the_environment() -> None:
+    fleet = full()
+    plan = fleet.do("ann", m.DestroyContainer("brain")).plan
+    assert [record.key for record in fleet.state.interfaces] == ["ann/r1/pose", "ann/r1/ask"]
+    for table in (fleet.state.environments, fleet.state.nodes, fleet.state.parameters, fleet.state.connections):
+        assert len(table) == 0
+    assert len(fleet.state.links) == 0
+    assert calls(plan, "m1") == [StopEnvironment("ann/brain")]
+    assert {type(call) for call in calls(plan, "west")} == {RemoveRoute, CloseLink}
+
+
+def test_new_environment_of_an_old_name_is_another_one() -> None:
+    """The process of the first stays connected for a while; it must get no calls for the second."""
+    fleet = full()
+    fleet.do("ann", m.DestroyContainer("brain"))
+    fleet.do("ann", m.CreateContainer("brain"))
+    bound = fleet.do("ann", interface("brain", "pose", "PublisherInterface"))
+    connected = fleet.do("ann", m.Connect("r1/pose", "brain/pose"))
+    assert bound.plan == connected.plan == []
+    assert connected.awaits == [Ref("connection", "ann/r1/pose ann/brain/pose")]
+
+
+def test_node_and_parameter_are_sent_to_the_environment() -> None:
+    fleet = furnished()
+    added = fleet.do("ann", m.AddNode("brain", "n", "p", "e", "-x", "name", "space"))
+    put = fleet.do("ann", m.SetParameter("brain", "rate", 5, "n"))
+    node, parameter = fleet.state.nodes["ann/brain/n"], fleet.state.parameters["ann/brain/n:rate"]
+    assert calls(added.plan + put.plan, "ann/brain") == [
+        StartNode(node_spec(node)),
+        PutParameter(parameter_spec(parameter)),
+    ]
+    assert [steps[-1] for steps in added.plan + put.plan] == [MarkReady(ref(node)), MarkReady(ref(parameter))]
+    removed = fleet.do("ann", m.RemoveNode("brain", "n")).plan
+    dropped = fleet.do("ann", m.DeleteParameter("brain", "rate", "n")).plan
+    assert calls(removed + dropped, "ann/brain") == [StopNode("n"), DropParameter("n:rate")]
+    assert not [step for steps in removed + dropped for step in steps if isinstance(step, MarkReady)]
+
+
+def test_parameter_can_be_set_again() -> None:
+    fleet = furnished()
+    fleet.do("ann", m.SetParameter("brain", "rate", 5))
+    fleet.do("ann", m.SetParameter("brain", "rate", 6))
+    assert fleet.state.parameters["ann/brain/:rate"].value == 6
+
+
+@pytest.mark.parametrize("alias", list(m.ALIASES))
+def test_old_names_of_interface_types_are_accepted(alias: str) -> None:
+    fleet = furnished()
+    owner = "brain" if alias.endswith("Interface") else "r1"
+    fleet.do("ann", interface(owner, "s", alias, "std_srvs/Empty"))
+    assert fleet.state.interfaces[f"ann/{owner}/s"].kind == m.ALIASES[alias]
+
+
+MAKING: list[m.Command] = [
+    m.CreateContainer("brain"),
+    m.AddNode("brain", "there", "p", "e"),
+    m.SetParameter("brain", "rate", 1),
+    interface("brain", "pose", "PublisherInterface"),
+    m.Connect("brain/pose", "r1/pose"),
+]
+UNDOING: list[m.Command] = [
+    m.DestroyContainer("gone"),
+    m.RemoveNode("brain", "gone"),
+    m.DeleteParameter("brain", "gone"),
+    m.RemoveInterface("brain", "gone"),
+    m.Disconnect("r1/pose", "brain/scans"),
+]
+
+
+@pytest.mark.parametrize("command", MAKING, ids=lambda command: type(command).__name__)
+def test_repeated_command_awaits_what_exists(command: m.Command) -> None:
+    fleet = full()
+    before = everything(fleet.state)
+    outcome = fleet.do("ann", command, again=True)
+    assert everything(fleet.state) == before
+    (key,) = outcome.awaits
+    assert key in before
+
+
+@pytest.mark.parametrize("command", UNDOING, ids=lambda command: type(command).__name__)
+def test_repeated_removal_is_no_error(command: m.Command) -> None:
+    fleet = full()
+    before = everything(fleet.state)
+    outcome = fleet.do("ann", command, again=True)
+    assert (outcome.plan, outcome.awaits) == ([], [])
+    assert everything(fleet.state) == before
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        m.CreateContainer("r1"),
+        m.AddNode("brain", "there", "p", "other"),
+        interface("brain", "pose", "SubscriberInterface"),
+    ],
+    ids=lambda command: type(command).__name__,
+)
+def test_repeated_command_with_other_content_is_an_error(command: m.Command) -> None:
+    with pytest.raises(AlreadyExists):
+        full().do("ann", command, again=True)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        m.CreateContainer("other"),
+        m.AddNode("brain", "n", "p", "e"),
+        m.SetParameter("brain", "other", 1),
+        interface("r1", "other", "PublisherConverter"),
+        m.Connect("r1/pose", "brain/second"),
+    ],
+    ids=lambda command: type(command).__name__,
+)
+def test_undo_restores_the_state_before_the_command(command: m.Command) -> None:
+    fleet = full()
+    fleet.do("ann", interface("brain", "second", "PublisherInterface"))
+    before = everything(fleet.state)
+    outcome = fleet.do("ann", command)
+    assert everything(fleet.state) != before
+    assert sends(undo(fleet.state, outcome))
+    assert everything(fleet.state) == before
+
+
+def test_refused_parameter_is_replaced_by_its_former_value() -> None:
+    fleet = full()
+    fleet.do("ann", m.SetParameter("brain", "speed", 1))
+    before = everything(fleet.state)
+    outcome = fleet.do("ann", m.SetParameter("brain", "speed", "fast"))
+    assert sends(undo(fleet.state, outcome))
+    assert everything(fleet.state) == before
+
+
+def test_interface_is_bound_at_the_endpoint_of_its_robot() -> None:
+    fleet = furnished()
+    plan = fleet.do("ann", interface("r1", "x", "PublisherConverter")).plan
+    assert [(send.to, type(send.call)) for send in sends(plan)] == [("west", Bind)]
+
+
+def test_placement_considers_free_gpus() -> None:
+    """The machine with more free slots has no GPUs."""
+    fleet = Fleet()
+    fleet.join("plain", "container", capacity=9)
+    fleet.join("graphic", "container", capacity=3, gpus=2)
+    fleet.do("ann", m.CreateContainer("one", m.ContainerData(gpus=1)))
+    fleet.do("bob", m.CreateContainer("two", m.ContainerData(gpus=1)))
+    assert {each.machine for each in fleet.state.environments} == {"graphic"}
+    with pytest.raises(NoCapacity) as raised:
+        fleet.do("bob", m.CreateContainer("three", m.ContainerData(gpus=1)))
+    assert raised.value.info.fields == {"asked": 1, "free": 0}
+    fleet.do("ann", m.DestroyContainer("one"))
+    fleet.do("bob", m.CreateContainer("three", m.ContainerData(gpus=1)))

@@ -1,0 +1,42 @@
+"""Hard limits, which hold for every user."""
+
+from __future__ import annotations
+
+import pytest
+
+from master.graph import hard_limits
+from rce.errors import LimitExceeded
+from rce.protocol import messages as m
+from tests.support.master.fleet import furnished, interface
+
+
+def test_number_of_items_of_an_owner_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("NODES", "PARAMETERS", "INTERFACES"):
+        monkeypatch.setattr(hard_limits, name, 2)
+    fleet = furnished()
+    for tag in ("a", "b"):
+        fleet.do("ann", m.AddNode("brain", tag, "p", "e"))
+        fleet.do("ann", m.SetParameter("brain", tag, 1))
+        fleet.do("ann", interface("brain", tag, "PublisherInterface"))
+        fleet.do("ann", interface("r1", tag, "PublisherConverter"))
+    for command in (
+        m.AddNode("brain", "c", "p", "e"),
+        m.SetParameter("brain", "c", 1),
+        interface("brain", "c", "PublisherInterface"),
+        interface("r1", "c", "PublisherConverter"),
+    ):
+        with pytest.raises(LimitExceeded, match="has 2"):
+            fleet.do("ann", command)
+    fleet.do("ann", m.SetParameter("brain", "a", 2))
+    fleet.do("bob", interface("r1", "a", "PublisherConverter"))
+
+
+def test_size_of_parameters_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hard_limits, "PARAMETER_TEXT", 5000)
+    fleet = furnished()
+    fleet.do("ann", m.SetParameter("brain", "a", "x" * 3000))
+    fleet.do("ann", m.SetParameter("brain", "a", "x" * 4000))  # replaces the other
+    for value in ("x" * 2000, ["x" * 1000] * 2, [1] * 2000):
+        with pytest.raises(LimitExceeded, match="5000 characters"):
+            fleet.do("ann", m.SetParameter("brain", "b", value))
+    fleet.do("ann", m.SetParameter("brain", "b", "x" * 10))

@@ -1,0 +1,157 @@
+"""Store: every kind of record, batched writes, failures of the database."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import sqlalchemy as sa
+
+from master.graph import packages
+from master.graph.records import Connection, Environment, EnvironmentOptions, Parameter, Version
+from master.graph.state import State
+from master.storage import store as store_module
+from master.storage import tables as db
+from master.storage.store import Store
+from rce.errors import InvalidRequest
+from rce.protocol import messages as m
+from tests.support.master.fleet import everything, wired
+
+
+@pytest.fixture
+async def store(url: str) -> AsyncIterator[Store]:
+    store = Store(url)
+    await store.open()
+    yield store
+    await store.close()
+
+
+async def loaded(url: str) -> State:
+    """Load the state as a Master does at its start."""
+    state = State()
+    store = Store(url)
+    await store.open()
+    await store.load(state)
+    await store.close()
+    return state
+
+
+def full() -> State:
+    fleet = wired()
+    fleet.do("ann", m.AddNode("brain", "n", "p", "e", "--x 'ü'", "name", "space"))
+    for name, value in {"b": True, "i": 2**63 - 1, "f": 0.1, "s": "ä\x00\n", "l": [1, "two", 3.5, False]}.items():
+        fleet.do("ann", m.SetParameter("brain", name, value))
+    options = m.ContainerData(size=2, group="g", groupIP="192.168.1.7", restart="no")
+    fleet.do("bob", m.CreateContainer("other", options))
+    packages.add(fleet.state, "ann", "own", Version("0" * 64, 7, ["p", "q"], 1.5))
+    packages.share(fleet.state, "ann", "own", ["bob"])
+    return fleet.state
+
+
+async def test_every_kind_of_record_is_stored_and_loaded(store: Store, url: str) -> None:
+    state = full()
+    assert all(len(table) for table in state.tables())
+    await store.save(state)
+    back = await loaded(url)
+    assert everything(back) == everything(state)
+    assert not any(table.changed for table in (*back.tables(), *state.tables()))
+    assert back.joined == set()
+    assert [each.key for each in back.interfaces.by("ann/r1")] == ["ann/r1/pose"]
+
+
+async def test_longest_names_are_stored(store: Store, url: str) -> None:
+    user, tag = "u" * 255, "t" * 255
+    state = State()
+    state.connections.put(Connection(f"{user}/{tag}/{tag}", f"{user}/{tag}/{tag}"))
+    state.parameters.put(Parameter(f"{user}/{tag}", "\U0001f916" * 255, 1, tag))
+    await store.save(state)
+    assert everything(await loaded(url)) == everything(state)
+
+
+async def test_changed_and_removed_records_are_stored(store: Store, url: str) -> None:
+    state = full()
+    await store.save(state)
+    state.nodes.drop("ann/brain/n")
+    state.environments.put(Environment("ann/brain", EnvironmentOptions(), "second", "m2"))
+    state.environments.put(Environment("ann/short", EnvironmentOptions(), "r", "m2"))
+    state.environments.drop("ann/short")
+    await store.save(state)
+    assert everything(await loaded(url)) == everything(state)
+
+
+async def test_changes_during_a_write_are_written_together(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[set[str]] = []
+    put = store_module._put
+    monkeypatch.setattr(
+        store_module, "_put", lambda connection, rows: (written.append({k for _, k in rows}), put(connection, rows))
+    )
+    state = State()
+
+    def save(tag: str) -> Any:
+        state.environments.put(Environment(tag, EnvironmentOptions(), "r", "m"))
+        return asyncio.ensure_future(store.save(state))
+
+    saves = [save("a/1")]
+    await asyncio.sleep(0)  # `save` has taken the first change
+    await asyncio.sleep(0)  # and its write has begun
+    saves += [save("a/2"), save("a/3")]
+    await asyncio.gather(*saves)
+    assert written == [{"a/1"}, {"a/2", "a/3"}]
+
+
+async def test_failed_write_is_repeated_with_the_next(store: Store, url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    state = full()
+
+    def broken(connection: sa.Connection, rows: object) -> None:
+        raise OSError("disk is full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(store_module, "_put", broken)
+        with pytest.raises(OSError, match="disk is full"):
+            await store.save(state)
+    await store.save(state)
+    assert everything(await loaded(url)) == everything(state)
+
+
+async def test_failed_transaction_is_rolled_back(store: Store) -> None:
+    def work(connection: sa.Connection) -> None:
+        connection.execute(db.tokens.insert(), {"digest": "d", "process": "p", "role": "robot", "used": False})
+        raise KeyError("after the insert")
+
+    with pytest.raises(KeyError):
+        await store.run(work)
+    assert await store.run(lambda connection: list(connection.execute(sa.select(db.tokens)))) == []
+
+
+@pytest.mark.parametrize("url", ["nonsense", "nosuch://x", "sqlite:////nowhere/at/all.db"])
+async def test_unusable_database_is_reported(url: str) -> None:
+    with pytest.raises(InvalidRequest, match="database") as raised:
+        await Store(url).open()
+    assert raised.value.field == "database"
+
+
+async def test_database_in_memory(tmp_path: Path) -> None:
+    store = Store("sqlite://")
+    await store.open()
+    state = full()
+    await store.save(state)
+    back = State()
+    await store.load(back)
+    assert everything(back) == everything(state)
+    await store.close()
+
+
+async def test_database_file_is_private(tmp_path: Path) -> None:
+    """It has hashes of passwords, and its directory may have any mode."""
+    for name in ("new.db", "old.db"):
+        file = tmp_path / name
+        if name == "old.db":
+            file.touch(mode=0o644)
+        store = Store(f"sqlite:///{file}")
+        await store.open()
+        modes = [(tmp_path / f"{name}{more}").stat().st_mode & 0o777 for more in ("", "-wal", "-shm")]
+        assert modes == [0o600] * 3
+        await store.close()

@@ -1,0 +1,70 @@
+"""systemd units: accepted by systemd, with few rights."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from provisioning import (
+    system,
+    units,
+)
+
+ANALYZE = shutil.which("systemd-analyze")
+
+needs_analyze = pytest.mark.skipif(ANALYZE is None, reason="needs systemd-analyze: apt-get install systemd")
+
+CASES = [("master", ""), ("robot", ""), ("map-service", ""), ("container", "process"), ("container", "docker")]
+
+
+@pytest.fixture
+def unit_file(tmp_path: Path) -> Callable[[str, str], Path]:
+    def write(role: str, engine: str) -> Path:
+        """Write a unit whose program exists."""
+        text = units.text(role, engine)
+        assert f"ExecStart={system.CURRENT}/bin/rce {role} --config /etc/rce/{role}.toml\n" in text
+        file = tmp_path / system.unit(role)
+        file.write_text(text.replace(f"{system.CURRENT}/bin/rce", "/bin/true"))
+        return file
+
+    return write
+
+
+@needs_analyze
+@pytest.mark.parametrize(("role", "engine"), CASES)
+def test_systemd_accepts_units(unit_file: Callable[[str, str], Path], role: str, engine: str) -> None:
+    command = [str(ANALYZE), "verify", "--man=no", str(unit_file(role, engine))]
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    assert (done.returncode, done.stdout) == (0, "")
+
+
+@needs_analyze
+@pytest.mark.parametrize(("role", "engine"), CASES)
+def test_exposure_of_units_is_low(unit_file: Callable[[str, str], Path], role: str, engine: str) -> None:
+    """The threshold is ten times systemd's exposure level; 100 is the worst."""
+    most = 20 if role == "container" else 15
+    command = [str(ANALYZE), "security", "--offline=true", f"--threshold={most}", str(unit_file(role, engine))]
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    assert done.returncode == 0, done.stdout
+
+
+def test_only_the_task_set_has_access_to_docker() -> None:
+    assert "SupplementaryGroups=docker" in units.text("container", "docker")
+    for role, engine in CASES[:-1]:
+        assert "docker" not in units.text(role, engine)
+
+
+def test_only_a_task_set_with_docker_has_net_admin() -> None:
+    assert "AmbientCapabilities=CAP_NET_ADMIN\n" in units.text("container", "docker")
+    for role, engine in [*CASES[:-1], ("container", "swarm")]:
+        assert "CAP_" not in units.text(role, engine)
+
+
+def test_secrets_of_the_master_are_hidden_from_other_services() -> None:
+    for role in ("robot", "container", "map-service"):
+        for path in ("/etc/rce/authority", "/etc/rce/master.toml", "/var/lib/rce/master"):
+            assert f"InaccessiblePaths=-{path}\n" in units.text(role, "docker")

@@ -1,0 +1,62 @@
+"""Completion of command lines, without a platform."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+
+from rce.cli.arguments import Completion
+from rce.cli.completion import Names, candidates
+from rce.cli.session import ConsoleSession
+
+
+class FakeNames(Names):
+    def __init__(self) -> None:
+        super().__init__(ConsoleSession())
+
+    def find(self, kind: Completion, words: Sequence[str] = ()) -> list[str]:
+        return {"environment": ["brain", "brawn"], "interface": ["brain/pose"], "user": ["ada"]}.get(kind, [])
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("en", {"env", "environment"}),
+        ("ma", {"machine", "map", "map-service", "master"}),
+        ("com", {"completion"}),
+        ("env sh", {"show", "shell"}),
+        ("env show bra", {"brain", "brawn"}),
+        ("env show --j", {"--json"}),
+        ("env create --restart ", {"always", "no"}),
+        ("connect brain/pose b", {"brain/pose"}),
+        ("env list --of ", {"ada"}),
+        ("watch env de", {"delete"}),
+        ("watch map", set()),
+        ("help map s", {"submit", "status"}),
+        ("env delete brain b", {"brain", "brawn"}),
+        ("env show brain b", set()),
+        ("nothing ", set()),
+        ("completion ", {"bash", "zsh", "fish"}),
+        ("map s", {"submit", "status"}),
+        ("map --mapper ", {"graph", "particle"}),
+        ("map x.log --engine d", {"docker"}),
+        ("package pu", {"push"}),
+        ("bench rtt --q", {"--quick"}),
+        ("robot ", {"list", "show", "disconnect"}),
+    ],
+)
+def test_completion_on_the_command_line(line: str, expected: set[str]) -> None:
+    words = line.split() + ([""] if line.endswith(" ") else [])
+    assert set(candidates(words, FakeNames())) == expected
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"), [("en", {"env"}), ("ma", {"machine"}), ("help ma", {"machine"}), ("env list --u", set())]
+)
+def test_console_completes_its_own_commands_without_platform_options(line: str, expected: set[str]) -> None:
+    assert set(candidates(line.split(), FakeNames(), in_console=True)) == expected
+
+
+def test_command_line_completes_platform_options() -> None:
+    assert set(candidates(["env", "list", "--u"], FakeNames())) == {"--url", "--user"}

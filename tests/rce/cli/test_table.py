@@ -1,0 +1,138 @@
+"""The table of commands, and help and errors made from it."""
+
+from __future__ import annotations
+
+import re
+import shlex
+
+import pytest
+
+from rce.cli import table
+from rce.cli.command import Command, Lazy, Section, UsageError, parser
+from rce.cli.execute import SUCCESS, USAGE_ERROR, print_help, run
+from rce.cli.session import ConsoleSession
+from rce.process import programs
+
+COMMANDS = list(table.COMMANDS.values())
+
+
+def name_of(command: Command) -> str:
+    return command.name
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=name_of)
+def test_examples_are_valid_command_lines(command: Command) -> None:
+    for example in command.examples:
+        found, arguments = table.find_command(shlex.split(re.split("[<>]", example)[0]))
+        assert found is command
+        parser(command).parse_args(arguments)
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=name_of)
+def test_help_of_a_command_is_a_sentence(command: Command) -> None:
+    text = parser(command).format_help()
+    assert text.startswith(f"usage: rce {command.name} ")
+    assert command.help in text
+    assert command.help.endswith(".")
+
+
+@pytest.mark.parametrize("entry", [*COMMANDS, *table.PROGRAMS.values()], ids=lambda entry: entry.name)
+def test_lazy_function_exists(entry: Command | table.Program) -> None:
+    function = getattr(entry.run, "work", entry.run)
+    if isinstance(function, Lazy):
+        assert callable(function.load())
+
+
+def test_every_program_is_installed() -> None:
+    listed = set(table.PROGRAMS) - {"up", "complete"}
+    assert listed <= set(programs.installed_programs())
+
+
+def test_names_in_the_table_are_unique() -> None:
+    commands = [entry.name for entry in table.TABLE if isinstance(entry, Command)]
+    assert len(commands) == len(table.COMMANDS)
+
+
+@pytest.mark.parametrize(
+    ("line", "is_program"),
+    [
+        ("up --dev", True),
+        ("robot", True),
+        ("robot --master=tcp:a:1", True),
+        ("robot list", False),
+        ("container --help", True),
+        ("container start -n c1", False),
+        ("master", True),
+        ("user --data-dir=/var/lib/rce/master add ada", True),
+        ("user --database sqlite:// list", True),
+        ("user add ada", False),
+        ("machine --config=/etc/rce/master.toml list", True),
+        ("machine list", False),
+        ("env list", False),
+    ],
+)
+def test_arguments_decide_between_program_and_command_of_one_name(line: str, is_program: bool) -> None:
+    assert (table.find_program(line.split()) is not None) is is_program
+
+
+def test_overview_lists_every_visible_entry() -> None:
+    text = table.overview()
+    for entry in table.TABLE:
+        visible = isinstance(entry, Command | table.Program) and entry.section is not Section.HIDDEN
+        assert not visible or re.search(rf"^  {entry.name.split()[0]} ", text, re.MULTILINE), entry.name
+
+
+def test_console_overview_lists_only_commands_of_the_console() -> None:
+    words = {line.split()[0] for line in table.console_overview().splitlines()}
+    assert words == {command.name.split()[0] for command in COMMANDS if command.in_console}
+    assert not words & {"map", "bench", "package", "run", "up", "complete"}
+
+
+@pytest.mark.parametrize(
+    ("line", "text"),
+    [
+        ("env", "env create"),
+        ("env made", "there is no command `env made`"),
+        ("env show", "required: ENV"),
+        ("env show a --jsn", "unrecognized arguments: --jsn"),
+        ("nonsense", "there is no command 'nonsense'"),
+        ("bench", "bench rtt"),
+        ("package", "package push"),
+        ("map submit", "required: FILE"),
+    ],
+)
+def test_wrong_command_line_is_answered_with_usage(line: str, text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(line.split()) == USAGE_ERROR
+    printed = capsys.readouterr()
+    assert text in printed.out + printed.err
+
+
+def test_console_does_not_run_commands_of_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["map", "status"], ConsoleSession()) == USAGE_ERROR
+    assert capsys.readouterr().err == "console: there is no command 'map'; `help` lists them\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "text"),
+    [
+        ("env create", "usage: rce env create "),
+        ("env", "usage: rce env COMMAND"),
+        ("map", "usage: rce map "),
+        ("bench", "Measure a platform."),
+        ("robot", "robot disconnect"),
+        ("container start -n c1", "usage: rce env create "),
+    ],
+)
+def test_help_explains_a_command(line: str, text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["help", *line.split()]) == SUCCESS
+    assert text in capsys.readouterr().out
+
+
+def test_help_in_the_console_shows_usage_without_rce(capsys: pytest.CaptureFixture[str]) -> None:
+    assert print_help(["env", "create"], in_console=True) == SUCCESS
+    assert capsys.readouterr().out.startswith("usage: env create ")
+
+
+def test_usage_error_has_the_usage() -> None:
+    with pytest.raises(UsageError, match="usage: rce env show"):
+        parser(table.COMMANDS["env show"]).parse_args([])

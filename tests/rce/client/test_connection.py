@@ -1,0 +1,45 @@
+"""Frames of one connection: malformed frames of the server, and the order of outgoing frames."""
+
+from __future__ import annotations
+
+import pytest
+
+from rce.errors import InvalidRequest
+from tests.support.client_contract import STRING, until
+from tests.support.fake_platform import FakePlatform
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        "{",
+        '{"type":"XX","data":{}}',
+        '{"type":"DM","data":{}}',
+        '{"type":"ST","data":{"topic":"iu"}}',
+        "zz",
+        b"\xff\xfe",
+    ],
+)
+async def test_malformed_frame_is_an_event_and_does_not_end_the_connection(
+    fake: FakePlatform, payload: str | bytes
+) -> None:
+    async with fake.robot() as a:
+        events = a.events()
+        await fake.send_raw("a", payload)
+        assert isinstance(await events.get(10), InvalidRequest)
+        await a.create_environment("brain")
+
+
+async def test_small_frames_overtake_the_parts_of_a_large_blob(fake: FakePlatform) -> None:
+    async with fake.robot() as a:
+        images = await a.publisher("images", STRING, raw=True)
+        await a.subscriber("in1", STRING, to="a/images", raw=True)
+        publisher = await a.publisher("out", STRING)
+        await a.subscriber("in2", STRING, to="a/out")
+        fake.frame_types.clear()
+        await images.publish(bytes(8 * 256 * 1024))
+        await publisher.publish({"data": "stop"})
+        await a.set_parameter("brain", "x", 1)
+        await until(lambda: fake.frame_types.count("part") == 8)
+        assert fake.frame_types.index("CN") < 5
+        assert sorted(fake.frame_types) == ["CN", "DM", "DM", *["part"] * 8]

@@ -1,0 +1,57 @@
+"""The format of robot files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from rce.client.robotformat import RobotFile, read
+from rce.errors import InvalidRequest
+from tests.support.robot_files import robot_file
+
+
+@pytest.mark.parametrize("suffix", [".cfg", ".json", ".yaml", ".yml"])
+def test_json_and_yaml_are_equivalent(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"robot{suffix}"
+    path.write_text(yaml.safe_dump(robot_file()) if "y" in suffix else json.dumps(robot_file()))
+    file = read(path)
+    assert isinstance(file, RobotFile)
+    assert file.containers[1].group == "net"
+    assert file.parameters[0].value == [1, 2]
+    assert file.interfaces[0].addr == "/req"
+
+
+@pytest.mark.parametrize(
+    ("change", "where"),
+    [
+        ({"url": None}, "url: Expected `str`"),
+        ({"nodes": [{"cTag": "c1", "nTag": "n", "exe": "x"}]}, r"nodes\[0\]: .*`pkg`"),
+        ({"interfaces": [{"eTag": "a", "iTag": "i", "iType": "Publisher", "iCls": "a/B"}]}, r"interfaces\[0\].iType"),
+        ({"parameters": [{"cTag": "c", "name": "x", "value": {}}]}, r"parameters\[0\].value"),
+        ({"conections": []}, "unknown field `conections`"),
+    ],
+)
+def test_error_names_file_and_place(tmp_path: Path, change: dict[str, Any], where: str) -> None:
+    path = tmp_path / "robot.json"
+    path.write_text(json.dumps(robot_file() | change))
+    with pytest.raises(InvalidRequest, match=f"robot.json: .*{where}"):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"), [("a.json", '{"url": \n nonsense}'), ("a.yaml", "url:\n\t- x: ["), ("b", "")]
+)
+def test_syntax_error_names_the_line(tmp_path: Path, name: str, text: str) -> None:
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(InvalidRequest, match=rf"(?s){name}.*line \d"):
+        read(path)
+
+
+def test_error_names_a_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(InvalidRequest, match=r"nothing\.json"):
+        read(tmp_path / "nothing.json")

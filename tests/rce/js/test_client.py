@@ -1,0 +1,32 @@
+"""The JavaScript client in Node, at the fake platform; tests/e2e/test_javascript.py has it at a real one."""
+
+from __future__ import annotations
+
+import asyncio
+
+from tests.support.e2e.node import node_command
+from tests.support.fake_platform import FakePlatform
+from tests.support.paths import TESTS
+
+NEED_REAL_PLATFORM = ("refused robots get the reason", "environment is created, used and destroyed")
+TIMEOUT = 60
+
+
+async def test_client_contract() -> None:
+    async with FakePlatform() as platform:
+        process = await asyncio.create_subprocess_exec(
+            *node_command(),
+            str(TESTS / "js" / "run_in_node.mjs"),
+            platform.url,
+            *NEED_REAL_PLATFORM,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+        )
+        try:
+            out, err = await asyncio.wait_for(process.communicate(), TIMEOUT)
+        finally:
+            if process.returncode is None:
+                process.kill()
+                await process.wait()
+    assert process.returncode == 0, err.decode()
+    assert len(out.splitlines()) >= 8

@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from rce.mapping.evaluation.simulation import Simulation, evaluate
+from rce.mapping.geometry import Pose
+from rce.mapping.mapper import MapperSettings
+from rce.mapping.particles.mapper import ParticleMapper
+from rce.mapping.scans import Scan
+
+FEW = 10  # particles, for tests in which the accuracy does not matter
+
+
+def mapped(scans: Iterable[Scan], **settings: int) -> ParticleMapper:
+    mapper = ParticleMapper(MapperSettings(**settings))
+    for scan in scans:
+        mapper.add(scan)
+    return mapper
+
+
+def part_of(simulation: Simulation, count: int) -> Simulation:
+    return dataclasses.replace(simulation, records=simulation.records[:count], truth=simulation.truth[:count])
+
+
+def test_map_of_simulation_is_accurate(simulation: Simulation) -> None:
+    mapper = mapped(simulation)
+    accuracy = evaluate(mapper.grid(), mapper.trajectory(), simulation)
+    assert accuracy.translation < 0.05
+    assert accuracy.rotation < math.radians(0.5)
+    assert accuracy.walls_found > 0.95
+    assert accuracy.walls_true > 0.97
+
+
+def test_map_does_not_depend_on_the_number_of_cores(simulation: Simulation) -> None:
+    scans = simulation.records[:300]
+    first, second = mapped(scans, particles=FEW, cores=1), mapped(scans, particles=FEW, cores=3)
+    other = mapped(scans, particles=FEW, seed=1)
+    np.testing.assert_array_equal(first.trajectory(), second.trajectory())
+    np.testing.assert_array_equal(first.grid().cells, second.grid().cells)
+    assert not np.array_equal(first.trajectory(), other.trajectory())
+
+
+def test_one_particle_is_enough_for_a_map(simulation: Simulation) -> None:
+    part = part_of(simulation, 200)
+    mapper = mapped(part, particles=1)
+    assert evaluate(mapper.grid(), mapper.trajectory(), part).translation < 0.05
+
+
+def test_missing_odometry_and_slip_are_tolerated(simulation: Simulation) -> None:
+    part = part_of(simulation, 300)
+    without = [dataclasses.replace(scan, odometry=None) for scan in part]
+    slipped = list(part)
+    for i in range(150, 300):
+        odometry = slipped[i].odometry
+        assert odometry
+        slipped[i] = dataclasses.replace(slipped[i], odometry=Pose(1.0, -0.5, 0.2) @ odometry)
+    for scans in (without, slipped):
+        mapper = mapped(scans)
+        assert evaluate(mapper.grid(), mapper.trajectory(), part).translation < 0.05
+
+
+def test_grid_does_not_depend_on_the_number_of_calls(simulation: Simulation) -> None:
+    """The grid is drawn incrementally, and rendered anew when another particle takes over."""
+    scans = simulation.records[:300]
+    often = mapped([], particles=FEW)
+    for i, scan in enumerate(scans):
+        often.add(scan)
+        if i % 20 == 0:
+            often.grid()
+    np.testing.assert_array_equal(often.grid().cells, mapped(scans, particles=FEW).grid().cells)
+
+
+def test_memory_grows_with_the_building_and_not_with_time(simulation: Simulation) -> None:
+    scans = simulation.records[:400]
+    back = [dataclasses.replace(scan, stamp=2 * scans[-1].stamp - scan.stamp) for scan in scans[-2::-1]]
+    again = [dataclasses.replace(scan, stamp=scan.stamp + 100.0) for scan in scans[1:]]
+    mapper = mapped([*scans, *back], particles=FEW)
+    before = memory(mapper)
+    for scan in again:
+        mapper.add(scan)
+    assert memory(mapper) <= 1.15 * before
+
+
+def memory(mapper: ParticleMapper) -> float:
+    """Return the bytes of all kept scans and of all tiles."""
+    sweeps = sum(sweep.points.nbytes for sweep in mapper._sweeps.values())
+    return sweeps + mapper._filter.maps.used * mapper._filter.maps.tiles[0].nbytes

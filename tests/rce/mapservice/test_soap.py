@@ -1,0 +1,175 @@
+"""SOAP 1.1 interface, with XML that client libraries would not send."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import hashlib
+
+import pytest
+from lxml import etree
+
+from rce.control.calls.services import Authenticate
+from rce.mapservice.envelope import NAMESPACE, SOAP, WSSE, Envelopes
+from tests.support.map_service import LOG, Service
+
+NAMES = {"s": SOAP, "r": NAMESPACE}
+
+
+def envelope(body: str, header: str = "") -> str:
+    inside = f"<s:Header>{header}</s:Header><s:Body>{body}</s:Body>"
+    return f'<s:Envelope xmlns:s="{SOAP}" xmlns:r="{NAMESPACE}">{inside}</s:Envelope>'
+
+
+async def post(service: Service, text: str | bytes, user: str = "ann") -> tuple[int, etree._Element]:
+    headers = {"Content-Type": "text/xml; charset=utf-8", "SOAPAction": '""'}
+    answer = await service.request("POST", "/soap", user, data=text, headers=headers)
+    assert answer.content_type == "text/xml"
+    return answer.status, etree.fromstring(await answer.read())
+
+
+def fault(answer: etree._Element) -> tuple[str, str, str]:
+    """Return the fault code, our error code and the field."""
+    found = answer.find("s:Body/s:Fault", NAMES)
+    assert found is not None
+    problem = "detail/r:Problem/r:"
+    return (
+        found.findtext("faultcode", ""),
+        found.findtext(problem + "code", "", NAMES),
+        found.findtext(problem + "field", "", NAMES),
+    )
+
+
+def inline(content: bytes = LOG, name: str = "a.log", options: str = "") -> str:
+    data = base64.b64encode(content).decode()
+    recording = f"<r:recording><r:name>{name}</r:name><r:content>{data}</r:content></r:recording>"
+    return f"<r:SubmitMap>{recording}{options}</r:SubmitMap>"
+
+
+async def test_request_with_a_recording_and_answer_with_a_result(service: Service) -> None:
+    options = "<r:options><r:max_range>20</r:max_range><r:resolution> 0.2 </r:resolution></r:options>"
+    status, answer = await post(service, envelope(inline(options=options)))
+    assert status == 200
+    job = answer.findtext(".//r:id", "", NAMES)
+    task = service.runner.task(job)
+    assert (task.options.max_range, task.options.resolution) == (20.0, 0.2)
+    service.runner.finish(job)
+    async with asyncio.timeout(20):  # the event stream ends when the job is over
+        await service.request("GET", f"/jobs/{job}/events")
+    request = f"<r:GetResult><r:job>{job}</r:job><r:file>map.png</r:file></r:GetResult>"
+    _, answer = await post(service, envelope(request))
+    files = {file.findtext("r:name", "", NAMES): file for file in answer.iterfind(".//r:file", NAMES)}
+    assert set(files) == {"log.txt", "map.png", "times.json"}
+    assert base64.b64decode(files["map.png"].findtext("r:content", "", NAMES)) == b"a picture"
+    assert files["log.txt"].find("r:content", NAMES) is None
+    assert (await service.request("GET", files["log.txt"].findtext("r:url", "", NAMES))).status == 200
+
+
+async def test_job_of_an_upload_with_status_and_cancellation(service: Service) -> None:
+    upload = await service.upload()
+    _, answer = await post(service, envelope(f"<r:SubmitMap><r:upload>{upload}</r:upload></r:SubmitMap>"))
+    job = answer.findtext(".//r:id", "", NAMES)
+    _, answer = await post(service, envelope(f"<r:GetStatus><r:job>{job}</r:job></r:GetStatus>"))
+    assert answer.findtext(".//r:state", "", NAMES) == "running"
+    _, answer = await post(service, envelope(f"<r:CancelMap><r:job>{job}</r:job></r:CancelMap>"))
+    assert answer.findtext(".//r:state", "", NAMES) == "cancelling"
+
+
+NONE = "0" * 24
+STRANGE = '<x:Y xmlns:x="x" s:mustUnderstand="1"/>'
+WRONG = "<r:options><r:resolution>9</r:resolution></r:options>"
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("no xml", ("soap:Client", "invalid_request", "")),
+        ("<a/>", ("soap:Client", "invalid_request", "Envelope")),
+        (envelope(""), ("soap:Client", "invalid_request", "Body")),
+        (envelope("<r:DropTables/>"), ("soap:Client", "invalid_request", "DropTables")),
+        (envelope("<r:SubmitMapResponse/>"), ("soap:Client", "invalid_request", "SubmitMapResponse")),
+        (envelope("<r:GetStatus/>"), ("soap:Client", "invalid_request", "GetStatus")),
+        (envelope("<r:GetStatus><r:job>../x</r:job></r:GetStatus>"), ("soap:Client", "invalid_request", "job")),
+        (envelope(f"<r:GetStatus><r:job>{NONE}</r:job></r:GetStatus>"), ("soap:Client", "not_found", "")),
+        (
+            envelope(f"<r:SubmitMap><r:upload>{NONE}</r:upload>{WRONG}</r:SubmitMap>"),
+            ("soap:Client", "invalid_request", "options.resolution"),
+        ),
+        (envelope(inline(b"PK", "a.bag")), ("soap:Client", "invalid_request", "body")),
+        (
+            envelope("<r:GetStatus/>", '<x:Y xmlns:x="x" s:mustUnderstand="1"/>'),
+            ("soap:MustUnderstand", "invalid_request", ""),
+        ),
+    ],
+)
+async def test_wrong_requests_are_answered_with_faults(
+    service: Service, text: str, expected: tuple[str, str, str]
+) -> None:
+    status, answer = await post(service, text)
+    assert status == 500
+    assert fault(answer) == expected
+    assert service.service.uploads.of("ann") == []
+
+
+ENTITY = '<!DOCTYPE a [<!ENTITY e SYSTEM "file:///etc/hostname">]>'
+BOMB = '<!DOCTYPE a [<!ENTITY a "x"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;">]>'
+
+
+@pytest.mark.parametrize("document_type", [ENTITY, BOMB, '<!DOCTYPE a SYSTEM "http://127.0.0.1:1/x.dtd">'])
+async def test_entities_and_document_types_are_refused(service: Service, document_type: str) -> None:
+    text = document_type + envelope("<r:GetStatus><r:job>&e;</r:job></r:GetStatus>").replace("&e;", "&e;")
+    _, answer = await post(service, text if document_type == ENTITY else text.replace("&e;", "0"))
+    assert fault(answer)[:2] == ("soap:Client", "invalid_request")
+
+
+async def test_deep_and_large_requests_are_refused(service: Service) -> None:
+    _, answer = await post(service, envelope("<r:x>" * 5000))
+    assert fault(answer)[0] == "soap:Client"
+    _, answer = await post(service, b"x" * 10_000_000)
+    assert fault(answer)[:2] == ("soap:Client", "limit_exceeded")
+    _, answer = await post(service, envelope(inline(bytes(6_400_000), "a.bag")))
+    assert fault(answer)[:2] == ("soap:Client", "limit_exceeded")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        envelope("<a/>" * 5000),
+        envelope("<r:GetStatus " + " ".join(f'a{number}=""' for number in range(5000)) + "/>"),
+        envelope("<r:GetStatus><r:job>" + "&amp;" * 5000 + "</r:job></r:GetStatus>"),
+        b'<?xml version="1.0" encoding="utf-7"?>' + b"+ADw-a/+AD4-",
+    ],
+    ids=["elements", "attributes", "references", "hidden"],
+)
+async def test_expensive_xml_is_refused_before_parsing(service: Service, text: str | bytes) -> None:
+    """The credentials are in the request itself, so it is parsed before the client is authenticated."""
+    _, answer = await post(service, text)
+    assert fault(answer)[1] == "invalid_request"
+    assert any(reason in answer.findtext(".//faultstring", "") for reason in ("too many", "not acceptable XML"))
+
+
+def token(password: str, kind: str = "") -> str:
+    kind = f' Type="x#{kind}"' if kind else ""
+    return (
+        f'<w:Security xmlns:w="{WSSE}" s:mustUnderstand="1"><w:UsernameToken><w:Username>ann</w:Username>'
+        f"<w:Password{kind}>{password}</w:Password></w:UsernameToken></w:Security>"
+    )
+
+
+async def test_username_token_authenticates(service: Service) -> None:
+    request = f"<r:GetStatus><r:job>{NONE}</r:job></r:GetStatus>"
+    _, answer = await post(service, envelope(request, token("rce_ann", "PasswordText")), "nobody")
+    assert fault(answer)[1] == "not_found"
+    _, answer = await post(service, envelope(request, token("secret")), "nobody")
+    assert fault(answer)[:2] == ("soap:Client", "unauthorized")
+    call = Authenticate("ann", hashlib.sha256(b"secret").hexdigest(), "job.read", "127.0.0.1")
+    assert call in service.master.calls
+    _, answer = await post(service, envelope(request, token("x", "PasswordDigest")), "nobody")
+    assert fault(answer)[:2] == ("soap:Client", "unauthorized")
+
+
+def test_wsdl_has_its_location_and_a_valid_schema() -> None:
+    envelopes = Envelopes()
+    assert b"http://here/soap" in envelopes.wsdl("http://here/soap")
+    element = etree.fromstring(f'<r:GetStatus xmlns:r="{NAMESPACE}"><r:job>{NONE}</r:job></r:GetStatus>')
+    envelopes.check(element)

@@ -1,0 +1,246 @@
+# ruff: noqa: E501  # frames stand in one line, as on the wire
+"""Frames of robots: those of the original protocol decode, and all others raise an InvalidRequest with the place."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any, get_args
+
+import msgspec
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from rce.errors import ErrorInfo, InvalidRequest
+from rce.protocol import messages as m
+from tests.support.control import execute_round_trip
+
+KINDS: dict[str, type[Any]] = {
+    "CC": m.CreateContainer,
+    "DC": m.DestroyContainer,
+    "CN": m.ConfigureComponents,
+    "CX": m.ConfigureConnections,
+    "DM": m.DataMessage,
+}
+TO_SERVER = [
+    '{"type":"CC","data":{"containerTag":"brain","containerData":{"size":2,"group":"fleet"}}}',
+    '{"type":"DC","data":{"containerTag":"brain"}}',
+    """{"type":"CN","data":{
+  "setParam":[{"containerTag":"brain","name":"rate","value":10}],
+  "addInterfaces":[
+    {"endpointTag":"r2d2","interfaceTag":"pose","interfaceType":"SubscriberConverter","className":"geometry_msgs/Pose2D"},
+    {"endpointTag":"brain","interfaceTag":"pose","interfaceType":"PublisherInterface","className":"geometry_msgs/Pose2D","addr":"/pose"}]}}""",
+    '{"type":"CN","data":{"addNodes":[{"containerTag":"brain","nodeTag":"rec","pkg":"demo","exe":"rec.py","args":"--dir $(find demo)/out","name":"rec","namespace":"log"}]}}',
+    '{"type":"CN","data":{"removeNodes":[{"containerTag":"brain","nodeTag":"rec"}],"removeInterfaces":[{"endpointTag":"r2d2","interfaceTag":"pose"}],"deleteParam":[{"containerTag":"brain","name":"rate"}]}}',
+    '{"type":"CX","data":{"connect":[{"tagA":"r2d2/pose","tagB":"brain/pose"}]}}',
+    '{"type":"CX","data":{"disconnect":[{"tagA":"brain/pose","tagB":"r2d2/pose"}]}}',
+    '{"type":"DM","data":{"iTag":"pose","type":"geometry_msgs/Pose2D","msgID":"nil","msg":{"x":1.5,"y":-0.5,"theta":0.0}}}',
+    '{"type":"DM","data":{"iTag":"camera","type":"sensor_msgs/Image","msgID":"nil","msg*":"0a1b2c3d4e5f60718293a4b5c6d7e8f9"}}',
+    '{"type":"DM","data":{"iTag":"echo","type":"Test/StringEcho","msgID":"5d0c8a","msg":{"data":"hi"}}}',
+]
+
+
+def items(frame: m.Frame) -> dict[str, Any]:
+    """Return the decoded items of a CN or CX frame by their place."""
+    kinds = {**m.CN_ITEMS, **m.CX_ITEMS}
+    lists = msgspec.structs.asdict(m.decode_as(KINDS[frame.type], frame.data, "data"))
+    return {
+        f"{name}[{index}]": m.decode_as(kinds[name], raw, f"{name}[{index}]")
+        for name, raws in lists.items()
+        for index, raw in enumerate(raws)
+    }
+
+
+@pytest.mark.parametrize("text", TO_SERVER, ids=lambda text: text[9:11])
+def test_frames_of_the_original_protocol_keep_every_value(text: str) -> None:
+    frame = m.decode_frame(text.encode())
+    data = json.loads(text)["data"]
+    if frame.type in ("CN", "CX"):
+        decoded = items(frame)
+        assert set(decoded) == {f"{name}[{index}]" for name, each in data.items() for index, _ in enumerate(each)}
+        given = {f"{name}[{index}]": item for name, each in data.items() for index, item in enumerate(each)}
+        for place, item in decoded.items():
+            assert msgspec.to_builtins(item).items() >= given[place].items()
+        return
+    decoded_message = m.decode_as(KINDS[frame.type], frame.data, "data")
+    assert json.loads(msgspec.json.encode(decoded_message)) == data
+
+
+def test_status_and_error_are_encoded_as_in_the_original() -> None:
+    status = m.Status(m.InterfaceStatus("pose", True))
+    assert json.loads(msgspec.json.encode(status)) == {
+        "type": "ST",
+        "data": {"topic": "iu", "iTag": "pose", "status": True},
+    }
+    assert msgspec.json.encode(m.Failure("Invalid Request: …")) == '{"type":"ER","data":"Invalid Request: …"}'.encode()
+
+
+def test_id_and_error_are_additional_keys_of_the_frame() -> None:
+    failure = m.Failure("no", 7, ErrorInfo("not_found", "no", item="addNodes[0]"))
+    assert json.loads(msgspec.json.encode(failure)) == {
+        "type": "ER",
+        "data": "no",
+        "id": 7,
+        "error": {"code": "not_found", "message": "no", "item": "addNodes[0]"},
+    }
+
+
+def test_defaults_apply_and_unknown_keys_are_ignored() -> None:
+    frame = m.decode_frame(b'{"more":1,"data":{"containerTag":"brain","colour":"red"},"type":"CC"}')
+    assert frame.id is msgspec.UNSET
+    command = m.decode_as(m.CreateContainer, frame.data, "data")
+    assert (command.containerData.size, command.containerData.restart) == (1, "always")
+    node = m.decode_as(m.AddNode, b'{"containerTag":"a","nodeTag":"b","pkg":"c","exe":"d"}', "x")
+    assert (node.args, node.name, node.namespace) == ("", "", "")
+
+
+# --- tokens that are not JSON -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ('{"x":NaN}', {"x": "NaN"}),
+        ('{"x":[Infinity,-Infinity,1]}', {"x": ["Infinity", "-Infinity", 1]}),
+        ('{"x":NaN,"NaN":"NaN, Infinity","s":"\\"NaN\\\\"}', {"x": "NaN", "NaN": "NaN, Infinity", "s": '"NaN\\'}),
+    ],
+)
+def test_bare_tokens_are_decoded_as_strings(text: str, value: object) -> None:
+    frame = m.decode_frame(b'{"type":"DM","data":' + text.encode() + b"}")
+    assert json.loads(bytes(frame.data)) == value
+
+
+@given(
+    st.recursive(
+        st.floats() | st.text(),
+        lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    )
+)
+def test_output_of_pythons_json_module_is_decoded(value: object) -> None:
+    def named(value: object) -> object:
+        if isinstance(value, dict):
+            return {key: named(each) for key, each in value.items()}
+        if isinstance(value, list):
+            return [named(each) for each in value]
+        if isinstance(value, float) and not math.isfinite(value):
+            return json.dumps(value)
+        return value
+
+    payload = json.dumps({"type": "DM", "data": value}).encode()
+    assert json.loads(bytes(m.decode_frame(payload).data)) == named(value)
+
+
+# --- errors -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "field"),
+    [
+        (m.CreateContainer, "{}", ""),
+        (m.CreateContainer, '{"containerTag":1}', "containerTag"),
+        (m.CreateContainer, '{"containerTag":"a","containerData":{"size":0}}', "containerData.size"),
+        (m.CreateContainer, '{"containerTag":"a","containerData":{"size":1001}}', "containerData.size"),
+        (m.CreateContainer, '{"containerTag":"a","containerData":{"size":"2"}}', "containerData.size"),
+        (m.CreateContainer, '{"containerTag":"a","containerData":{"size":true}}', "containerData.size"),
+        (m.CreateContainer, '{"containerTag":"a","containerData":{"memory":-1}}', "containerData.memory"),
+        (m.CreateContainer, '{"containerTag":"a","containerData":{"memory":9999999999999999999999}}', "containerData.memory"),
+        (m.CreateContainer, '{"containerTag":"a","containerData":{"specialFeatures":[1]}}', "containerData.specialFeatures[0]"),
+        (m.CreateContainer, '{"containerTag":"a","containerData":{"restart":"maybe"}}', "containerData.restart"),
+        (m.AddNode, '{"containerTag":"a","nodeTag":"b","pkg":"","exe":"d"}', "pkg"),
+        (m.AddNode, '{"containerTag":"a","nodeTag":"b","pkg":"c","exe":"d","args":"x\\u0000"}', "args"),
+        (m.AddNode, json.dumps({"containerTag": "a", "nodeTag": "b", "pkg": "c", "exe": "d", "args": "x" * 32_769}), "args"),
+        (m.AddInterface, '{"endpointTag":"a","interfaceTag":"b","interfaceType":"c","className":"d","qos":{"depth":0}}', "qos.depth"),
+        (m.SetParameter, '{"containerTag":"a","name":"","value":1}', "name"),
+        (m.SetParameter, '{"containerTag":"a","name":"a\\u0000b","value":1}', "name"),
+        (m.SetParameter, json.dumps({"containerTag": "a", "name": "n" * 256, "value": 1}), "name"),
+        (m.SetParameter, '{"containerTag":"a","name":"n","value":null}', "value"),
+        (m.SetParameter, '{"containerTag":"a","name":"n","value":{"a":1}}', "value"),
+        (m.SetParameter, '{"containerTag":"a","name":"n","value":[[1]]}', "value[0]"),
+        (m.SetParameter, '{"containerTag":"a","name":"n","value":9223372036854775808}', "value"),
+        (m.SetParameter, '{"containerTag":"a","name":"n","value":[0,-9223372036854775809]}', "value[1]"),
+        (m.Connect, "[]", ""),
+        (m.ConfigureComponents, '{"addNodes":{}}', "addNodes"),
+    ],
+)  # fmt: skip
+def test_error_names_the_item_and_the_path_of_the_field(kind: type[Any], text: str, field: str) -> None:
+    with pytest.raises(InvalidRequest) as raised:
+        m.decode_as(kind, text.encode(), "connect[3]")
+    assert raised.value.field == field
+    assert str(raised.value).startswith("connect[3]" + (f".{field}: " if field else ": "))
+
+
+def test_malformed_item_does_not_affect_the_items_before() -> None:
+    lists = m.decode_as(m.ConfigureConnections, b'{"connect":[{"tagA":"a/b","tagB":"c/d"},{"tagA":1}]}', "data")
+    assert m.decode_as(m.Connect, lists.connect[0], "connect[0]") == m.Connect("a/b", "c/d")
+    with pytest.raises(InvalidRequest, match=r"connect\[1\]"):
+        m.decode_as(m.Connect, lists.connect[1], "connect[1]")
+
+
+HOSTILE = [
+    b"",
+    b"\xff\xfe",
+    b"null",
+    b"[]",
+    b"{}",
+    b'"CC"',
+    b'{"type":"CC"}',
+    b'{"type":null,"data":{}}',
+    b'{"type":"CC","data":{}',
+    b'{"type":"CC","data":{}} {}',
+    b'{"type":"C\xff","data":{}}',
+    b'{"type":"\\ud800","data":{}}',
+    b'{"type":"CC","data":{"a":NaN',
+    b'{"type":"CC","data":"NaN\\',
+    b'{"type":"CC","data":{},"id":1e999}',
+    b'{"type":"CC","data":{},"id":true}',
+    b'{"type":"CC","data":{},"id":"' + b"x" * 256 + b'"}',
+    b'{"type":"CC","data":' + b"[" * 200_000,
+    b'{"type":"CC","data":' + b"[" * 200_000 + b"]" * 200_000 + b"}",
+    b'{"type":"CC","data":' + b'{"a":' * 100_000 + b"NaN" + b"}" * 100_001,
+]
+
+
+@pytest.mark.parametrize("payload", HOSTILE, ids=lambda payload: repr(payload[:25]))
+def test_malformed_frame_is_an_invalid_request(payload: bytes) -> None:
+    with pytest.raises(InvalidRequest):
+        m.decode_frame(payload)
+
+
+def decode_all(payload: bytes) -> None:
+    """Decode a frame as every kind of message, as the server does, and pass commands on as the Master gets them."""
+    try:
+        frame = m.decode_frame(payload)
+    except InvalidRequest:
+        return
+    for kind in (*KINDS.values(), *get_args(m.Command)):
+        try:
+            decoded = m.decode_as(kind, frame.data, "data")
+        except InvalidRequest:
+            continue
+        if isinstance(decoded, get_args(m.Command)):
+            assert execute_round_trip(decoded) == decoded
+
+
+values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text() | st.sampled_from(["containerTag", "name", "value", "tagA", "tagB", "containerData", "size"]), inner, max_size=6),
+)  # fmt: skip
+
+
+@given(st.sampled_from([*KINDS, "ST", "?"]), values)
+@example("CC", {"containerTag": "a", "containerData": {"cpu": 10**400}})
+@example("CN", {"containerTag": "a", "name": "n", "value": 2**64})
+def test_any_json_is_decoded_or_refused(kind: str, data: object) -> None:
+    decode_all(json.dumps({"type": kind, "data": data}).encode())
+
+
+@given(st.sampled_from(TO_SERVER), st.integers(0, 400), st.binary(max_size=8), st.integers(0, 8))
+def test_any_damaged_frame_is_decoded_or_refused(text: str, place: int, put: bytes, cut: int) -> None:
+    payload = text.encode()
+    decode_all(payload[:place] + put + payload[place + cut :])
+
+
+@given(st.binary())
+def test_any_bytes_are_decoded_or_refused(payload: bytes) -> None:
+    decode_all(payload)

@@ -1,0 +1,19 @@
+"""Certificates of machines, for tests."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rce.net.certificates import Authority, generate_key, key_to_pem, signing_request
+from rce.net.tls import CA, CERTIFICATE, KEY
+
+
+def certify(directory: Path, authority: Authority, hosts: Sequence[str]) -> Path:
+    """A machine's directory of certificates, which are for these names and addresses."""
+    directory.mkdir(parents=True)
+    key = generate_key()
+    (directory / CA).write_text(authority.certificate)
+    (directory / KEY).write_text(key_to_pem(key))
+    (directory / CERTIFICATE).write_text(authority.issue(signing_request(key, "machine"), "machine", hosts))
+    return directory

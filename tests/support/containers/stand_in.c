@@ -1,0 +1,48 @@
+/* Stand-in for the Environment endpoint in an image without any other file. The argument is its behaviour. */
+#include <fcntl.h>
+#include <signal.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+#include <unistd.h>
+
+static void end(int number) {
+    (void)number;
+    static const char words[] = "last words\n";
+    (void)!write(1, words, sizeof words - 1);
+    _exit(3);
+}
+
+static void quit(int number) { _exit(128 + number); }
+
+int main(int count, char **words) {
+    const char *behaviour = count > 1 ? words[1] : "";
+    signal(SIGUSR1, end);
+    signal(SIGTERM, quit);
+    if (!strcmp(behaviour, "eat")) /* memory, until it is killed */
+        for (;;) memset(malloc(1 << 20), 1, 1 << 20);
+    if (!strcmp(behaviour, "fork")) { /* as many processes as it gets, then it says how many */
+        int made = 0;
+        for (int child; made < 100000 && (child = fork()) >= 0; made++)
+            if (child == 0) for (;;) pause();
+        printf("%d processes\n", made);
+        fflush(stdout);
+        end(0);
+    }
+    if (!strcmp(behaviour, "fill")) { /* its home, then it says how many MB went in and how long that took */
+        static char block[1 << 20];
+        long most = count > 2 ? atol(words[2]) : 1 << 20, megabytes = 0;
+        int file = open("/home/rce/filled", O_CREAT | O_WRONLY, 0600);
+        struct timespec begin, now;
+        clock_gettime(CLOCK_MONOTONIC, &begin);
+        while (megabytes < most && write(file, block, sizeof block) == sizeof block) megabytes++;
+        clock_gettime(CLOCK_MONOTONIC, &now);
+        printf("%ld MB in %.2f s\n", megabytes, now.tv_sec - begin.tv_sec + (now.tv_nsec - begin.tv_nsec) / 1e9);
+        fflush(stdout);
+        end(0);
+    }
+    puts("ready");
+    fflush(stdout);
+    for (;;) pause();
+}

@@ -1,0 +1,71 @@
+"""The system's Chromium by Playwright, and pages whose errors fail the test."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import pytest
+
+from tests.support.paths import ROOT
+
+PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
+SCREENSHOTS = ROOT / "docs" / "screenshots"
+WIDE, NARROW = {"width": 1280, "height": 800}, {"width": 768, "height": 900}
+
+
+@asynccontextmanager
+async def chromium() -> AsyncIterator[Any]:
+    """Start a headless browser, or skip the test where there is none."""
+    playwright = pytest.importorskip("playwright.async_api", reason="needs Playwright: pip install '.[dev]'")
+    program = next(filter(None, map(shutil.which, PROGRAMS)), None)
+    if program is None:
+        pytest.skip("no Chromium: install chromium to run this")
+    async with playwright.async_playwright() as started:
+        options = ["--no-sandbox"] if os.geteuid() == 0 else []
+        browser = await started.chromium.launch(executable_path=program, args=options)
+        yield browser
+        await browser.close()
+
+
+@asynccontextmanager
+async def open_page(browser: Any, **options: Any) -> AsyncIterator[tuple[Any, list[str]]]:
+    """Open a page in a context of its own. Yields it and the errors that it logs; none may be left at the end."""
+    context = await browser.new_context(**{"viewport": WIDE, **options})
+    page = await context.new_page()
+    page.set_default_timeout(30_000)
+    errors: list[str] = []
+
+    def record_error(message: Any) -> None:
+        if message.type == "error":
+            errors.append(f"{message.text} ({message.location.get('url')})")
+
+    page.on("console", record_error)
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    try:
+        yield page, errors
+        assert errors == []
+    except BaseException as error:
+        error.add_note(f"{page.url}\n{await page.inner_text('body')}\n{errors}")
+        raise
+    finally:
+        await context.close()
+
+
+async def sign_in(page: Any, url: str, user: str, password: str) -> None:
+    """Sign in, which leads to the graph."""
+    await page.goto(f"{url}ui/")
+    await page.get_by_label("User").fill(user)
+    await page.get_by_label("Password").fill(password)
+    await page.get_by_role("button", name="Sign in").click()
+    await page.get_by_role("heading", name="Robots and environments").wait_for()
+
+
+async def screenshot(page: Any, name: str) -> None:
+    """Save a screenshot for the documentation, if RCE_SCREENSHOTS is set."""
+    if os.environ.get("RCE_SCREENSHOTS"):
+        SCREENSHOTS.mkdir(exist_ok=True)
+        await page.screenshot(path=SCREENSHOTS / f"{name}.png")

@@ -1,0 +1,43 @@
+"""Hooks of schemathesis: rules of the API that its OpenAPI document cannot express."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import schemathesis
+
+
+@schemathesis.hook
+def before_call(context: schemathesis.HookContext, case: schemathesis.Case, *args: Any) -> None:
+    """Ask for no endless streams, write integers without a point, and restrict only keys of robots."""
+    if case.query:
+        case.query.pop("follow", None)
+    case.body = _written(case.body)
+    if case.operation.label == "POST /api/v1/keys" and isinstance(case.body, dict):
+        scopes = case.body.get("scopes")
+        if case.body.get("role") != "robot" and isinstance(scopes, dict) and _is_good(scopes):
+            del case.body["scopes"]
+
+
+def _written(value: Any) -> Any:
+    match value:
+        case float() if value.is_integer():
+            return int(value)
+        case dict():
+            return {name: _written(each) for name, each in value.items()}
+        case list():
+            return [_written(each) for each in value]
+    return value
+
+
+def _is_good(scopes: dict[str, Any]) -> bool:
+    robot, environments = scopes.get("robot", ""), scopes.get("environments", [])
+    metrics = scopes.get("metrics", False)
+    known = scopes.keys() <= {"robot", "environments", "metrics"} and isinstance(metrics, bool)
+    return (
+        known
+        and isinstance(robot, str)
+        and isinstance(environments, list)
+        and len(environments) <= 1000
+        and all(isinstance(each, str) for each in environments)
+    )
