@@ -13,7 +13,7 @@ from master.access.audit import Audit
 from master.access.guard import Guard
 from master.access.join_tokens import JoinTokens
 from master.access.service_calls import ServiceCalls
-from master.access.user_limits import Limits
+from master.access.user_limits import UserLimits
 from master.access.users import Users
 from master.execution.command_executor import START_TIMEOUT, CommandExecutor
 from master.execution.effect_runner import EffectRunner
@@ -69,7 +69,7 @@ class Master:
         self.state = State()
         self.users = Users(store)
         self.audit = Audit(store)
-        self.limits = Limits(store, policy)
+        self.limits = UserLimits(store, policy)
         self.join_tokens = JoinTokens(store)
         self.entry = ("http", 0)
         self._depot = depot

@@ -14,7 +14,7 @@ import msgspec
 
 from master.access.audit import Audit, Origin
 from master.access.passwords import check_password
-from master.access.user_limits import Limits
+from master.access.user_limits import UserLimits
 from master.access.users import Users
 from master.graph.limits import parse
 from master.storage.store import Store
@@ -127,7 +127,7 @@ async def _run_audited(store: Store, words: argparse.Namespace) -> None:
 
 
 async def _limits(store: Store, words: argparse.Namespace) -> None:
-    limits = Limits(store)
+    limits = UserLimits(store)
     await limits.open()
     if words.user not in await Users(store).names():
         raise NotFound(f"there is no user {words.user}", field="userID")

@@ -19,7 +19,7 @@ REFRESH = 3.0  # seconds until changes by other processes (`rce user limits`) ar
 log = Logger()
 
 
-class Limits:
+class UserLimits:
     """Limits of all users. The Master gives `platform`; other programs use what the last Master stored."""
 
     def __init__(self, store: Store, platform: Policy | None = None) -> None:

@@ -22,7 +22,9 @@ from rce.web.requests import peer_address
 USER = "/users/{name}"
 
 
-Limits = Annotated[dict[str, Any], Meta(extra_json_schema={"propertyNames": {"enum": [*Policy.__struct_fields__]}})]
+LimitChanges = Annotated[
+    dict[str, Any], Meta(extra_json_schema={"propertyNames": {"enum": [*Policy.__struct_fields__]}})
+]
 
 
 class UsersApi:
@@ -50,7 +52,7 @@ class UsersApi:
                     self._change_limits,
                     "Change limits: a number, an amount such as 2GiB, or null for the default",
                 ),
-                body=Limits,
+                body=LimitChanges,
                 answer=Policy,
             ),
             Route(

@@ -7,7 +7,7 @@ import time
 
 from master.access import guests
 from master.access.audit import Audit, Origin
-from master.access.user_limits import Limits
+from master.access.user_limits import UserLimits
 from master.execution.effect_runner import EffectRunner, new_id, raise_first_error
 from master.execution.lifecycle import Lifecycle
 from master.graph.changes import undo
@@ -30,7 +30,7 @@ _commands = metrics.Timing("rce_command_seconds", "Time until a command was comp
 class CommandExecutor:
     """Executes commands, within the rights of the sender and the limits of the owner."""
 
-    def __init__(self, runner: EffectRunner, lifecycle: Lifecycle, limits: Limits, audit: Audit) -> None:
+    def __init__(self, runner: EffectRunner, lifecycle: Lifecycle, limits: UserLimits, audit: Audit) -> None:
         self._runner = runner
         self._state = runner.state
         self._readiness = runner.readiness

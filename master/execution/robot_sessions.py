@@ -8,7 +8,7 @@ import secrets
 from master.access import guests
 from master.access.audit import Audit, Origin
 from master.access.grants import digest
-from master.access.user_limits import Limits
+from master.access.user_limits import UserLimits
 from master.access.users import Users
 from master.execution.effect_runner import EffectRunner, new_id, raise_first_error
 from master.execution.lifecycle import Lifecycle
@@ -32,7 +32,7 @@ class RobotSessions:
         lifecycle: Lifecycle,
         users: Users,
         audit: Audit,
-        limits: Limits,
+        limits: UserLimits,
         view_cache: ViewCache,
     ) -> None:
         self._runner = runner

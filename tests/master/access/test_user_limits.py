@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from master.access import user_limits as module
-from master.access.user_limits import Limits
+from master.access.user_limits import UserLimits
 from master.access.users import Users
 from master.graph.limits import Policy
 from master.storage.store import Store
@@ -28,7 +28,7 @@ async def store(tmp_path: Path) -> AsyncIterator[Store]:
 
 
 async def test_changed_limits_override_those_of_the_platform(store: Store) -> None:
-    limits = Limits(store, Policy(size=2, memory=100, images=["rce/base"]))
+    limits = UserLimits(store, Policy(size=2, memory=100, images=["rce/base"]))
     await limits.open()
     await limits.change("ann", {"memory": 200, "images": ["mine/*"], "cpu": 1.5})
     assert limits.of("ann") == Policy(size=2, memory=200, cpu=1.5, images=["rce/base", "mine/*"])
@@ -38,17 +38,17 @@ async def test_changed_limits_override_those_of_the_platform(store: Store) -> No
 
 
 async def test_limits_of_users_survive_a_restart(store: Store) -> None:
-    first = Limits(store, Policy(size=2))
+    first = UserLimits(store, Policy(size=2))
     await first.open()
     await first.change("ann", {"memory": 200})
-    second = Limits(store, Policy(size=3))
+    second = UserLimits(store, Policy(size=3))
     await second.open()
     assert second.of("ann") == Policy(size=3, memory=200)
 
 
 async def test_running_master_sees_changes_by_other_processes(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "REFRESH", 0.001)
-    running, other = Limits(store, Policy(size=2)), Limits(store)
+    running, other = UserLimits(store, Policy(size=2)), UserLimits(store)
     await running.open()
     await other.open()
     following = asyncio.create_task(running.follow())
@@ -64,7 +64,7 @@ async def test_running_master_sees_changes_by_other_processes(store: Store, monk
 
 
 async def test_limits_are_removed_with_their_user(store: Store) -> None:
-    limits = Limits(store, Policy())
+    limits = UserLimits(store, Policy())
     await limits.open()
     await limits.change("ann", {"size": 5})
     await Users(store).remove("ann")
@@ -77,7 +77,7 @@ async def test_command_shows_and_changes_limits(store: Store, tmp_path: Path) ->
         line = [sys.executable, "-P", "-m", "master.access.accounts", "--data-dir", str(tmp_path), "limits", *words]
         return subprocess.run(line, capture_output=True, text=True, timeout=60)
 
-    await Limits(store, Policy(size=4)).open()
+    await UserLimits(store, Policy(size=4)).open()
     changed = await asyncio.to_thread(command, "ann", "memory=2GiB", "images=mine/*")
     assert changed.returncode == 0, changed.stderr
     assert ["memory", "2147483648", "own"] in [line.split() for line in changed.stdout.splitlines()]

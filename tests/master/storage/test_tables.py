@@ -10,7 +10,7 @@ import pytest
 from master.access.audit import Audit, AuditFilter, Origin
 from master.access.grants import Grants
 from master.access.join_tokens import JoinTokens
-from master.access.user_limits import Limits
+from master.access.user_limits import UserLimits
 from master.access.users import Users, digest
 from master.graph.limits import Policy
 from master.storage.store import Store
@@ -46,10 +46,10 @@ async def test_users_and_keys_in_every_database(store: Store) -> None:
 
 
 async def test_limits_grants_and_credentials_in_every_database(store: Store) -> None:
-    limits = Limits(store, Policy(size=2))
+    limits = UserLimits(store, Policy(size=2))
     await limits.open()
     await limits.change("ann", {"memory": 2**40})
-    again = Limits(store)
+    again = UserLimits(store)
     await again.open()
     assert again.of("ann") == Policy(size=2, memory=2**40)
     grants, users = Grants(store), Users(store)
