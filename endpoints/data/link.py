@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 from collections.abc import Callable, Iterator
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 from twisted.logger import Logger
 
@@ -18,6 +18,7 @@ from rce.net.sockets import tune
 HIGH_WATER = 256 * 1024  # bytes; while the transport holds more, messages wait in the outbox, where they take turns
 
 log = Logger()
+P = TypeVar("P")
 
 
 class Link(Protocol):
@@ -53,22 +54,10 @@ class Link(Protocol):
         """Close the link on purpose, which is not reported as a loss."""
 
 
-class LoopLink:
-    """Link between interfaces of one process; messages wait only while a receiver has paused it."""
+class _QueuedLink(Generic[P]):
+    """Part of a link whose messages wait in an outbox."""
 
-    def __init__(self, name: str, deliver: Callable[[Message, Link], None], sent: Callable[[Message], None]) -> None:
-        """Create an open link; `sent` is called right before each message is delivered."""
-        self.name = name
-        self._sent = sent
-        self.opened: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self.opened.set_result(None)
-        self._deliver = deliver
-        self._outbox: Outbox[Message] = Outbox(self._write)
-        self._until: asyncio.Future[None] | None = None
-
-    def send(self, message: Message, keep: int | None) -> int:
-        """Deliver a message, or queue it while the link is paused; return the number of dropped messages."""
-        return self._outbox.put(message.source, iter((message,)), keep)
+    _outbox: Outbox[P]
 
     def wait_for_room(self, source: bytes) -> asyncio.Future[None] | None:
         """Return None while `source` may send, else a future that is done when it may send again."""
@@ -81,6 +70,24 @@ class LoopLink:
     def discard(self, source: bytes) -> None:
         """Drop the waiting messages of `source`."""
         self._outbox.discard(source)
+
+
+class LoopLink(_QueuedLink[Message]):
+    """Link between interfaces of one process; messages wait only while a receiver has paused it."""
+
+    def __init__(self, name: str, deliver: Callable[[Message, Link], None], sent: Callable[[Message], None]) -> None:
+        """Create an open link; `sent` is called right before each message is delivered."""
+        self.name = name
+        self._sent = sent
+        self.opened: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self.opened.set_result(None)
+        self._deliver = deliver
+        self._outbox = Outbox(self._write)
+        self._until: asyncio.Future[None] | None = None
+
+    def send(self, message: Message, keep: int | None) -> int:
+        """Deliver a message, or queue it while the link is paused; return the number of dropped messages."""
+        return self._outbox.put(message.source, iter((message,)), keep)
 
     def pause(self, until: asyncio.Future[None]) -> None:
         """Stop delivering until the future is done."""
@@ -103,7 +110,7 @@ class LoopLink:
         return self._until is None
 
 
-class StreamLink(asyncio.BufferedProtocol):
+class StreamLink(_QueuedLink[list[Buffer]], asyncio.BufferedProtocol):
     """One end of a link over a socket.
 
     The link queues messages from the start. `DataPort` connects and authenticates it, then calls `attach`.
@@ -138,7 +145,7 @@ class StreamLink(asyncio.BufferedProtocol):
         self._lost = lost
         self._sent = sent
         self._reader = FrameReader()
-        self._outbox: Outbox[list[Buffer]] = Outbox(self._write)
+        self._outbox = Outbox(self._write)
         self._outbox.pause()  # until the link is open
         self._streams = itertools.cycle(range(1 << 32))
         self._transport: asyncio.Transport | None = None
@@ -183,18 +190,6 @@ class StreamLink(asyncio.BufferedProtocol):
     def _pieces(self, message: Message) -> Iterator[list[Buffer]]:
         self._sent(message)
         yield from pieces(message, next(self._streams))
-
-    def wait_for_room(self, source: bytes) -> asyncio.Future[None] | None:
-        """Return None while `source` may send, else a future that is done when it may send again."""
-        return self._outbox.wait_for_room(source)
-
-    def backlog(self, source: bytes) -> int:
-        """Return the number of messages of `source` that wait."""
-        return self._outbox.backlog(source)
-
-    def discard(self, source: bytes) -> None:
-        """Drop the waiting messages of `source`."""
-        self._outbox.discard(source)
 
     def pause(self, until: asyncio.Future[None]) -> None:
         """Stop reading from the socket until the future is done."""

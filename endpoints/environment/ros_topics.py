@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from rclpy.duration import Duration
@@ -33,18 +34,28 @@ Report = Callable[[str], None]
 """Reports an error to the owner of the interface; called in the ROS thread."""
 
 
-class _Topic:
+@dataclass(frozen=True)
+class Topic:
+    """A topic as an interface wants it: the class of its messages, its name in ROS and its quality of service.
+
+    `report` gets the reason when a node at the other side has an incompatible quality of service.
+    """
+
+    kind: type[Message]
+    name: str
+    qos: Qos
+    report: Report
+
+
+class _TopicEnd:
     """Base of publishers and subscriptions: handles their QoS events."""
 
     subscriptions = clients = services = 0
     events = 2
 
-    def __init__(self, ros: RosThread, kind: type[Message], topic: str, qos: Qos, report: Report) -> None:
-        self.topic = topic
+    def __init__(self, ros: RosThread, topic: Topic) -> None:
         self._ros = ros
-        self._kind = kind
-        self._qos = qos
-        self._report = report
+        self._topic = topic
         self._reported: set[str] = set()
         self._handlers: list[EventHandler] = []
 
@@ -72,8 +83,8 @@ class _Topic:
             reason = mismatch(offered, requested)
             if reason and reason not in self._reported:
                 self._reported.add(reason)
-                self._report(
-                    f"topic {self.topic}: the publisher is {describe(offered)}, "
+                self._topic.report(
+                    f"topic {self._topic.name}: the publisher is {describe(offered)}, "
                     f"the subscription {describe(requested)}: {reason}. "
                     "Leave the qos of the interface at auto, or set it to a matching one"
                 )
@@ -82,7 +93,7 @@ class _Topic:
         return [info for info in infos if bytes(info.endpoint_gid[:12]) != self._ros.prefix]
 
 
-class RawPublisher(_Topic):
+class RawPublisher(_TopicEnd):
     """Publisher of CDR bytes, which waits while only this process subscribes.
 
     Attributes:
@@ -90,37 +101,29 @@ class RawPublisher(_Topic):
             `published` afterwards.
     """
 
-    def __init__(
-        self,
-        ros: RosThread,
-        kind: type[Message],
-        topic: str,
-        qos: Qos,
-        report: Report,
-        published: Callable[[], None],
-    ) -> None:
-        super().__init__(ros, kind, topic, qos, report)
+    def __init__(self, ros: RosThread, topic: Topic, published: Callable[[], None]) -> None:
+        super().__init__(ros, topic)
         self.waiting: deque[Buffer] = deque()
         self._published = published
         self._unacknowledged = 0
         self._matched = self._settled = False  # there is a subscription; and it has been there for SETTLING_TIME
-        self._create(for_publisher(qos, self._without_own(ros.node.get_subscriptions_info_by_topic(topic))))
+        self._create(for_publisher(topic.qos, self._without_own(ros.node.get_subscriptions_info_by_topic(topic.name))))
         ros.add_waitable(self)
         self.peers_changed()
 
     def _create(self, profile: QoSProfile) -> None:
         events = PublisherEventCallbacks(matched=_ignore, incompatible_qos=_ignore, use_default_callbacks=False)
         self._publisher: Publisher[Message] = self._ros.node.create_publisher(
-            self._kind, self.topic, profile, event_callbacks=events
+            self._topic.kind, self._topic.name, profile, event_callbacks=events
         )
         self._profile = profile
         self._handlers = self._publisher.event_handlers
 
     def peers_changed(self) -> None:
         """Adapt the QoS to the subscriptions and publish what waits, if there are any."""
-        infos = self._ros.node.get_subscriptions_info_by_topic(self.topic)
+        infos = self._ros.node.get_subscriptions_info_by_topic(self._topic.name)
         subscriptions = self._without_own(infos)
-        profile = for_publisher(self._qos, subscriptions)
+        profile = for_publisher(self._topic.qos, subscriptions)
         if is_latched(profile) and not is_latched(self._profile):
             self._ros.node.destroy_publisher(self._publisher)
             self._create(profile)
@@ -158,7 +161,7 @@ class RawPublisher(_Topic):
         self._published()
 
     def _must_wait(self) -> bool:
-        if self._qos.history != "keep_all" or self._unacknowledged < WINDOW:
+        if self._topic.qos.history != "keep_all" or self._unacknowledged < WINDOW:
             return False
         if self._publisher.wait_for_all_acked(_NO_TIME):
             self._unacknowledged = 0
@@ -171,7 +174,7 @@ class RawPublisher(_Topic):
         self._ros.node.destroy_publisher(self._publisher)
 
 
-class RawSubscription(_Topic):
+class RawSubscription(_TopicEnd):
     """Subscription to CDR bytes of all publishers except those of this process; paused until `start`.
 
     Attributes:
@@ -180,23 +183,15 @@ class RawSubscription(_Topic):
 
     subscriptions = 1
 
-    def __init__(
-        self,
-        ros: RosThread,
-        kind: type[Message],
-        topic: str,
-        qos: Qos,
-        report: Report,
-        taken: Callable[[bytes, bytes], bool],
-    ) -> None:
-        super().__init__(ros, kind, topic, qos, report)
+    def __init__(self, ros: RosThread, topic: Topic, taken: Callable[[bytes, bytes], bool]) -> None:
+        super().__init__(ros, topic)
         self._taken = taken  # called with a message and the gid of its publisher; returns False to pause
         self._active = False
         self._started = False
         self._seen: dict[bytes, int] = {}  # last sequence number of each publisher
         publishers = self._publishers()
         self.had_publishers = bool(publishers)
-        self._create(for_subscription(qos, publishers))
+        self._create(for_subscription(topic.qos, publishers))
         ros.add_waitable(self)
         self._check([(info.qos_profile, self._profile) for info in self._publishers()])
 
@@ -208,20 +203,20 @@ class RawSubscription(_Topic):
     def _create(self, profile: QoSProfile) -> None:
         events = SubscriptionEventCallbacks(matched=_ignore, incompatible_qos=_ignore, use_default_callbacks=False)
         self._subscription: Subscription[Message] = self._ros.node.create_subscription(
-            self._kind, self.topic, _ignore, profile, event_callbacks=events, raw=True
+            self._topic.kind, self._topic.name, _ignore, profile, event_callbacks=events, raw=True
         )
         self._profile = profile
         self._handlers = self._subscription.event_handlers
 
     def _publishers(self) -> list[TopicEndpointInfo]:
-        return self._without_own(self._ros.node.get_publishers_info_by_topic(self.topic))
+        return self._without_own(self._ros.node.get_publishers_info_by_topic(self._topic.name))
 
     def peers_changed(self) -> None:
         """Adapt the QoS to the publishers."""
         publishers = self._publishers()
         gids = {bytes(info.endpoint_gid) for info in publishers}
         self._seen = {gid: number for gid, number in self._seen.items() if gid in gids}
-        profile = for_subscription(self._qos, publishers)
+        profile = for_subscription(self._topic.qos, publishers)
         if publishers and profile != self._profile:
             # Set before _drain: the messages taken there do not come again, and must be kept if they are latched.
             self._profile = profile
@@ -280,7 +275,7 @@ class RawSubscription(_Topic):
 
         The message is empty if this process published it, or if it was taken before.
         """
-        found = self._subscription.handle.take_message(self._kind, True)
+        found = self._subscription.handle.take_message(self._topic.kind, True)
         if found is None:
             return None
         payload, info = found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable
 from typing import Any
 
 from rclpy.type_support import check_is_valid_msg_type, check_is_valid_srv_type
@@ -18,12 +19,7 @@ def message_class(name: str, definitions: InstalledTypes) -> type[Any]:
     Raises:
         UnknownType: The type is not installed, or has no type support.
     """
-    kind = _load(name, "msg", definitions)
-    try:
-        check_is_valid_msg_type(kind)
-    except (RuntimeError, AttributeError, ImportError) as error:
-        raise _no_type_support(name, str(error)) from None
-    return kind
+    return _load(name, "msg", check_is_valid_msg_type, definitions)
 
 
 def service_class(name: str, definitions: InstalledTypes) -> type[Any]:
@@ -32,27 +28,19 @@ def service_class(name: str, definitions: InstalledTypes) -> type[Any]:
     Raises:
         UnknownType: The type is not installed, or has no type support.
     """
-    kind = _load(name, "srv", definitions)
-    try:
-        check_is_valid_srv_type(kind)
-    except (RuntimeError, AttributeError, ImportError) as error:
-        raise _no_type_support(name, str(error)) from None
-    return kind
+    return _load(name, "srv", check_is_valid_srv_type, definitions)
 
 
-def _load(name: str, sort: str, definitions: InstalledTypes) -> type[Any]:
+def _load(name: str, sort: str, check: Callable[[Any], None], definitions: InstalledTypes) -> type[Any]:
     package, base = parse_type(name)
     definitions.find(package, sort, base)  # raises UnknownType, so that only packages with interfaces are imported
     try:
         kind: type[Any] = getattr(importlib.import_module(f"{package}.{sort}"), base)
-    except (ImportError, AttributeError) as error:
-        raise _no_type_support(name, str(error)) from None
+        check(kind)
+    except (ImportError, AttributeError, RuntimeError) as error:
+        raise UnknownType(
+            f"type {name} is defined in this environment, but its type support cannot be loaded ({error}); "
+            "build it with `python -m provisioning.typesupport`",
+            field="className",
+        ) from None
     return kind
-
-
-def _no_type_support(name: str, reason: str) -> UnknownType:
-    return UnknownType(
-        f"type {name} is defined in this environment, but its type support cannot be loaded ({reason}); "
-        "build it with `python -m provisioning.typesupport`",
-        field="className",
-    )

@@ -10,7 +10,7 @@ from uuid import uuid4
 from endpoints.data.frames import Buffer, Message
 from endpoints.data.link import Link
 from endpoints.environment.interfaces import RosContext, RosInterface
-from endpoints.environment.ros_topics import SETTLING_TIME, RawPublisher, RawSubscription
+from endpoints.environment.ros_topics import SETTLING_TIME, RawPublisher, RawSubscription, Topic
 from endpoints.environment.ros_types import message_class
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import ConversionError, InvalidRequest
@@ -21,7 +21,20 @@ MAX_LATCHED = 100  # publishers of a latched topic whose last messages are kept 
 ENCAPSULATIONS = (b"\0\0", b"\0\1")  # CDR, big and little endian
 
 
-class PublisherInterface(RosInterface):
+class _TopicInterface(RosInterface):
+    """Interface to a topic."""
+
+    def _topic(self) -> Topic:
+        """Return the topic that the spec describes; raise UnknownType if there is no such message type."""
+        return Topic(
+            message_class(self.spec.type, self._context.definitions),
+            self.spec.addr,
+            self.spec.qos,
+            lambda reason: self._report_from_ros(InvalidRequest, reason),
+        )
+
+
+class PublisherInterface(_TopicInterface):
     """Publishes the messages of its peers.
 
     While there is no subscription, the newest `depth` messages wait for nodes that are still starting, as with the
@@ -33,17 +46,8 @@ class PublisherInterface(RosInterface):
 
     async def open(self) -> None:
         """Create the ROS entity."""
-        kind = message_class(self.spec.type, self._context.definitions)
-        self._publisher = await self._create(
-            lambda: RawPublisher(
-                self._ros,
-                kind,
-                self.spec.addr,
-                self.spec.qos,
-                lambda reason: self._report_from_ros(InvalidRequest, reason),
-                self._published,
-            )
-        )
+        topic = self._topic()
+        self._publisher = await self._create(lambda: RawPublisher(self._ros, topic, self._published))
 
     def receive(self, message: Message, link: Link) -> None:
         """Queue a message for the ROS thread to publish."""
@@ -93,7 +97,7 @@ class PublisherInterface(RosInterface):
         self._ros.post(lambda: self._ros.remove_waitable(self._publisher))
 
 
-class SubscriberInterface(RosInterface):
+class SubscriberInterface(_TopicInterface):
     """Sends the messages of a topic to all its peers.
 
     The subscription is created with the interface, so that it has discovered its publishers before the first peer
@@ -111,17 +115,8 @@ class SubscriberInterface(RosInterface):
 
     async def open(self) -> None:
         """Create the ROS entity."""
-        kind = message_class(self.spec.type, self._context.definitions)
-        self._subscription = await self._create(
-            lambda: RawSubscription(
-                self._ros,
-                kind,
-                self.spec.addr,
-                self.spec.qos,
-                lambda reason: self._report_from_ros(InvalidRequest, reason),
-                self._take,
-            )
-        )
+        topic = self._topic()
+        self._subscription = await self._create(lambda: RawSubscription(self._ros, topic, self._take))
         if self._subscription.had_publishers:
             # Messages that they publish before they discover the subscription would be lost after the status is true.
             await asyncio.sleep(SETTLING_TIME)

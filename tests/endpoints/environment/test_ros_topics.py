@@ -15,7 +15,7 @@ from rclpy.context import Context  # noqa: E402  # after importorskip
 from std_msgs.msg import String  # noqa: E402
 
 from endpoints.environment.ros import RosThread  # noqa: E402
-from endpoints.environment.ros_topics import RawSubscription  # noqa: E402
+from endpoints.environment.ros_topics import RawSubscription, Topic  # noqa: E402
 from rce.protocol.messages import Qos  # noqa: E402
 
 MAX_TURNS = 50
@@ -46,7 +46,7 @@ async def test_messages_left_in_middleware_do_not_wake_thread(monkeypatch: pytes
 
     try:
         report: Callable[[str], None] = print
-        subscription = await ros.run(lambda: RawSubscription(ros, String, "/said", Qos(), report, take))
+        subscription = await ros.run(lambda: RawSubscription(ros, Topic(String, "/said", Qos(), report), take))
         while not publisher.get_subscription_count():  # noqa: ASYNC110  # rclpy has an event for executors only
             await asyncio.sleep(0.01)
         ros.post(subscription.start)
