@@ -12,7 +12,7 @@ from endpoints.robot.session import RobotSession
 from endpoints.robot.session_manager import SessionManager
 from rce.errors import InvalidRequest, NotConnected, RceError
 from rce.protocol import messages as m
-from rce.protocol.assembler import Assembler, Limits, Outcome
+from rce.protocol.assembler import Assembler, AssemblyLimits, AssemblyResult
 from rce.protocol.blobs import Buffer
 
 BAD_WINDOW = 60.0  # seconds
@@ -29,7 +29,7 @@ class FrameReceiver:
         self._assembler = Assembler(
             asyncio.get_running_loop().time,
             parts=session.parts,
-            limits=Limits(limits.blobs, limits.blob_memory, limits.message, limits.blob_age),
+            limits=AssemblyLimits(limits.blobs, limits.blob_memory, limits.message, limits.blob_age),
         )
         self._bad: deque[float] = deque()  # times of the bad messages within BAD_WINDOW
 
@@ -61,7 +61,7 @@ class FrameReceiver:
         for dropped in self._assembler.sweep():
             self._reject(dropped.error, dropped.frame)
 
-    def _dispatch(self, outcome: Outcome) -> None:
+    def _dispatch(self, outcome: AssemblyResult) -> None:
         for dropped in outcome.dropped:
             self._reject(dropped.error, dropped.frame)
         if outcome.complete is not None:

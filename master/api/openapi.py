@@ -11,7 +11,7 @@ from master.api.events import LAST_EVENT_ID
 from master.api.idempotency import HEADER
 from master.api.request import MAX_HEADER, Answer, Call
 from master.api.router import PREFIX, Api, Route
-from rce.protocol.messages import Tag
+from rce.protocol.names import Tag
 from rce.web import openapi
 from rce.web.openapi import Operation, Parameter
 

@@ -20,8 +20,7 @@ from master.storage.depot import UPLOAD_PATH, AnnouncedUpload, Depot
 from rce.api.views import Page
 from rce.errors import NotFound, Unauthorized
 from rce.packages.archive import MAX_BYTES
-from rce.protocol.messages import Tag
-from rce.protocol.names import check_tag
+from rce.protocol.names import Tag, check_tag
 
 MAX_SHARES = 1000
 

@@ -19,7 +19,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import InvalidHandshake, InvalidStatus, InvalidURI
 
 from rce.errors import AlreadyExists, Forbidden, InvalidRequest, NotFound, RceError, Unauthorized, Unavailable
-from rce.protocol.assembler import Limits
+from rce.protocol.assembler import AssemblyLimits
 from rce.protocol.blobs import PART
 from rce.protocol.messages import CURRENT_VERSION, FEATURES
 
@@ -137,7 +137,7 @@ class Address:
                 open_timeout=OPEN_TIMEOUT,
                 ping_interval=10,
                 close_timeout=2,
-                max_size=Limits().message + PART,
+                max_size=AssemblyLimits().message + PART,
                 write_limit=WRITE_LIMIT,
                 logger=log,
             )

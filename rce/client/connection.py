@@ -19,7 +19,7 @@ from websockets.exceptions import ConnectionClosed
 from rce.client.address import FEATURES_HEADER, Address
 from rce.errors import InvalidRequest, RceError, TimedOut, Unavailable
 from rce.net.outbox import Outbox
-from rce.protocol.assembler import Assembled, Assembler, Outcome
+from rce.protocol.assembler import Assembled, Assembler, AssemblyResult
 from rce.protocol.blobs import Buffer, binary_frames
 from rce.protocol.messages import (
     FEATURES,
@@ -213,7 +213,7 @@ class Connection:
         if frame.type == "DM":
             # A key that refers to a blob ends in a star; without one the search for references can be skipped.
             return self._message_of(
-                self._assembler.add_frame(frame) if b"*" in payload else Outcome(Assembled(frame, {}))
+                self._assembler.add_frame(frame) if b"*" in payload else AssemblyResult(Assembled(frame, {}))
             )
         if frame.type == "ST":
             return _status(frame)
@@ -221,7 +221,7 @@ class Connection:
             return decode_as(Failure, payload, "ER")
         raise InvalidRequest(f"the server sent a frame of unknown type {frame.type!r}")
 
-    def _message_of(self, outcome: Outcome) -> Incoming | None:
+    def _message_of(self, outcome: AssemblyResult) -> Incoming | None:
         if outcome.dropped:
             return outcome.dropped[0].error
         if outcome.complete is None:

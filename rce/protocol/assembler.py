@@ -15,7 +15,7 @@ from rce.protocol.messages import Frame
 _id = re.compile(rb"[0-9a-fA-F]{32}")
 
 
-class Limits(NamedTuple):
+class AssemblyLimits(NamedTuple):
     """Limits for the unfinished messages of one connection.
 
     Attributes:
@@ -45,7 +45,7 @@ class Dropped(NamedTuple):
     error: RceError
 
 
-class Outcome(NamedTuple):
+class AssemblyResult(NamedTuple):
     """Result of adding a frame: the message that it completed, and the messages dropped to make room."""
 
     complete: Assembled | None = None
@@ -98,7 +98,7 @@ class Assembler:
     message.
     """
 
-    def __init__(self, time: Callable[[], float], *, parts: bool = False, limits: Limits | None = None) -> None:
+    def __init__(self, time: Callable[[], float], *, parts: bool = False, limits: AssemblyLimits | None = None) -> None:
         """Make an empty assembler.
 
         Args:
@@ -108,13 +108,13 @@ class Assembler:
         """
         self._time = time
         self._parts = parts
-        self._limits = limits or Limits()
+        self._limits = limits or AssemblyLimits()
         self._groups: dict[_Group, None] = {}  # least recently used first
         self._group_of: dict[str, _Group] = {}
         self._memory = 0
         self._ignored: dict[str, None] = {}  # ids of dropped blobs of which parts may still come
 
-    def add_frame(self, frame: Frame) -> Outcome:
+    def add_frame(self, frame: Frame) -> AssemblyResult:
         """Add a text frame; without references it is complete at once.
 
         Raises:
@@ -123,9 +123,9 @@ class Assembler:
         try:
             ids = find_references(frame.data, self._limits.blobs)
         except LimitExceeded as error:
-            return Outcome(None, (Dropped(frame, error),))
+            return AssemblyResult(None, (Dropped(frame, error),))
         if not ids:
-            return Outcome(Assembled(frame, {}))
+            return AssemblyResult(Assembled(frame, {}))
         group = _Group(frame, {}, len(memoryview(frame.data)))
         lone = [self._group_of[name] for name in ids if name in self._group_of]
         if any(other.frame is not None for other in lone):
@@ -139,7 +139,7 @@ class Assembler:
             self._ignored.pop(name, None)
         return self._settle(group)
 
-    def add_blob(self, payload: Buffer) -> Outcome:
+    def add_blob(self, payload: Buffer) -> AssemblyResult:
         """Add a binary frame.
 
         Raises:
@@ -150,7 +150,7 @@ class Assembler:
         if group is None and name in self._ignored:
             if offset + len(part) == total:
                 del self._ignored[name]
-            return Outcome()
+            return AssemblyResult()
         before = group.blobs[name] if group is not None else None
         if offset and (before is None or before.filled != offset or before.size != total):
             raise InvalidRequest(f"blob {name}: the part at offset {offset} does not follow the parts received so far")
@@ -187,15 +187,15 @@ class Assembler:
             )
         return name, offset, total, part
 
-    def _settle(self, group: _Group) -> Outcome:
+    def _settle(self, group: _Group) -> AssemblyResult:
         """Return a complete message, or keep the group as the most recently used and make room for it."""
         limits = self._limits
         if group.size > limits.message:
             why = f"a message of {group.size} bytes, with its blobs, exceeds the limit of {limits.message} bytes"
-            return Outcome(None, (self._drop(group, LimitExceeded(why, bytes=limits.message)),))
+            return AssemblyResult(None, (self._drop(group, LimitExceeded(why, bytes=limits.message)),))
         complete = group.assembled()
         if complete is not None:
-            return Outcome(complete)
+            return AssemblyResult(complete)
         group.used_at = self._time()
         self._groups[group] = None
         self._group_of.update(dict.fromkeys(group.blobs, group))
@@ -204,7 +204,7 @@ class Assembler:
         while len(self._group_of) > limits.blobs or self._memory > max(limits.memory, limits.message):
             why = f"the connection has more than {limits.blobs} blobs or {limits.memory} bytes of unfinished messages"
             dropped += (self._drop(next(iter(self._groups)), LimitExceeded(why)),)
-        return Outcome(None, dropped)
+        return AssemblyResult(None, dropped)
 
     def _drop(self, group: _Group, error: RceError) -> Dropped:
         self._remove(group)

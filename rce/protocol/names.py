@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
+
+from msgspec import Meta
 
 from rce.errors import InvalidName, InvalidRequest
 
@@ -12,6 +14,13 @@ TYPE = re.compile(r"([A-Za-z][A-Za-z0-9_]*)/(?:(msg|srv)/)?([A-Za-z][A-Za-z0-9_]
 MAX_TAG = 255  # the original has no limit; here a tag is also a file name, which may have 255 bytes
 GUEST_PREFIX = "@"
 """Prefix of the robotID of a guest (`@console`) and of the names that it gives (`@console.shell`), and of no others."""
+
+# The functions below check names where they are used, for better errors; these patterns are for JSON Schema.
+Text = Annotated[str, Meta(min_length=1)]
+Tag = Annotated[str, Meta(extra_json_schema={"pattern": f"^{TAG.pattern}$", "maxLength": MAX_TAG})]
+TagOrNone = Annotated[str, Meta(extra_json_schema={"pattern": f"^({TAG.pattern})?$", "maxLength": MAX_TAG})]
+InterfaceTag = Annotated[str, Meta(extra_json_schema={"pattern": f"^{TAG.pattern}/{TAG.pattern}$"})]
+TypeText = Annotated[str, Meta(extra_json_schema={"pattern": f"^{TYPE.pattern}$"})]
 
 
 def check_tag(tag: str, what: str) -> str:

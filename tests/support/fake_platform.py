@@ -23,7 +23,7 @@ from websockets.http11 import Request, Response
 from rce.client import Robot
 from rce.client.address import FEATURES_HEADER
 from rce.errors import AlreadyExists, ErrorInfo, InvalidRequest, NotConnectable, NotConnected, NotFound, RceError
-from rce.protocol.assembler import Assembler, Outcome
+from rce.protocol.assembler import Assembler, AssemblyResult
 from rce.protocol.blobs import Buffer, binary_frames
 from rce.protocol.messages import CN_ITEMS, CX_ITEMS, FEATURES, DataMessage, Frame, decode_as, decode_frame
 from tests.support.client_contract import Platform
@@ -254,7 +254,7 @@ class FakePlatform:
 
     # --- data
 
-    async def _data(self, peer: Peer, outcome: Outcome) -> None:
+    async def _data(self, peer: Peer, outcome: AssemblyResult) -> None:
         assert outcome.complete is not None
         frame, blobs = outcome.complete
         message = decode_as(DataMessage, frame.data, "DM")

@@ -7,7 +7,7 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from rce.api.roles import UNRESTRICTED, Scopes, UserRole
-from rce.protocol.messages import Tag
+from rce.protocol.names import Tag
 
 Password = Annotated[str, Meta(extra_json_schema={"minLength": 10, "maxLength": 1000})]  # the Master enforces the rules
 Label = Annotated[str, Meta(max_length=200)]

@@ -6,18 +6,8 @@ from typing import Literal
 
 from msgspec import Struct
 
-from rce.protocol.messages import (
-    ContainerData,
-    InterfaceTag,
-    InterfaceType,
-    ParameterName,
-    ParameterValue,
-    Qos,
-    Tag,
-    TagOrNone,
-    Text,
-    TypeText,
-)
+from rce.protocol.messages import ContainerData, InterfaceType, ParameterName, ParameterValue, Qos
+from rce.protocol.names import InterfaceTag, Tag, TagOrNone, Text, TypeText
 
 
 class NewEnvironment(Struct, frozen=True, forbid_unknown_fields=True):

@@ -11,7 +11,7 @@ import tracemalloc
 import pytest
 
 from rce.errors import InvalidRequest, LimitExceeded, TimedOut
-from rce.protocol.assembler import Assembled, Assembler, Limits
+from rce.protocol.assembler import Assembled, Assembler, AssemblyLimits
 from rce.protocol.blobs import PART, binary_frames
 from rce.protocol.messages import Frame, decode_frame
 
@@ -120,7 +120,7 @@ def test_two_incomplete_frames_cannot_share_an_id() -> None:
 
 def test_old_message_is_dropped_and_each_blob_renews_its_age() -> None:
     clock = Clock()
-    assembler = Assembler(clock, limits=Limits(age=60))
+    assembler = Assembler(clock, limits=AssemblyLimits(age=60))
     first, second = frame(*IDS[:3]), frame(IDS[3])
     assembler.add_frame(first)
     assembler.add_frame(second)
@@ -139,7 +139,7 @@ def test_old_message_is_dropped_and_each_blob_renews_its_age() -> None:
 
 
 def test_too_many_blobs_drop_the_least_recently_used_message() -> None:
-    assembler = Assembler(Clock(), limits=Limits(blobs=3))
+    assembler = Assembler(Clock(), limits=AssemblyLimits(blobs=3))
     first, second = frame(IDS[0], IDS[1]), frame(IDS[2])
     assembler.add_frame(first)
     assembler.add_frame(second)
@@ -151,7 +151,7 @@ def test_too_many_blobs_drop_the_least_recently_used_message() -> None:
 
 
 def test_too_many_bytes_drop_the_oldest_message_and_ignore_its_later_parts() -> None:
-    assembler = Assembler(Clock(), parts=True, limits=Limits(memory=1000, message=600))
+    assembler = Assembler(Clock(), parts=True, limits=AssemblyLimits(memory=1000, message=600))
     assembler.add_blob(part(IDS[0], 0, 500, b"x" * 100))
     assert assembler.add_blob(part(IDS[1], 0, 400, b"x" * 100)).dropped == ()
     (dropped,) = assembler.add_blob(part(IDS[2], 0, 600, b"x")).dropped[:1]
@@ -163,7 +163,7 @@ def test_too_many_bytes_drop_the_oldest_message_and_ignore_its_later_parts() -> 
 
 @pytest.mark.parametrize("first", ["frame", "blob"])
 def test_message_over_the_size_limit_is_dropped(first: str) -> None:
-    assembler = Assembler(Clock(), limits=Limits(message=1000))
+    assembler = Assembler(Clock(), limits=AssemblyLimits(message=1000))
     given = frame(*IDS[:2])
     assembler.add_blob(blob(IDS[0], b"x" * 600))
     if first == "frame":
@@ -174,14 +174,14 @@ def test_message_over_the_size_limit_is_dropped(first: str) -> None:
         (dropped,) = assembler.add_frame(given).dropped
     assert dropped.frame is given
     assert isinstance(dropped.error, LimitExceeded)
-    (dropped,) = Assembler(Clock(), limits=Limits(blobs=1)).add_frame(given).dropped
+    (dropped,) = Assembler(Clock(), limits=AssemblyLimits(blobs=1)).add_frame(given).dropped
     assert dropped.frame is given
 
 
 def test_memory_for_hostile_input_is_bounded() -> None:
     rng = random.Random(1)
     clock = Clock()
-    limits = Limits(blobs=16, memory=200_000, message=50_000)
+    limits = AssemblyLimits(blobs=16, memory=200_000, message=50_000)
     assembler = Assembler(clock, parts=True, limits=limits)
     tracemalloc.start()
     try:

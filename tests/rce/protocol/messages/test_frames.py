@@ -12,7 +12,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from rce.errors import ErrorInfo, InvalidRequest
+from rce.errors import InvalidRequest
 from rce.protocol import messages as m
 from tests.support.control import execute_round_trip
 
@@ -67,37 +67,6 @@ def test_frames_of_the_original_protocol_keep_every_value(text: str) -> None:
     assert json.loads(msgspec.json.encode(decoded_message)) == data
 
 
-def test_status_and_error_are_encoded_as_in_the_original() -> None:
-    status = m.Status(m.InterfaceStatus("pose", True))
-    assert json.loads(msgspec.json.encode(status)) == {
-        "type": "ST",
-        "data": {"topic": "iu", "iTag": "pose", "status": True},
-    }
-    assert msgspec.json.encode(m.Failure("Invalid Request: …")) == '{"type":"ER","data":"Invalid Request: …"}'.encode()
-
-
-def test_id_and_error_are_additional_keys_of_the_frame() -> None:
-    failure = m.Failure("no", 7, ErrorInfo("not_found", "no", item="addNodes[0]"))
-    assert json.loads(msgspec.json.encode(failure)) == {
-        "type": "ER",
-        "data": "no",
-        "id": 7,
-        "error": {"code": "not_found", "message": "no", "item": "addNodes[0]"},
-    }
-
-
-def test_defaults_apply_and_unknown_keys_are_ignored() -> None:
-    frame = m.decode_frame(b'{"more":1,"data":{"containerTag":"brain","colour":"red"},"type":"CC"}')
-    assert frame.id is msgspec.UNSET
-    command = m.decode_as(m.CreateContainer, frame.data, "data")
-    assert (command.containerData.size, command.containerData.restart) == (1, "always")
-    node = m.decode_as(m.AddNode, b'{"containerTag":"a","nodeTag":"b","pkg":"c","exe":"d"}', "x")
-    assert (node.args, node.name, node.namespace) == ("", "", "")
-
-
-# --- tokens that are not JSON -------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("text", "value"),
     [
@@ -129,52 +98,6 @@ def test_output_of_pythons_json_module_is_decoded(value: object) -> None:
 
     payload = json.dumps({"type": "DM", "data": value}).encode()
     assert json.loads(bytes(m.decode_frame(payload).data)) == named(value)
-
-
-# --- errors -----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("kind", "text", "field"),
-    [
-        (m.CreateContainer, "{}", ""),
-        (m.CreateContainer, '{"containerTag":1}', "containerTag"),
-        (m.CreateContainer, '{"containerTag":"a","containerData":{"size":0}}', "containerData.size"),
-        (m.CreateContainer, '{"containerTag":"a","containerData":{"size":1001}}', "containerData.size"),
-        (m.CreateContainer, '{"containerTag":"a","containerData":{"size":"2"}}', "containerData.size"),
-        (m.CreateContainer, '{"containerTag":"a","containerData":{"size":true}}', "containerData.size"),
-        (m.CreateContainer, '{"containerTag":"a","containerData":{"memory":-1}}', "containerData.memory"),
-        (m.CreateContainer, '{"containerTag":"a","containerData":{"memory":9999999999999999999999}}', "containerData.memory"),
-        (m.CreateContainer, '{"containerTag":"a","containerData":{"specialFeatures":[1]}}', "containerData.specialFeatures[0]"),
-        (m.CreateContainer, '{"containerTag":"a","containerData":{"restart":"maybe"}}', "containerData.restart"),
-        (m.AddNode, '{"containerTag":"a","nodeTag":"b","pkg":"","exe":"d"}', "pkg"),
-        (m.AddNode, '{"containerTag":"a","nodeTag":"b","pkg":"c","exe":"d","args":"x\\u0000"}', "args"),
-        (m.AddNode, json.dumps({"containerTag": "a", "nodeTag": "b", "pkg": "c", "exe": "d", "args": "x" * 32_769}), "args"),
-        (m.AddInterface, '{"endpointTag":"a","interfaceTag":"b","interfaceType":"c","className":"d","qos":{"depth":0}}', "qos.depth"),
-        (m.SetParameter, '{"containerTag":"a","name":"","value":1}', "name"),
-        (m.SetParameter, '{"containerTag":"a","name":"a\\u0000b","value":1}', "name"),
-        (m.SetParameter, json.dumps({"containerTag": "a", "name": "n" * 256, "value": 1}), "name"),
-        (m.SetParameter, '{"containerTag":"a","name":"n","value":null}', "value"),
-        (m.SetParameter, '{"containerTag":"a","name":"n","value":{"a":1}}', "value"),
-        (m.SetParameter, '{"containerTag":"a","name":"n","value":[[1]]}', "value[0]"),
-        (m.SetParameter, '{"containerTag":"a","name":"n","value":9223372036854775808}', "value"),
-        (m.SetParameter, '{"containerTag":"a","name":"n","value":[0,-9223372036854775809]}', "value[1]"),
-        (m.Connect, "[]", ""),
-        (m.ConfigureComponents, '{"addNodes":{}}', "addNodes"),
-    ],
-)  # fmt: skip
-def test_error_names_the_item_and_the_path_of_the_field(kind: type[Any], text: str, field: str) -> None:
-    with pytest.raises(InvalidRequest) as raised:
-        m.decode_as(kind, text.encode(), "connect[3]")
-    assert raised.value.field == field
-    assert str(raised.value).startswith("connect[3]" + (f".{field}: " if field else ": "))
-
-
-def test_malformed_item_does_not_affect_the_items_before() -> None:
-    lists = m.decode_as(m.ConfigureConnections, b'{"connect":[{"tagA":"a/b","tagB":"c/d"},{"tagA":1}]}', "data")
-    assert m.decode_as(m.Connect, lists.connect[0], "connect[0]") == m.Connect("a/b", "c/d")
-    with pytest.raises(InvalidRequest, match=r"connect\[1\]"):
-        m.decode_as(m.Connect, lists.connect[1], "connect[1]")
 
 
 HOSTILE = [

@@ -1,0 +1,214 @@
+"""Commands of robots: the frames CC, DC, CN and CX and their items.
+
+The items of CN and CX are decoded one by one, because they are executed one after the other: if one is malformed, those
+before it stay applied, and the error names it (`addNodes[2]`).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Meta, Raw, Struct
+
+Amount = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+Name = Annotated[str, Meta(min_length=1, max_length=255)]
+Short = Annotated[str, Meta(max_length=255)]
+VariableName = Annotated[str, Meta(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=255)]
+VariableValue = Annotated[str, Meta(pattern=r"^[^\x00]*$", max_length=32_768)]
+Integer = Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]  # the range of a ROS 2 integer parameter
+ParameterValue = bool | Integer | float | str | list[bool | Integer | float | str]
+ParameterName = Annotated[str, Meta(min_length=1, max_length=255, pattern=r"^[^\x00]*$")]
+
+
+class Rates(Struct, frozen=True, omit_defaults=True):
+    """Limits for reading from and writing to an environment's disk, in bytes per second; 0 for no limit."""
+
+    read: Amount = 0
+    write: Amount = 0
+
+
+class ContainerData(Struct, frozen=True, omit_defaults=True):
+    """Options of an environment (`containerData` of CC). For options that are 0 or empty, the user's defaults apply.
+
+    `size` is in slots of a machine, `cpu` in cores, `memory` and `disk` in bytes, and `bandwidth`, which limits the
+    data that the environment sends, in bytes per second.
+    """
+
+    image: Annotated[str, Meta(max_length=255)] = ""
+    size: Annotated[int, Meta(ge=1, le=1000)] = 1
+    cpu: Annotated[float, Meta(ge=0)] = 0
+    memory: Amount = 0
+    pids: Amount = 0
+    disk: Amount = 0
+    bandwidth: Amount = 0
+    io: Rates = Rates()
+    gpus: Annotated[int, Meta(ge=0, le=1000)] = 0
+    specialFeatures: Annotated[list[Name], Meta(max_length=100)] = []
+    env: Annotated[dict[VariableName, VariableValue], Meta(max_length=100)] = {}
+    packages: Annotated[list[Name], Meta(max_length=100)] = []
+    group: Short = ""
+    groupIP: Short = ""
+    groupIp: Short = ""
+    restart: Literal["always", "no"] = "always"
+
+
+class CreateContainer(Struct, frozen=True):
+    """CC: start an environment."""
+
+    containerTag: str
+    containerData: ContainerData = ContainerData()
+
+
+class DestroyContainer(Struct, frozen=True):
+    """DC: stop an environment and remove its contents."""
+
+    containerTag: str
+
+
+class AddNode(Struct, frozen=True):
+    """Start a ROS 2 node in an environment."""
+
+    containerTag: str
+    nodeTag: str
+    pkg: Name
+    exe: Name
+    args: VariableValue = ""
+    name: Short = ""
+    namespace: Short = ""
+
+
+class RemoveNode(Struct, frozen=True):
+    """Stop a node."""
+
+    containerTag: str
+    nodeTag: str
+
+
+InterfaceType = Literal[
+    "PublisherInterface",
+    "SubscriberInterface",
+    "ServiceClientInterface",
+    "ServiceProviderInterface",
+    "PublisherConverter",
+    "SubscriberConverter",
+    "ServiceClientConverter",
+    "ServiceProviderConverter",
+    "PublisherForwarder",
+    "SubscriberForwarder",
+    "ServiceClientForwarder",
+    "ServiceProviderForwarder",
+]
+ALIASES: dict[str, InterfaceType] = {  # sent by C++ clients older than 2013
+    "ServiceInterface": "ServiceClientInterface",
+    "ServiceConverter": "ServiceClientConverter",
+    "ServiceForwarder": "ServiceClientForwarder",
+}
+
+
+class Qos(Struct, frozen=True, omit_defaults=True):
+    """Quality of service of an environment's topic interface, with the names of ROS 2.
+
+    With `auto`, a setting follows the existing publishers or subscribers of the topic; without any, it is reliable or
+    volatile. With `keep_all`, the sender waits and no messages are dropped.
+    """
+
+    reliability: Literal["auto", "reliable", "best_effort"] = "auto"
+    durability: Literal["auto", "volatile", "transient_local"] = "auto"
+    history: Literal["keep_last", "keep_all"] = "keep_last"
+    depth: Annotated[int, Meta(ge=1, le=10_000)] = 10
+
+
+class AddInterface(Struct, frozen=True):
+    """Add an interface to an environment (`…Interface`) or to a robot (`…Converter`, `…Forwarder`)."""
+
+    endpointTag: str
+    interfaceTag: str
+    interfaceType: str
+    className: Short
+    addr: Short = ""
+    qos: Qos = Qos()
+    format: Literal["png", "jpeg", "json"] = "png"
+
+
+class RemoveInterface(Struct, frozen=True):
+    """Remove an interface and its connections."""
+
+    endpointTag: str
+    interfaceTag: str
+
+
+class SetParameter(Struct, frozen=True):
+    """Set a ROS 2 parameter for nodes started later, and at once on running nodes that declare it.
+
+    With `nodeTag` it applies to that node only.
+    """
+
+    containerTag: str
+    name: ParameterName
+    value: ParameterValue
+    nodeTag: str = ""
+
+
+class DeleteParameter(Struct, frozen=True):
+    """Delete a parameter: nodes started later do not get it."""
+
+    containerTag: str
+    name: ParameterName
+    nodeTag: str = ""
+
+
+class ConfigureComponents(Struct, frozen=True):
+    """CN: the lists are executed in this order, their items one after the other."""
+
+    addNodes: list[Raw] = []
+    removeNodes: list[Raw] = []
+    addInterfaces: list[Raw] = []
+    removeInterfaces: list[Raw] = []
+    setParam: list[Raw] = []
+    deleteParam: list[Raw] = []
+
+
+class Connect(Struct, frozen=True):
+    """Connect two interfaces, each `endpointTag/interfaceTag`, in either order."""
+
+    tagA: str
+    tagB: str
+
+
+class Disconnect(Struct, frozen=True):
+    """Disconnect two interfaces."""
+
+    tagA: str
+    tagB: str
+
+
+class ConfigureConnections(Struct, frozen=True):
+    """CX: `connect` is executed before `disconnect`."""
+
+    connect: list[Raw] = []
+    disconnect: list[Raw] = []
+
+
+Command = (
+    CreateContainer
+    | DestroyContainer
+    | AddNode
+    | RemoveNode
+    | AddInterface
+    | RemoveInterface
+    | SetParameter
+    | DeleteParameter
+    | Connect
+    | Disconnect
+)
+"""One command. A CN or CX frame is a sequence of commands."""
+
+CN_ITEMS: dict[str, type[Command]] = {
+    "addNodes": AddNode,
+    "removeNodes": RemoveNode,
+    "addInterfaces": AddInterface,
+    "removeInterfaces": RemoveInterface,
+    "setParam": SetParameter,
+    "deleteParam": DeleteParameter,
+}
+CX_ITEMS: dict[str, type[Command]] = {"connect": Connect, "disconnect": Disconnect}

@@ -1,0 +1,89 @@
+"""Statuses, events and errors that the platform sends to robots: the frames ST and ER."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from msgspec import UNSET, Struct, UnsetType
+
+from rce.errors import ErrorInfo
+from rce.protocol.messages.frames import FrameId
+
+
+class InterfaceStatus(Struct, frozen=True, tag_field="topic", tag="iu"):
+    """The robot's interface got its first connection, or lost its last one."""
+
+    iTag: str
+    status: bool
+
+
+class Ack(Struct, frozen=True, tag_field="topic", tag="ack"):
+    """The frame with the same `id` has been executed."""
+
+
+class Session(Struct, frozen=True, tag_field="topic", tag="session"):
+    """First ST of a connection with features: the features that the server granted and, with `resume`, the token.
+
+    `resumed` is true if the interfaces and connections of an earlier socket still exist. `interfaces` then has the
+    status of each, since status messages may have been lost when that socket broke. `grace` is the grace period of a
+    session without a socket, in seconds.
+    """
+
+    features: list[str]
+    token: str = ""
+    grace: float = 0
+    resumed: bool = False
+    interfaces: dict[str, bool] = {}
+
+
+class EnvironmentEvent(Struct, frozen=True, tag_field="topic", tag="environment"):
+    """An environment of this user is ready (also after it was restored), failed to start, was lost, or is gone.
+
+    With `ready` comes its address in its network group, if it is in a group.
+    """
+
+    containerTag: str
+    state: Literal["ready", "failed", "lost", "gone"]
+    reason: str = ""
+    address: str = ""
+
+
+class NodeEvent(Struct, frozen=True, tag_field="topic", tag="node"):
+    """A node ended by itself: its exit status (negative for the signal that killed it) and its last lines of output."""
+
+    containerTag: str
+    nodeTag: str
+    status: int
+    lines: list[str] = []
+
+
+class DropEvent(Struct, frozen=True, tag_field="topic", tag="drops"):
+    """Number of messages of the robot's interface that were dropped since it was added, because a queue was full."""
+
+    iTag: str
+    count: int
+    where: str
+
+
+class LimitEvent(Struct, frozen=True, tag_field="topic", tag="limit"):
+    """A limit was reached; the socket stays open unless the reason says otherwise."""
+
+    reason: str
+
+
+StatusData = InterfaceStatus | Ack | Session | EnvironmentEvent | NodeEvent | DropEvent | LimitEvent
+
+
+class Status(Struct, frozen=True, tag_field="type", tag="ST", omit_defaults=True):
+    """ST: a status, by the `topic` of its `data`. A robot without features gets only the topic `iu`."""
+
+    data: StatusData
+    id: FrameId | UnsetType = UNSET
+
+
+class Failure(Struct, frozen=True, tag_field="type", tag="ER", omit_defaults=True):
+    """ER: an error as a plain string, as in the original; robots with features also get `id` and `error`."""
+
+    data: str
+    id: FrameId | UnsetType = UNSET
+    error: ErrorInfo | UnsetType = UNSET
