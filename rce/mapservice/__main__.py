@@ -17,7 +17,7 @@ from rce.control.client import ControlClient
 from rce.control.credential import Credential, stay_joined
 from rce.mapservice.job_runner import JobRunner
 from rce.mapservice.jobs import JobLimits
-from rce.mapservice.server import Limits, MapService
+from rce.mapservice.server import MapService, MapServiceLimits
 from rce.mapservice.uploads import UploadLimits
 from rce.net.tls import load_tls, public_tls_context
 from rce.process import loop, settings
@@ -74,7 +74,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     directory.mkdir(parents=True, exist_ok=True, mode=0o700)
     credential = Credential(directory / "credential", options.token)
     max_time = options.longest * HOUR
-    limits = Limits(
+    limits = MapServiceLimits(
         UploadLimits(
             int(options.recording_size * GIGABYTE),
             int(options.quota * GIGABYTE),

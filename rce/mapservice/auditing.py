@@ -6,12 +6,11 @@ from aiohttp import web
 from aiohttp.typedefs import Handler, Middleware
 
 from rce.api.map_jobs import PREFIX
-from rce.errors import RceError
 from rce.mapservice.authentication import Authenticator, Client
 
 CLIENT = web.RequestKey("client", Client)
 ACTION = web.RequestKey("action", str)
-FAILED = web.RequestKey("failed", str)
+FAILED = web.RequestKey("failed", str)  # code of the error that the client gets
 ACTIONS = {
     "POST /uploads": "upload.create",
     "DELETE /uploads/{upload}": "upload.remove",
@@ -23,15 +22,14 @@ ACTIONS = {
 
 
 def audit_middleware(authenticator: Authenticator) -> Middleware:
-    """Return a middleware that records each change of an authenticated client, successful or not."""
+    """Return a middleware that records each change of an authenticated client, successful or not.
+
+    It stands before `problems`, which makes an answer of every error and sets FAILED to its code.
+    """
 
     @web.middleware
     async def audit(request: web.Request, handler: Handler) -> web.StreamResponse:
-        try:
-            answer = await handler(request)
-        except RceError as error:
-            _record(authenticator, request, "", error.info.code)
-            raise
+        answer = await handler(request)
         _record(authenticator, request, answer.headers.get("Location", ""), request.get(FAILED, "ok"))
         return answer
 

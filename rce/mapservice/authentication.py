@@ -60,6 +60,7 @@ class Authenticator:
         self._pending: dict[bytes, asyncio.Task[Identity]] = {}
         self._records: set[asyncio.Task[None]] = set()
         self._invalidations: dict[str, asyncio.Future[None]] = {}
+        self._invalidated = 0  # number of calls of `invalidate`
 
     @property
     def reachable(self) -> bool:
@@ -94,10 +95,13 @@ class Authenticator:
         return Client(identity.user, secret, identity)
 
     async def _ask(self, key: bytes, call: Authenticate) -> Identity:
+        invalidated = self._invalidated
         try:
             identity: Identity = await self._master().call(call)
         finally:
             self._pending.pop(key, None)
+        if invalidated != self._invalidated:  # the answer may be older than the change of the user
+            return identity
         if len(self._cache) >= CACHE_SIZE:
             self._cache.clear()
         self._cache[key] = (identity, self._now() + CACHE_TIME)
@@ -105,6 +109,7 @@ class Authenticator:
 
     def invalidate(self, user: str) -> None:
         """Forget that this user is authenticated."""
+        self._invalidated += 1
         self._cache = {key: cached for key, cached in self._cache.items() if cached[0].user != user}
         invalidation = self._invalidations.pop(user, None)
         if invalidation is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ WSDL_SOAP = "http://schemas.xmlsoap.org/wsdl/soap/"
 WSSE = "http://docs.oasis-open.org/wss/2004/01/oasis-200401-wss-wssecurity-secext-1.0.xsd"
 SCHEMA = "http://www.w3.org/2001/XMLSchema"
 CLEAR = "#PasswordText"
+NOT_XML = re.compile("[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 MAX_MARKUP = 4000  # number each of tags, attributes and references; large requests consist of one long text
 
 
@@ -101,7 +103,7 @@ def fault(error: RceError) -> bytes:
     kind = "MustUnderstand" if isinstance(error, NotUnderstood) else "Client" if status_of(error) < 500 else "Server"
     body = etree.Element(f"{{{SOAP}}}Fault", nsmap={"soap": SOAP})
     etree.SubElement(body, "faultcode").text = f"soap:{kind}"
-    etree.SubElement(body, "faultstring").text = str(error)
+    etree.SubElement(body, "faultstring").text = _xml_text(error)
     problem = etree.SubElement(etree.SubElement(body, "detail"), qualified_name("Problem"), nsmap={"tns": NAMESPACE})
     add_texts(problem, code=error.info.code, message=error.info.message, field=error.info.field or None)
     return answer(body)
@@ -111,9 +113,12 @@ def add_texts(parent: etree._Element, **values: object) -> None:
     """Add child elements with these texts; None adds no element."""
     for name, value in values.items():
         if value is not None:
-            etree.SubElement(parent, qualified_name(name)).text = "".join(
-                c for c in str(value) if c >= " " or c in "\n\t"
-            )
+            etree.SubElement(parent, qualified_name(name)).text = _xml_text(value)
+
+
+def _xml_text(value: object) -> str:
+    """Return a value as text without the characters that XML cannot contain: names in recordings may have any."""
+    return NOT_XML.sub("", str(value))
 
 
 def _parse(data: bytes) -> etree._Element:

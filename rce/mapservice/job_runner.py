@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -15,6 +15,7 @@ from rce.client import Robot
 from rce.errors import InternalError, InvalidRequest, RceError, TimedOut
 from rce.mapservice.job_program import Report, Task, remove_environment, trust_only
 
+PROGRAM = (sys.executable, "-P", "-m", "rce.mapservice.job_program")
 INSPECT_TIMEOUT = 60.0  # seconds
 STOP_TIMEOUT = 20.0  # from SIGTERM to SIGKILL
 CLEANUP_TIMEOUT = 30.0
@@ -24,10 +25,16 @@ log = Logger()
 
 
 class JobRunner:
-    """Starts the processes of jobs; `max_time` is the number of seconds that a job may run."""
+    """Starts the processes of jobs."""
 
-    def __init__(self, max_time: float) -> None:
-        self._max_time = max_time
+    def __init__(self, max_time: float, program: Sequence[str] = PROGRAM) -> None:
+        """Start nothing yet.
+
+        Args:
+            max_time: Seconds that a job may run.
+            program: Command that performs a task; see `rce.mapservice.job_program`.
+        """
+        self._max_time, self._program = max_time, program
 
     async def inspect(self, task: Task) -> int | None:
         """Inspect a recording.
@@ -93,7 +100,7 @@ class JobRunner:
     async def _perform(self, task: Task, log_file: Path | None, on_report: Callable[[Report], None]) -> Report:
         with log_file.open("ab") if log_file else contextlib.nullcontext(asyncio.subprocess.DEVNULL) as errors:
             process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-P", "-m", "rce.mapservice.job_program"),
+                *self._program,
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 stderr=errors,

@@ -10,6 +10,7 @@ from aiohttp.typedefs import Handler
 from twisted.logger import Logger
 
 from rce.errors import InternalError, InvalidRequest, NotFound, RceError
+from rce.mapservice.auditing import FAILED
 from rce.mapservice.record_store import DiskFull
 from rce.web.problems import HttpError, problem_response
 
@@ -25,17 +26,25 @@ async def problems(request: web.Request, handler: Handler) -> web.StreamResponse
     try:
         check_headers(request)
         return await handler(request)
-    except RceError as error:
-        return problem_response(error)
-    except web.HTTPNotFound:
-        return problem_response(NotFound(f"there is nothing at {request.path}"))
-    except web.HTTPException as error:
-        headers = {"Allow": error.headers["Allow"]} if "Allow" in error.headers else {}
-        return problem_response(HttpError(error.text or error.reason, status=error.status, headers=headers))
     except ConnectionError:
         raise  # the client disconnected
     except Exception as error:  # noqa: BLE001  # the client is told of the defect; the traceback goes to the log
-        return problem_response(unexpected(error, f"{request.method} {request.path}"))
+        told = _told(error, request)
+    request[FAILED] = told.info.code
+    return problem_response(told)
+
+
+def _told(error: Exception, request: web.Request) -> RceError:
+    """Return what the client is told about an error, from its except clause."""
+    match error:
+        case RceError():
+            return error
+        case web.HTTPNotFound():
+            return NotFound(f"there is nothing at {request.path}")
+        case web.HTTPException():
+            headers = {"Allow": error.headers["Allow"]} if "Allow" in error.headers else {}
+            return HttpError(error.text or error.reason, status=error.status, headers=headers)
+    return unexpected(error, f"{request.method} {request.path}")
 
 
 def check_headers(request: web.Request) -> None:

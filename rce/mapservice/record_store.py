@@ -88,6 +88,6 @@ class RecordStore(Generic[T]):
                 continue
             try:
                 found[path.name] = msgspec.json.decode((path / RECORD).read_bytes(), type=self._kind)
-            except (OSError, msgspec.DecodeError) as error:
+            except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
                 log.warn("ignoring {path}: {error}", path=str(path), error=str(error))
         return found

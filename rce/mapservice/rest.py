@@ -14,7 +14,7 @@ from aiohttp import ClientError, web
 from twisted.logger import Logger
 
 from rce.api.map_jobs import PREFIX, JobRequest, Upload
-from rce.errors import Forbidden, InvalidRequest, TimedOut, Unauthorized
+from rce.errors import Forbidden, InvalidRequest, NotFound, TimedOut, Unauthorized
 from rce.mapservice.auditing import CLIENT
 from rce.mapservice.authentication import Authenticator, Client
 from rce.mapservice.jobs import Jobs
@@ -167,7 +167,7 @@ class Rest:
                 await stream.write_eof()
         except ConnectionError:
             pass  # the client has disconnected
-        except (Unauthorized, Forbidden) as error:
+        except (Unauthorized, Forbidden, NotFound) as error:  # NotFound: the job was removed before its end was sent
             log.info("event stream closed: {error}", error=str(error))
         finally:
             coming.cancel()

@@ -33,8 +33,8 @@ SHUTDOWN_TIMEOUT = 5.0
 log = Logger()
 
 
-class Limits(Struct, frozen=True):
-    """All limits of the service."""
+class MapServiceLimits(Struct, frozen=True):
+    """Limits of the map service for uploads and jobs."""
 
     uploads: UploadLimits
     jobs: JobLimits
@@ -48,7 +48,7 @@ class MapService:
         directory: Path,
         master: Callable[[], Master],
         runner: Runner,
-        limits: Limits,
+        limits: MapServiceLimits,
         entry: str,
         trust: str = "",
     ) -> None:
@@ -59,7 +59,7 @@ class MapService:
         self.jobs = Jobs(store, self.uploads, runner, self.authenticator, limits.jobs, entry, trust)
         self._store = store
         application = web.Application(
-            middlewares=[problems, audit_middleware(self.authenticator)], client_max_size=MAX_BODY
+            middlewares=[audit_middleware(self.authenticator), problems], client_max_size=MAX_BODY
         )
         rest = Rest(self.authenticator, self.uploads, self.jobs)
         openapi.add(application, openapi.routes(rest), rest.check_expectation)

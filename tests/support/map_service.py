@@ -23,7 +23,7 @@ from rce.control.calls.services import (
 from rce.errors import RceError, Unauthorized
 from rce.mapservice.job_program import Report, Task
 from rce.mapservice.jobs import JobLimits
-from rce.mapservice.server import Limits, MapService
+from rce.mapservice.server import MapService, MapServiceLimits
 from rce.mapservice.uploads import UploadLimits
 
 SCANS = 12
@@ -110,7 +110,7 @@ class FakeRunner:
         return [name for name, end in self._ends.items() if not end.done()]
 
 
-LIMITS = Limits(UploadLimits(10_000_000, 20_000_000, 0, 1000.0), JobLimits(2, 1, 3, 1000.0, 100.0))
+LIMITS = MapServiceLimits(UploadLimits(10_000_000, 20_000_000, 0, 1000.0), JobLimits(2, 1, 3, 1000.0, 100.0))
 
 
 class Service:
