@@ -77,6 +77,7 @@ class CommandExecutor:
         waiting: dict[Ref, asyncio.Future[None]] = {
             awaited: self._readiness.when_ready(awaited) for awaited in outcome.awaits
         }
+        pending = [future for future in waiting.values() if not future.done()]  # the others were ready before
         try:
             answers = await self._runner.run(outcome.plan)
             self._lifecycle.handle(answers)
@@ -84,9 +85,13 @@ class CommandExecutor:
             for awaited, future in waiting.items():
                 await self._readiness.wait(awaited, START_TIMEOUT, future)
         except RceError:
-            if waiting and all(future.done() and not future.exception() for future in waiting.values()):
+            if pending and all(map(_is_resolved, pending)):
                 return  # a later command removed it while this one was under way
             for future in waiting.values():
                 future.cancel()
             self._lifecycle.apply(undo(self._state, outcome))
             raise
+
+
+def _is_resolved(future: asyncio.Future[None]) -> bool:
+    return future.done() and not future.cancelled() and future.exception() is None

@@ -90,10 +90,20 @@ def call_host(
 
 def undo(state: State, outcome: Outcome) -> Plan:
     """Take back what a command made, because it did not become ready."""
-    if outcome.replaced is not None and outcome.replaced.key in state.parameters:
-        state.parameters.put(outcome.replaced)
-        return call_host(state, outcome.replaced, PutParameter(parameter_spec(outcome.replaced)))
+    if outcome.parameter is not None:
+        return _undo_parameter(state, outcome.parameter, outcome.replaced)
     return [sequence for awaited in outcome.awaits for sequence in _undo_one(state, awaited)]
+
+
+def _undo_parameter(state: State, parameter: Parameter, before: Parameter | None) -> Plan:
+    """Restore the parameter that a command replaced, unless a later command changed it again."""
+    if state.parameters.get(parameter.key) is not parameter:
+        return []
+    if before is None:
+        state.parameters.drop(parameter.key)
+        return call_host(state, parameter, DropParameter(parameter_spec(parameter).key))
+    state.parameters.put(before)
+    return call_host(state, before, PutParameter(parameter_spec(before)))
 
 
 def _undo_one(state: State, awaited: Ref) -> Plan:
@@ -107,6 +117,4 @@ def _undo_one(state: State, awaited: Ref) -> Plan:
             plan = remove_connection(state, connection)
         case "node" if node := state.nodes.get(awaited.key):
             plan = remove_node(state, node)
-        case "parameter" if parameter := state.parameters.drop(awaited.key):
-            plan = call_host(state, parameter, DropParameter(parameter_spec(parameter).key))
     return plan

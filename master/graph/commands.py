@@ -136,7 +136,8 @@ def set_parameter(context: CommandContext, command: m.SetParameter) -> Outcome:
     hard_limits.check_parameter(state, parameter)
     before = state.parameters.get(parameter.key)
     state.parameters.put(parameter)
-    return Outcome(call_host(state, parameter, PutParameter(parameter_spec(parameter))), [ref(parameter)], before)
+    plan = call_host(state, parameter, PutParameter(parameter_spec(parameter)))
+    return Outcome(plan, [ref(parameter)], parameter, before)
 
 
 def delete_parameter(context: CommandContext, command: m.DeleteParameter) -> Outcome:

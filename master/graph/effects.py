@@ -40,4 +40,5 @@ class Outcome(Struct, frozen=True):
 
     plan: Plan
     awaits: list[Ref] = []
-    replaced: Parameter | None = None  # the value before; restored if the new one is refused
+    parameter: Parameter | None = None  # as the command set it
+    replaced: Parameter | None = None  # the one before it; restored if the new value is refused

@@ -2,122 +2,15 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
-
-import pytest
-
-from master.execution import links
 from master.execution.lifecycle import RETRY_FIRST
-from master.graph.records import Process, Robot, Role
-from master.graph.state import State
-from master.service import Master
-from master.storage.store import Store
-from rce.control.calls.call import BatchResult, Call, Nothing
-from rce.control.calls.endpoints import AddRoute, LinkLost, OpenLink, Sync
+from rce.control.calls.endpoints import AddRoute, Sync
 from rce.control.calls.environments import KeepEnvironments, StartEnvironment
-from rce.control.calls.joining import Hello
 from rce.control.calls.robots import SendStatus
-from rce.control.connection import Control
 from rce.errors import NoCapacity, StartFailed
 from rce.protocol import messages as m
 from rce.protocol.messages import EnvironmentEvent
+from tests.support.master.desk import GRACE, Desk, Peer
 from tests.support.master.fleet import interface
-from tests.support.master.hand_turned import HandTurnedLoop
-
-GRACE = 30.0
-T = TypeVar("T")
-
-
-class NoStore:
-    """Store that keeps nothing."""
-
-    async def load(self, state: State) -> None: ...
-
-    async def save(self, state: State) -> None: ...
-
-    async def run(self, work: Callable[[Any], Any]) -> Any: ...
-
-
-class Peer:
-    """Process that has joined and answers every call at once."""
-
-    def __init__(self, desk: Desk, hello: Hello) -> None:
-        self.address = "memory"
-        self.hello = hello
-        self.arrived: list[Call[Any]] = []
-        self.lost: asyncio.Future[None] = desk.hand.create_future()
-        self._desk = desk
-        role = cast(Role, hello.role)
-        process = Process(
-            hello.name, role, hello.incarnation, hello.host, hello.addresses, "", hello.capacity, hello.features
-        )
-        desk.hand.do(lambda: desk.master.process_tracker.joined(process, hello, cast(Control, self)))
-
-    async def call(self, call: Call[Any]) -> object:
-        self.arrived.append(call)
-        return BatchResult() if isinstance(call, Sync) else Nothing()
-
-    def close(self) -> None:
-        self.leave()
-
-    def leave(self) -> None:
-        """Lose the connection."""
-        if not self.lost.done():
-            self._desk.hand.do(lambda: self.lost.set_result(None))
-
-    def got(self, kind: type[T]) -> list[T]:
-        return [call for call in self.arrived if isinstance(call, kind)]
-
-
-class Desk:
-    """Master without sockets and database."""
-
-    def __init__(self, hand: HandTurnedLoop) -> None:
-        self.hand = hand
-        self.master = hand.do(lambda: Master(cast(Store, NoStore()), 10.0, machine_grace=GRACE))
-        self.state = self.master.state
-
-    def robot(self) -> Peer:
-        west = Peer(self, Hello("robot", "west", "", "", "1"))
-        self.state.robots.put(Robot("ann/r1", "west", "s"))
-        return west
-
-    def machine(self, name: str, **environments: str) -> Peer:
-        runs = {f"ann/{tag}": run for tag, run in environments.items()}
-        return Peer(self, Hello("container", name, "", "", "1", capacity=2, environments=runs))
-
-    def endpoint(self, tag: str) -> Peer:
-        """Join as the endpoint of an environment's current life."""
-        return Peer(self, Hello("environment", f"ann/{tag}", "", "", self.run(tag)))
-
-    def run(self, tag: str) -> str:
-        return self.state.environments[f"ann/{tag}"].run
-
-    def at(self, tag: str) -> str:
-        return self.state.environments[f"ann/{tag}"].machine
-
-    def do(self, *commands: m.Command) -> asyncio.Task[list[Nothing]]:
-        async def all_of_them() -> list[Nothing]:
-            return await asyncio.gather(*(self.master.commands.execute("ann", command) for command in commands))
-
-        return self.hand.begin(all_of_them())
-
-    def made(self, tag: str, **options: Any) -> Peer:
-        """Create an environment and join as its endpoint."""
-        task = self.do(m.CreateContainer(tag, m.ContainerData(**options)))
-        endpoint = self.endpoint(tag)
-        assert task.done()
-        return endpoint
-
-    def turn(self, seconds: float) -> None:
-        self.hand.turn(seconds)
-
-
-@pytest.fixture
-def desk(hand: HandTurnedLoop) -> Desk:
-    return Desk(hand)
 
 
 def events(peer: Peer) -> list[tuple[str, str]]:
@@ -262,25 +155,3 @@ def test_environment_is_refused_if_no_task_set_returns(desk: Desk) -> None:
     assert isinstance(task.exception(), NoCapacity)
     assert isinstance(desk.do(m.CreateContainer("brain")).exception(), NoCapacity)
     assert len(desk.state.environments) == 0
-
-
-def test_link_that_keeps_breaking_is_reopened_with_growing_pauses(desk: Desk) -> None:
-    west = desk.robot()
-    desk.machine("m1")
-    brain = desk.made("brain")
-    desk.do(
-        interface("r1", "pose", "SubscriberConverter"),
-        interface("brain", "pose", "PublisherInterface"),
-        m.Connect("r1/pose", "brain/pose"),
-    )
-    process = desk.state.processes["west"]
-    for _ in range(600):
-        desk.turn(0.1)
-        name = west.got(OpenLink)[-1].link.name
-        desk.hand.begin(desk.master._links.lost(process, LinkLost(name, "refused")))
-    opened = len(west.got(OpenLink))
-    assert 60 / links.RETRY_MOST < opened < 60 / links.RETRY_MOST + 10
-    desk.turn(60)
-    name = west.got(OpenLink)[-1].link.name
-    desk.hand.begin(desk.master._links.lost(process, LinkLost(name, "broke")))
-    assert len(brain.got(OpenLink)) == len(west.got(OpenLink)) == opened + 2  # at once, because it had held for a while

@@ -1,0 +1,158 @@
+"""Command executor: when a command is complete, and what is taken back when it fails."""
+
+from __future__ import annotations
+
+import pytest
+
+from master.execution.command_executor import START_TIMEOUT
+from master.graph.records import Parameter, Robot
+from rce.api.roles import Principal, Scopes
+from rce.control.calls.endpoints import Bind, PutParameter, StartNode, StopNode, Unbind
+from rce.control.calls.environments import StartEnvironment, StopEnvironment
+from rce.control.calls.robots import Execute
+from rce.errors import AlreadyExists, Forbidden, InvalidRequest, NotFound, RceError, StartFailed, TimedOut
+from rce.protocol import messages as m
+from tests.support.master.desk import Desk, Peer
+from tests.support.master.fleet import interface
+
+
+@pytest.fixture
+def brain(desk: Desk) -> Peer:
+    """Environment ann/brain on machine m1, and Robot endpoint west with ann/r1."""
+    desk.robot()
+    desk.machine("m1")
+    return desk.made("brain")
+
+
+def values(desk: Desk) -> dict[str, object]:
+    return {parameter.name: parameter.value for parameter in desk.state.parameters}
+
+
+# --- completion -------------------------------------------------------------------------------------------------------
+
+
+def test_command_is_complete_when_its_process_has_answered(desk: Desk, brain: Peer) -> None:
+    brain.held.add(StartNode)
+    task = desk.do(m.AddNode("brain", "n", "p", "e"))
+    assert not task.done()
+    brain.release()
+    assert task.result() == [None]
+
+
+def test_command_of_an_environment_that_starts_is_complete_when_it_is_in_sync(desk: Desk) -> None:
+    desk.machine("m1")
+    task = desk.do(m.CreateContainer("brain"), m.SetParameter("brain", "rate", 1))
+    assert not task.done()
+    desk.endpoint("brain")
+    assert task.result() == [None, None]
+
+
+def test_refused_command_changes_nothing(desk: Desk, brain: Peer) -> None:
+    assert isinstance(desk.do(m.CreateContainer("brain")).exception(), AlreadyExists)
+    assert len(desk.state.environments) == 1
+
+
+def test_environment_that_waits_for_room_starts_after_one_is_destroyed(desk: Desk) -> None:
+    m1 = desk.machine("m1")
+    desk.made("one", size=2)
+    m1.leave()
+    task = desk.do(m.CreateContainer("two", m.ContainerData(size=2)))
+    assert task.exception() is not None  # no machine could ever take both
+    m1 = desk.machine("m1", one=desk.run("one"))
+    desk.do(m.DestroyContainer("one"))
+    desk.do(m.CreateContainer("two", m.ContainerData(size=2)))
+    assert [call.environment.name for call in m1.got(StartEnvironment)] == ["ann/two"]
+
+
+# --- failures ---------------------------------------------------------------------------------------------------------
+
+
+def test_node_that_cannot_start_is_removed_with_the_reason(desk: Desk, brain: Peer) -> None:
+    error = brain.refuse[StartNode] = StartFailed("no executable e in p")
+    assert desk.do(m.AddNode("brain", "n", "p", "e")).exception() is error
+    assert len(desk.state.nodes) == 0
+    assert brain.got(StopNode) == [StopNode("n")]
+
+
+def test_interface_that_cannot_be_made_is_removed_with_the_reason(desk: Desk, brain: Peer) -> None:
+    error = brain.refuse[Bind] = NotFound("type a/B does not exist")
+    assert desk.do(interface("brain", "x", "PublisherInterface", "a/B")).exception() is error
+    assert len(desk.state.interfaces) == 0
+    assert len(brain.got(Unbind)) == 1
+
+
+def test_environment_that_does_not_come_up_in_time_is_removed(desk: Desk) -> None:
+    m1 = desk.machine("m1")
+    task = desk.do(m.CreateContainer("brain"))
+    desk.turn(START_TIMEOUT - 1)
+    assert not task.done()
+    desk.turn(1)
+    assert isinstance(task.exception(), TimedOut)
+    assert len(desk.state.environments) == 0
+    assert m1.got(StopEnvironment) == [StopEnvironment("ann/brain")]
+
+
+def test_refused_value_of_a_new_parameter_is_removed(desk: Desk, brain: Peer) -> None:
+    error = brain.refuse[PutParameter] = InvalidRequest("all items of a list must be of the same type")
+    assert desk.do(m.SetParameter("brain", "rates", [1, "two"])).exception() is error
+    assert values(desk) == {}
+
+
+def test_refused_value_of_a_parameter_is_replaced_by_the_former_one(desk: Desk, brain: Peer) -> None:
+    desk.do(m.SetParameter("brain", "rates", [1, 2]))
+    error = brain.refuse[PutParameter] = InvalidRequest("all items of a list must be of the same type")
+    assert desk.do(m.SetParameter("brain", "rates", [1, "two"])).exception() is error
+    assert values(desk) == {"rates": [1, 2]}
+    assert [call.parameter.value for call in brain.got(PutParameter)] == [[1, 2], [1, "two"], [1, 2]]
+
+
+def test_later_value_of_a_parameter_outlasts_a_refused_one(desk: Desk, brain: Peer) -> None:
+    brain.held.add(PutParameter)
+    brain.refuse[PutParameter] = error = InvalidRequest("no")
+    refused = desk.do(m.SetParameter("brain", "rate", 2**70))
+    del brain.refuse[PutParameter]
+    accepted = desk.do(m.SetParameter("brain", "rate", 3))
+    brain.release()
+    assert refused.exception() is error
+    brain.release()
+    assert accepted.result() == [None]
+    assert values(desk) == {"rate": 3}
+    assert brain.got(PutParameter)[-1].parameter.value == 3
+
+
+def test_command_ends_without_an_error_if_a_later_one_removes_its_object(desk: Desk) -> None:
+    desk.machine("m1")
+    creating = desk.do(m.CreateContainer("brain"))
+    desk.do(m.DestroyContainer("brain"))
+    assert creating.result() == [None]
+
+
+# --- commands of robots -----------------------------------------------------------------------------------------------
+
+
+def by_robot(desk: Desk, command: m.Command, robot: str = "ann/r1", endpoint: str = "west") -> RceError | None:
+    call = Execute.of(robot, command)
+    process = desk.state.processes[endpoint]
+    error = desk.hand.begin(desk.master.commands._by_robot(process, call)).exception()
+    assert error is None or isinstance(error, RceError)
+    return error
+
+
+def test_command_of_a_robot_changes_the_things_of_its_user(desk: Desk, brain: Peer) -> None:
+    assert by_robot(desk, m.SetParameter("brain", "rate", 1)) is None
+    assert list(desk.state.parameters) == [Parameter("ann/brain", "rate", 1)]
+
+
+@pytest.mark.parametrize(("robot", "endpoint"), [("ann/r2", "west"), ("ann/r1", "m1")])
+def test_command_of_a_robot_without_a_session_at_its_endpoint_is_refused(
+    desk: Desk, brain: Peer, robot: str, endpoint: str
+) -> None:
+    assert isinstance(by_robot(desk, m.SetParameter("brain", "rate", 1), robot, endpoint), NotFound)
+    assert values(desk) == {}
+
+
+def test_command_beyond_the_rights_of_the_robots_key_is_refused(desk: Desk, brain: Peer) -> None:
+    tied = Principal("ann", "robot", "key", scopes=Scopes("r2", ["other"]))
+    desk.state.robots.put(Robot("ann/r2", "west", "s", tied))
+    assert isinstance(by_robot(desk, m.SetParameter("brain", "rate", 1), "ann/r2"), Forbidden | NotFound)
+    assert values(desk) == {}
