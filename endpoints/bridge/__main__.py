@@ -6,10 +6,7 @@ import argparse
 import asyncio
 import os
 import sys
-from collections.abc import Coroutine
 from pathlib import Path
-
-from twisted.internet.base import ReactorBase
 
 from endpoints.bridge.config import BridgeConfig, read
 from rce.errors import InvalidRequest
@@ -39,11 +36,10 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
-async def serve(reactor: ReactorBase, config: BridgeConfig, typesupport: list[Path]) -> None:
+async def serve(config: BridgeConfig, typesupport: list[Path]) -> None:
     """Run until cancelled, or until the platform rejects something that the configuration needs.
 
     Args:
-        reactor: Reactor that serves the metrics.
         config: Configuration of the bridge.
         typesupport: Prefixes with type support.
 
@@ -62,7 +58,7 @@ async def serve(reactor: ReactorBase, config: BridgeConfig, typesupport: list[Pa
     actions = Actions(config, local)
     requests = RequestServer(config.requests, actions.perform)
     try:
-        with serve_metrics(reactor, config.metrics, local.families):
+        async with serve_metrics(config.metrics, local.families):
             if config.requests:
                 await requests.open(local)
             if config.offload:
@@ -92,11 +88,7 @@ def main() -> int:
         return 0
     typesupport = [Path(entry) for entry in arguments.typesupport.split(",") if entry]
     sys.path += [str(prefix / "python") for prefix in typesupport]
-
-    def run(reactor: ReactorBase) -> Coroutine[None, None, None]:
-        return serve(reactor, config, typesupport)
-
-    return loop.run(run)
+    return loop.run(lambda _: serve(config, typesupport))
 
 
 if __name__ == "__main__":

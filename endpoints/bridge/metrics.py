@@ -3,33 +3,32 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import AsyncIterator
 
-from twisted.internet.base import ReactorBase
-from twisted.internet.error import CannotListenError
-from twisted.web.resource import Resource
-from twisted.web.server import Request, Site
+from aiohttp import hdrs, web
 
-from rce.errors import port_unavailable
 from rce.process.exposition import CONTENT_TYPE, prometheus_text
 from rce.process.metrics import Source, collect_families
+from rce.web.server import Endpoint, listen, serve_application
+
+ALL_ADDRESSES = "0.0.0.0"
 
 
-class _Metrics(Resource):
-    isLeaf = True
+def metrics_application(source: Source) -> web.Application:
+    """Return the application that answers `/metrics` with the families of `source` and those of the process."""
 
-    def __init__(self, source: Source) -> None:
-        super().__init__()  # type: ignore[no-untyped-call]
-        self._source = source
+    async def metrics(_: web.Request) -> web.Response:
+        text = prometheus_text(collect_families("bridge", source))
+        return web.Response(body=text, headers={hdrs.CONTENT_TYPE: CONTENT_TYPE})
 
-    def render_GET(self, request: Request) -> bytes:
-        request.setHeader("content-type", CONTENT_TYPE)
-        return prometheus_text(collect_families("bridge", self._source))
+    application = web.Application()
+    application.router.add_get("/metrics", metrics)
+    return application
 
 
-@contextlib.contextmanager
-def serve_metrics(reactor: ReactorBase, port: int, source: Source) -> Iterator[None]:
-    """Serve `/metrics` at a port on all addresses; 0 for none.
+@contextlib.asynccontextmanager
+async def serve_metrics(port: int, source: Source) -> AsyncIterator[None]:
+    """Serve `/metrics` at a port on all addresses; 0 for none. At the end the port is free again.
 
     Raises:
         Unavailable: The port cannot be bound.
@@ -37,13 +36,9 @@ def serve_metrics(reactor: ReactorBase, port: int, source: Source) -> Iterator[N
     if not port:
         yield
         return
-    root = Resource()
-    root.putChild(b"metrics", _Metrics(source))  # type: ignore[arg-type]  # zope declares its methods without self
+    runner = serve_application(metrics_application(source))
     try:
-        listening = reactor.listenTCP(port, Site(root))  # type: ignore[attr-defined]  # of IReactorTCP
-    except CannotListenError as error:
-        raise port_unavailable("", port, error.socketError) from None
-    try:
+        await listen(runner, Endpoint(ALL_ADDRESSES, port))
         yield
     finally:
-        listening.stopListening()
+        await runner.cleanup()

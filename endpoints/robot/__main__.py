@@ -16,8 +16,8 @@ import rce
 from endpoints.data.port import DataPort
 from endpoints.memory import keep_large_blocks
 from endpoints.robot.endpoint import Options, RobotEndpoint
+from endpoints.robot.frame_receiver import ServerLimits
 from endpoints.robot.server import listen
-from endpoints.robot.session_manager import ServerLimits
 from rce.control.calls.joining import Hello, Welcome
 from rce.control.client import ControlClient
 from rce.control.credential import Credential, stay_joined
@@ -62,6 +62,18 @@ class Settings(Struct):
     unfinished_size: Annotated[int, Meta(ge=1, description="total size of unfinished blobs in MB")] = 256
 
 
+def robot_url(options: Settings, port: int, host: str = "") -> str:
+    """Return the URL at which robots find this endpoint.
+
+    Args:
+        options: Settings, whose `public_url` takes precedence.
+        port: Port at which the endpoint listens.
+        host: Name or address; empty for a URL in which the Master fills in the host of the robot's request.
+    """
+    scheme = "wss" if options.certificate else "ws"
+    return options.public_url or f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}/"
+
+
 async def serve(reactor: ReactorBase, options: Settings) -> None:
     """Run until cancelled, or until the Master refuses this endpoint."""
     options.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -80,7 +92,8 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     server = await listen(
         endpoint, options.ws_host, options.ws_port, public_tls_context(options.certificate, options.private_key)
     )
-    url = options.public_url or f"{'wss' if options.certificate else 'ws'}://:{server.sockets[0].getsockname()[1]}/"
+    ws_port = server.sockets[0].getsockname()[1]
+    url = robot_url(options, ws_port)
     incarnation = secrets.token_hex(16)
 
     def hello() -> Hello:
@@ -102,7 +115,11 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
         announce(Ready("robot", url))
 
     endpoint.master = ControlClient(reactor, options.master, hello, endpoint.handlers(), welcomed, tls)
-    log.info("Robot endpoint {name} serves robots at {url}", name=options.name, url=url)
+    log.info(
+        "Robot endpoint {name} serves robots at {url}",
+        name=options.name,
+        url=robot_url(options, ws_port, options.ws_host),
+    )
     try:
         await stay_joined(endpoint.master, credential)
     finally:

@@ -12,9 +12,10 @@ from twisted.logger import Logger
 from endpoints.data.interface import Interface
 from endpoints.data.port import DataPort
 from endpoints.data.switchboard import Switchboard
+from endpoints.robot.frame_receiver import ServerLimits
+from endpoints.robot.handshake import LoginRequest
 from endpoints.robot.interfaces import make_interface
 from endpoints.robot.session import RobotSession
-from endpoints.robot.session_manager import LoginRequest, LoginResult, ServerLimits
 from endpoints.robot.types import UserTypes
 from rce.control.calls.call import BatchResult
 from rce.control.calls.endpoints import InterfaceSpec, LinkLost, Sync
@@ -48,6 +49,14 @@ class Options(Struct, frozen=True):
     limits: ServerLimits
     grace: float
     service_timeout: float
+
+
+class LoginResult(Struct, frozen=True):
+    """Session of a robot that is logged in."""
+
+    session: RobotSession
+    token: str  # with which a later socket resumes the session
+    resumed: bool
 
 
 class RobotEndpoint:
@@ -94,7 +103,11 @@ class RobotEndpoint:
     # --- robots -------------------------------------------------------------------------------------------------------
 
     async def login(self, request: LoginRequest) -> LoginResult:
-        """Have the Master authenticate a robot; return its new or resumed session."""
+        """Have the Master authenticate a robot; return its new or resumed session.
+
+        Raises:
+            RceError: The Master refuses the robot, or cannot be reached.
+        """
         name = request.name
         connection = logs.set_request_id()
         if name in self._expiring:  # else the end of the old session would end the new one

@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable
+from typing import Annotated
 
-from msgspec import UNSET
+from msgspec import UNSET, Meta, Struct
 
 from endpoints.robot.session import RobotSession
-from endpoints.robot.session_manager import SessionManager
 from rce.errors import InvalidRequest, NotConnected, RceError
 from rce.protocol import messages as m
 from rce.protocol.assembler import Assembler, AssemblyLimits, AssemblyResult
@@ -17,14 +17,34 @@ from rce.protocol.blobs import Buffer
 
 BAD_WINDOW = 60.0  # seconds
 
+Handle = Callable[[RobotSession, m.DataMessage, dict[str, Buffer]], None]
+
+
+class ServerLimits(Struct, frozen=True):
+    """Limits of what one robot may send; sizes in bytes, times in seconds."""
+
+    message: Annotated[int, Meta(ge=1024)] = 64 * 1024 * 1024
+    bad_messages: Annotated[int, Meta(ge=0)] = 100  # a minute; 0: no limit
+    blobs: Annotated[int, Meta(ge=1)] = 64
+    blob_memory: Annotated[int, Meta(ge=1024)] = 256 * 1024 * 1024
+    blob_age: Annotated[float, Meta(gt=0)] = 60.0
+
 
 class FrameReceiver:
-    """Receiver of one socket's messages. `end` is called with a reason to close the socket."""
+    """Receiver of one socket's messages."""
 
-    def __init__(self, manager: SessionManager, session: RobotSession, end: Callable[[str], None]) -> None:
-        limits = manager.limits
-        self._manager = manager
+    def __init__(self, session: RobotSession, limits: ServerLimits, handle: Handle, end: Callable[[str], None]) -> None:
+        """Create the receiver of a socket.
+
+        Args:
+            session: The robot's session, which executes its commands.
+            limits: Limits of what the robot may send.
+            handle: Handles a data message of the robot; errors raised are sent to the robot.
+            end: Called with a reason to close the socket.
+        """
         self._session = session
+        self._bad_limit = limits.bad_messages
+        self._handle = handle
         self._end = end
         self._assembler = Assembler(
             asyncio.get_running_loop().time,
@@ -73,7 +93,7 @@ class FrameReceiver:
     def _data(self, frame: m.Frame, blobs: dict[str, Buffer]) -> None:
         message = m.decode_as(m.DataMessage, frame.data, "data")
         try:
-            self._manager.data(self._session, message, blobs)
+            self._handle(self._session, message, blobs)
         except RceError as error:
             raise error.with_fields(iTag=message.iTag[:255], msgID=message.msgID[:255]) from None
         if frame.id is not UNSET and "ack" in self._session.features:
@@ -82,7 +102,7 @@ class FrameReceiver:
     def _reject(self, error: RceError, frame: m.Frame | None) -> None:
         """Send an error to the robot; close the socket after too many of them within a minute."""
         self._session.error(error, frame.id if frame is not None and "ack" in self._session.features else UNSET)
-        limit = self._manager.limits.bad_messages
+        limit = self._bad_limit
         if not limit or isinstance(error, NotConnected):  # the robot cannot know that its peer has just gone
             return
         now = asyncio.get_running_loop().time()

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from endpoints.robot.session_manager import LoginRequest
+from msgspec import Struct
+
 from rce.errors import (
     AlreadyExists,
     Forbidden,
@@ -27,6 +28,24 @@ class Request(Protocol):
     peer: Any  # address of the client, as tcp4:HOST:PORT
     headers: Mapping[str, Any]  # names in lower case
     params: Mapping[str, list[Any]]  # query parameters, each with all its values
+
+
+class LoginRequest(Struct, frozen=True):
+    """Parameters of the HTTP request that opens a robot's WebSocket."""
+
+    user: str
+    robot: str
+    secret: str
+    features: frozenset[str]
+    resume: str
+    compress: bool
+    address: str
+    owner: str  # the user to whom the robot belongs
+
+    @property
+    def name(self) -> str:
+        """Name of the robot inside the platform: `owner/robotID`."""
+        return f"{self.owner}/{self.robot}"
 
 
 def parse_login(request: Request) -> LoginRequest:

@@ -13,10 +13,10 @@ import txaio
 from twisted.logger import Logger
 from websockets.speedups import apply_mask
 
+from endpoints.robot.endpoint import LoginResult, RobotEndpoint
 from endpoints.robot.frame_receiver import FrameReceiver
 from endpoints.robot.handshake import parse_login, refusal_status, wants_close_code
 from endpoints.robot.session import Piece, RobotSession
-from endpoints.robot.session_manager import LoginResult, SessionManager
 from rce.errors import RceError, port_unavailable
 from rce.net.sockets import tune
 from rce.protocol.blobs import BinaryFrame, Buffer
@@ -65,9 +65,9 @@ protocol.create_xor_masker = _Unmasker  # type: ignore[attr-defined, assignment]
 class RobotSocket(WebSocketServerProtocol):
     """WebSocket of one robot."""
 
-    def __init__(self, manager: SessionManager) -> None:
+    def __init__(self, endpoint: RobotEndpoint) -> None:
         super().__init__()
-        self._manager = manager
+        self._endpoint = endpoint
         self._login: LoginResult | None = None
         self._session: RobotSession | None = None
         self._denied: ConnectionDeny | None = None  # refusal to be sent as a close code
@@ -90,7 +90,7 @@ class RobotSocket(WebSocketServerProtocol):
         try:
             login = parse_login(request)
             features = login.features
-            self._login = await self._manager.login(login)
+            self._login = await self._endpoint.login(login)
         except RceError as error:
             denial = ConnectionDeny(refusal_status(error, features), str(error))
             if not wants_close_code(request):
@@ -101,7 +101,7 @@ class RobotSocket(WebSocketServerProtocol):
             self.perMessageCompressionAccept = _accept_deflate
         session = self._login.session
         if self.transport is None:
-            self._manager.disconnected(session)
+            self._endpoint.disconnected(session)
             raise ConnectionDeny(400, "the robot closed its connection during the login")
         return None, {"RCE-Features": ",".join(sorted(session.features))} if session.features else {}
 
@@ -112,15 +112,15 @@ class RobotSocket(WebSocketServerProtocol):
             return
         assert self._login is not None
         session = self._session = self._login.session
-        self._receiver = FrameReceiver(self._manager, session, self.end)
+        self._receiver = FrameReceiver(session, self._endpoint.limits, self._endpoint.data, self.end)
         self._timer = asyncio.get_running_loop().call_later(TICK, self._tick)
         self.transport.set_write_buffer_limits(high=HIGH_WATER)
         tune(self.transport)
         previous = session.socket
         if previous is not None:
             previous.end("the robot has a newer connection")
-        session.attach(self, self._login.token, self._login.resumed, self._manager.grace)
-        self._manager.connected(session)
+        session.attach(self, self._login.token, self._login.resumed, self._endpoint.grace)
+        self._endpoint.connected(session)
 
     def onClose(self, wasClean: bool, code: int | None, reason: str | None) -> None:
         """Detach the socket from its session; a normal closure ends the session of a client with features."""
@@ -130,13 +130,13 @@ class RobotSocket(WebSocketServerProtocol):
         if session is None and self._login is not None:
             session = self._login.session  # logged in, but the handshake was not completed
             if session.socket is None:
-                self._manager.disconnected(session)
+                self._endpoint.disconnected(session)
         elif session is not None and session.detach(self):
             if wasClean and code == NORMAL and session.features:
-                self._manager.finished(session)  # clients of the original protocol always have the grace time
+                self._endpoint.finished(session)  # clients of the original protocol always have the grace time
                 return
             log.info("robot {robot} lost its socket: {reason}", robot=session.name, reason=self._reason or reason)
-            self._manager.disconnected(session)
+            self._endpoint.disconnected(session)
 
     # --- from the robot -----------------------------------------------------------------------------------------------
 
@@ -305,21 +305,21 @@ class RobotSocket(WebSocketServerProtocol):
 
 
 class _Factory(WebSocketServerFactory):
-    def __init__(self, manager: SessionManager, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, endpoint: RobotEndpoint, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__(server="RCE", loop=loop)
-        self._manager = manager
+        self._endpoint = endpoint
 
     def __call__(self) -> RobotSocket:
-        socket = RobotSocket(self._manager)
+        socket = RobotSocket(self._endpoint)
         socket.factory = self  # type: ignore[attr-defined]  # as the base class does
         return socket
 
 
-async def listen(manager: SessionManager, host: str, port: int, tls: Any) -> asyncio.Server:
+async def listen(endpoint: RobotEndpoint, host: str, port: int, tls: Any) -> asyncio.Server:
     """Serve robots at `host:port`.
 
     Args:
-        manager: Manager of the robots' sessions.
+        endpoint: The endpoint, which has the robots' sessions.
         host: Local address.
         port: Port; 0 for any free one.
         tls: SSLContext for wss; None for ws.
@@ -329,10 +329,10 @@ async def listen(manager: SessionManager, host: str, port: int, tls: Any) -> asy
     """
     loop = asyncio.get_running_loop()
     txaio.config.loop = loop  # type: ignore[attr-defined]  # Autobahn's ping and handshake timers run on it
-    factory = _Factory(manager, loop)
+    factory = _Factory(endpoint, loop)
     factory.setProtocolOptions(
-        maxMessagePayloadSize=manager.limits.message,
-        maxFramePayloadSize=manager.limits.message,
+        maxMessagePayloadSize=endpoint.limits.message,
+        maxFramePayloadSize=endpoint.limits.message,
         allowNullOrigin=True,  # the origin of a page from a file; setProtocolOptions would reset it
         openHandshakeTimeout=30,
         closeHandshakeTimeout=1,  # a connection that was cut off is gone by then

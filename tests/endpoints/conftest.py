@@ -12,7 +12,7 @@ from twisted.internet.base import ReactorBase
 
 from containers.data_relay import GATE, DataRelay
 from endpoints.data.port import DataPort
-from endpoints.robot.session_manager import ServerLimits
+from endpoints.robot.frame_receiver import ServerLimits
 from rce.net.certificates import Authority
 from rce.net.tls import Tls
 from tests.support.certificates import certify

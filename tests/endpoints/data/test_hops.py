@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 
 import pytest
@@ -26,8 +27,8 @@ def hand() -> Iterator[HandTurnedLoop]:
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """Time of `perf_counter`; the time of day is 1000 s ahead of it."""
     now = [5.0]
-    monkeypatch.setattr(hops.time, "perf_counter", lambda: now[0])
-    monkeypatch.setattr(hops.time, "time", lambda: now[0] + 1000)
+    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(time, "time", lambda: now[0] + 1000)
     return now
 
 

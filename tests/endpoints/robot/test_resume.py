@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 from websockets.exceptions import InvalidStatus
 
+from endpoints.robot.endpoint import LoginResult
+from endpoints.robot.handshake import LoginRequest
 from endpoints.robot.session import RobotSession
-from endpoints.robot.session_manager import LoginRequest, LoginResult
 from master.execution.effect_runner import new_id
 from master.graph import reconcile
 from rce.control.calls.joining import Hello

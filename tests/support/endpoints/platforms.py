@@ -18,7 +18,7 @@ import rce
 from endpoints.data.port import DataPort
 from endpoints.robot import server
 from endpoints.robot.endpoint import Options, RobotEndpoint
-from endpoints.robot.session_manager import ServerLimits
+from endpoints.robot.frame_receiver import ServerLimits
 from master.service import Master
 from master.storage.store import Store
 from rce.control.calls.joining import Hello
