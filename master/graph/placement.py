@@ -57,21 +57,23 @@ def _fitting(state: State, user: str, options: EnvironmentOptions, moving: str) 
             )
     spare = {machine.name: free_gpus(state, machine, moving) for machine in able}
     if options.gpus > max(spare.values()):
+        most = max(0, *spare.values())  # a machine that joined again with fewer GPUs may use more than it has
         raise NoCapacity(
-            f"no machine has {options.gpus} free GPUs; the one with most has {max(0, *spare.values())}",
+            f"no machine has {options.gpus} free GPUs; the one with most has {most}",
             field="containerData.gpus",
             asked=options.gpus,
-            free=max(0, *spare.values()),
+            free=most,
         )
     able = [machine for machine in able if spare[machine.name] >= options.gpus]
     free = {machine.name: free_slots(state, machine, moving) for machine in able}
     fitting = {name: slots for name, slots in free.items() if slots >= options.size}
     if not fitting:
+        most = max(0, *free.values())
         where = f"machine {home}, which has network group {options.group}, has not" if home else "no machine has"
         raise NoCapacity(
-            f"{where} {options.size} free slots; the emptiest has {max(free.values())}",
+            f"{where} {options.size} free slots; the emptiest has {most}",
             asked=options.size,
-            free=max(free.values()),
+            free=most,
         )
     return fitting
 

@@ -1,21 +1,17 @@
-"""Commands: their changes of the records, the calls that follow, repetition and undo."""
+"""Commands: their changes of the records, the calls that follow, and repetition."""
 
 from __future__ import annotations
 
 import pytest
 
-from master.graph.changes import undo
 from master.graph.effects import MarkReady
 from master.graph.records import Ref, ref
 from master.graph.translation import node_spec, parameter_spec
 from rce.control.calls.endpoints import Bind, CloseLink, DropParameter, PutParameter, RemoveRoute, StartNode, StopNode
 from rce.control.calls.environments import StartEnvironment, StopEnvironment
-from rce.errors import (
-    AlreadyExists,
-    NoCapacity,
-)
+from rce.errors import AlreadyExists
 from rce.protocol import messages as m
-from tests.support.master.fleet import Fleet, calls, everything, full, furnished, interface, sends
+from tests.support.master.fleet import calls, everything, full, furnished, interface, sends
 
 
 def test_create_starts_the_environment_and_awaits_it() -> None:
@@ -131,52 +127,7 @@ def test_repeated_command_with_other_content_is_an_error(command: m.Command) -> 
         full().do("ann", command, again=True)
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        m.CreateContainer("other"),
-        m.AddNode("brain", "n", "p", "e"),
-        m.SetParameter("brain", "other", 1),
-        interface("r1", "other", "PublisherConverter"),
-        m.Connect("r1/pose", "brain/second"),
-    ],
-    ids=lambda command: type(command).__name__,
-)
-def test_undo_restores_the_state_before_the_command(command: m.Command) -> None:
-    fleet = full()
-    fleet.do("ann", interface("brain", "second", "PublisherInterface"))
-    before = everything(fleet.state)
-    outcome = fleet.do("ann", command)
-    assert everything(fleet.state) != before
-    assert sends(undo(fleet.state, outcome))
-    assert everything(fleet.state) == before
-
-
-def test_refused_parameter_is_replaced_by_its_former_value() -> None:
-    fleet = full()
-    fleet.do("ann", m.SetParameter("brain", "speed", 1))
-    before = everything(fleet.state)
-    outcome = fleet.do("ann", m.SetParameter("brain", "speed", "fast"))
-    assert sends(undo(fleet.state, outcome))
-    assert everything(fleet.state) == before
-
-
 def test_interface_is_bound_at_the_endpoint_of_its_robot() -> None:
     fleet = furnished()
     plan = fleet.do("ann", interface("r1", "x", "PublisherConverter")).plan
     assert [(send.to, type(send.call)) for send in sends(plan)] == [("west", Bind)]
-
-
-def test_placement_considers_free_gpus() -> None:
-    """The machine with more free slots has no GPUs."""
-    fleet = Fleet()
-    fleet.join("plain", "container", capacity=9)
-    fleet.join("graphic", "container", capacity=3, gpus=2)
-    fleet.do("ann", m.CreateContainer("one", m.ContainerData(gpus=1)))
-    fleet.do("bob", m.CreateContainer("two", m.ContainerData(gpus=1)))
-    assert {each.machine for each in fleet.state.environments} == {"graphic"}
-    with pytest.raises(NoCapacity) as raised:
-        fleet.do("bob", m.CreateContainer("three", m.ContainerData(gpus=1)))
-    assert raised.value.info.fields == {"asked": 1, "free": 0}
-    fleet.do("ann", m.DestroyContainer("one"))
-    fleet.do("bob", m.CreateContainer("three", m.ContainerData(gpus=1)))

@@ -1,18 +1,16 @@
-"""Reconciliation of processes and robots that join, leave and return; placement."""
+"""Reconciliation of processes and robots that join, leave and return."""
 
 from __future__ import annotations
 
 import pytest
 
-from master.graph import placement, reconcile
-from master.graph.state import State
+from master.graph import reconcile
 from rce.control.calls.endpoints import AddRoute, Bind, CloseLink, OpenLink, RemoveRoute, Sync
 from rce.control.calls.environments import KeepEnvironments, SetRelays, StartEnvironment
 from rce.control.calls.robots import DropRobot
-from rce.errors import AlreadyExists, InvalidName, NoCapacity, Unavailable
+from rce.errors import AlreadyExists, InvalidName
 from rce.protocol import messages as m
 from tests.support.master.fleet import Fleet, calls, everything, furnished, interface, wired
-from tests.support.master.machines import machines, placed
 
 
 def sync_of(fleet: Fleet, to: str, role: str = "robot", incarnation: str = "1", **hello: object) -> Sync:
@@ -181,30 +179,3 @@ def test_machines_get_the_addresses_of_all_relays() -> None:
     reconcile.left(fleet.state, "m3")
     plan = fleet.join("m3", "container", "2", addresses=["relay:m3:1"])
     assert (calls(plan, "m1"), calls(plan, "m3")[-1]) == ([], SetRelays(["m2:1", "m3:1"]))
-
-
-# --- placement --------------------------------------------------------------------------------------------------------
-
-
-def test_placement_prefers_the_users_machine_then_the_emptiest() -> None:
-    fleet = machines(small=2, big=5)
-    assert placed(fleet, "ann", "a", size=2) == "big"
-    assert placed(fleet, "bob", "a", size=2) == "big"
-    assert placed(fleet, "cid", "a") == "small"
-    assert placed(fleet, "cid", "b") == "small"
-    assert placed(fleet, "cid", "c") == "big"
-
-
-def test_placement_considers_special_features() -> None:
-    fleet = machines(big=9, special=1)
-    assert placed(fleet, "ann", "a", specialFeatures=["gpu"]) == "special"
-    with pytest.raises(NoCapacity) as raised:
-        placed(fleet, "ann", "b", specialFeatures=["gpu"])
-    assert raised.value.info.fields == {"asked": 1, "free": 0}
-
-
-def test_missing_machines_and_endpoints_are_errors() -> None:
-    with pytest.raises(NoCapacity, match="no machine"):
-        placed(Fleet(), "ann", "a")
-    with pytest.raises(Unavailable):
-        placement.robot_endpoint(State())

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from master.graph.records import Node, Parameter, Ref, ref
+from master.graph.records import Connection, Interface, Node, Process, Ref, Robot
 from master.graph.state import State, Table
+from rce.api.roles import Principal
 
 NODE = Node("ann/brain", "echo", "p", "e")
 
@@ -48,8 +49,48 @@ def test_watchers_get_the_record_before_and_after(nodes: Table[Node]) -> None:
     assert seen == [(None, NODE), (NODE, other), (other, None)]
 
 
-def test_references_tell_kinds_apart() -> None:
-    parameter = Parameter("ann/brain", "rate", 5, "echo")
-    assert parameter.key == "ann/brain/echo:rate"
-    assert str(ref(parameter)) == "parameter ann/brain/echo:rate"
-    assert ref(parameter) != ref(NODE)
+# --- state ------------------------------------------------------------------------------------------------------------
+
+
+def test_robots_and_connections_of_guests_do_not_count_for_the_owner() -> None:
+    state = State()
+    state.robots.put(Robot("ann/r1", "west", "s"))
+    state.robots.put(Robot("ann/@own", "west", "s", Principal("ann", "user")))
+    state.robots.put(Robot("ann/@bobs", "west", "s", Principal("bob", "operator")))
+    for number, owner in enumerate(("ann/brain", "ann/r1", "ann/@bobs")):
+        state.interfaces.put(Interface(f"{number:032}", owner, "x", "", "std_msgs/String"))
+    state.connections.put(Connection("ann/brain/x", "ann/r1/x"))
+    state.connections.put(Connection("ann/brain/x", "ann/@bobs/x"))
+    assert (state.robots_of_user("ann"), state.connections_of_user("ann")) == (2, 1)
+    assert (state.robots_of_user("bob"), state.connections_of_user("bob")) == (0, 0)
+
+
+def test_connection_is_found_by_its_sides_and_its_link() -> None:
+    state = State()
+    connection = Connection("ann/brain/x", "ann/r1/y", "link")
+    state.connections.put(connection)
+    for term in ("ann/brain/x", "ann/r1/y", "link"):
+        assert state.connections.by(term) == [connection]
+    state.connections.put(Connection("ann/brain/x", "ann/r1/y"))
+    assert state.connections.by("link") == []
+
+
+def test_process_is_gone_when_it_is_neither_joined_nor_expected() -> None:
+    state = State()
+    state.processes.put(Process("m1", "container", "1"))
+    assert state.gone("m1")
+    state.expected.add("m1")
+    assert not state.gone("m1")
+    state.joined.add("m1")
+    state.forget("m1")
+    assert state.gone("m1")
+    assert len(state.processes) == 0
+
+
+def test_host_is_the_endpoint_while_that_is_connected() -> None:
+    state = State()
+    state.robots.put(Robot("ann/r1", "west", "s"))
+    state.joined |= {"west", "ann/brain"}
+    assert [state.host(owner) for owner in ("ann/r1", "ann/brain", "ann/other")] == ["west", "ann/brain", ""]
+    state.joined.clear()
+    assert [state.host(owner) for owner in ("ann/r1", "ann/brain")] == ["", ""]
