@@ -106,17 +106,18 @@ _SHAPES = {Cardinality.SCALAR: Shape.SINGLE, Cardinality.ARRAY: Shape.ARRAY, Car
 
 
 def parse_message(name: str, text: str) -> Definition:
-    """Parse the text of a `.msg` file.
+    """Parse the text of a `.msg` file, or of one half of a `.srv` file.
 
     Args:
-        name: Name of the type, `pkg/msg/Name`.
+        name: Name of the type, `pkg/msg/Name` or `pkg/srv/Name`.
         text: Content of the file.
 
     Raises:
         InvalidRequest: The text is not a message definition.
     """
-    package, _, plain = name.partition("/msg/")
+    package, _, plain = name.split("/")
     try:
+        # Types without a package are messages of the same package, in services as well: hence msg in any case.
         messages = _Parser(f"MSG: {package}/msg/{plain}\n{text.replace(chr(13), '')}").specification()
     except (TypesysError, AssertionError, ValueError) as error:
         raise InvalidRequest(f"the definition of {name} is not a message definition: {_reason(error)}") from error
@@ -139,8 +140,7 @@ def parse_service(name: str, text: str) -> tuple[Definition, Definition]:
     parts = re.split(r"^---[ \t\r]*$", text, flags=re.MULTILINE)
     if len(parts) != 2:
         raise InvalidRequest(f"the definition of {name} is not a service definition: it needs exactly one line ---")
-    message = name.replace("/srv/", "/msg/")  # so that a type without a package is a message of the same package
-    return parse_message(message + "_Request", parts[0]), parse_message(message + "_Response", parts[1])
+    return parse_message(name + "_Request", parts[0]), parse_message(name + "_Response", parts[1])
 
 
 def from_rosbags(name: str, fields: Fielddefs) -> Definition:

@@ -170,7 +170,7 @@ def _default(member: Member) -> object:
     """Return the default value of a field, which is immutable because all messages share it."""
     kind, given = member.type, member.field.default
     if kind.shape is Shape.SINGLE:
-        return member.message.default if member.message else _scalar(member, given)
+        return member.message.default if member.message and given is None else _scalar(member, given)
     if given is None:
         count = kind.size if kind.shape is Shape.ARRAY else 0
         return (

@@ -39,75 +39,6 @@ def test_any_buffer_type_is_accepted(codec: CodecOf) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "field"),
-    [
-        ("nav_msgs/Path", {"poses": [{}, {}, {"pose": {"position": {"x": "far"}}}]}, "poses[2].pose.position.x"),
-        ("nav_msgs/Path", {"poses": [{}, {"header": {"stamp": {"nanosec": -1}}}]}, "poses[1].header.stamp.nanosec"),
-        ("sensor_msgs/LaserScan", {"ranges": [1, 2, 1e39]}, "ranges[2]"),
-        ("sensor_msgs/LaserScan", {"ranges": [1, "x"]}, "ranges[1]"),
-        ("nav_msgs/Odometry", {"pose": {"covariance": [0] * 35}}, "pose.covariance"),
-        ("nav_msgs/Odometry", {"twist": {"covariance": [0] * 35 + [1e400]}}, "twist.covariance[35]"),
-        ("diagnostic_msgs/DiagnosticArray", {"status": [{"values": [{"key": "\0"}]}]}, "status[0].values[0].key"),
-        ("sensor_msgs/JointState", {"name": ["a", 7]}, "name[1]"),
-        ("sensor_msgs/JointState", {"name": ["a", "\0"]}, "name[1]"),
-        ("nav_msgs/OccupancyGrid", {"data": [0, 300]}, "data[1]"),
-        ("sensor_msgs/PointCloud2", {"data": [0, 300]}, "data[1]"),
-        ("sensor_msgs/PointCloud2", {"data": "no base64!"}, "data"),
-        ("sensor_msgs/PointCloud2", {"data": "AAA"}, "data"),
-        ("unique_identifier_msgs/UUID", {"uuid": "AAAA"}, "uuid"),
-        ("unique_identifier_msgs/UUID", {"uuid": [1] * 17}, "uuid"),
-        ("geometry_msgs/Twist", {"linear": None}, "linear"),
-        ("geometry_msgs/Twist", {"linear": []}, "linear"),
-        ("shape_msgs/SolidPrimitive", {"dimensions": [1, 2, 3, 4]}, "dimensions"),
-        ("rcl_interfaces/ParameterDescriptor", {"integer_range": [{}, {}]}, "integer_range"),
-    ],
-)
-def test_error_names_the_field(codec: CodecOf, name: str, value: object, field: str) -> None:
-    raw = json.dumps(value).replace("Infinity", "1e39")  # too large for float32
-    if field.startswith("twist"):
-        raw = raw.replace("1e39", '"far"')
-    assert encoding_error(codec(name), raw).field == field
-
-
-def test_byte_arrays_are_base64_or_lists(codec: CodecOf) -> None:
-    cloud, uuid = codec("sensor_msgs/PointCloud2"), codec("unique_identifier_msgs/UUID")
-    for data in ('"AAH/"', "[0, 1, 255]", "[0.0, 1, 255]"):
-        assert round_trip(cloud, f'{{"data": {data}}}')["data"] == "AAH/"
-    assert round_trip(uuid, {"uuid": list(range(16))}) == {"uuid": "AAECAwQFBgcICQoLDA0ODw=="}
-    assert round_trip(codec("nav_msgs/OccupancyGrid"), {"data": [-1, 0, 100]})["data"] == [-1, 0, 100]
-
-
-def test_byte_array_may_be_a_blob(codec: CodecOf) -> None:
-    cloud, blob_id = codec("sensor_msgs/PointCloud2"), "0" * 32
-    for blob in (b"\0\1\xff", bytearray(b"\0\1\xff"), memoryview(b"\0\1\xff")):
-        cdr = cloud.encode(Wire(False, f'{{"data*":"{blob_id}"}}'.encode(), {blob_id: blob}))
-        assert json.loads(cloud.decode(cdr).raw)["data"] == "AAH/"
-
-
-def test_misplaced_blobs_are_rejected(codec: CodecOf) -> None:
-    cloud, one, two = codec("sensor_msgs/PointCloud2"), "0" * 32, "1" * 32
-    cases: dict[str, dict[str, bytes]] = {
-        f'{{"data*":"{one}"}}': {},
-        f'{{"data*":"{one}"}} ': {two: b""},
-        f'{{"width*":"{one}"}}': {one: b""},
-        f'{{"data*":["{one}"]}}': {one: b""},
-        '{"data*":5}': {},
-        f'{{"data*":"{one}"}}  ': {one: b"", two: b""},
-    }
-    for raw, blobs in cases.items():
-        with pytest.raises(ConversionError):
-            cloud.encode(Wire(False, raw.encode(), blobs))
-    with pytest.raises(ConversionError, match="Forwarder"):
-        cloud.encode(Wire(True, f'"{one}"'.encode(), {one: b""}))
-
-
-def test_blob_for_fixed_array_must_have_its_length(codec: CodecOf) -> None:
-    with pytest.raises(ConversionError) as caught:
-        codec("unique_identifier_msgs/UUID").encode(Wire(False, b'{"uuid*":"x"}', {"x": b"123"}))
-    assert caught.value.field == "uuid"
-
-
-@pytest.mark.parametrize(
     "raw",
     [
         b"",
@@ -148,11 +79,22 @@ def test_last_of_duplicate_keys_wins(codec: CodecOf) -> None:
     assert round_trip(codec("std_msgs/String"), '{"data": "a", "data": "b"}') == {"data": "b"}
 
 
-def test_short_json_cannot_become_a_huge_message(codec: CodecOf) -> None:
-    encoding_error(codec("diagnostic_msgs/DiagnosticArray"), {"status": [{"values": 5}]})
-    error = encoding_error(codec("nav_msgs/Goals"), '{"goals": [' + ",".join(["{}"] * 1_000_000) + "]}")
-    assert "larger than" in str(error)
-
-
 def test_errors_are_rce_errors(codec: CodecOf) -> None:
     assert isinstance(encoding_error(codec("std_msgs/String"), "5"), RceError)
+
+
+def test_misplaced_blobs_are_rejected(codec: CodecOf) -> None:
+    cloud, one, two = codec("sensor_msgs/PointCloud2"), "0" * 32, "1" * 32
+    cases: dict[str, dict[str, bytes]] = {
+        f'{{"data*":"{one}"}}': {},
+        f'{{"data*":"{one}"}} ': {two: b""},
+        f'{{"width*":"{one}"}}': {one: b""},
+        f'{{"data*":["{one}"]}}': {one: b""},
+        '{"data*":5}': {},
+        f'{{"data*":"{one}"}}  ': {one: b"", two: b""},
+    }
+    for raw, blobs in cases.items():
+        with pytest.raises(ConversionError):
+            cloud.encode(Wire(False, raw.encode(), blobs))
+    with pytest.raises(ConversionError, match="Forwarder"):
+        cloud.encode(Wire(True, f'"{one}"'.encode(), {one: b""}))

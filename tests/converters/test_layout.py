@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import pytest
 
-from converters.definition import parse_message
 from converters.layout import Item, Run, layout
 from converters.model import Message, Models
+from tests.support.converters.conversions import demo_models
 
 DEFINITIONS = {
-    "demo/msg/Mixed": "uint8 a\nfloat64 b\nuint16 c\nstring text\nuint8 d\nuint32 e\n",
-    "demo/msg/Outer": "uint8 first\ndemo/Inner inner\nuint8 last\n",
-    "demo/msg/Inner": "uint32 x\nuint8 y\n",
-    "demo/msg/Empty": "",
+    "Mixed": "uint8 a\nfloat64 b\nuint16 c\nstring text\nuint8 d\nuint32 e\n",
+    "Outer": "uint8 first\ndemo/Inner inner\nuint8 last\n",
+    "Inner": "uint32 x\nuint8 y\n",
+    "Empty": "",
 }
 
 
 @pytest.fixture
 def models() -> Models:
-    return Models(lambda name: parse_message(name, DEFINITIONS[name]))
+    return demo_models(**DEFINITIONS)
 
 
 def steps(message: Message, *, top: bool) -> list[str]:

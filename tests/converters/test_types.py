@@ -9,7 +9,7 @@ import pytest
 from converters import Codec, TypeRegistry
 from rce.errors import AlreadyExists, InvalidRequest, UnknownType
 from rce.protocol.names import parse_type
-from tests.support.converters.conversions import json_wire, round_trip
+from tests.support.converters.conversions import json_wire, registry_with, round_trip
 
 EVERYTHING = """
 # A comment.
@@ -37,12 +37,6 @@ wstring[] wides
 INNER = "int8 a -1\r\nfloat64 b\r\n"
 
 
-def registry_with(**definitions: str) -> TypeRegistry:
-    registry = TypeRegistry()
-    registry.add({f"demo/msg/{name}": definition for name, definition in definitions.items()})
-    return registry
-
-
 def message(registry: TypeRegistry, name: str) -> Codec:
     return registry.message(parse_type(name))
 
@@ -67,36 +61,6 @@ def test_all_features_of_definitions() -> None:
     assert found["wides"] == ["", "a😀"]
     assert found["pair"][0] == {"a": 1, "b": 0.0}
     assert found["points"] == [{"x": 1.0, "y": 0.0, "z": 0.0}]
-
-
-@pytest.mark.parametrize(
-    ("value", "field"),
-    [
-        ({"short": "Grüße"}, "short"),  # seven bytes
-        ({"few": ["abc"]}, "few[0]"),
-        ({"few": ["a", "b", "c"]}, "few"),
-        ({"pair": [{}]}, "pair"),
-        ({"pair": [{}, {"a": 128}]}, "pair[1].a"),
-        ({"some": [{}, {}, {}]}, "some"),
-        ({"times": ["1970-01-01T00:00:01", "soon"]}, "times[1]"),
-        ({"bytes": "AAAA"}, "bytes"),
-    ],
-)
-def test_bounds_are_enforced(value: object, field: str) -> None:
-    codec = message(registry_with(Everything=EVERYTHING, Inner=INNER), "demo/Everything")
-    with pytest.raises(InvalidRequest) as caught:
-        codec.encode(json_wire(json.dumps(value)))
-    assert caught.value.field == field
-
-
-def test_wide_strings_have_the_format_of_fast_cdr() -> None:
-    """The expected bytes come from Fast CDR 2.3.3: the number of UTF-16 units, the units, no terminator."""
-    codec = message(registry_with(W="uint8 a\nwstring w\nuint8 b\nwstring[] v\nuint8 c\n"), "demo/W")
-    cdr = codec.encode(json_wire('{"a": 1, "w": "ab€", "b": 7, "v": ["x", "", "yz"], "c": 9}'))
-    assert cdr.hex(" ") == (
-        "00 01 00 00 01 00 00 00 03 00 00 00 61 00 62 00 ac 20 07 00 03 00 00 00 01 00 00 00 78 00 00 00 00 00 00 00 "
-        "02 00 00 00 79 00 7a 00 09"
-    )
 
 
 def test_empty_message_is_one_byte() -> None:
@@ -163,53 +127,15 @@ def test_unknown_types_raise(registry: TypeRegistry) -> None:
         registry.message(parse_type("std_srvs/Empty"))
 
 
-@pytest.mark.parametrize(
-    ("name", "definition"),
-    [
-        ("demo/Inner", "int8 a"),
-        ("demo/msg/a b", "int8 a"),
-        ("demo/msg/X", "int8"),
-        ("demo/msg/X", "int8 a\nint16 a"),
-        ("demo/msg/X", "int8[ a"),
-        ("demo/msg/X", "x" * 100_000),
-        ("demo/srv/X", "int8 a"),
-        ("demo/srv/X", "int8 a\n---\n---\n"),
-    ],
-)
-def test_malformed_definition_is_rejected(name: str, definition: str) -> None:
-    with pytest.raises(InvalidRequest) as caught:
-        TypeRegistry().add({name: definition})
-    assert len(str(caught.value)) < 300
+@pytest.mark.parametrize(("name", "reason"), [("demo/Inner", "ambiguous"), ("demo/msg/a b", "a b")])
+def test_malformed_name_is_rejected(name: str, reason: str) -> None:
+    with pytest.raises(InvalidRequest, match=reason):
+        TypeRegistry().add({name: "int8 a"})
 
 
-@pytest.mark.parametrize(
-    "definition",
-    [
-        "X x",
-        "X[] x",
-        "uint8[2000000] x",
-        "geometry_msgs/Point[1000000] x",
-        "int8 a 200",
-        "int8[2] a [1]",
-        "int8 a [1]",
-        "int8[<=2] a [1, 2, 3]",
-        "uint8[10000000000000000000000] x",
-        "float32 a x",
-    ],
-)
-def test_unusable_definition_is_rejected(definition: str) -> None:
-    with pytest.raises(InvalidRequest):
-        message(registry_with(X=definition), "demo/X")
-
-
-def test_size_and_depth_of_types_are_limited() -> None:
-    names = [f"N{i}" for i in range(30)]
-    doubling = {
-        name: f"{inner} a\n{inner} b\n" for name, inner in zip(names, [*names[1:], "std_msgs/Empty"], strict=True)
-    }
-    registry = registry_with(**doubling)
-    with pytest.raises(InvalidRequest, match="deep"):
-        message(registry, "demo/N0")
-    with pytest.raises(InvalidRequest, match="limit"):
-        message(registry, "demo/N8")
-    assert len(message(registry, "demo/N18").encode(json_wire("{}"))) == 4 + 2**12
+def test_nothing_is_added_if_one_definition_is_malformed() -> None:
+    registry = TypeRegistry()
+    with pytest.raises(InvalidRequest, match="demo/msg/Bad"):
+        registry.add({"demo/msg/Inner": INNER, "demo/msg/Bad": "int8"})
+    with pytest.raises(UnknownType):
+        message(registry, "demo/Inner")
