@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from base64 import b64encode
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,17 +30,21 @@ MEDIA_TYPES = {
 }
 FOLDERS = {"": Path(__file__).parent / "web", "rce/": Path(rce.__file__).parent / "js"}
 CONTENT_SECURITY_POLICY = (
-    "default-src 'self'; connect-src {sources}; base-uri 'none'; form-action 'self'; frame-ancestors 'none'; "
-    "object-src 'none'"
+    "default-src 'self'; script-src 'self' {scripts}; connect-src {sources}; base-uri 'none'; form-action 'self'; "
+    "frame-ancestors 'none'; object-src 'none'"
 )
 
 
+INLINE_SCRIPT = re.compile(rb"<script>(.*?)</script>", re.DOTALL)
+
+
 class StaticFile(NamedTuple):
-    """A file that is served, with its media type and entity tag."""
+    """A file that is served, with its media type, entity tag, and the hashes of the scripts inside it."""
 
     body: bytes
     media_type: str
     etag: str
+    scripts: str
 
 
 def load_files() -> dict[str, StaticFile]:
@@ -51,8 +56,14 @@ def load_files() -> dict[str, StaticFile]:
                 body = path.read_bytes()
                 etag = f'"{hashlib.sha256(body).hexdigest()[:32]}"'
                 name = prefix + path.relative_to(folder).as_posix()
-                found[name] = StaticFile(body, MEDIA_TYPES[path.suffix], etag)
+                scripts = " ".join(map(_source, INLINE_SCRIPT.findall(body))) if path.suffix == ".html" else ""
+                found[name] = StaticFile(body, MEDIA_TYPES[path.suffix], etag, scripts)
     return found
+
+
+def _source(script: bytes) -> str:
+    """Return the hash by which a content security policy allows an inline script."""
+    return f"'sha256-{b64encode(hashlib.sha256(script).digest()).decode()}'"
 
 
 class Dashboard:
@@ -72,9 +83,10 @@ class Dashboard:
         file = self._files.get(name)
         if file is None:
             return text_response(404, f"the dashboard has no {name[:200]}".encode("ascii", "replace").decode())
+        policy = CONTENT_SECURITY_POLICY.format(scripts=file.scripts, sources=self._connect_sources(request))
         headers = {
             "Content-Type": file.media_type,
-            "Content-Security-Policy": CONTENT_SECURITY_POLICY.format(sources=self._connect_sources(request)),
+            "Content-Security-Policy": policy,
             "X-Content-Type-Options": "nosniff",
             "Referrer-Policy": "no-referrer",
             "Cache-Control": "no-cache",  # the browser keeps it, and asks each time whether it has changed

@@ -160,7 +160,7 @@ async def _signed_in(program: str, url: str) -> AsyncIterator[Page]:
         try:
             page = await browser.new_page()
             page.set_default_timeout(TIMEOUT)
-            await page.goto(f"{url}ui/")
+            await page.goto(f"{url}ui/")  # which reloads itself if a file does not arrive
             await page.get_by_label("User").fill(USER)
             await page.get_by_label("Password").fill(USER)
             await page.get_by_role("button", name="Sign in").click()

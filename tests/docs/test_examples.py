@@ -19,7 +19,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.domains import domain
-from tests.support.e2e.chromium import chromium, open_page
+from tests.support.e2e.chromium import chromium, open_page, visit
 from tests.support.e2e.real_platform import RCE, USER, RealPlatform
 from tests.support.paths import ROOT
 
@@ -174,7 +174,7 @@ class QuietHandler(SimpleHTTPRequestHandler):
 
 async def test_browser(platform: RealPlatform, checkout_url: str) -> None:
     async with chromium() as browser, open_page(browser) as (page, errors):
-        await page.goto(f"{checkout_url}/docs/examples/browser.html?url={platform.url}")
+        await visit(page, f"{checkout_url}/docs/examples/browser.html?url={platform.url}")
         await page.get_by_role("button", name="Say").click()
         await page.get_by_text("hello from a page", exact=True).wait_for()
         errors[:] = [error for error in errors if "favicon" not in error]

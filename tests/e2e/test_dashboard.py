@@ -15,7 +15,7 @@ from rce.errors import Unauthorized
 from rce.mapping.evaluation.simulation import simulate
 from rce.mapping.robot import MappingRobot
 from rce.protocol.messages import AddInterface
-from tests.support.e2e.chromium import NARROW, chromium, open_page, screenshot, sign_in
+from tests.support.e2e.chromium import NARROW, chromium, open_page, screenshot, sign_in, visit
 from tests.support.e2e.real_platform import USER, RealPlatform
 
 STRING, IMAGE, TWIST = "std_msgs/String", "sensor_msgs/Image", "geometry_msgs/Twist"
@@ -47,7 +47,7 @@ def port(page: Any, owner: str, tag: str) -> Any:
 
 async def test_wrong_password_and_revoked_session(browser: Any, platform: RealPlatform) -> None:
     async with open_page(browser) as (page, errors):
-        await page.goto(platform.url)  # the robots' entry redirects browsers
+        await visit(page, platform.url)  # the robots' entry redirects browsers
         await page.wait_for_url("**/ui/")
         await screenshot(page, "signin")
         await page.get_by_label("User").fill(USER)
@@ -65,6 +65,41 @@ async def test_wrong_password_and_revoked_session(browser: Any, platform: RealPl
         await page.reload()
         await page.get_by_role("alert").filter(has_text="revoked").wait_for()
         assert "401" in errors.pop()
+
+
+async def test_page_recovers_from_a_file_that_did_not_arrive(browser: Any, platform: RealPlatform) -> None:
+    async with open_page(browser) as (page, errors):
+        failures = iter(["connectionreset"])
+
+        async def answer(route: Any) -> None:
+            failure = next(failures, None)
+            await (route.abort(failure) if failure else route.continue_())
+
+        await page.route("**/ui/keys.js", answer)
+        await sign_in(page, platform.url, USER, USER)
+        assert "ERR_CONNECTION_RESET" in errors.pop()
+
+
+async def test_page_that_cannot_be_loaded_shows_an_error(browser: Any, platform: RealPlatform) -> None:
+    async with open_page(browser) as (page, errors):
+        await page.route("**/ui/keys.js", lambda route: route.abort("connectionreset"))
+        await visit(page, f"{platform.url}ui/")
+        await page.get_by_text("The Master cannot be reached").wait_for()
+        errors.clear()
+
+
+async def test_request_without_an_answer_is_sent_again(browser: Any, platform: RealPlatform) -> None:
+    async with open_page(browser) as (page, errors):
+        failures = iter(["connectionreset", "connectionreset"])
+
+        async def answer(route: Any) -> None:
+            failure = next(failures, None)
+            await (route.abort(failure) if failure else route.continue_())
+
+        await page.route("**/api/v1/keys", answer)
+        await sign_in(page, platform.url, USER, USER)
+        assert len(errors) == 2
+        errors.clear()
 
 
 async def wait_for_trail(canvas: Any, most: float) -> int:
@@ -92,15 +127,15 @@ async def test_live_map_and_graph_of_a_mapping_robot(browser: Any, platform: Rea
         prepared(mapping),
         signed_in(browser, platform) as page,
     ):
-        await page.goto(f"{platform.url}ui/#/map")
+        await visit(page, f"{platform.url}ui/#/map")
         assert await page.locator("div.head").first.inner_text() == "Map", "nothing is chosen yet"
-        await page.goto(f"{platform.url}ui/#/map/{USER}/building")
+        await visit(page, f"{platform.url}ui/#/map/{USER}/building")
         canvas = page.locator("canvas.map")
         driving = asyncio.create_task(mapping.drive(recording, lambda _: None))
         await page.get_by_role("status").filter(has_text="cells of").wait_for()
         early = await wait_for_trail(canvas, 10)
         await wait_for_trail(canvas, 1.3 * early)
-        await page.goto(f"{platform.url}ui/#/")
+        await visit(page, f"{platform.url}ui/#/")
         connections = page.get_by_role("button", name=re.compile("connection surveyor.*scan"))
         await connections.filter(has_text=re.compile(r"\d/s")).first.wait_for()
         await screenshot(page, "graph")
@@ -110,11 +145,11 @@ async def test_live_map_and_graph_of_a_mapping_robot(browser: Any, platform: Rea
         await page.locator(".figure").filter(has_text="MB").wait_for()
         await driving
         await screenshot(page, "environment")
-        await page.goto(f"{platform.url}ui/#/map/{USER}/building")
+        await visit(page, f"{platform.url}ui/#/map/{USER}/building")
         await wait_for_trail(canvas, 10)
         await screenshot(page, "map")
         await check_administrator_as_guest(browser, platform)
-        await page.goto(f"{platform.url}ui/#/environments/{USER}/building")
+        await visit(page, f"{platform.url}ui/#/environments/{USER}/building")
         platform.kill(platform.pid("rce_mapping/mapper"))
         await page.locator("#notices").get_by_text("Node building/mapper ended").wait_for()
         await screenshot(page, "node-died")
@@ -133,7 +168,7 @@ async def check_administrator_as_guest(browser: Any, platform: RealPlatform) -> 
         await page.get_by_role("link", name="Graph").click()
         await page.get_by_label("everybody's").check()
         await page.get_by_text(re.compile(rf"{USER}/@browser_\w+ \({USER}\)")).first.wait_for()
-        await page.goto(f"{platform.url}ui/#/environments/{USER}/building")
+        await visit(page, f"{platform.url}ui/#/environments/{USER}/building")
         await page.get_by_role("cell", name="rce_mapping mapper").wait_for()
 
 
@@ -228,11 +263,11 @@ async def test_live_image_and_joystick(browser: Any, platform: RealPlatform) -> 
         filming = asyncio.create_task(film())
         try:
             async with signed_in(browser, platform) as page:
-                await page.goto(f"{platform.url}ui/#/image/{USER}/cockpit?topic=/out_Image")
+                await visit(page, f"{platform.url}ui/#/image/{USER}/cockpit?topic=/out_Image")
                 await page.get_by_text(re.compile("64 . 48, ")).wait_for()
                 await screenshot(page, "image")
                 key = await page.evaluate("sessionStorage.getItem('rce.key')")
-                await page.goto(f"{platform.url}ui/examples/joystick.html")
+                await visit(page, f"{platform.url}ui/examples/joystick.html")
                 await page.get_by_label("User").fill(USER)
                 await page.get_by_label("API key").fill(key)
                 await page.get_by_label("Environment").fill("cockpit")

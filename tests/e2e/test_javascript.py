@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-from tests.support.e2e.chromium import chromium, open_page
+from tests.support.e2e.chromium import chromium, open_page, visit
 from tests.support.e2e.node import node_command
 from tests.support.e2e.real_platform import RealPlatform
 from tests.support.paths import TESTS
@@ -32,7 +32,7 @@ async def test_client_in_a_page(platform: RealPlatform) -> None:
         await page.route(
             "**/ui/client_contract.js", lambda route: route.fulfill(content_type="text/javascript", body=contract)
         )
-        await page.goto(f"{platform.url}ui/rce/rce.d.ts")  # any page of the same origin
+        await visit(page, f"{platform.url}ui/rce/rce.d.ts")  # any page of the same origin
         run = """async (options) => {
             const rce = await import(`${options.url}ui/rce/rce.js`);
             return (await import(`${options.url}ui/client_contract.js`)).run(rce, options);

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from rce.client import Robot
-from tests.support.e2e.chromium import chromium, open_page
+from tests.support.e2e.chromium import chromium, open_page, visit
 from tests.support.e2e.real_platform import RealPlatform
 from tests.support.paths import ROOT
 
@@ -32,7 +32,7 @@ class Reader:
         field = page.get_by_label(re.compile(rf"^{re.escape(what)}( |$)")).last
         match verb:
             case "Open":
-                await page.goto(self._platform.url.rstrip("/") + what)
+                await visit(page, self._platform.url.rstrip("/") + what)
             case "Fill in":
                 await field.fill(password(self._platform) if value == PRINTED else value)
             case "Choose":

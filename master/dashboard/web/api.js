@@ -1,6 +1,7 @@
 // Client of the Master's HTTP API: JSON with an API key, problems as errors, logs as streams.
 
 const BASE = "/api/v1";
+const PAUSES = [200, 1000]; // milliseconds before a request is sent again
 
 export class Problem extends Error {
   constructor(status, { detail, title, code = "error", field = "" }) {
@@ -81,14 +82,23 @@ async function ask(method, path, authorization, { body, query = {}, signal, acce
   const headers = { authorization, accept };
   if (body !== undefined) headers["content-type"] = "application/json";
   if (method === "POST") headers["idempotency-key"] = Array.from(crypto.getRandomValues(new Uint32Array(4))).join("-");
-  let answer;
-  try {
-    // Without `omit` the browser would open its own password dialog after a 401.
-    answer = await fetch(url, { method, headers, signal, credentials: "omit", body: body && JSON.stringify(body) });
-  } catch (error) {
-    if (error.name === "AbortError") throw error;
-    throw new Problem(0, { detail: "the Master cannot be reached at present", code: "unavailable" });
-  }
+  // Without `omit` the browser would open its own password dialog after a 401.
+  const options = { method, headers, signal, credentials: "omit", body: body && JSON.stringify(body) };
+  const answer = await send(url, options, method === "DELETE" ? [] : PAUSES);
   if (!answer.ok) throw new Problem(answer.status, await answer.json().catch(() => ({})));
   return answer;
+}
+
+/** Send a request, again after each of the pauses if there is no answer. The server must tolerate repetition. */
+async function send(url, options, [pause, ...pauses]) {
+  try {
+    return await fetch(url, options);
+  } catch (error) {
+    if (error.name === "AbortError") throw error;
+    if (pause === undefined) {
+      throw new Problem(0, { detail: "the Master cannot be reached at present", code: "unavailable" });
+    }
+  }
+  await new Promise((resolve) => { setTimeout(resolve, pause); });
+  return send(url, options, pauses);
 }

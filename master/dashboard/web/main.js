@@ -132,5 +132,7 @@ function forget(message = "") {
   signInPage(message);
 }
 
+document.documentElement.dataset.loaded = ""; // index.html reloads the page until then
+sessionStorage.removeItem("rce.attempt");
 window.addEventListener("pagehide", () => app?.guest?.connection?.close());
 start();

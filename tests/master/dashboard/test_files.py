@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import base64
+import hashlib
 import http.client
 import re
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -40,6 +42,9 @@ async def test_pages_may_connect_to_this_master_and_the_robot_endpoints_only(ask
     assert page.getheader("x-content-type-options") == "nosniff"
     policy = dict(part.split(" ", 1) for part in (page.getheader("content-security-policy") or "").split("; "))
     assert policy["default-src"] == "'self'"
+    script = re.findall(r"<script>(.*?)</script>", page.read().decode(), re.DOTALL)[0]
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert policy["script-src"] == f"'self' 'sha256-{digest}'"
     assert set(policy["connect-src"].split()) == {
         "'self'",
         "ws://here.example:9000",
@@ -82,12 +87,12 @@ async def test_browser_at_the_bare_entry_is_redirected_to_the_dashboard_and_a_ro
     assert (await ask(f"/?userID=ann&version={CURRENT_VERSION}", **html)).status == 200
 
 
-def test_pages_have_no_inline_scripts_or_styles_and_name_no_other_host() -> None:
+def test_pages_have_no_inline_handlers_or_styles_and_name_no_other_host() -> None:
     for name, file in load_files().items():
         text = file.body.decode()
         assert not re.search(r"https?://(?!www\.w3\.org/)\w", text), name
         if name.endswith(".html"):
-            assert not re.search(r"<style|\sstyle=|\son\w+=|<script(?![^>]* src=)", text), name
+            assert not re.search(r"<style|\sstyle=|\son\w+=|<script(?!>|[^>]* src=)", text), name
 
 
 def test_every_imported_module_exists() -> None:

@@ -14,6 +14,7 @@ from tests.support.paths import ROOT
 
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 SCREENSHOTS = ROOT / "docs" / "screenshots"
+NETWORK_CHANGED = "net::ERR_NETWORK_CHANGED"  # requests in progress fail when a container of another test starts
 WIDE, NARROW = {"width": 1280, "height": 800}, {"width": 768, "height": 900}
 
 
@@ -40,7 +41,7 @@ async def open_page(browser: Any, **options: Any) -> AsyncIterator[tuple[Any, li
     errors: list[str] = []
 
     def record_error(message: Any) -> None:
-        if message.type == "error":
+        if message.type == "error" and NETWORK_CHANGED not in message.text:
             errors.append(f"{message.text} ({message.location.get('url')})")
 
     page.on("console", record_error)
@@ -55,9 +56,29 @@ async def open_page(browser: Any, **options: Any) -> AsyncIterator[tuple[Any, li
         await context.close()
 
 
+async def visit(page: Any, url: str) -> None:
+    """Open a URL, again as long as the network of this machine changes meanwhile."""
+    interrupted = True
+
+    def note(request: Any) -> None:
+        nonlocal interrupted
+        interrupted = interrupted or request.failure == NETWORK_CHANGED
+
+    page.on("requestfailed", note)
+    while interrupted:
+        interrupted = False
+        try:
+            await page.goto(url)
+        except Exception as error:
+            if NETWORK_CHANGED not in str(error):
+                raise
+            interrupted = True
+    page.remove_listener("requestfailed", note)
+
+
 async def sign_in(page: Any, url: str, user: str, password: str) -> None:
     """Sign in, which leads to the graph."""
-    await page.goto(f"{url}ui/")
+    await visit(page, f"{url}ui/")
     await page.get_by_label("User").fill(user)
     await page.get_by_label("Password").fill(password)
     await page.get_by_role("button", name="Sign in").click()
