@@ -110,9 +110,10 @@ def parser(command: Command, prog: str = "rce", in_console: bool = False) -> Par
     """Return the parser of a command; in a console without the options that select a platform."""
     prefix = f"{prog} ".lstrip()
     epilog = "\n".join(["examples:", *(f"  {prefix}{example}" for example in command.examples)])
+    description = [textwrap.fill(each, LINE_WIDTH) for each in (command.help, command.description) if each]
     result = Parser(
         prog=f"{prefix}{command.name}",
-        description="\n\n".join(filter(None, [command.help, textwrap.fill(command.description, LINE_WIDTH)])),
+        description="\n\n".join(description),
         epilog=epilog if command.examples else None,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=not command.in_console,  # elsewhere abbreviated options have always been accepted

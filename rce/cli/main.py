@@ -70,7 +70,7 @@ def _run(words: list[str]) -> int:
     except ModuleNotFoundError as error:  # a light installation; a missing module of RCE itself is a defect
         if error.name is None or error.name.partition(".")[0] == "rce":
             raise
-        extras = "console" if error.name.partition(".")[0] in ("rich", "prompt_toolkit") else "server,mapping,ros,bench"
+        extras = "console" if error.name.partition(".")[0] == "prompt_toolkit" else "server,mapping,ros,bench"
         print(f"rce: this needs {error.name}: pip install '.[{extras}]' in a checkout of RCE", file=sys.stderr)
         return 1
 

@@ -6,13 +6,13 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
-from importlib.util import find_spec
 from shutil import get_terminal_size
 from typing import Any, TypeVar
 
 import msgspec
 
-COLUMN_GAP = "  "
+from rce.cli import layout
+
 T = TypeVar("T")
 TIME_FIELDS = frozenset({"created", "expires", "used"})  # seconds since 1970
 SIZE_FIELDS = frozenset({"memory", "disk", "bandwidth", "io", "read", "write", "package_bytes"})  # bytes, or bytes/s
@@ -21,7 +21,7 @@ Columns = Mapping[str, Callable[[T], object]]
 
 
 def print_table(items: Iterable[T], columns: Columns[T], as_json: bool = False) -> None:
-    """Print a list as plain columns, which scripts can cut; on a terminal too narrow for these, as a table of rich."""
+    """Print a list as plain columns, which scripts can cut; on a terminal, fitted to its width."""
     if as_json:
         print(to_json(list(items)))
         return
@@ -29,10 +29,10 @@ def print_table(items: Iterable[T], columns: Columns[T], as_json: bool = False) 
     table = [titles, *([cell_text(cell(item)) for cell in columns.values()] for item in items)]
     if len(table) == 1:
         print("none", file=sys.stderr)
-    elif not sys.stdout.isatty() or _fits(table):
-        _print_plain(table)
+    elif sys.stdout.isatty():
+        _print_fitted(table)
     else:
-        _print_narrow(_without_empty_columns(table))
+        print("\n".join(layout.plain(table)))
 
 
 def to_json(item: Any) -> str:
@@ -48,7 +48,15 @@ def print_record(item: Any, as_json: bool = False) -> None:
     fields = _without_empty(msgspec.to_builtins(item))
     width = max(map(len, fields), default=0)
     for name, value in fields.items():
-        print(f"{name:{width}}  {_field_text(name, value)}")
+        print(hanging(f"{name:{width}}{layout.COLUMN_GAP}", _field_text(name, value)))
+
+
+def hanging(start: str, text: str) -> str:
+    """Return a text that follows a start; on a terminal its lines are wrapped and begin below each other."""
+    if not sys.stdout.isatty():
+        return start + text
+    room = max(get_terminal_size().columns - len(start), layout.MIN_ROOM)
+    return start + f"\n{' ' * len(start)}".join(layout.wrap(layout.printable(text), room))
 
 
 def _without_empty(fields: dict[str, Any]) -> dict[str, Any]:
@@ -101,47 +109,11 @@ def local_time(seconds: float | None, never: str = "-") -> str:
     return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(seconds)) if seconds else never
 
 
-def _fits(table: list[list[str]]) -> bool:
-    """Return True if plain columns look as rich's table would. Rich takes 0.15 s for 200 rows."""
-    simple = all(cell.isascii() and cell.isprintable() for row in table for cell in row)
-    return simple and sum(_widths(table)) + len(COLUMN_GAP) * (len(table[0]) - 1) <= get_terminal_size().columns
-
-
-def _widths(table: list[list[str]]) -> list[int]:
-    return [max(map(len, column)) for column in zip(*table, strict=True)]
-
-
-def _print_plain(table: list[list[str]]) -> None:
-    widths = _widths(table)
-    titles, *rest = (
-        COLUMN_GAP.join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in table
-    )
-    bold = sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"
-    print("\n".join([f"\x1b[1m{titles}\x1b[0m" if bold else titles, *rest]))
-
-
-def _without_empty_columns(table: list[list[str]]) -> list[list[str]]:
-    columns = [column for column in zip(*table, strict=True) if {*column[1:]} != {"-"}]
-    return [list(row) for row in zip(*columns, strict=True)]
-
-
-def _print_narrow(table: list[list[str]]) -> None:
-    """Print lines broken within cells but never within titles; where these do not fit either, the terminal breaks."""
-    titles_fit = sum(map(len, table[0])) + len(COLUMN_GAP) * (len(table[0]) - 1) <= get_terminal_size().columns
-    if _fits(table) or not titles_fit or not find_spec("rich"):
-        _print_plain(table)
-    else:
-        _print_rich(*table)
-
-
-def _print_rich(titles: list[str], *rows: list[str]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for title in titles:
-        table.add_column(title, overflow="fold", min_width=len(title))
-    for row in rows:
-        table.add_row(*map(Text, row))  # Text: rich would interpret markup in strings
-    Console().print(table)
+def _print_fitted(table: list[list[str]]) -> None:
+    """Print a table in the width of the terminal."""
+    fitted = layout.fit([[layout.printable(cell) for cell in row] for row in table], get_terminal_size().columns)
+    bold = os.environ.get("TERM", "dumb") != "dumb"
+    for number, line in enumerate(fitted.lines):
+        print(f"\x1b[1m{line}\x1b[0m" if bold and number < fitted.title_lines else line)
+    if fitted.left_out:
+        print(f"left out: {', '.join(fitted.left_out)} (the terminal is too narrow)", file=sys.stderr)

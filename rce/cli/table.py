@@ -113,7 +113,7 @@ def overview() -> str:
     return "\n".join(
         [
             "usage: rce COMMAND …; `rce COMMAND --help` explains a command",
-            *("", "To begin, run a platform here with `rce up --dev`; see README.md and docs/console.md.", ""),
+            *("", "To begin, run a platform here with `rce up --dev`; see README.md and", "docs/console.md.", ""),
             _listing({word: summary(word) for word in local}),
             *("", "at a platform (`rce login URL` selects it), also in `rce console`:"),
             console_overview(),
@@ -130,7 +130,12 @@ def _programs(section: Section) -> dict[str, str]:
 
 
 def _listing(lines: Mapping[str, str], width: int = 13) -> str:
-    return "\n".join(f"  {name:{width}}{text}" for name, text in lines.items())
+    return "\n".join(_wrapped(f"  {name:{width}}", text) for name, text in lines.items())
+
+
+def _wrapped(start: str, text: str) -> str:
+    """Return a start and a text beside it, in lines of LINE_WIDTH characters."""
+    return textwrap.fill(text, LINE_WIDTH, initial_indent=start, subsequent_indent=" " * len(start))
 
 
 def group_help(word: str, prog: str, in_console: bool = False) -> str:
@@ -138,7 +143,7 @@ def group_help(word: str, prog: str, in_console: bool = False) -> str:
     start = f"{prog} {word}".strip()
     commands = commands_of(word, in_console)
     width = max(len(command.name) for command in commands)
-    lines = [f"usage: {start} COMMAND …; `{start} COMMAND --help` explains a command", ""]
+    lines = [_wrapped("usage: ", f"{start} COMMAND …; `{start} COMMAND --help` explains a command"), ""]
     if word in GROUPS:
         lines += [*filter(None, [GROUPS[word].help, textwrap.fill(GROUPS[word].description, LINE_WIDTH)]), ""]
-    return "\n".join(lines + [f"  {command.name:{width}}  {command.help}" for command in commands])
+    return "\n".join(lines + [_wrapped(f"  {command.name:{width}}  ", command.help) for command in commands])

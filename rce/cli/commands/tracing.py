@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
+from shutil import get_terminal_size
 
 import msgspec
 
@@ -16,6 +18,7 @@ from rce.cli.session import ConsoleSession
 FORWARD = ("entered", "sent", "received", "delivered")
 BACK = tuple(f"{hop} back" for hop in FORWARD)
 STEPS = (*FORWARD, *BACK)[1:]
+STEP_WIDTHS = tuple(max(9, len(step)) for step in STEPS)
 CLOCK_WARNING = "Steps between machines compare two clocks: they are as accurate as the clocks are synchronised."
 Row = dict[str, float]
 """Microseconds of each known step, and from the first to the last as `total`."""
@@ -76,8 +79,15 @@ def _print_row(message: str, to: str, row: Row) -> None:
 
 
 def _line(message: str, to: str, steps: Sequence[str], total: str) -> str:
-    cells = (f"{step:>{max(9, len(name))}}" for name, step in zip(STEPS, steps, strict=True))
-    return f"{message[:12]:12} {to[:24]:24} {' '.join(cells)} {total:>9}"
+    """Return a line of the table; on a terminal that is too narrow, the steps back are on a second line."""
+    cells = [f"{step:>{width}}" for width, step in zip(STEP_WIDTHS, steps, strict=True)]
+    start, end = f"{message[:12]:12} {to[:24]:24}", f"{total:>9}"
+    line = " ".join([start, *cells, end])
+    if not sys.stdout.isatty() or len(line) <= get_terminal_size().columns:
+        return line
+    there = len(FORWARD) - 1
+    line = " ".join([start, *cells[:there], end])
+    return line if {*steps[there:]} == {"-"} else f"{line}\n{' '.join(cells[there:]):>{len(line)}}"
 
 
 COMMANDS = (

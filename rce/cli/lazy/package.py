@@ -114,7 +114,8 @@ def print_packages(packages: list[Package], as_json: bool) -> None:
         for version in reversed(package.versions):
             created = output.local_time(version.created)[: len("2000-01-01 00:00")]
             digest = version.digest[:DIGEST_DIGITS]
-            print(f"    {digest}  {created}  {version.size / 1e6:8.1f} MB  {', '.join(version.packages)}")
+            start = f"    {digest}  {created}  {version.size / 1e6:8.1f} MB  "
+            print(output.hanging(start, ", ".join(version.packages)))
 
 
 def _user_names(users: list[str]) -> list[str]:

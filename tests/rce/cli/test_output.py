@@ -2,67 +2,85 @@
 
 from __future__ import annotations
 
-import io
-import sys
-
 import pytest
 
+from rce.api.views import RobotView, Usage
 from rce.cli import output
+from rce.cli.execute import SUCCESS
 from rce.protocol.messages import ContainerData, Rates
+from tests.support.console import Console, environment, interface, machine, node, open_terminal
 
-BOLD = "\x1b[1mNAME  TEXT\x1b[0m"
+GROUPED = ContainerData(cpu=2, memory=3 * 2**29, group="fleet", image="registry.example.org:5000/rce/mapping:0.1.0")
+
 COLUMNS: output.Columns[tuple[str, str]] = {"name": lambda each: each[0], "text": lambda each: each[1]}
 
 
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
+def test_titles_are_bold_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = open_terminal(monkeypatch, 20)
+    monkeypatch.setenv("TERM", "xterm")
+    output.print_table([("a", "12345"), ("long", "1")], COLUMNS)
+    assert terminal.getvalue().splitlines() == ["\x1b[1mNAME  TEXT\x1b[0m", "a     12345", "long  1"]
 
 
-def printed(monkeypatch: pytest.MonkeyPatch, *rows: tuple[str, str]) -> list[str]:
-    """Return the lines printed on a terminal of 20 columns."""
-    terminal = Terminal()
-    for name, value in {"COLUMNS": "20", "TERM": "xterm", "NO_COLOR": "1"}.items():
-        monkeypatch.setenv(name, value)
-    monkeypatch.setattr(sys, "stdout", terminal)
-    output.print_table(rows, COLUMNS)
-    return terminal.getvalue().splitlines()
+def test_dumb_terminal_gets_no_control_sequences(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = open_terminal(monkeypatch, 20)
+    output.print_table([("a", "\x1b[31mred")], COLUMNS)
+    assert terminal.getvalue().splitlines() == ["NAME  TEXT", "a     [31mred"]
 
 
-def test_table_that_fits_is_plain_text_without_rich(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "rich.console", None)
-    assert printed(monkeypatch, ("a", "12345"), ("long", "1")) == [BOLD, "a     12345", "long  1"]
-
-
-@pytest.mark.parametrize("cell", ["0123456789abcdef", "機械", "\x07bell"])
-def test_table_that_is_too_wide_or_not_ascii_is_printed_by_rich(cell: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("rich", reason="needs the extra `console`")
-    titles, *lines = printed(monkeypatch, ("a", cell), ("long", "1"))
-    assert titles != BOLD
-    assert max(map(len, lines)) <= 20
-    assert "".join(line[6:].strip() for line in lines) == cell.strip("\x07") + "1"
+def test_columns_left_out_are_named_on_standard_error(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    terminal = open_terminal(monkeypatch, 20)
+    columns: output.Columns[str] = {"environment": str, "interfaces": len, "machine": str}
+    output.print_table(["brain"], columns)
+    assert "MACHINE" not in terminal.getvalue()
+    assert capsys.readouterr().err == "left out: INTERFACES, MACHINE (the terminal is too narrow)\n"
 
 
 def test_output_to_a_pipe_is_plain_text_of_any_width(capsys: pytest.CaptureFixture[str]) -> None:
-    output.print_table([("a", "0123456789" * 20)], COLUMNS)
-    assert capsys.readouterr().out.splitlines() == ["NAME  TEXT", "a     " + "0123456789" * 20]
+    output.print_table([("a", "0123456789 " * 20)], COLUMNS)
+    assert capsys.readouterr().out.splitlines() == ["NAME  TEXT", "a     " + ("0123456789 " * 20).rstrip()]
 
 
-def test_narrow_terminal_omits_empty_columns_and_keeps_titles_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    terminal = Terminal()
-    monkeypatch.setenv("COLUMNS", "30")
-    monkeypatch.setattr(sys, "stdout", terminal)
-    columns: output.Columns[str] = {
-        "environment": str,
-        "interfaces": lambda each: None,
-        "machine": lambda each: "m" * 20,
-    }
-    output.print_table(["brain"], columns)
-    assert "INTERFACES" not in terminal.getvalue()
-    titles, *lines = terminal.getvalue().splitlines()
-    assert "ENVIRONMENT" in titles
-    assert "MACHINE" in titles
-    assert max(map(len, lines)) <= 30
+def test_empty_list_is_mentioned_on_standard_error(capsys: pytest.CaptureFixture[str]) -> None:
+    output.print_table([], COLUMNS)
+    assert capsys.readouterr() == ("", "none\n")
+
+
+def test_list_in_json_is_complete(capsys: pytest.CaptureFixture[str]) -> None:
+    output.print_table(iter([("a", "b")]), COLUMNS, as_json=True)
+    assert capsys.readouterr().out == '[["a","b"]]\n'
+
+
+@pytest.mark.parametrize(
+    ("list_command", "views"),
+    [
+        ("env list", [environment("brain_of_scout", user="alexander", containerData=GROUPED)]),
+        ("node list brain", [node(args="--ros-args -p rate:=10 -p frame:=base_link", namespace="/robots/r2")]),
+        ("interface list", [interface("brain_of_scout", "camera_out", addr="/robots/r2/camera/depth")]),
+        ("machine list", [machine("west", url="wss://robots.example.org:9010/", features=["gpu", "arm"])]),
+        ("machine stats", [machine(usage=Usage(1.5, 2**31), gpus=2)]),
+        ("robot list", [RobotView("alexander", "robot_of_the_hall", "connected", "machine-1-robots", 12)]),
+    ],
+)
+def test_list_has_whole_words_in_80_columns(
+    list_command: str, views: list[object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal = open_terminal(monkeypatch, 80)
+    assert Console(views).run(list_command) == SUCCESS
+    narrow = terminal.getvalue()
+    assert max(map(len, narrow.splitlines())) <= 80
+    terminal = open_terminal(monkeypatch, 1000)
+    assert Console(views).run(list_command) == SUCCESS
+    breaks = terminal.getvalue().replace("/", "/ ").replace(",", ", ")
+    assert {*narrow.replace("/", "/ ").replace(",", ", ").split()} <= {*breaks.split()}
+
+
+def test_record_is_wrapped_beside_its_names_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = open_terminal(monkeypatch, 30)
+    output.print_record({"name": "a", "text": "all of the words of a text"})
+    assert terminal.getvalue().splitlines() == ["name  a", "text  all of the words of a", "      text"]
 
 
 def test_record_is_printed_with_times_and_sizes(capsys: pytest.CaptureFixture[str]) -> None:
@@ -82,3 +100,36 @@ def test_record_is_printed_with_times_and_sizes(capsys: pytest.CaptureFixture[st
 def test_record_without_values_prints_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     output.print_record({"containerData": ContainerData()})
     assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (None, "-"),
+        ("", "-"),
+        (0, "0"),
+        (True, "yes"),
+        (2.0, "2"),
+        (0.125, "0.125"),
+        ([], "-"),
+        (["a", 1], "a, 1"),
+        ({"a": None}, "-"),
+        ({"a": 1, "b": ""}, "a=1"),
+        (Rates(read=2**20), "read=1 MiB"),
+    ],
+)
+def test_cell_shows_a_value_as_text(value: object, text: str) -> None:
+    assert output.cell_text(value) == text
+
+
+@pytest.mark.parametrize(
+    ("size", "text"),
+    [(None, "-"), (0, "-"), (1023, "1023 B"), (1024, "1 KiB"), (3 * 2**29, "1.5 GiB"), (2**50, "1024 TiB")],
+)
+def test_size_has_a_binary_prefix(size: int | None, text: str) -> None:
+    assert output.size_text(size) == text
+
+
+def test_missing_time_is_replaced() -> None:
+    assert output.local_time(None, "never") == "never"
+    assert output.local_time(0) == "-"

@@ -32,7 +32,7 @@ def test_examples_are_valid_command_lines(command: Command) -> None:
 def test_help_of_a_command_is_a_sentence(command: Command) -> None:
     text = parser(command).format_help()
     assert text.startswith(f"usage: rce {command.name} ")
-    assert command.help in text
+    assert command.help in " ".join(text.split())
     assert command.help.endswith(".")
 
 
@@ -82,8 +82,17 @@ def test_overview_lists_every_visible_entry() -> None:
         assert not visible or re.search(rf"^  {entry.name.split()[0]} ", text, re.MULTILINE), entry.name
 
 
+@pytest.mark.parametrize("word", sorted({name.split()[0] for name in table.COMMANDS}))
+def test_list_of_a_groups_commands_fits_80_columns(word: str) -> None:
+    assert max(map(len, table.group_help(word, "rce").splitlines())) <= 80
+
+
+def test_overview_fits_80_columns() -> None:
+    assert max(map(len, table.overview().splitlines())) <= 80
+
+
 def test_console_overview_lists_only_commands_of_the_console() -> None:
-    words = {line.split()[0] for line in table.console_overview().splitlines()}
+    words = set(re.findall(r"^  (\S+)", table.console_overview(), re.MULTILINE))
     assert words == {command.name.split()[0] for command in COMMANDS if command.in_console}
     assert not words & {"map", "bench", "package", "run", "up", "complete"}
 

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Iterator
-from typing import cast
-
 import msgspec
 import pytest
 
-from rce.api.client import ServerEvent
 from rce.api.views import HopView, MessageTrace
-from rce.cli.commands.tracing import CLOCK_WARNING, medians, paths, trace
-from rce.cli.session import ConsoleSession
+from rce.cli.commands.tracing import CLOCK_WARNING, medians, paths
 from rce.control.calls.watching import Hop
+from tests.support.console import Console, Request, open_terminal
 
 
 def message(name: str, *hops: tuple[str, Hop, float], host: str = "h") -> MessageTrace:
@@ -70,26 +65,34 @@ def test_median_of_a_step_ignores_rows_without_it() -> None:
     assert medians([{"sent": 1, "total": 5}, {"sent": 3}, {"total": 7}]) == {"sent": 2, "total": 6}
 
 
-class FakeApi:
-    def __init__(self, *messages: MessageTrace) -> None:
-        self.messages = messages
-
-    def follow(self, *parts: str, **query: object) -> Iterator[ServerEvent]:
-        assert parts == ("interfaces", "brain", "out", "trace")
-        assert query["messages"] == 2
-        yield from (ServerEvent("message", msgspec.json.encode(each).decode()) for each in self.messages)
-
-
-def test_trace_prints_messages_medians_and_a_warning_about_clocks(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    session = cast(
-        ConsoleSession, argparse.Namespace(api=FakeApi(ONE, message("m2", ("r1/in", "received", 2.0), host="other")))
+def test_trace_prints_messages_medians_and_a_warning_about_clocks(capsys: pytest.CaptureFixture[str]) -> None:
+    console = Console([ONE, message("m2", ("r1/in", "received", 2.0), host="other")])
+    assert console.request("trace brain/out -n 2") == Request(
+        "FOLLOW interfaces/brain/out/trace", {"follow": True, "messages": 2}
     )
-    trace(session, argparse.Namespace(interface="brain/out", count=2, of="", json=False))
     title, first, second, last, clocks = capsys.readouterr().out.splitlines()
     assert title.split()[:5] == ["MESSAGE", "TO", "SENT", "RECEIVED", "DELIVERED"]
     assert first.split() == ["m1", "r1/in", "1000", "2000", "7000", "-", "-", "-", "-", "10000"]
     assert second.split()[:3] == ["m2", "r1/in", "-"]
     assert last.split()[:4] == ["median", "of", "2", "1000"]
     assert clocks == CLOCK_WARNING
+
+
+def test_trace_in_json_has_a_line_for_each_message(capsys: pytest.CaptureFixture[str]) -> None:
+    Console([ONE, ONE]).request("trace brain/out --json")
+    lines = capsys.readouterr().out.splitlines()
+    assert [msgspec.json.decode(line, type=MessageTrace) for line in lines] == [ONE, ONE]
+
+
+def test_steps_back_are_on_a_second_line_of_a_narrow_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = open_terminal(monkeypatch, 80)
+    back = message("m2", *((each.interface, each.hop, each.time) for each in ONE.hops), ("r1/in", "entered", 1.1))
+    Console([ONE, back]).request("trace brain/out")
+    title, title_back, one_way, there, there_back, *medians_of_both = terminal.getvalue().splitlines()
+    assert title.split() == ["MESSAGE", "TO", "SENT", "RECEIVED", "DELIVERED", "TOTAL", "µs"]
+    assert title_back.split()[:2] == ["ENTERED", "BACK"]
+    assert one_way.split() == ["m1", "r1/in", "1000", "2000", "7000", "10000"]
+    assert there.split()[0] == "m2"
+    assert there_back.split() == ["90000", "-", "-", "-"]
+    assert len(medians_of_both) == 2
+    assert max(map(len, terminal.getvalue().splitlines())) <= 80
