@@ -104,7 +104,7 @@ class Feed:
                 drop={
                     kind: seen
                     for kind, keys in drop.items()
-                    if (seen := [key for key in keys if watcher.sees(kind, key)])
+                    if (seen := [key for key in keys if watcher.sees(kind, key, gone=True)])
                 },
             )
             if deltas.put or deltas.drop:
