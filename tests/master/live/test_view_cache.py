@@ -32,7 +32,7 @@ class Cache:
         self.fleet.do(user, command)
 
     def view(self, kind: Kind, key: str) -> Any:
-        return json.loads(self.views.views[kind][key])
+        return json.loads(bytes(self.views.views[kind][key]))
 
     def take(self) -> tuple[Changes, Changes]:
         """Return keys of changed and removed views."""
