@@ -46,8 +46,10 @@ def check_head(name: str, head: bytes) -> None:
         return
     if suffix == ".bag" and head.startswith((b"#ROSRECORD V", b"#ROSBAG V")):
         version = head.partition(b"\n")[0].partition(b"V")[2].strip().decode("ascii", "replace")
-        raise InvalidRequest(
-            f"{name} is a ROS bag of format {version[:10]}, but only 2.0 is supported: convert it with `rosbag fix`",
-            field="body",
-        )
+        if version != "2.0":  # else its first line is damaged
+            raise InvalidRequest(
+                f"{name} is a ROS bag of format {version[:10]}, but only 2.0 is supported: convert it with "
+                "`rosbag fix`",
+                field="body",
+            )
     raise InvalidRequest(f"{name} is not {what}: it begins with {head[:16]!r}", field="body")

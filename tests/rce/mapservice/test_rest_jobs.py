@@ -27,6 +27,18 @@ async def test_event_stream_ends_when_the_key_is_revoked(service: Service) -> No
         await answer.content.read()
 
 
+async def test_event_stream_ends_when_the_job_is_removed(service: Service) -> None:
+    """That happens to a client that reads so slowly that the job ends and is removed meanwhile."""
+    job = await service.submit()
+    answer = await service.session.get(f"{service.url}/jobs/{job}/events?key=rce_ann")
+    async with asyncio.timeout(20):
+        assert await answer.content.readline() == b"event: job\n"
+        service.runner.finish(job)
+        await service.service._store.remove(job)
+        lines = (await answer.content.read()).splitlines()
+    assert {line.partition(b":")[0] for line in lines} <= {b"event", b"data", b""}
+
+
 async def test_events_and_files_of_a_job(service: Service) -> None:
     job = await service.submit(resolution=0.1)
     answer = await service.session.get(f"{service.url}/jobs/{job}/events?key=rce_ann")

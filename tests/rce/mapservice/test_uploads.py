@@ -8,19 +8,12 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
+from twisted.internet.task import Clock
 
 from rce.errors import InvalidRequest, LimitExceeded, NotFound
 from rce.mapservice.uploads import DAY, OffsetMismatch, UploadLimits, Uploads
 
 BAG = b"#ROSBAG V2.0\n" + bytes(2000)
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now = 1000.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 @pytest.fixture
@@ -35,7 +28,7 @@ def uploads(tmp_path: Path, clock: Clock) -> Uploads:
 
 def make(directory: Path, clock: Clock, results: int = 0, spare: int = 0) -> Uploads:
     return Uploads(
-        directory / "uploads", UploadLimits(10_000_000, 12_000_000, spare, 3 * DAY), lambda _: results, clock
+        directory / "uploads", UploadLimits(10_000_000, 12_000_000, spare, 3 * DAY), lambda _: results, clock.seconds
     )
 
 
@@ -197,15 +190,15 @@ async def test_unused_uploads_expire(uploads: Uploads, clock: Clock, tmp_path: P
     needed = uploads.create("ann", "c.bag", len(BAG)).id
     for name in (finished, needed):
         await uploads.append("ann", name, 0, pieces(BAG))
-    clock.now += DAY + 1
+    clock.advance(DAY + 1)
     await uploads.sweep(lambda _: False)
     assert {each.id for each in uploads.of("ann")} == {finished, needed}
-    clock.now += DAY
+    clock.advance(DAY)
     uploads.touch(finished)
-    clock.now += 2 * DAY
+    clock.advance(2 * DAY)
     await uploads.sweep(lambda name: name == needed)
     assert {each.id for each in uploads.of("ann")} == {finished, needed}
-    clock.now += DAY + 1
+    clock.advance(DAY + 1)
     await uploads.sweep(lambda name: name == needed)
     assert {each.id for each in uploads.of("ann")} == {needed}
     assert {path.name for path in (tmp_path / "uploads").iterdir()} == {needed}

@@ -141,7 +141,11 @@ def _check_kind(path: Path) -> None:
         what = "not a ROS bag"
         if start.startswith((b"#ROSRECORD V", b"#ROSBAG V")):
             version = start.partition(b"V")[2].strip().decode("ascii", "replace")
-            what = f"a ROS bag of format {version}; only 2.0 is supported: convert it with `rosbag fix`"
+            what = (
+                f"a ROS bag of format {version}; only 2.0 is supported: convert it with `rosbag fix`"
+                if version != "2.0"
+                else "a ROS bag whose first line is damaged"
+            )
         raise InvalidRequest(f"{path.name} is {what}", field="path")
 
 

@@ -1,0 +1,75 @@
+"""Map service as a whole: its server, the calls of the Master, and what it removes from time to time."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+
+from rce.control.calls.services import Authenticate, InvalidateAuthentication
+from rce.control.connection import encode_pages
+from rce.errors import Unavailable
+from rce.mapservice.server import MapService
+from rce.mapservice.uploads import Uploads
+from rce.process.metrics import collect_families
+from tests.support.map_service import LIMITS, LOG, FakeRunner, Service
+
+
+async def test_malformed_request_line_is_not_logged(service: Service, caplog: pytest.LogCaptureFixture) -> None:
+    """The line may contain an API key."""
+    url = urlsplit(service.url)
+    reader, writer = await asyncio.open_connection(url.hostname, url.port)
+    writer.write(b"GET /map-service/jobs?key=rce_ann with spaces HTTP/1.1\r\n\r\n")
+    assert b" 400 " in await asyncio.wait_for(reader.readline(), 20)
+    writer.close()
+    assert "rce_ann" not in caplog.text
+
+
+async def test_metrics_of_uploads_and_jobs(service: Service) -> None:
+    before = metric_values(service)
+    job = await service.submit()
+    await service.request("POST", f"/jobs/{job}/cancel")
+    other = await service.submit("bob")
+    service.runner.finish(other)
+    await service.request("GET", f"/jobs/{other}/events", "bob")  # the event stream ends when the job is over
+    after = metric_values(service)
+    assert after["rce_map_upload_bytes"][()] - before["rce_map_upload_bytes"].get((), 0) == 2 * len(LOG)
+    assert after["rce_map_jobs"][("done",)] == 1
+    assert after["rce_map_job_seconds"][("done",)] > before["rce_map_job_seconds"].get(("done",), 0)
+
+
+def metric_values(service: Service) -> dict[str, dict[tuple[str, ...], float]]:
+    """Return the values of all metrics by name and labels."""
+    found = collect_families("service", service.service.jobs.families)
+    return {family.name: {tuple(each.labels): each.value for each in family.samples} for family in found}
+
+
+async def test_master_can_invalidate_the_authentication_of_a_user(service: Service) -> None:
+    for _ in range(2):
+        await service.request("GET", "/jobs")
+    call = InvalidateAuthentication("ann")
+    answered, _ = await service.service.handlers().answer(type(call).__name__, encode_pages(call))
+    assert answered
+    await service.request("GET", "/jobs")
+    assert len([call for call in service.master.calls if isinstance(call, Authenticate)]) == 2
+
+
+async def test_port_in_use_is_refused(service: Service, tmp_path: Path) -> None:
+    other = MapService(tmp_path / "other", lambda: service.master, FakeRunner(), LIMITS, "http://entry/")
+    with pytest.raises(Unavailable):
+        await other.start("127.0.0.1", urlsplit(service.url).port or 0)
+    await other.stop()
+
+
+async def test_expired_uploads_are_removed_when_the_service_starts(tmp_path: Path) -> None:
+    earlier = Uploads(tmp_path / "uploads", LIMITS.uploads, lambda _: 0, lambda: 0.0)
+    upload = earlier.create("ann", "a.log", 4).id
+    service = Service(tmp_path)
+    await service.start()
+    async with asyncio.timeout(20):
+        while (await service.request("HEAD", f"/uploads/{upload}")).status != 404:
+            pass
+    await service.stop()
+    assert not earlier.path(upload).exists()
