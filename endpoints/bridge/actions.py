@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 
 from endpoints.bridge.config import (
@@ -28,6 +29,7 @@ class Actions:
         self._tag = config.environment.tag
         self._local = local
         self._maps = MapBuilder(config, local)
+        self._recording_lock = asyncio.Lock()  # held while a recording begins, so that another cannot begin meanwhile
         self._recording: Recording | None = None
         self._last_recording: Path | None = None
 
@@ -41,15 +43,20 @@ class Actions:
                 await self.offloading.stop()
                 return "offloading has stopped"
             case Record(topics, directory):
-                if self._recording is not None:
-                    raise InvalidRequest(f"a recording is in progress already: {self._recording.path}; end it first")
-                self._recording = await Recording.begin(self._local, topics, directory)
-                return f"recording into {self._recording.path}"
+                async with self._recording_lock:
+                    if self._recording is not None:
+                        raise InvalidRequest(
+                            f"a recording is in progress already: {self._recording.path}; end it first"
+                        )
+                    self._recording = await Recording.begin(self._local, topics, directory)
+                    return f"recording into {self._recording.path}"
             case EndRecording():
-                return self._end_recording()
+                async with self._recording_lock:
+                    return self._end_recording()
             case BuildMap():
-                if self._recording is not None:
-                    self._end_recording()
+                async with self._recording_lock:
+                    if self._recording is not None:
+                        self._end_recording()
                 if self._last_recording is None:
                     raise NotFound("there is no recording yet: make one first")
                 return await self._maps.build(self._last_recording, action)
@@ -66,5 +73,5 @@ class Actions:
     async def close(self) -> None:
         """End the recording and stop offloading."""
         if self._recording is not None:
-            self._recording.end()
+            self._end_recording()
         await self.offloading.stop()

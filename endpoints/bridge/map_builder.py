@@ -18,7 +18,7 @@ from endpoints.environment.interfaces import RosInterface
 from endpoints.environment.topics import PublisherInterface
 from rce.api.map_jobs import MapOptions
 from rce.client.map_service import MapServiceClient
-from rce.errors import RceError
+from rce.errors import InvalidRequest, RceError
 from rce.mapping.files.maps import read_map
 from rce.mapping.grid import OccupancyGrid
 from rce.protocol.messages import Qos
@@ -37,10 +37,18 @@ class MapBuilder:
         self._topics: dict[str, RosInterface] = {}
 
     async def build(self, recording: Path, action: BuildMap) -> str:
-        """Build and publish the map of a recording; return a sentence about it, or raise the map service's error."""
+        """Build and publish the map of a recording; return a sentence about it.
+
+        Raises:
+            InvalidRequest: The recording cannot be read, or the files of the map cannot be written.
+            RceError: The map service refused the recording, or could not build a map of it.
+        """
         with ExitStack() as stack:
             directory = action.out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rce-bridge-")))
-            scans, grid = await asyncio.to_thread(self._build, recording, action, directory)
+            try:
+                scans, grid = await asyncio.to_thread(self._build, recording, action, directory)
+            except OSError as error:
+                raise InvalidRequest(f"cannot build a map of {recording} in {directory}: {error}") from None
             await self._publish(action.topic, grid)
             where = f", and its files are in {directory}" if action.out else ""
             return f"a map of {scans} scans is published on {action.topic}{where}"

@@ -47,15 +47,11 @@ class Recording:
         except (OSError, WriterError) as error:  # the latter if another recording began within the same second
             raise InvalidRequest(f"cannot record into {path}: {error}") from None
         recording._local = local
-        store = get_typestore(Stores.ROS2_KILTED)
-        for topic, type_name in topics.items():
-            name = parse_type(type_name).msg
-            if name not in store.fielddefs:
-                _register(store, local.describe(type_name))
-            recorder = _TopicRecorder(recording, recording._writer.add_connection(topic, name, typestore=store))
-            recording._interfaces.append(
-                await local.add_interface(SubscriberInterface, type_name, topic, recorder, QOS)
-            )
+        try:
+            await recording._subscribe(topics)
+        except BaseException:
+            recording.end()
+            raise
         return recording
 
     @classmethod
@@ -64,6 +60,17 @@ class Recording:
         recording = cls(path)
         recording._writer.open()
         return recording
+
+    async def _subscribe(self, topics: Mapping[str, str]) -> None:
+        store = get_typestore(Stores.ROS2_KILTED)
+        for topic, type_name in topics.items():
+            name = parse_type(type_name).msg
+            if name not in store.fielddefs:
+                _register(store, self._local.describe(type_name))
+            recorder = _TopicRecorder(self, self._writer.add_connection(topic, name, typestore=store))
+            self._interfaces.append(
+                await self._local.add_interface(SubscriberInterface, type_name, topic, recorder, QOS)
+            )
 
     def write(self, connection: Connection, payload: bytes) -> None:
         """Write a message with the present time."""

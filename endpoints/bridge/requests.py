@@ -22,7 +22,7 @@ from endpoints.data.frames import Message
 from endpoints.environment.interfaces import RosInterface
 from endpoints.environment.services import ServiceProviderInterface
 from endpoints.environment.topics import PublisherInterface, SubscriberInterface
-from rce.errors import NotFound, RceError
+from rce.errors import ConversionError, NotFound, RceError
 from rce.protocol.messages import Qos
 from rce.protocol.names import parse_type
 
@@ -69,9 +69,13 @@ class RequestServer:
             task.cancel()
 
     def request_received(self, cdr: bytes) -> None:
-        """Start a request that came on the topic."""
-        name = msgspec.json.decode(self._codec.decode(cdr).raw)["data"].strip()
-        self.start(self._answer(name))
+        """Start a request that came on the topic; one that is not a valid string fails."""
+        try:
+            name = msgspec.json.decode(self._codec.decode(cdr).raw)["data"].strip()
+        except ConversionError as error:
+            self._failed("", error)
+        else:
+            self.start(self._answer(name))
 
     def start(self, work: Awaitable[None]) -> None:
         """Run `work` as a task that `close` cancels."""
@@ -98,8 +102,11 @@ class RequestServer:
         try:
             self.publish(Response(name, "done", await self.execute(name)))
         except RceError as error:
-            log.warn("request {name} failed: {error}", name=name, error=str(error))
-            self.publish(Response(name, "failed", str(error)))
+            self._failed(name, error)
+
+    def _failed(self, name: str, error: RceError) -> None:
+        log.warn("request {name} failed: {error}", name=name, error=str(error))
+        self.publish(Response(name, "failed", str(error)))
 
     def publish(self, response: Response) -> None:
         """Publish a response."""

@@ -177,6 +177,7 @@ class FakePlatform:
                 self._add("environment", data["containerTag"])
             elif frame.type == "DC":
                 self._remove("environment", data["containerTag"])
+                self.resources = {name for name in self.resources if name[0] != data["containerTag"]}
             else:
                 for name in CN_ITEMS if frame.type == "CN" else CX_ITEMS:
                     for index, item in enumerate(data.get(name, [])):

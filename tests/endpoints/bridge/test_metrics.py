@@ -55,12 +55,14 @@ async def test_port_in_use_is_refused() -> None:
 
 
 async def test_port_is_free_again_at_the_end() -> None:
-    with socket.create_server(("0.0.0.0", 0)) as other:
-        port = other.getsockname()[1]
-    async with serve_metrics(port, families):
-        assert (await answer("GET", f"http://127.0.0.1:{port}/metrics"))[0] == 200
-    with socket.create_server(("0.0.0.0", port)):
-        pass
+    with socket.socket() as reservation:  # bound, but does not listen: a server with SO_REUSEADDR can bind its port
+        reservation.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        reservation.bind(("0.0.0.0", 0))
+        port = reservation.getsockname()[1]
+        async with serve_metrics(port, families):
+            assert (await answer("GET", f"http://127.0.0.1:{port}/metrics"))[0] == 200
+        with socket.create_server(("0.0.0.0", port)):
+            pass
 
 
 async def test_nothing_listens_without_port(monkeypatch: pytest.MonkeyPatch) -> None:
