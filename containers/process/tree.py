@@ -1,4 +1,7 @@
-"""Processes of an environment, identified by an environment variable that children inherit and watched by pidfd."""
+"""Processes of an environment, identified by an environment variable that children inherit and watched by pidfd.
+
+The variable has the run, which is unique on the machine: every process with it is taken for one of the environment.
+"""
 
 from __future__ import annotations
 

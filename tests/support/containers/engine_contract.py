@@ -7,6 +7,7 @@ to the machine that the engine runs on. See docs/guides/write-an-engine.md.
 from __future__ import annotations
 
 import asyncio
+import secrets
 from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -21,11 +22,16 @@ from rce.protocol.messages import ContainerData
 
 CAPACITY = 4
 FEATURES = ("camera",)
+# Runs are unique on a machine: the process engine kills every process of a run, also those in containers of other tests
+# that run at the same time.
+RUNS = secrets.token_hex(8)
 E = TypeVar("E", bound=Engine)
 
 
 def spec(name: str = "ann/map", run: int = 1, size: int = 1, features: tuple[str, ...] = ()) -> EnvironmentSpec:
-    return EnvironmentSpec(name, f"{run:032x}", "token", ContainerData(size=size, specialFeatures=list(features)))
+    """Return the specification of an environment; `run` is the number of its run among those of this test process."""
+    options = ContainerData(size=size, specialFeatures=list(features))
+    return EnvironmentSpec(name, f"{RUNS}{run:016x}", "token", options)
 
 
 def with_options(**options: Any) -> EnvironmentSpec:
