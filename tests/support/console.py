@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import shlex
 import sys
@@ -16,7 +17,6 @@ from rce.api.client import ApiClient, ServerEvent
 from rce.cli import execute
 from rce.cli.contexts import Access
 from rce.cli.session import ConsoleSession
-from rce.errors import RceError
 from rce.protocol.messages import ContainerData, Qos
 
 T = TypeVar("T")
@@ -32,7 +32,7 @@ class Request(NamedTuple):
 
 
 class FakeApi:
-    """Platform's API with an answer for each request, in order; an error as answer is raised."""
+    """Platform's API with an answer for each request, in order; an exception as answer is raised."""
 
     def __init__(self, *answers: object) -> None:
         self.requests: list[Request] = []
@@ -42,7 +42,7 @@ class FakeApi:
         given = {name: value for name, value in query.items() if value not in ("", None)}
         self.requests.append(Request(f"{method} {'/'.join(parts)}", given, msgspec.to_builtins(body)))
         answer = self._answers.pop(0) if self._answers else None
-        if isinstance(answer, RceError):
+        if isinstance(answer, BaseException):
             raise answer
         return answer
 
@@ -87,6 +87,16 @@ class Console:
         assert self.run(line) == execute.SUCCESS
         (made,) = self.api.requests
         return made
+
+
+async def rce(*words: str) -> int:
+    """Run a command line of a shell in a thread and return its exit status."""
+    return await asyncio.to_thread(execute.run, words)
+
+
+async def login(url: str, user: str, context: str) -> None:
+    """Sign in with the password in RCE_PASSWORD; the new context becomes the current one."""
+    assert await rce("login", url, "--user", user, "--context", context) == execute.SUCCESS
 
 
 class Terminal(io.StringIO):

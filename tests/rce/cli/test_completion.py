@@ -1,7 +1,8 @@
-"""Completion of command lines, without a platform."""
+"""Completion of command lines."""
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Sequence
 
 import pytest
@@ -9,6 +10,9 @@ import pytest
 from rce.cli.arguments import Completion
 from rce.cli.completion import Names, candidates
 from rce.cli.session import ConsoleSession
+from rce.protocol import messages as m
+from tests.support.console import login
+from tests.support.master.served import Served
 
 
 class FakeNames(Names):
@@ -60,3 +64,21 @@ def test_console_completes_its_own_commands_without_platform_options(line: str, 
 
 def test_command_line_completes_platform_options() -> None:
     assert set(candidates(["env", "list", "--u"], FakeNames())) == {"--url", "--user"}
+
+
+async def test_completion_offers_names_of_the_user_given_by_of(served: Served) -> None:
+    for user in ("ann", "bob"):
+        await served.master.commands.execute(user, m.CreateContainer(f"{user}s"))
+    await login(served.url, "olga", "home")
+
+    def completed(line: str) -> set[str]:
+        return set(candidates(line.split(" "), Names(ConsoleSession())))
+
+    for line, expected in (
+        ("env show ", set()),
+        ("env show --of bob ", {"bobs"}),
+        ("env list --of all --machine ", set()),
+        ("topic echo --of ann ", {"anns/"}),
+        ("interface list --of all ", {"anns", "bobs"}),
+    ):
+        assert await asyncio.to_thread(completed, line) == expected, line

@@ -72,7 +72,7 @@ def test_unknown_command_is_answered_with_the_list_of_commands() -> None:
 
 def test_interactive_console_reports_missing_libraries(tmp_path: Path) -> None:
     """A script does not need them."""
-    without = WITHOUT.replace('"twisted", "numpy", "rosbags"', '"prompt_toolkit"')
+    without = WITHOUT.replace('"twisted", "numpy", "rosbags"', '"prompt_toolkit",')
     env = os.environ | {"XDG_CONFIG_HOME": str(tmp_path)}
     master, slave = os.openpty()
     command = [sys.executable, "-c", without, "console"]

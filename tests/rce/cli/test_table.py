@@ -1,4 +1,4 @@
-"""The table of commands, and help and errors made from it."""
+"""The table of commands, and the help that lists them."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ import shlex
 import pytest
 
 from rce.cli import table
-from rce.cli.command import Command, Lazy, Section, UsageError, parser
-from rce.cli.execute import SUCCESS, USAGE_ERROR, print_help, run
-from rce.cli.session import ConsoleSession
+from rce.cli.command import Command, Lazy, Section, parser
 from rce.process import programs
 
 COMMANDS = list(table.COMMANDS.values())
@@ -26,14 +24,6 @@ def test_examples_are_valid_command_lines(command: Command) -> None:
         found, arguments = table.find_command(shlex.split(re.split("[<>]", example)[0]))
         assert found is command
         parser(command).parse_args(arguments)
-
-
-@pytest.mark.parametrize("command", COMMANDS, ids=name_of)
-def test_help_of_a_command_is_a_sentence(command: Command) -> None:
-    text = parser(command).format_help()
-    assert text.startswith(f"usage: rce {command.name} ")
-    assert command.help in " ".join(text.split())
-    assert command.help.endswith(".")
 
 
 @pytest.mark.parametrize("entry", [*COMMANDS, *table.PROGRAMS.values()], ids=lambda entry: entry.name)
@@ -95,53 +85,3 @@ def test_console_overview_lists_only_commands_of_the_console() -> None:
     words = set(re.findall(r"^  (\S+)", table.console_overview(), re.MULTILINE))
     assert words == {command.name.split()[0] for command in COMMANDS if command.in_console}
     assert not words & {"map", "bench", "package", "run", "up", "complete"}
-
-
-@pytest.mark.parametrize(
-    ("line", "text"),
-    [
-        ("env", "env create"),
-        ("env made", "there is no command `env made`"),
-        ("env show", "required: ENV"),
-        ("env show a --jsn", "unrecognized arguments: --jsn"),
-        ("nonsense", "there is no command 'nonsense'"),
-        ("bench", "bench rtt"),
-        ("package", "package push"),
-        ("map submit", "required: FILE"),
-    ],
-)
-def test_wrong_command_line_is_answered_with_usage(line: str, text: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(line.split()) == USAGE_ERROR
-    printed = capsys.readouterr()
-    assert text in printed.out + printed.err
-
-
-def test_console_does_not_run_commands_of_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["map", "status"], ConsoleSession()) == USAGE_ERROR
-    assert capsys.readouterr().err == "console: there is no command 'map'; `help` lists them\n"
-
-
-@pytest.mark.parametrize(
-    ("line", "text"),
-    [
-        ("env create", "usage: rce env create "),
-        ("env", "usage: rce env COMMAND"),
-        ("map", "usage: rce map "),
-        ("bench", "Measure a platform."),
-        ("robot", "robot disconnect"),
-        ("container start -n c1", "usage: rce env create "),
-    ],
-)
-def test_help_explains_a_command(line: str, text: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["help", *line.split()]) == SUCCESS
-    assert text in capsys.readouterr().out
-
-
-def test_help_in_the_console_shows_usage_without_rce(capsys: pytest.CaptureFixture[str]) -> None:
-    assert print_help(["env", "create"], in_console=True) == SUCCESS
-    assert capsys.readouterr().out.startswith("usage: env create ")
-
-
-def test_usage_error_has_the_usage() -> None:
-    with pytest.raises(UsageError, match="usage: rce env show"):
-        parser(table.COMMANDS["env show"]).parse_args([])
