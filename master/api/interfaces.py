@@ -14,7 +14,7 @@ from master.api.router import Api, Route
 from master.graph.records import Connection
 from master.service import Master
 from rce.api.views import ConnectionView, InterfaceView, NewConnection, NewInterface, Page
-from rce.errors import NotFound
+from rce.errors import InvalidRequest, NotFound
 from rce.protocol import messages as m
 from rce.protocol.names import TYPE, parse_type
 
@@ -74,7 +74,7 @@ class InterfacesApi:
     async def _list(self, call: Call) -> Answer:
         query = call.query(InterfacesQuery)
         user = authorize_list(call, "interface.read", query.user)
-        wanted = str(parse_type(query.type)) if query.type else ""
+        wanted = _wanted_type(query.type)
 
         def keep(each: InterfaceView) -> bool:
             return (
@@ -157,6 +157,18 @@ class InterfacesApi:
 
     def _sees(self, call: Call, operation: str, user: str, owner: str) -> bool:
         return rights.sees(principal_of(call), self._state, operation, user, owner)
+
+
+def _wanted_type(text: str) -> str:
+    """Return the type of a query in the usual spelling; empty for all.
+
+    Raises:
+        InvalidRequest: It is not the name of a type.
+    """
+    try:
+        return str(parse_type(text)) if text else ""
+    except InvalidRequest as error:
+        raise InvalidRequest(f"query.type: {error}", field="type") from None
 
 
 def _pair(call: Call) -> tuple[str, str]:

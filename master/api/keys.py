@@ -81,7 +81,8 @@ class KeysApi:
     async def _revoke(self, call: Call) -> Answer:
         principal, key = principal_of(call), call.path["key"]
         query = call.query(OwnerQuery)
-        signs_out = key == principal.key and query.user in ("", principal.user)  # which every key may
+        own = key == principal.key and not principal.lent
+        signs_out = own and query.user in ("", principal.user)  # which every key may
         owner = authorize(call, "whoami" if signs_out else "key.revoke", query.user)
         call.audit.operation = "key.revoke"
         await self._master.guard.revoke_key(owner, key)

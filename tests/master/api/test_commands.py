@@ -1,20 +1,19 @@
-"""Commands over HTTP: their effects are those of CC, DC, CN and CX, and so are their errors."""
+"""Commands over HTTP: who may give them for whom, and their errors, which are those of robots' commands."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
-from pathlib import Path
 from typing import Any
 
 import pytest
-from twisted.internet.base import ReactorBase
 
-from rce.control.calls.endpoints import NodeSpec, StartNode
-from rce.control.calls.environments import StartEnvironment, StopEnvironment
-from rce.control.calls.robots import DropRobot
+from master.api.commands import Commands, created
+from rce.api.roles import Principal
+from rce.control.calls.environments import StartEnvironment
 from rce.errors import StartFailed
-from tests.support.master.served import Answer, Served, serve
+from rce.protocol import messages as m
+from tests.support.master.calls import make_call
+from tests.support.master.served import Served
 
 BRAIN = {"containerTag": "brain"}
 OUT = {
@@ -27,40 +26,13 @@ OUT = {
 IN = OUT | {"endpointTag": "r1", "interfaceTag": "in", "interfaceType": "PublisherConverter", "addr": ""}
 
 
+ANN, OLGA = Principal("ann", "user"), Principal("olga", "operator")
+
+
 @pytest.fixture
-async def served(reactor: ReactorBase, tmp_path: Path) -> AsyncIterator[Served]:
-    async with serve(reactor, tmp_path) as served:
-        await served.robot("ann", "r1")
-        yield served
-
-
-async def test_user_creates_and_removes_resources(served: Served) -> None:
-    async def made(path: str, body: Any, status: int = 201) -> Answer:
-        answer = await served.ask("POST", path, body=body)
-        assert answer.status == status, answer.body
-        if status == 201:
-            place = answer.headers["location"].removeprefix("/api/v1")
-            assert (await served.ask("GET", place)).body["user"] == "ann"
-        return answer
-
-    environment = await made("/environments", BRAIN | {"containerData": {"size": 2}})
-    assert (environment.body["state"], environment.body["containerData"]["size"]) == ("ready", 2)
-    node = await made("/environments/brain/nodes", {"nodeTag": "n", "pkg": "demo", "exe": "talker"})
-    assert node.body["state"] == "running"
-    assert served.peers["ann/brain"].calls[-1] == StartNode(NodeSpec("n", "demo", "talker"))
-    await made("/environments/brain/parameters", {"name": "a/b", "value": [1, 2]}, 200)
-    await made("/interfaces", OUT)
-    await made("/interfaces", IN)
-    connection = await made("/connections", {"tagA": "r1/in", "tagB": "brain/out"})
-    assert (connection.body["tagA"], connection.body["state"]) == ("brain/out", "up")
-    for path in (
-        *("/connections/r1/in/brain/out", "/interfaces/r1/in", "/environments/brain/parameters/a%2Fb"),
-        *("/environments/brain/nodes/n", "/environments/brain"),
-    ):
-        assert (await served.ask("DELETE", path)).status == 204
-        assert (await served.ask("DELETE", path)).status == 404
-    assert not list(served.master.state.interfaces)
-    assert served.peers["m1"].calls[-1] == StopEnvironment("ann/brain")
+async def served(served: Served) -> Served:
+    await served.robot("ann", "r1")
+    return served
 
 
 async def test_operator_acts_for_a_user(served: Served) -> None:
@@ -108,38 +80,28 @@ async def test_failed_start_is_rolled_back(served: Served) -> None:
     assert not list(served.master.state.environments)
 
 
-async def test_same_idempotency_key_gets_the_same_answer(served: Served) -> None:
-    key = {"Idempotency-Key": "k1"}
-    first, second = await asyncio.gather(*(served.ask("POST", "/environments", body=BRAIN, **key) for _ in range(2)))
-    assert first.status == second.status == 201
-    assert first.body == second.body
-    assert (await served.ask("POST", "/environments", body=BRAIN)).status == 409
-    other = await served.ask("POST", "/environments", body={"containerTag": "x"}, **key)
-    assert (other.status, other.body["code"]) == (409, "key_reused")
-    assert (await served.ask("POST", "/environments", "bob", BRAIN, **key)).body["user"] == "bob"
+async def test_command_goes_on_when_its_client_disconnects(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, may_end, ended = asyncio.Event(), asyncio.Event(), asyncio.Event()
+
+    async def execute(user: str, command: m.Command) -> None:
+        begun.set()
+        await may_end.wait()
+        ended.set()
+
+    monkeypatch.setattr(served.master.commands, "execute", execute)
+    asked = asyncio.ensure_future(Commands(served.master).execute(make_call(ANN), "", m.CreateContainer("brain")))
+    await asyncio.wait_for(begun.wait(), 20)
+    asked.cancel()
+    await asyncio.wait([asked])
+    assert not ended.is_set()
+    may_end.set()
+    await asyncio.wait_for(ended.wait(), 20)
 
 
-async def test_server_failure_can_be_retried_with_the_same_key(served: Served) -> None:
-    served.peers["m1"].close()
-    await asyncio.sleep(0)
-    await served.master.join_tokens.forget("m1")
-    served.master.state.forget("m1")
-    key = {"Idempotency-Key": "k1"}
-    assert (await served.ask("POST", "/environments", body=BRAIN, **key)).status == 503
-    await served.process("container", "m2", capacity=10)
-    assert (await served.ask("POST", "/environments", body=BRAIN, **key)).status == 201
-
-
-async def test_robot_is_disconnected(served: Served) -> None:
-    assert (await served.ask("POST", "/interfaces", body=IN)).status == 201
-    assert (await served.ask("DELETE", "/robots/r1?user=ann", "bob")).status == 404
-    assert (await served.ask("DELETE", "/robots/r1")).status == 204
-    assert DropRobot("ann/r1", "disconnected by ann") in served.peers["west"].calls
-    assert (await served.ask("GET", "/robots")).body["items"] == []
-    assert (await served.ask("GET", "/interfaces")).body["items"] == []
-
-
-async def test_invitation_needs_a_master_that_machines_can_join(served: Served) -> None:
-    assert (await served.ask("POST", "/machines/invitations", "ann", {"name": "m2"})).status == 403
-    answer = await served.ask("POST", "/machines/invitations", "olga", {"name": "m2"})
-    assert (answer.status, answer.body["code"]) == (404, "not_found")
+@pytest.mark.parametrize(
+    ("caller", "location"),
+    [(ANN, "/api/v1/environments/a%2Fb/%C3%BC"), (OLGA, "/api/v1/environments/a%2Fb/%C3%BC?user=ann")],
+)
+def test_location_of_a_new_resource_is_for_the_caller(caller: Principal, location: str) -> None:
+    answer = created(make_call(caller), "ann", m.CreateContainer("x"), "environments", "a/b", "ü")
+    assert (answer.status, answer.headers) == (201, {"location": location})

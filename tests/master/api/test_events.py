@@ -2,30 +2,21 @@
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
-from collections.abc import AsyncIterator
-from pathlib import Path
-
 import pytest
-from twisted.internet.base import ReactorBase
 
-from master.api import streams
 from master.live import events
 from rce.api.roles import Scopes
-from rce.api.views import Event
 from rce.control.calls.endpoints import NodeDied
 from rce.control.calls.environments import EnvironmentDied, LimitReached
 from rce.protocol import messages as m
-from tests.support.master.served import Served, serve
+from tests.support.master.served import Served
 from tests.support.master.sse import follow
 
 
 @pytest.fixture
-async def served(reactor: ReactorBase, tmp_path: Path) -> AsyncIterator[Served]:
-    async with serve(reactor, tmp_path) as served:
-        await served.robot("ann", "r1")
-        yield served
+async def served(served: Served) -> Served:
+    await served.robot("ann", "r1")
+    return served
 
 
 async def test_events_are_sent(served: Served) -> None:
@@ -93,47 +84,3 @@ async def test_users_get_events_of_what_they_may_see(served: Served) -> None:
     assert [(await olga.next())["object"] for _ in range(4)] == ["ann/a", "ann/b", "bob/c", "m2"]
     for follower in (bob, olga, key):
         await follower.close()
-
-
-async def test_revoked_key_ends_the_stream(served: Served) -> None:
-    follower = await follow(served, "/events", "ann")
-    (key,) = await served.master.users.keys.of("ann")
-    await served.master.guard.revoke_key("ann", key.id)
-    assert await follower.next() is None
-    await follower.close()
-
-
-@pytest.mark.parametrize("path", ["/events", "/environments/brain/log"])
-async def test_last_event_id_that_is_too_long_is_refused(served: Served, path: str) -> None:
-    await served.master.commands.execute("ann", m.CreateContainer("brain"))
-    answer = await served.ask("GET", path, "ann", **{"Last-Event-ID": "1" * 256})
-    assert (answer.status, answer.body["field"]) == (400, "Last-Event-ID")
-
-
-async def test_stream_that_is_not_read_is_paused_and_can_be_revoked(
-    served: Served, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(streams, "CLOSE_TIMEOUT", 0.1)
-    sent = 0
-
-    async def endless(position: int) -> AsyncIterator[Event]:
-        nonlocal sent
-        while True:
-            sent += 1
-            yield Event(f"run-{sent}", 0.0, "environment.failed", "ann", "ann/brain", text=100_000 * "x")
-
-    monkeypatch.setattr(served.master.events, "follow", endless)
-    follower = await follow(served, "/events", "ann")
-    before = -1
-    async with asyncio.timeout(20):
-        while before != sent:
-            before = sent
-            await asyncio.sleep(0.2)
-    assert 100_000 * sent < 100_000_000
-    (key,) = await served.master.users.keys.of("ann")
-    await served.master.guard.revoke_key("ann", key.id)
-    with contextlib.suppress(ConnectionError):
-        async with asyncio.timeout(20):
-            while await follower.read_some():
-                pass
-    await follower.close()

@@ -7,13 +7,12 @@ import contextlib
 import json
 import socket
 import ssl
-from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from twisted.internet.base import ReactorBase
-from websockets.asyncio.client import ClientConnection, connect
+from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import Frame, Opcode
 
@@ -25,7 +24,7 @@ from rce.net.tls import CA, CERTIFICATE, KEY
 from rce.protocol import messages as m
 from tests.support.certificates import certify
 from tests.support.master.served import Served, serve
-from tests.support.master.sse import follow
+from tests.support.master.watch import Watch, watch
 
 HANDSHAKE = (
     b"GET /api/v1/live HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
@@ -33,52 +32,10 @@ HANDSHAKE = (
 )
 
 
-class Watch:
-    """A watcher, with the state that it has received."""
-
-    def __init__(self, socket: ClientConnection) -> None:
-        self.socket = socket
-        self.seen: dict[str, dict[str, Any]] = {}
-        self.messages = 0
-
-    async def take(self) -> dict[str, Any]:
-        message: dict[str, Any] = json.loads(await asyncio.wait_for(self.socket.recv(), 20))
-        self.messages += 1
-        assert message["seq"] == self.messages
-        if message.get("snapshot"):
-            self.seen = {}
-        for kind, views in message.get("put", {}).items():
-            self.seen.setdefault(kind, {}).update(views)
-        for kind, keys in message.get("drop", {}).items():
-            for key in keys:
-                del self.seen[kind][key]
-        return message
-
-    async def until(self, *path: str, value: Any) -> None:
-        def now() -> Any:
-            found: Any = self.seen
-            for part in path:
-                found = found.get(part, {})
-            return found
-
-        while now() != value:
-            await self.take()
-
-
 @pytest.fixture
-async def served(reactor: ReactorBase, tmp_path: Path) -> AsyncIterator[Served]:
-    async with serve(reactor, tmp_path) as served:
-        await served.robot("ann", "r1")
-        yield served
-
-
-async def watch(served: Served, by: str, **greeting: Any) -> Watch:
-    secret, _ = await served.master.users.keys.add(by, "operator" if by == "olga" else "user")
-    socket = await connect(f"ws://127.0.0.1:{served.port}/api/v1/live")
-    await socket.send(json.dumps({"key": secret} | greeting))
-    watcher = Watch(socket)
-    assert (await watcher.take())["snapshot"]
-    return watcher
+async def served(served: Served) -> Served:
+    await served.robot("ann", "r1")
+    return served
 
 
 async def test_watcher_sees_the_graph_change(served: Served) -> None:
@@ -302,16 +259,6 @@ async def test_pings_are_not_read_from_a_client_that_does_not_read(served: Serve
             for _ in range(500):
                 await asyncio.wait_for(loop.sock_sendall(connection, pings), 2)
             pytest.fail("the server reads pings without a bound")
-
-
-async def test_stopping_closes_watchers_and_streams(reactor: ReactorBase, tmp_path: Path) -> None:
-    async with serve(reactor, tmp_path) as served:
-        watcher = await watch(served, "ann")
-        follower = await follow(served, "/events", "ann")
-    await asyncio.wait_for(watcher.socket.wait_closed(), 20)
-    assert watcher.socket.close_code == 1001
-    assert await follower.next() is None
-    await follower.close()
 
 
 async def until(true: Any) -> None:

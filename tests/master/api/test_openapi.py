@@ -6,21 +6,13 @@ import asyncio
 import os
 import re
 import sys
-from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
 from openapi_spec_validator import validate
-from twisted.internet.base import ReactorBase
 
-from tests.support.master.served import Served, serve
+from tests.support.master.served import Served
 from tests.support.paths import TESTS
-
-
-@pytest.fixture
-async def served(reactor: ReactorBase, tmp_path: Path) -> AsyncIterator[Served]:
-    async with serve(reactor, tmp_path) as served:
-        yield served
 
 
 async def test_document_is_valid_and_public(served: Served) -> None:

@@ -109,6 +109,13 @@ class Served:
         await self.master.join_tokens.allow(name, role, f"token of {name}")
         return await self.join(Hello(role, name, f"token of {name}", rce.__version__, "1", **hello))
 
+    async def leave(self, process: str) -> None:
+        """Let a process disconnect; return once the Master has noticed."""
+        self.peers.pop(process).close()
+        async with asyncio.timeout(20):
+            while process in self.master.state.joined:  # noqa: ASYNC110  # it has no event of its own
+                await asyncio.sleep(0)
+
     async def robot(self, user: str, robot: str, endpoint: str = "west") -> None:
         """Log a robot in at a Robot endpoint."""
         await self.call_master(endpoint, Login(user, robot, digest(PASSWORD)))

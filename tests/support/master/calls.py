@@ -1,0 +1,31 @@
+"""Calls of the HTTP API as its handlers get them, made without a server."""
+
+from __future__ import annotations
+
+from unittest.mock import Mock
+
+from aiohttp.test_utils import make_mocked_request
+
+from master.api.request import AuditDetails, Call
+from rce.api.roles import Principal
+
+
+def make_call(
+    principal: Principal | None,
+    method: str = "GET",
+    path: str = "/",
+    content: bytes = b"",
+    parameters: dict[str, str] | None = None,
+    variables: dict[str, str] | None = None,
+    **headers: str,
+) -> Call:
+    """Return a call; underscores in the names of headers stand for hyphens."""
+    sent = {name.replace("_", "-"): value for name, value in headers.items()}
+    request = make_mocked_request(method, path, sent, transport=transport())
+    user = principal.user if principal else ""
+    return Call(user, principal, variables or {}, "", content, None, parameters or {}, request, AuditDetails())
+
+
+def transport(peer: str = "10.0.0.1") -> Mock:
+    """Return a transport from this address."""
+    return Mock(get_extra_info=lambda name, default=None: (peer, 1234) if name == "peername" else default)
