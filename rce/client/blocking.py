@@ -7,10 +7,11 @@ use the robot themselves.
 from __future__ import annotations
 
 import asyncio
+import functools
 import ssl as tls
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Coroutine, Iterator
 from types import TracebackType
-from typing import Any, Self, TypeVar, Unpack
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar, Unpack
 
 from rce.client.environment import Environment
 from rce.client.events import Event
@@ -22,7 +23,10 @@ from rce.client.threads import Blocking, BlockingStream, LoopThread, blocking
 from rce.client.topics import Publisher, Subscriber
 from rce.protocol.messages import Qos
 
+P = ParamSpec("P")
+W = TypeVar("W")
 I = TypeVar("I", bound=Interface)  # noqa: E741
+B = TypeVar("B", bound="BlockingInterface[Any]")
 
 
 class BlockingInterface(Blocking[I]):
@@ -97,6 +101,18 @@ class BlockingServiceProvider(BlockingInterface[ServiceProvider]):
     """Blocking `ServiceProvider`."""
 
 
+def blocking_factory(
+    method: Callable[Concatenate[W, P], Coroutine[Any, Any, I]], kind: Callable[[LoopThread, I], B]
+) -> Callable[Concatenate[Blocking[W], P], B]:
+    """Turn a coroutine method that returns an interface into one that blocks and returns a `kind` of that interface."""
+
+    @functools.wraps(method)
+    def call(self: Blocking[W], /, *arguments: P.args, **options: P.kwargs) -> B:
+        return kind(self._thread, self._thread.wait(method(self.inner, *arguments, **options)))
+
+    return call
+
+
 class BlockingEnvironment(Blocking[Environment]):
     """Blocking `Environment`: as a context manager it creates the environment and destroys it at the end."""
 
@@ -110,6 +126,10 @@ class BlockingEnvironment(Blocking[Environment]):
     """Set a ROS 2 parameter; see `Environment.set_parameter`."""
     delete_parameter = blocking(Environment.delete_parameter)
     """Remove a parameter; see `Environment.delete_parameter`."""
+    publisher = blocking_factory(Environment.publisher, BlockingPublisher)
+    """Publish on a topic of the environment; see `Environment.publisher`."""
+    service_client = blocking_factory(Environment.service_client, BlockingServiceClient)
+    """Return a client of a service of the environment; see `Environment.service_client`."""
 
     @property
     def tag(self) -> str:
@@ -125,11 +145,6 @@ class BlockingEnvironment(Blocking[Environment]):
     ) -> None:
         self.destroy()
 
-    def publisher(self, topic: str, type_name: str, *, qos: Qos | None = None, raw: bool = False) -> BlockingPublisher:
-        """Publish on a topic of the environment; see `Environment.publisher`."""
-        publisher = self._thread.wait(self.inner.publisher(topic, type_name, qos=qos, raw=raw))
-        return BlockingPublisher(self._thread, publisher)
-
     def subscriber(
         self,
         topic: str,
@@ -139,6 +154,7 @@ class BlockingEnvironment(Blocking[Environment]):
         depth: int = 10,
         qos: Qos | None = None,
         raw: bool = False,
+        format: Format = "png",
     ) -> BlockingSubscriber:
         """Subscribe to a topic of the environment; see `Environment.subscriber`.
 
@@ -146,14 +162,9 @@ class BlockingEnvironment(Blocking[Environment]):
         """
         call = _in_thread(callback) if callback is not None else None
         subscriber = self._thread.wait(
-            self.inner.subscriber(topic, type_name, callback=call, depth=depth, qos=qos, raw=raw)
+            self.inner.subscriber(topic, type_name, callback=call, depth=depth, qos=qos, raw=raw, format=format)
         )
         return BlockingSubscriber(self._thread, subscriber)
-
-    def service_client(self, service: str, type_name: str, *, raw: bool = False) -> BlockingServiceClient:
-        """Return a client of a service of the environment; see `Environment.service_client`."""
-        client = self._thread.wait(self.inner.service_client(service, type_name, raw=raw))
-        return BlockingServiceClient(self._thread, client)
 
     def service_provider(
         self, service: str, type_name: str, handler: Callable[[Any], Any], *, raw: bool = False
@@ -219,6 +230,10 @@ class BlockingRobot(Blocking[Robot]):
     """Remove the connection between two interfaces; see `Robot.disconnect`."""
     configure = blocking(Robot.configure)
     """Execute several commands in their order; see `Robot.configure`."""
+    publisher = blocking_factory(Robot.publisher, BlockingPublisher)
+    """Add an interface through which the robot sends messages; see `Robot.publisher`."""
+    service_client = blocking_factory(Robot.service_client, BlockingServiceClient)
+    """Add an interface through which the robot calls a service; see `Robot.service_client`."""
 
     def __init__(
         self,
@@ -307,13 +322,6 @@ class BlockingRobot(Blocking[Robot]):
         """
         return BlockingEnvironment(self._thread, self.inner.environment(tag, **options))
 
-    def publisher(
-        self, tag: str, type_name: str, *, to: str = "", raw: bool = False, format: Format = "png"
-    ) -> BlockingPublisher:
-        """Add an interface through which the robot sends messages; see `Robot.publisher`."""
-        publisher = self._thread.wait(self.inner.publisher(tag, type_name, to=to, raw=raw, format=format))
-        return BlockingPublisher(self._thread, publisher)
-
     def subscriber(
         self,
         tag: str,
@@ -324,6 +332,7 @@ class BlockingRobot(Blocking[Robot]):
         depth: int = 10,
         raw: bool = False,
         format: Format = "png",
+        qos: Qos | None = None,
     ) -> BlockingSubscriber:
         """Add an interface through which the robot receives messages; see `Robot.subscriber`.
 
@@ -331,14 +340,9 @@ class BlockingRobot(Blocking[Robot]):
         """
         call = _in_thread(callback) if callback is not None else None
         subscriber = self._thread.wait(
-            self.inner.subscriber(tag, type_name, to=to, callback=call, depth=depth, raw=raw, format=format)
+            self.inner.subscriber(tag, type_name, to=to, callback=call, depth=depth, raw=raw, format=format, qos=qos)
         )
         return BlockingSubscriber(self._thread, subscriber)
-
-    def service_client(self, tag: str, type_name: str, *, to: str = "", raw: bool = False) -> BlockingServiceClient:
-        """Add an interface through which the robot calls a service; see `Robot.service_client`."""
-        client = self._thread.wait(self.inner.service_client(tag, type_name, to=to, raw=raw))
-        return BlockingServiceClient(self._thread, client)
 
     def service_provider(
         self, tag: str, type_name: str, handler: Callable[[Any], Any], *, to: str = "", raw: bool = False

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Mapping
+from weakref import WeakSet
 
 from rce.client.connection import Message
 from rce.client.declarations import Declarations
-from rce.client.events import Disconnected, Event, Reconnected
+from rce.client.events import Disconnected, Event, PlatformEvent, Reconnected
 from rce.client.interface import Interface
 from rce.client.stream import Stream
 from rce.errors import RceError
-from rce.protocol.messages import Command, InterfaceStatus, StatusData
+from rce.protocol.messages import Command, InterfaceStatus
 
 EVENT_BACKLOG = 1000  # unread events that one reader may have
 
@@ -29,7 +30,7 @@ class Dispatcher:
         self.interfaces: dict[str, Interface] = {}
         self._robot = robot
         self._declarations = declarations
-        self._readers: set[Stream[Event]] = set()
+        self._readers: WeakSet[Stream[Event]] = WeakSet()  # a stream that nobody reads any more is forgotten
         self._ended = False
         self._error: RceError | None = None
 
@@ -52,13 +53,13 @@ class Dispatcher:
         except RceError as error:
             self.error_received(error)
 
-    def status_received(self, status: StatusData) -> None:
+    def status_received(self, status: InterfaceStatus | PlatformEvent) -> None:
         """Apply an interface's status, or publish any other status as an event."""
         if isinstance(status, InterfaceStatus):
             if status.iTag in self.interfaces:
                 self.interfaces[status.iTag]._set_status(status.status)
         else:
-            self._publish(status)  # type: ignore[arg-type]
+            self._publish(status)
 
     def error_received(self, error: RceError) -> None:
         """Fail the service call that the error answers, or publish it as an event."""

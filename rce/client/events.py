@@ -29,7 +29,10 @@ class Reconnected(NamedTuple):
     resumed: bool
 
 
-Event = EnvironmentEvent | NodeEvent | DropEvent | LimitEvent | Disconnected | Reconnected | RceError
+PlatformEvent = EnvironmentEvent | NodeEvent | DropEvent | LimitEvent
+"""Events that the platform sends."""
+
+Event = PlatformEvent | Disconnected | Reconnected | RceError
 """Item of the stream that `Robot.events` returns.
 
 - `EnvironmentEvent`: an environment is ready, failed to start, was lost, or is gone.

@@ -307,6 +307,9 @@ class Operations:
 
 def _container_data(options: EnvironmentOptions) -> ContainerData:
     names = {"special_features": "specialFeatures", "group_ip": "groupIP"}
+    unknown = options.keys() - EnvironmentOptions.__annotations__.keys()
+    if unknown:
+        raise InvalidRequest(f"options of the environment: there is no {', '.join(sorted(unknown))}")
     try:
         return msgspec.convert({names.get(name, name): value for name, value in options.items()}, ContainerData)
     except msgspec.ValidationError as error:

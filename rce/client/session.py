@@ -21,9 +21,10 @@ from msgspec import UNSET
 from rce.client.address import Address
 from rce.client.commands import already_done, frame_of
 from rce.client.connection import Connection, Incoming, Message
+from rce.client.events import PlatformEvent
 from rce.client.values import encode
 from rce.errors import Forbidden, InternalError, InvalidRequest, NotFound, RceError, TimedOut, Unauthorized, Unavailable
-from rce.protocol.messages import Ack, Command, Failure, FrameId, Session, StatusData
+from rce.protocol.messages import Ack, Command, Failure, FrameId, InterfaceStatus, Session
 
 COMMANDS = " commands"  # their source in the outbox; a tag cannot contain a space
 MIN_DELAY, MAX_DELAY = 0.1, 10.0  # seconds between attempts to reconnect; the first attempt is immediate
@@ -37,7 +38,7 @@ class Listener(Protocol):
     def message_received(self, message: Message) -> None:
         """Handle a data message."""
 
-    def status_received(self, status: StatusData) -> None:
+    def status_received(self, status: InterfaceStatus | PlatformEvent) -> None:
         """Handle a status frame that is not about the session or a command."""
 
     def error_received(self, error: RceError) -> None:

@@ -6,6 +6,7 @@ import asyncio
 import functools
 import threading
 from collections.abc import Callable, Coroutine, Iterator
+from concurrent.futures import CancelledError
 from typing import Any, Concatenate, Final, Generic, ParamSpec, TypeVar
 
 from rce.client.stream import Stream
@@ -21,31 +22,38 @@ class LoopThread:
 
     def __init__(self) -> None:
         self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._loop.run_forever, name="rce client", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="rce client", daemon=True)
+        self._lock = threading.Lock()  # so that nothing is submitted to the loop after its end
+        self._running = False
 
     @property
     def running(self) -> bool:
         """True between `start` and `stop`."""
-        return self._thread.is_alive()
+        return self._running
 
     def start(self) -> None:
         """Start the thread; raises InvalidRequest if it has run before."""
-        if self._loop.is_closed():
-            raise InvalidRequest("this robot has been opened before: make a new one")
-        self._thread.start()
+        with self._lock:
+            if self._thread.ident is not None:
+                raise InvalidRequest("this robot has been opened before: make a new one")
+            self._running = True
+            self._thread.start()
 
     def wait(self, coroutine: Coroutine[Any, Any, T]) -> T:
         """Run a coroutine on the loop and return its result. An interrupt (Ctrl-C) cancels it.
 
         Raises:
-            Unavailable: The loop is not running.
+            Unavailable: The loop is not running, or was stopped before the coroutine ended.
         """
-        if not self.running:
-            coroutine.close()
-            raise Unavailable("the robot is not open")
-        future = asyncio.run_coroutine_threadsafe(coroutine, self._loop)
+        with self._lock:
+            if not self._running:
+                coroutine.close()
+                raise Unavailable("the robot is not open")
+            future = asyncio.run_coroutine_threadsafe(coroutine, self._loop)
         try:
             return future.result()
+        except CancelledError:
+            raise Unavailable("the robot has been closed") from None
         except BaseException:
             future.cancel()
             raise
@@ -59,11 +67,26 @@ class LoopThread:
         return self.wait(run())
 
     def stop(self) -> None:
-        """Stop the loop and wait for the thread to end."""
-        if self.running:
+        """Stop the loop and wait for the thread to end; coroutines that still run on it are cancelled."""
+        with self._lock:
+            if not self._running:
+                return
+            self._running = False
             self._loop.call_soon_threadsafe(self._loop.stop)
-            self._thread.join()
-            self._loop.close()
+        self._thread.join()
+
+    def _run(self) -> None:
+        self._loop.run_forever()
+        self._loop.run_until_complete(_cancel_others())
+        self._loop.close()
+
+
+async def _cancel_others() -> None:
+    """Cancel all other tasks of the loop and wait until they have ended."""
+    others = asyncio.all_tasks() - {asyncio.current_task()}
+    for task in others:
+        task.cancel()
+    await asyncio.gather(*others, return_exceptions=True)
 
 
 class Blocking(Generic[W]):

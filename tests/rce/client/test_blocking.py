@@ -12,7 +12,18 @@ from typing import Any, TypeVar
 import pytest
 
 from rce.client import BlockingRobot, Reconnected, Robot
+from rce.client.blocking import (
+    BlockingEnvironment,
+    BlockingPublisher,
+    BlockingServiceClient,
+    BlockingServiceProvider,
+    BlockingSubscriber,
+)
+from rce.client.environment import Environment
+from rce.client.services import ServiceClient, ServiceProvider
+from rce.client.topics import Publisher, Subscriber
 from rce.errors import NotFound, RceError, TimedOut, Unauthorized, Unavailable
+from rce.protocol.messages import Qos
 from tests.support.client_contract import SET_BOOL, STRING
 from tests.support.fake_platform import FakePlatform
 
@@ -30,6 +41,46 @@ def robot(url: str, name: str = "a", password: str = "testUser") -> BlockingRobo
 
 def test_constructor_has_the_arguments_of_robot() -> None:
     assert inspect.signature(BlockingRobot).parameters.keys() == inspect.signature(Robot).parameters.keys()
+
+
+@pytest.mark.parametrize(
+    ("blocking", "asynchronous"),
+    [
+        (BlockingRobot, Robot),
+        (BlockingEnvironment, Environment),
+        (BlockingPublisher, Publisher),
+        (BlockingSubscriber, Subscriber),
+        (BlockingServiceClient, ServiceClient),
+        (BlockingServiceProvider, ServiceProvider),
+    ],
+    ids=lambda kind: kind.__name__,
+)
+def test_methods_have_the_arguments_of_the_asyncio_client(blocking: type[Any], asynchronous: type[Any]) -> None:
+    for name, method in inspect.getmembers(asynchronous, inspect.isfunction):
+        if name.startswith("_") or (asynchronous is Subscriber and name == "call"):  # a callback, given to `subscriber`
+            continue
+        found = inspect.signature(getattr(blocking, name)).parameters
+        wanted = inspect.signature(method).parameters
+        assert [(each.name, each.kind, each.default) for each in found.values()] == [
+            (each.name, each.kind, each.default) for each in wanted.values()
+        ], name
+
+
+async def test_settings_of_interfaces_reach_the_platform(fake: FakePlatform) -> None:
+    def run() -> None:
+        with robot(fake.url) as a:
+            brain = a.environment("brain")
+            a.publisher("out", STRING, qos=Qos(depth=3))
+            a.subscriber("in", STRING, qos=Qos(depth=4), format="jpeg")
+            brain.publisher("/images", STRING, format="jpeg")
+            brain.subscriber("/images", STRING, format="json", qos=Qos(depth=5))
+            made = {name: (each.get("qos"), each.get("format")) for name, each in fake.interfaces.items()}
+            assert made["a/out"] == ({"depth": 3}, None)
+            assert made["a/in"] == ({"depth": 4}, "jpeg")
+            assert made["a/brain_pub_images"] == (None, "jpeg")
+            assert made["a/brain_sub_images"] == ({"depth": 5}, "json")
+
+    await run_script(run)
 
 
 async def test_script_publishes_and_subscribes(fake: FakePlatform) -> None:

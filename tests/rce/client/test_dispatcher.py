@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 from rce.client.declarations import Declarations
 from rce.client.dispatcher import EVENT_BACKLOG, Dispatcher
 from rce.errors import RceError
@@ -45,3 +47,12 @@ async def test_stream_keeps_a_bounded_number_of_unread_events() -> None:
         dispatcher.status_received(LimitEvent(str(number)))
     assert events.dropped == 2
     assert await events.get(1) == LimitEvent("2")
+
+
+def test_stream_that_nobody_reads_any_more_is_forgotten() -> None:
+    dispatcher = Dispatcher("a", Declarations("a"))
+    kept = dispatcher.events()
+    for _ in range(5):
+        dispatcher.events()
+    gc.collect()
+    assert [*dispatcher._readers] == [kept]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rce.client import Robot
-from rce.errors import InvalidRequest, RceError
+from rce.errors import RceError
 from tests.support.client_contract import STRING
 from tests.support.fake_platform import KEY, FakePlatform
 
@@ -19,14 +19,6 @@ async def test_context_creates_and_destroys_the_environment(fake: FakePlatform) 
         options = {"size": 2, "groupIP": "192.168.1.7", "restart": "no"}
         assert frames[0]["data"] == {"containerTag": "brain", "containerData": options}
         assert frames[-1]["type"] == "DC"
-
-
-async def test_options_are_validated_and_existing_environment_may_be_accepted(fake: FakePlatform) -> None:
-    async with fake.robot() as a:
-        with pytest.raises(InvalidRequest, match="size"):
-            await a.create_environment("other", size=0)
-        await a.create_environment("brain")
-        await a.create_environment("brain", exist_ok=True)
 
 
 async def test_publisher_adds_and_connects_both_interfaces(fake: FakePlatform) -> None:
