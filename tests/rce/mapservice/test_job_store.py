@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 from twisted.internet.task import Clock
 
 from rce.api.map_jobs import File, Job, MapOptions
@@ -17,8 +18,8 @@ from rce.mapservice.record_store import RecordStore
 
 
 def job(name: str, user: str = "ann", **fields: Any) -> StoredJob:
-    given = {"state": "queued", "recording": "a.log", "uploads": [f"upload of {name}"], "created": 0.0} | fields
-    return StoredJob(user, Job(id=name, options=MapOptions(), **given), "grant")
+    made = Job(name, "queued", "a.log", MapOptions(), [f"upload of {name}"], 0.0)
+    return StoredJob(user, replace(made, **fields), "grant")
 
 
 @pytest.fixture

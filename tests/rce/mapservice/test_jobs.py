@@ -47,7 +47,7 @@ class Bench:
 
     def die(self) -> None:
         """Kill the service: it writes nothing more, and its jobs end."""
-        self.jobs._finish = lambda *_: None  # type: ignore[assignment,method-assign]
+        self.jobs._finish = lambda *_: None  # type: ignore[method-assign]
         self.loop.begin(self.jobs.stop())
         self.runner = FakeRunner()
 

@@ -7,7 +7,7 @@ import json
 
 import pytest
 
-from rce.errors import InvalidRequest, Unauthorized
+from rce.errors import InvalidRequest, NotFound, Unauthorized
 from rce.mapservice.job_program import Report
 from tests.support.map_service import Service
 
@@ -27,14 +27,18 @@ async def test_event_stream_ends_when_the_key_is_revoked(service: Service) -> No
         await answer.content.read()
 
 
-async def test_event_stream_ends_when_the_job_is_removed(service: Service) -> None:
+async def test_event_stream_ends_when_the_job_is_removed(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     """That happens to a client that reads so slowly that the job ends and is removed meanwhile."""
+
+    def gone(*_: object) -> None:
+        raise NotFound("there is no such job")
+
     job = await service.submit()
     answer = await service.session.get(f"{service.url}/jobs/{job}/events?key=rce_ann")
     async with asyncio.timeout(20):
         assert await answer.content.readline() == b"event: job\n"
-        service.runner.finish(job)
-        await service.service._store.remove(job)
+        monkeypatch.setattr(service.service._store, "find", gone)
+        service.runner.report(job, Report(scans=1))
         lines = (await answer.content.read()).splitlines()
     assert {line.partition(b":")[0] for line in lines} <= {b"event", b"data", b""}
 
