@@ -22,7 +22,7 @@ from rce.errors import InvalidRequest, NoCapacity, RceError
 from rce.protocol.names import parse_type
 from tests.support.endpoints.fake_local_ros import FakeLocalRos
 
-YAML = "image: map.png\nresolution: 0.5\norigin: [-1.0, 2.0, 0.0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+YAML = "image: map.png\nresolution: 0.5\norigin: [-1.0, 2.0, 0.0]\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
 
 
 class FakeMapService:

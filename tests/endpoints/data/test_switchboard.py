@@ -10,13 +10,13 @@ from twisted.logger import LogEvent
 
 from endpoints.data.frames import Message
 from endpoints.data.hops import HopRecorder
-from endpoints.data.interface import Interface, error_of
+from endpoints.data.interface import Interface
 from endpoints.data.link import Link
 from endpoints.data.port import DataPort
 from endpoints.data.switchboard import Switchboard
 from rce.control.calls.endpoints import InterfaceSpec, LinkSpec, Route, Sync
 from rce.control.calls.watching import Counts, CountTraffic, InterfaceTraffic
-from rce.errors import NotConnected, NotFound, TimedOut, Unavailable
+from rce.errors import NotConnected, NotFound, Unavailable
 from rce.protocol.messages import Qos
 
 
@@ -188,18 +188,6 @@ async def test_defective_interface_does_not_affect_others(board: Board, failures
     assert len(c.received) == 1
     assert len(failures) == 1
     failures.clear()
-
-
-async def test_error_is_sent_to_requesting_peer(board: Board) -> None:
-    a, b = await board.ready(2)
-    await board.join(0, 1)
-    a.request(Message(a.id, "call", b""))
-    b.fail(b.received[0], TimedOut("too late"))
-    (answer,) = a.received
-    assert (answer.msg_id, answer.error, error_of(answer).info.code) == ("call", True, "timed_out")
-    assert error_of(Message(a.id, "", b"\xff\x00", error=True)).info.code == "error"
-    board.remove_route(spec(1).id, spec(0).id)
-    b.fail(b.received[0], TimedOut("nobody to tell"))
 
 
 async def test_traffic_is_counted_for_each_peer(board: Board) -> None:
