@@ -133,7 +133,7 @@ async def test_result_of_the_handler_is_the_response(connection: FakeConnection,
 @pytest.mark.parametrize(
     ("handler", "reason"),
     [
-        (lambda request: {}["x"], "KeyError: 'x'"),
+        (lambda request: request["x"], "KeyError: 'x'"),
         (lambda request: {"success": object()}, "cannot be sent as JSON"),
     ],
     ids=["exception", "unusable response"],
