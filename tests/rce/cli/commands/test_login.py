@@ -5,19 +5,26 @@ from __future__ import annotations
 import asyncio
 import getpass
 import io
+import json
 import stat
 import sys
+import time
+from pathlib import Path
 
 import pytest
 
 from rce.api.client import ApiClient
 from rce.api.views import Whoami
-from rce.cli import contexts
-from rce.cli.commands.login import read_password
-from rce.cli.execute import FAILURE, SUCCESS
-from rce.errors import RceError, Unauthorized
-from tests.support.console import Terminal, login, rce
+from rce.cli import contexts, table
+from rce.cli.commands.login import _context_name, read_password
+from rce.cli.contexts import Context, Contexts
+from rce.cli.execute import FAILURE, SUCCESS, USAGE_ERROR, run
+from rce.errors import NotFound, RceError, Unauthorized
+from tests.support.console import Console, Terminal, login, open_terminal, rce
 from tests.support.master.served import PASSWORD, Served
+
+HOME = Context("https://home:9000/", "ann", "rce_home", "1f")
+BOBS_HOME = Context("https://home:9000/", "bob", "rce_bob", "2f", expires=2e9)
 
 
 def test_end_of_input_at_the_prompt_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -74,3 +81,103 @@ async def test_whoami_lists_permissions_on_request(served: Served, capsys: pytes
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["data.read", "own"] in lines
     assert ["data.write", "-"] in lines
+
+
+@pytest.mark.parametrize(
+    ("known", "name"),
+    [
+        ({}, "home:9000"),
+        ({"mine": HOME}, "mine"),
+        ({"home:9000": BOBS_HOME}, "ann@home:9000"),
+    ],
+)
+def test_context_is_named_after_its_host(known: dict[str, Context], name: str) -> None:
+    assert _context_name(Contexts("", known), HOME.url, "ann") == name
+
+
+def test_contexts_are_listed_with_a_star_at_the_current_one(
+    no_context: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    contexts.save(Contexts("b", {"a": HOME, "b": BOBS_HOME}))
+    assert run(["context", "list"]) == SUCCESS
+    _, first, second = capsys.readouterr().out.splitlines()
+    assert first.split() == ["a", "ann", HOME.url, "never", "expires"]
+    assert second.split()[:3] == ["*", "b", "bob"]
+
+
+def test_contexts_in_json_have_no_keys(no_context: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    contexts.save(Contexts("a", {"a": HOME}))
+    assert run(["context", "list", "--json"]) == SUCCESS
+    assert json.loads(capsys.readouterr().out) == {
+        "current": "a",
+        "contexts": {"a": {"url": HOME.url, "user": "ann", "expires": None}},
+    }
+
+
+def test_logout_without_a_context_is_refused(no_context: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["logout"]) == FAILURE
+    assert capsys.readouterr().err == "rce: you are not signed in\n"
+
+
+def test_context_of_an_unreachable_platform_is_removed_with_a_note(
+    no_context: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    contexts.save(Contexts("a", {"a": Context("http://127.0.0.1:1/", "ann", "rce_k", "1f"), "b": HOME}))
+    assert run(["logout"]) == SUCCESS
+    assert contexts.load() == Contexts("b", {"b": HOME})
+    assert "the key 1f could not be revoked" in capsys.readouterr().err
+
+
+def test_user_is_asked_for(
+    no_context: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n"))
+    assert run(["login", "http://127.0.0.1:1/"]) == FAILURE
+    assert capsys.readouterr().err == "User: rce: no answer to 'User:'\n"
+
+
+def test_watch_repeats_a_command_until_it_fails(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pauses: list[float] = []
+    monkeypatch.setattr(time, "sleep", pauses.append)
+    console = Console([], [], NotFound("it is gone"))
+    assert console.run("watch -n 0.5 node list brain") == FAILURE
+    assert pauses == [0.5, 0.5]
+    printed = capsys.readouterr()
+    assert printed.out.count("every 0.5 s: node list brain    ") == 3
+    assert printed.err.endswith("node: it is gone\n")
+
+
+def test_ctrl_c_ends_watch_without_an_error() -> None:
+    assert Console(KeyboardInterrupt()).run("watch node list brain") == SUCCESS
+
+
+def test_watch_clears_the_screen_of_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = open_terminal(monkeypatch, 80)
+    Console(KeyboardInterrupt()).run("watch node list brain")
+    assert terminal.getvalue().startswith("\x1b[H\x1b[2Jevery 2 s: node list brain")
+
+
+def test_script_of_a_file_is_run_in_the_session_of_its_command(tmp_path: Path) -> None:
+    script = tmp_path / "setup.rce"
+    script.write_text("env delete a\nnothing\nenv delete b\n")
+    console = Console()
+    assert console.run(f"console {script}") == USAGE_ERROR
+    assert [each.line for each in console.api.requests] == ["DELETE environments/a"]
+    assert console.run(f"console --keep-going {script}") == USAGE_ERROR
+    assert len(console.api.requests) == 3
+
+
+def test_script_is_read_from_standard_input(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO("env delete a\n"))
+    console = Console()
+    assert console.run("console") == SUCCESS
+    assert len(console.api.requests) == 1
+
+
+def test_help_in_the_console_lists_its_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    console = Console()
+    console.session.in_console = True
+    assert console.run("help") == SUCCESS
+    assert capsys.readouterr().out == table.console_overview() + "\n"
