@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import NoReturn
+from typing import NoReturn, TypeVar
 
 import msgspec
 
@@ -14,9 +14,10 @@ from converters.wire import Buffer
 # linear time. Every branch begins with a literal, which makes the search for the next match fast.
 _TOKENS = re.compile(rb'"(?:[^"\\]++|\\.)*+"?|NaN|Infinity|-Infinity', re.DOTALL)
 _WHERE = re.compile(r"(.*) - at `\$\.?(.*)`", re.DOTALL)
+Model = TypeVar("Model", bound=msgspec.Struct)
 
 
-def decode(decoder: msgspec.json.Decoder[msgspec.Struct], raw: Buffer | msgspec.Raw) -> msgspec.Struct:
+def decode(decoder: msgspec.json.Decoder[Model], raw: Buffer | msgspec.Raw) -> Model:
     """Decode a message; raises FieldError with the path of the field at fault."""
     try:
         return decoder.decode(raw)
@@ -31,7 +32,7 @@ def decode(decoder: msgspec.json.Decoder[msgspec.Struct], raw: Buffer | msgspec.
         _refuse(error)
 
 
-def _decode_lenient(decoder: msgspec.json.Decoder[msgspec.Struct], data: bytes) -> msgspec.Struct:
+def _decode_lenient(decoder: msgspec.json.Decoder[Model], data: bytes) -> Model:
     """Replace the tokens by strings that begin with U+0000, which float fields accept (`scalars.NON_FINITE`)."""
     try:
         return decoder.decode(_TOKENS.sub(_quoted, data))

@@ -8,7 +8,7 @@ import json
 import math
 import random
 from array import array
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -30,10 +30,10 @@ def ros_class(name: str) -> type | None:
     package, kind, plain = name.split("/")
     plain, _, part = plain.partition("_") if kind == "srv" else (plain, "", "")
     try:
-        found = getattr(importlib.import_module(f"{package}.{kind}"), plain)
+        found: Any = getattr(importlib.import_module(f"{package}.{kind}"), plain)
     except (ImportError, AttributeError):
         return None
-    return getattr(found, part) if part else found
+    return cast("type", getattr(found, part) if part else found)
 
 
 CLASSES = {name: ros for name in sorted(common_definitions()) if (ros := ros_class(name))}
@@ -73,7 +73,7 @@ def plain(value: Any) -> Json:
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):
         return {"inf": "Infinity", "-inf": "-Infinity", "nan": "NaN"}[str(value)]
-    return value
+    return cast("Json", value)
 
 
 def is_bytes(values: Any) -> bool:
@@ -102,13 +102,13 @@ def test_random_messages_round_trip_through_ros(registry: TypeRegistry, name: st
         ros = serialization.deserialize_message(cdr, CLASSES[name])
         assert same(value, plain(ros))
         theirs = serialization.serialize_message(ros)  # may have trailing padding
-        assert json.loads(ours.decode(theirs).raw) == json.loads(ours.decode(cdr).raw) == value
+        assert json.loads(bytes(ours.decode(theirs).raw)) == json.loads(bytes(ours.decode(cdr).raw)) == value
 
 
 @pytest.mark.parametrize("name", CLASSES)
 def test_defaults_equal_those_of_ros(registry: TypeRegistry, name: str) -> None:
     ours = codec(registry, name)
     cdr = ours.encode(Wire(False, b"{}", {}))
-    assert json.loads(ours.decode(cdr).raw) == json.loads(
+    assert json.loads(bytes(ours.decode(cdr).raw)) == json.loads(
         ours.decode(serialization.serialize_message(CLASSES[name]())).raw
     )

@@ -67,7 +67,7 @@ def test_empty_message_is_one_byte() -> None:
     codec = message(registry_with(Nothing="", Two="demo/Nothing[2] pair\nuint8 end\n"), "demo/Two")
     cdr = codec.encode(json_wire('{"end": 5}'))
     assert cdr == b"\0\1\0\0\0\0\5"
-    assert json.loads(codec.decode(cdr).raw) == {"pair": [{}, {}], "end": 5}
+    assert json.loads(bytes(codec.decode(cdr).raw)) == {"pair": [{}, {}], "end": 5}
 
 
 def test_service_types() -> None:

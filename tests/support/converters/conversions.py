@@ -44,7 +44,7 @@ def json_wire(raw: str | bytes) -> Wire:
 def round_trip(codec: Codec, value: object) -> Any:
     """Encode a message as CDR, decode it again and return its JSON."""
     raw = value if isinstance(value, str) else json.dumps(value)
-    return json.loads(codec.decode(codec.encode(json_wire(raw))).raw)
+    return json.loads(bytes(codec.decode(codec.encode(json_wire(raw))).raw))
 
 
 def encoding_error(codec: Codec, value: object) -> ConversionError:

@@ -32,7 +32,8 @@ def cdr_of(registry: TypeRegistry, pixels: np.ndarray, encoding: str, padding: i
 
 
 def fields(registry: TypeRegistry, cdr: bytes) -> dict[str, Any]:
-    return json.loads(image_codec(registry, "json").decode(cdr).raw)
+    found: dict[str, Any] = json.loads(bytes(image_codec(registry, "json").decode(cdr).raw))
+    return found
 
 
 def image_wire(blob: bytes) -> Wire:
@@ -43,7 +44,7 @@ def image_wire(blob: bytes) -> Wire:
 def image_blob(wire: Wire) -> bytes:
     """Return the image file of a payload."""
     assert wire.is_blob
-    return bytes(wire.blobs[json.loads(wire.raw)])
+    return bytes(wire.blobs[json.loads(bytes(wire.raw))])
 
 
 def random_pixels(encoding: str) -> np.ndarray:

@@ -18,7 +18,6 @@ from rclpy.timer import Timer
 from rce.mapping.mapper import Mapper
 from rce.mapping.mappers import MAPPERS
 
-from . import messages
 from .map_output import MapOutput
 from .parameters import INTERVAL, MAPPER, UPDATES, choice, declare, number, settings_of, text
 from .services import Services
@@ -57,7 +56,7 @@ class MapperNode(Node):
     def use(self, mapper: Mapper) -> None:
         """Continue with another mapper."""
         self.mapper = mapper
-        self.track.restart([messages.stamp_of(row[0]) for row in mapper.trajectory()])
+        self.track.restart(mapper.trajectory())
         self._published = -1
         self.publish()
 

@@ -165,9 +165,12 @@ def _file(name: str) -> Path:
     """Return the path of a file name or of a URL `file://…`.
 
     Raises:
-        InvalidRequest: The name is empty.
+        InvalidRequest: The name is empty, or begins with the home directory of an unknown user.
     """
     path = name.removeprefix("file://")
     if not path:
         raise InvalidRequest("the name of the file is empty")
-    return Path(path).expanduser()
+    try:
+        return Path(path).expanduser()
+    except RuntimeError as error:
+        raise InvalidRequest(f"{path}: {error}") from None

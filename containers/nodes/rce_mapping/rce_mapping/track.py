@@ -72,11 +72,17 @@ class Track:
         self.scans = ScanInput(node, f"{prefix}scan", self._on_scan)
         node.create_timer(CHECK_INTERVAL, self._flush_overdue)
 
-    def restart(self, stamps: list[Time]) -> None:
-        """Continue with a mapper that has mapped the scans of these stamps; discard waiting scans."""
-        self.stamps = stamps
+    def restart(self, trajectory: NDArray[np.float64]) -> None:
+        """Continue with another mapper. Waiting scans are answered, but not mapped.
+
+        Args:
+            trajectory: (n, 4) stamp, x, y, theta of the laser at each scan that this mapper has mapped, map frame.
+        """
+        self.stamps = [messages.stamp_of(row[0]) for row in trajectory]
+        self._pose = Pose(*trajectory[-1, 1:].tolist()) @ self._laser.inverse() if len(trajectory) else ORIGIN
+        for scan in self._pairing.flush():
+            self._answer(self._unmapped(scan), scan)
         self._pairing = OdometryPairing()
-        self._arrivals.clear()
 
     def in_laser_frame(self, robot: Pose) -> Pose:
         """Return the pose of the laser when the robot is at a pose."""
@@ -112,18 +118,24 @@ class Track:
     def _map(self, scans: list[Scan]) -> None:
         """Map scans and publish the answers."""
         for scan in scans:
-            stamp = self._arrivals.popleft()[0].header.stamp
-            estimate = self._estimate(scan)
-            if estimate.accepted:
-                self.stamps.append(stamp)
-            self._pose = estimate.pose
-            self._pose_out.publish(messages.pose_message(estimate, stamp, self._frame))
-            self._corrections.send(stamp, estimate.pose, scan.odometry)
+            estimate = self._unmapped(scan) if self.paused else self._mapped(scan)
+            self._answer(estimate, scan)
 
-    def _estimate(self, scan: Scan) -> Estimate:
-        """Return the pose of the robot at a scan."""
-        if self.paused:
-            return Estimate(scan.stamp, self._pose, UNMATCHED_COVARIANCE, matched=False, accepted=False)
+    def _answer(self, estimate: Estimate, scan: Scan) -> None:
+        """Publish the answer to the scan that has waited longest."""
+        stamp = self._arrivals.popleft()[0].header.stamp
+        if estimate.accepted:
+            self.stamps.append(stamp)
+        self._pose = estimate.pose
+        self._pose_out.publish(messages.pose_message(estimate, stamp, self._frame))
+        self._corrections.send(stamp, estimate.pose, scan.odometry)
+
+    def _unmapped(self, scan: Scan) -> Estimate:
+        """Return the last pose as the answer to a scan."""
+        return Estimate(scan.stamp, self._pose, UNMATCHED_COVARIANCE, matched=False, accepted=False)
+
+    def _mapped(self, scan: Scan) -> Estimate:
+        """Map a scan; return the pose of the robot at it."""
         odometry = scan.odometry and scan.odometry @ self._laser
         found = self._add(replace(scan, odometry=odometry))
         return replace(found, pose=found.pose @ self._laser.inverse())

@@ -5,16 +5,15 @@
 from __future__ import annotations
 
 import json
-import sys
 from array import array
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import pytest
 
+from rce.errors import InvalidRequest
 from rce.mapping.evaluation.simulation import Simulation
-from tests.support.domains import domain
-from tests.support.paths import ROOT
 from tests.support.spin import spin_until
 
 rclpy = pytest.importorskip("rclpy", reason="needs the extra `ros`")
@@ -25,14 +24,11 @@ from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import String
 
-PACKAGE = ROOT / "containers" / "nodes" / "rce_mapping"
 NAMES = "one", "two"
 
 
-def test_each_robot_is_answered_on_its_own_topics(monkeypatch: pytest.MonkeyPatch, simulation: Simulation) -> None:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setattr(sys, "path", [str(PACKAGE), *sys.path])
-    rclpy.init(args=["--ros-args", "-p", "robots:=[one, two]"], domain_id=domain("mapping"))
+def test_each_robot_is_answered_on_its_own_topics(start_ros: Callable[..., None], simulation: Simulation) -> None:
+    start_ros("robots:=[one, two]")
     from rce_mapping.map_output import LATCHED
     from rce_mapping.team import TeamNode
 
@@ -65,4 +61,11 @@ def test_each_robot_is_answered_on_its_own_topics(monkeypatch: pytest.MonkeyPatc
         executor.shutdown()
         team.destroy_node()
         node.destroy_node()
-        rclpy.shutdown()
+
+
+def test_team_needs_robots(start_ros: Callable[..., None]) -> None:
+    from rce_mapping.team import TeamNode
+
+    start_ros()
+    with pytest.raises(InvalidRequest, match="robots"):
+        TeamNode()
