@@ -172,7 +172,8 @@ class Master:
         raise UnknownType(f"type {call.type} is known neither here nor in an environment of {call.user}")
 
     async def _report(self, process: Process, call: Report) -> Nothing:
-        self._runner.tell(user_of(process.name), error=call.error)  # an environment reaches its own user only
+        if call.error is not None:  # robots are told of drops of their own interfaces only
+            self._runner.tell(user_of(process.name), error=call.error)  # an environment reaches its own user only
         return Nothing()
 
     async def _fetch_package(self, process: Process, call: FetchPackage) -> DownloadTicket:

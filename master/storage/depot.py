@@ -57,7 +57,8 @@ class Upload:
     def close(self) -> None:
         """Close the file, and remove it unless it was kept."""
         self._depot.running.discard(self)
-        self._file.close()
+        with contextlib.suppress(OSError):  # a full disk: what is still in the buffer is not wanted any more
+            self._file.close()
         self.path.unlink(missing_ok=True)
 
     async def check(self) -> Contents:

@@ -3,31 +3,20 @@
 from __future__ import annotations
 
 import asyncio
-import http.client
 import json
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 from twisted.internet.base import ReactorBase
 
 from rce.protocol.messages import CURRENT_VERSION, MINIMAL_VERSION
+from tests.support.master.entry import Ask, asking
 from tests.support.master.fleet import Fleet
 from tests.support.master.served import serve_entry
 
 GOOD = f"/?userID=ann&version={CURRENT_VERSION}"
 PLAIN = "text/plain; charset=utf-8"
-
-
-class Answer(NamedTuple):
-    status: int
-    kind: str | None
-    body: bytes
-    location: str | None = None
-
-
-Ask = Callable[..., Awaitable[Answer]]
 
 
 @pytest.fixture
@@ -45,24 +34,11 @@ async def port(reactor: ReactorBase, fleet: Fleet, tmp_path: Path) -> AsyncItera
 
 @pytest.fixture
 def ask(port: int) -> Ask:
-    def request(path: str, method: str = "GET", **headers: str) -> Answer:
-        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
-        connection.request(method, path, headers={"Connection": "close", **headers})
-        response = connection.getresponse()
-        answer = Answer(
-            response.status, response.getheader("content-type"), response.read(), response.getheader("location")
-        )
-        connection.close()
-        return answer
-
-    async def ask(path: str, method: str = "GET", **headers: str) -> Answer:
-        return await asyncio.to_thread(request, path, method, **headers)
-
-    return ask
+    return asking(port)
 
 
 async def test_answer_is_the_address_of_a_robot_endpoint(ask: Ask) -> None:
-    status, kind, body, _ = await ask(GOOD, Host="cloud.example:9000")
+    status, kind, body, *_ = await ask(GOOD, Host="cloud.example:9000")
     assert (status, kind) == (200, "application/json; charset=utf-8")
     assert json.loads(body) == {"url": "ws://cloud.example:9010/"}
 
@@ -74,8 +50,8 @@ async def test_any_path_is_answered_as_the_root(ask: Ask, path: str) -> None:
 
 @pytest.mark.parametrize("version", [MINIMAL_VERSION, "20130901"])
 async def test_older_client_is_told_the_current_version(ask: Ask, version: str) -> None:
-    _, _, body, _ = await ask(f"/?userID=anybody&version={version}", Host="c")
-    assert json.loads(body) == {"url": "ws://c:9010/", "current": CURRENT_VERSION}
+    answer = await ask(f"/?userID=anybody&version={version}", Host="c")
+    assert json.loads(answer.body) == {"url": "ws://c:9010/", "current": CURRENT_VERSION}
 
 
 @pytest.mark.parametrize(
@@ -104,7 +80,7 @@ async def test_wrong_parameters_are_refused(ask: Ask, query: str, status: int, n
 
 async def test_without_a_robot_endpoint_the_entry_is_unavailable(ask: Ask, fleet: Fleet) -> None:
     fleet.state.joined.clear()
-    status, kind, body, _ = await ask(GOOD)
+    status, kind, body, *_ = await ask(GOOD)
     assert (status, kind) == (503, PLAIN)
     assert b"Robot endpoint" in body
 
@@ -143,55 +119,6 @@ async def test_endpoint_with_the_fewest_robots_is_chosen(ask: Ask, fleet: Fleet)
     assert urls == ["ws://east:1/", "ws://west:9010/"] * 2
 
 
-# --- services ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def service(fleet: Fleet) -> None:
-    fleet.join("map-service", "service", url="http://:9020/")
-
-
-@pytest.mark.parametrize("method", ["GET", "HEAD", "POST", "PATCH", "DELETE", "OPTIONS"])
-async def test_request_for_a_service_is_redirected(ask: Ask, service: None, method: str) -> None:
-    answer = await ask("/map-service/uploads/1?key=rce_1", method, Host="cloud:9000")
-    assert (answer.status, answer.location) == (307, "http://cloud:9020/map-service/uploads/1?key=rce_1")
-    assert (await ask("/map-service", Host="[::1]:9000")).location == "http://[::1]:9020/map-service"
-
-
-async def test_public_address_of_a_service_is_not_changed(ask: Ask, fleet: Fleet) -> None:
-    fleet.join("map-service", "service", url="https://maps.example/")
-    assert (await ask("//map-service/a%20b", Host="c")).location == "https://maps.example/map-service/a%20b"
-
-
-async def test_service_that_is_away_is_unavailable(ask: Ask, fleet: Fleet, service: None) -> None:
-    fleet.state.joined.discard("map-service")
-    answer = await ask("/map-service/jobs")
-    assert (answer.status, answer.location) == (503, None)
-    assert b"map-service is away" in answer.body
-
-
-async def test_only_services_are_redirected(ask: Ask) -> None:
-    assert (await ask("/west/")).status == 400
-    assert (await ask("/map-service/")).status == 400
-
-
-@pytest.mark.parametrize("framing", ["Content-Length: 4000000000", "Transfer-Encoding: chunked"])
-@pytest.mark.parametrize(
-    ("path", "status", "location"),
-    [("/map-service/uploads", b"307", b"http://c:9020/map-service/uploads"), ("/", b"413", b"")],
-)
-async def test_large_body_is_refused_before_it_is_sent(
-    port: int, service: None, path: str, framing: str, status: bytes, location: bytes
-) -> None:
-    reader, writer = await asyncio.open_connection("127.0.0.1", port)
-    writer.write(f"POST {path} HTTP/1.1\r\nHost: c:9000\r\nExpect: 100-continue\r\n{framing}\r\n\r\n".encode())
-    answer = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 20)
-    assert answer.split()[1] == status
-    assert location in answer
-    assert b"100 Continue" not in answer
-    writer.close()
-
-
 async def test_body_that_is_not_announced_is_read_before_the_answer(port: int) -> None:
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     writer.write(b"POST / HTTP/1.1\r\nHost: c\r\nExpect: 100-continue\r\nContent-Length: 2\r\n\r\n")
@@ -224,12 +151,6 @@ async def test_long_header_is_a_bad_request(port: int, length: int) -> None:
     writer.close()
 
 
-async def test_pages_of_any_origin_may_read_the_answer(port: int) -> None:
-    def header() -> str | None:
-        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
-        connection.request("GET", GOOD, headers={"Connection": "close", "Origin": "https://elsewhere.example"})
-        answer = connection.getresponse().getheader("access-control-allow-origin")
-        connection.close()
-        return answer
-
-    assert await asyncio.to_thread(header) == "*"
+async def test_pages_of_any_origin_may_read_the_answer(ask: Ask) -> None:
+    answer = await ask(GOOD, Origin="https://elsewhere.example")
+    assert answer.origins == "*"

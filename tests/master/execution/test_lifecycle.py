@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from master.graph.records import Ref
+from master.execution.lifecycle import RETRY_FIRST, RETRY_MOST
 from rce.control.calls.call import Nothing
 from rce.control.calls.endpoints import AddRoute, Bind, NodeDied, StartNode, Sync
 from rce.control.calls.environments import (
@@ -18,9 +18,10 @@ from rce.control.calls.environments import (
     StopEnvironment,
 )
 from rce.control.calls.robots import DescribeType, SendStatus
-from rce.errors import ErrorInfo, NotFound, StartFailed, Unauthorized
+from rce.errors import ErrorInfo, NotFound, StartFailed, Unauthorized, UnknownType
 from rce.protocol import messages as m
-from tests.support.master.peers import PATIENCE, Furnished, Platform, execute, login, told
+from tests.support.master.desk import Desk
+from tests.support.master.peers import Furnished, Platform, execute, login, told
 
 
 async def test_environment_is_acknowledged_when_it_is_in_sync(platform: Platform) -> None:
@@ -82,28 +83,44 @@ async def test_dead_environment_is_restarted(furnished: Furnished) -> None:
     assert (await second.next(AddRoute)).route.link != furnished.link
 
 
-async def test_failed_restart_is_retried(furnished: Furnished) -> None:
-    platform, m1 = furnished.platform, furnished.m1
+def die(desk: Desk, reason: str) -> None:
+    desk.hand.begin(desk.master._lifecycle._environment_died(EnvironmentDied("ann/brain", desk.run("brain"), reason)))
+
+
+def test_failed_restart_is_retried_with_growing_pauses(desk: Desk) -> None:
+    m1 = desk.machine("m1")
+    desk.made("brain")
     m1.refuse[StartEnvironment] = StartFailed("engine is down")
-    run = platform.master.state.environments["ann/brain"].run
-    await m1.call(EnvironmentDied("ann/brain", run, "killed"))
-    runs = [(await m1.next(StartEnvironment)).environment.run for _ in range(3)]
-    assert len({run, *runs}) == 4
+    die(desk, "killed")
+    pauses, before = [], desk.hand.time()
+    while len(pauses) < 8:
+        starts = len(m1.got(StartEnvironment))
+        while len(m1.got(StartEnvironment)) == starts:
+            desk.turn(RETRY_FIRST)
+        pauses.append(desk.hand.time() - before)
+        before = desk.hand.time()
+    assert pauses == [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, RETRY_MOST, RETRY_MOST]
+    runs = [call.environment.run for call in m1.got(StartEnvironment)]
+    assert len(set(runs)) == len(runs)
     m1.refuse.clear()
-    await platform.environment(m1)
+    desk.turn(RETRY_MOST)
+    assert desk.endpoint("brain").got(Sync)
+    die(desk, "killed again")
+    desk.turn(RETRY_FIRST)  # it had worked, so the pauses begin anew
+    assert len(m1.got(StartEnvironment)) == len(runs) + 2
 
 
-async def test_type_request_does_not_prevent_a_restart(furnished: Furnished) -> None:
-    platform, m1 = furnished.platform, furnished.m1
-    run = platform.master.state.environments["ann/brain"].run
-    await m1.call(EnvironmentDied("ann/brain", run, "killed"))
-    second = (await m1.next(StartEnvironment)).environment
-    asked = asyncio.ensure_future(furnished.west.call(DescribeType("ann", "my_msgs/msg/A", False)))
-    await platform.until(lambda: Ref("environment", "ann/brain") in platform.master._runner.readiness._waiting)
-    await m1.call(EnvironmentDied("ann/brain", second.run, "killed again"))
-    await platform.environment(m1)
-    assert isinstance(await asyncio.wait_for(asyncio.wait([asked]), PATIENCE), tuple)
-    asked.exception()
+def test_type_request_does_not_prevent_a_restart(desk: Desk) -> None:
+    m1 = desk.machine("m1")
+    desk.made("brain")
+    die(desk, "killed")
+    asked = desk.hand.begin(desk.master._describe_type(DescribeType("ann", "my_msgs/msg/A", False)))
+    assert not asked.done()
+    desk.turn(RETRY_FIRST)
+    die(desk, "killed again")
+    assert isinstance(asked.exception(), UnknownType)
+    desk.turn(2 * RETRY_FIRST)
+    assert len(m1.got(StartEnvironment)) == 3
 
 
 async def test_environment_with_restart_no_is_not_restarted(platform: Platform) -> None:
@@ -116,11 +133,6 @@ async def test_environment_with_restart_no_is_not_restarted(platform: Platform) 
     run = platform.master.state.environments["ann/brain"].run
     await m1.call(EnvironmentDied("ann/brain", run, "killed"))
     assert len(platform.master.state.environments) == 0
-
-
-async def test_type_is_looked_up_in_the_users_environments(furnished: Furnished) -> None:
-    answer = await furnished.west.call(DescribeType("ann", "my_msgs/msg/A", False))
-    assert answer.texts == {"my_msgs/msg/A": "of ann/brain"}
 
 
 async def test_node_that_ran_is_restarted(furnished: Furnished) -> None:

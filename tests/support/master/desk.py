@@ -70,12 +70,13 @@ class Peer:
         self._desk.hand.do(lambda: answer.set_result(None))
 
     def close(self) -> None:
-        self.leave()
+        """End the connection; the Master calls this."""
+        if not self.lost.done():
+            self.lost.set_result(None)
 
     def leave(self) -> None:
         """Lose the connection."""
-        if not self.lost.done():
-            self._desk.hand.do(lambda: self.lost.set_result(None))
+        self._desk.hand.do(self.close)
 
     def got(self, kind: type[T]) -> list[T]:
         return [call for call in self.arrived if isinstance(call, kind)]

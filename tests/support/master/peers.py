@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from typing import Any, TypeVar
 
+import argon2
 from twisted.internet.base import ReactorBase
 
 import rce
@@ -27,6 +28,7 @@ from rce.protocol import messages as m
 T = TypeVar("T", bound=Call[Any])
 LONG = 1000.0  # a grace period that outlasts a test
 PATIENCE = 20.0  # seconds until a test that hangs fails
+QUICK_HASHER = argon2.PasswordHasher(time_cost=1, memory_cost=8, parallelism=1)  # there are many logins
 
 
 class Peer:
@@ -105,6 +107,7 @@ class Platform:
         self.store = Store(self.database)
         await self.store.open()
         self.master = Master(self.store, self.grace)
+        self.master.users.passwords.hasher = QUICK_HASHER
         await self.master.start()
         self.port = await listen(self.reactor, "tcp:0:interface=127.0.0.1", self.master)
         self.address = f"tcp:127.0.0.1:{self.port.getHost().port}"  # type: ignore[misc,attr-defined]
