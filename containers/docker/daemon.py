@@ -44,11 +44,12 @@ class Found(Struct, frozen=True):
 
 
 class State(Struct, frozen=True):
-    """State of a container that has ended; `memory` is its limit in bytes."""
+    """State of a container; `status` is 0 while it is `running`, `memory` is its limit in bytes."""
 
     status: int
     out_of_memory: bool
     memory: int
+    running: bool = False
 
 
 class Daemon(AsyncDocker):
@@ -208,7 +209,7 @@ class Daemon(AsyncDocker):
         except NotFound:
             return None
         state = seen["State"]
-        return State(state["ExitCode"], state["OOMKilled"], seen["HostConfig"]["Memory"])
+        return State(state["ExitCode"], state["OOMKilled"], seen["HostConfig"]["Memory"], state["Running"])
 
     def _output(self, run: str, count: int) -> bytes:
         try:

@@ -93,6 +93,7 @@ class DockerEngine(Engine):
         self._environments: dict[str, _Environment] = {}
         self._background: set[asyncio.Task[None]] = set()
         self._following = asyncio.Event()  # set when Docker's event stream has begun
+        self._ended_early: set[str] = set()  # runs whose end was reported while `recover` had not yet adopted them
         self._machine = Machine()
 
     async def launch(self, spec: EnvironmentSpec) -> None:
@@ -185,6 +186,8 @@ class DockerEngine(Engine):
             if found.running and self._paths(found.name, found.run).control.is_dir():
                 await self._connect(found.name, found.run, found.gpus)
                 adopted[found.name] = RunningEnvironment(found.run, found.size)
+                if found.run in self._ended_early:
+                    self._spawn_background(self._report_ended(found.name, found.run))
             else:
                 log.info("removing the remains of {name}", name=found.name)
                 await self._daemon.remove(found.name)
@@ -261,6 +264,8 @@ class DockerEngine(Engine):
         run = event["Actor"]["Attributes"][RUN]
         name = next((name for name, each in self._environments.items() if each.run == run), None)
         if name is None:
+            if event["Action"] == "die" and not self._opened.is_set():
+                self._ended_early.add(run)
             return
         if event["Action"] == "oom":
             self.report_limit(name, run, "it reached its memory limit, and the kernel killed one of its processes")
@@ -274,13 +279,17 @@ class DockerEngine(Engine):
         self._following.set()
 
     async def _report_ended(self, name: str, run: str) -> None:
-        """Report the end of an environment with the reason that Docker gives."""
+        """Report the end of an environment with the reason that Docker gives, unless it runs.
+
+        It may have been started after the list of containers was read in which it did not run.
+        """
         state = await self._daemon.state(run)
         if state is None:
             self.report_end(name, run, "was removed", None)
             return
-        status, reason = describe(state)
-        self.report_end(name, run, reason, status)
+        if not state.running:
+            status, reason = describe(state)
+            self.report_end(name, run, reason, status)
 
     async def _check_all(self) -> None:
         """Report the ends of environments that were missed while Docker's event stream was interrupted."""

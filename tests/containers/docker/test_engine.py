@@ -7,6 +7,7 @@ import asyncio
 import os
 import re
 import socket
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,9 @@ from tests.support.containers.engine_contract import Endings, EngineContract, op
 
 docker = pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
+from containers.docker.daemon import Found
 from containers.docker.engine import DockerEngine
+from containers.docker.events import Event
 from containers.engine import RunningEnvironment
 from rce.errors import InvalidRequest, LimitExceeded, StartFailed, Unavailable
 from rce.protocol.slots import MB, PIDS
@@ -113,6 +116,56 @@ async def test_leftovers_of_a_killed_task_set_are_removed(world: DockerWorld, en
         }
         assert world.remains() == {"ann/a", "ann/b"}
         assert not list((world.directory / "sockets" / "ann").iterdir())
+
+
+async def test_end_during_adoption_is_reported(
+    world: DockerWorld, engine: DockerEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One of two environments ends when Docker has listed both and the other one is being adopted."""
+    names = {"ann/a": "ann/b", "ann/b": "ann/a"}
+    for number, name in enumerate(names):
+        await engine.start(spec(name, number))
+    await engine.close()
+    endings, died = Endings(), asyncio.Event()
+    again = world.engine(endings)
+    connect, on_event = again._connect, again._on_event
+    first = ""
+
+    async def connect_slowly(name: str, run: str, gpus: Sequence[str]) -> Any:
+        nonlocal first
+        if not first:
+            first = name
+            await world.end(names[name])
+            await died.wait()
+        return await connect(name, run, gpus)
+
+    def observe(event: Event) -> None:
+        on_event(event)
+        died.set()
+
+    monkeypatch.setattr(again, "_connect", connect_slowly)
+    monkeypatch.setattr(again, "_on_event", observe)
+    async with opened(again):
+        ended = await endings.next()
+        assert (ended.name, ended.status) == (names[first], 3)
+        assert list(again.running()) == [first]
+
+
+async def test_environment_that_started_meanwhile_is_not_taken_for_ended(
+    world: DockerWorld, engine: DockerEngine, endings: Endings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Docker's event stream is interrupted; the containers are listed before the environment runs."""
+    await engine.start(spec())
+
+    async def present() -> list[Found]:
+        return [Found("", "ann/map", spec().run, 1, running=False)]
+
+    monkeypatch.setattr(engine._daemon, "present", present)
+    engine._on_resumed()
+    await asyncio.gather(*engine._background)
+    await asyncio.gather(*engine._tasks)
+    assert world.alive() == {"ann/map": spec().run}
+    assert endings.none()
 
 
 async def test_task_sets_on_one_daemon_are_independent(
