@@ -3,33 +3,38 @@
 from __future__ import annotations
 
 import asyncio
-import errno
 from collections.abc import Awaitable, Callable
 
 from twisted.internet.error import CannotListenError
 from twisted.internet.interfaces import IListeningPort
 from twisted.logger import Logger
 
+from rce.errors import Unavailable
+
 log = Logger()
 
 
 async def listen_again(listen: Callable[[int], Awaitable[int]], previous: int) -> int:
-    """Listen on the port of last time, or on any free one if another program has taken it meanwhile.
+    """Listen on the port of last time, or on any free one if that is not possible.
 
     Args:
         listen: Listens on a port (0: any free one) and returns the port taken.
         previous: The port of last time; 0 if there is none.
 
     Raises:
-        CannotListenError: The address cannot be used.
+        CannotListenError: The address cannot be used, from a `listen` of Twisted.
+        Unavailable: The address cannot be used, from any other.
     """
     try:
         return await listen(previous)
-    except CannotListenError as error:
-        if not previous or getattr(error.socketError, "errno", None) != errno.EADDRINUSE:
+    except (CannotListenError, Unavailable) as error:
+        if not previous:
             raise
+        reason = error
     port = await listen(0)
-    log.info("port {previous} is in use by another program, listening on {port}", previous=previous, port=port)
+    log.info(
+        "listening on port {port} instead of {previous}: {reason}", port=port, previous=previous, reason=str(reason)
+    )
     return port
 
 

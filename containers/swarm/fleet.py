@@ -120,8 +120,8 @@ class Fleet:
 
         try:
             port = await listen_again(listen_for_agents, access.port)
-            images = await listen_again(partial(self._registry.listen, reactor, address, tls=self._tls), access.images)
-        except (OSError, CannotListenError) as error:
+            images = await listen_again(partial(self._registry.listen, address, tls=self._tls), access.images)
+        except (OSError, CannotListenError, Unavailable) as error:
             raise Unavailable(f"cannot listen for the agents of the swarm at {address}: {error}") from None
         await self._manager.sweep_exports(self._images)
         AgentAccess(access.secret, port, images).store(self._file)

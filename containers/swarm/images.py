@@ -8,7 +8,7 @@ resumes a transfer that was interrupted.
 
 from __future__ import annotations
 
-import asyncio
+import base64
 import hashlib
 import hmac
 import json
@@ -16,22 +16,16 @@ import os
 import re
 import tarfile
 import tempfile
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
 
 import docker
-from twisted.internet import endpoints
-from twisted.internet.base import ReactorBase
-from twisted.internet.interfaces import IListeningPort
-from twisted.protocols.policies import ProtocolWrapper, WrappingFactory
-from twisted.web.http import NOT_FOUND, UNAUTHORIZED
-from twisted.web.resource import Resource
-from twisted.web.server import Request, Site
-from twisted.web.static import File
+from aiohttp import web
 
-from containers.ports import close_port
-from rce.net.tls import CERTIFICATE, KEY, Tls
+from rce.net.tls import CERTIFICATE, KEY, Tls, public_tls_context
+from rce.web.requests import header, raw_path
+from rce.web.server import Endpoint, listen, serve_handler
 
 NAME = "rce"  # the only repository; images in it are requested by digest
 USER = "agent"
@@ -39,7 +33,9 @@ MANIFEST = "application/vnd.docker.distribution.manifest.v2+json"
 CONFIG = "application/vnd.docker.container.image.v1+json"
 LAYER = "application/vnd.docker.image.rootfs.diff.tar.gzip"  # Docker also accepts layers without gzip under this type
 CHUNK = 1024 * 1024
-TLS_HANDSHAKE = b"\x16"  # first byte of a TLS handshake record
+API_HEADERS = {"Docker-Distribution-Api-Version": "registry/2.0"}
+CHALLENGE = {"WWW-Authenticate": 'Basic realm="rce"'}
+METHODS = ("GET", "HEAD")
 _PATH = re.compile(rf"/v2/{NAME}/(manifests|blobs)/sha256:([0-9a-f]{{64}})")
 
 
@@ -125,77 +121,63 @@ def sweep(directory: Path, images: Collection[str]) -> None:
             path.unlink()
 
 
-class _TlsRejecter(ProtocolWrapper):
-    """Closes a connection that begins with a TLS handshake.
-
-    Docker tries TLS first, and would wait ten seconds for an answer before it tries plain HTTP.
-    """
-
-    def dataReceived(self, data: bytes) -> None:
-        """Pass data on unless it is a TLS handshake."""
-        if data.startswith(TLS_HANDSHAKE):
-            cast(Any, self.transport).abortConnection()
-        else:
-            super().dataReceived(data)  # type: ignore[no-untyped-call]
-
-
-class ImageRegistry(Resource):
-    """HTTP resource that serves the images exported to `directory` to clients that know `secret`.
+class ImageRegistry:
+    """HTTP server of the images exported to `directory`, for clients that know `secret`.
 
     The password is derived from the secret of the agents, because every node's Docker gets to see it.
     """
 
-    isLeaf = True
-
     def __init__(self, directory: Path, secret: str) -> None:
-        super().__init__()  # type: ignore[no-untyped-call]
         self.secret = hmac.digest(secret.encode(), b"images", "sha256").hex()
         self.address = ""
         self._directory = directory
-        self._port: IListeningPort | None = None
+        self._runner = serve_handler(self._answer)
 
-    async def listen(self, reactor: ReactorBase, host: str, port: int, tls: Tls | None) -> int:
+    async def listen(self, host: str, port: int, tls: Tls | None) -> int:
         """Listen for HTTP, or HTTPS with `tls`; return the port.
 
         Docker on the nodes does not verify the certificate, as it does not know the CA; it verifies the digest of what
-        it pulls.
+        it pulls. Without `tls` it tries TLS first all the same, and then plain HTTP.
+
+        Raises:
+            Unavailable: The port is in use or cannot be bound.
         """
-        description = f"tcp:{port}:interface={host}"
-        if tls is not None:
-            files = [endpoints.quoteStringArgument(str(tls.directory / name)) for name in (KEY, CERTIFICATE)]
-            description = f"ssl:{port}:interface={host}:privateKey={files[0]}:certKey={files[1]}"
-        endpoint = endpoints.serverFromString(reactor, description)
-        factory = WrappingFactory(Site(self))
-        factory.protocol = _TlsRejecter
-        self._port = await endpoint.listen(factory).asFuture(asyncio.get_running_loop())
-        bound = int(self._port.getHost().port)  # type: ignore[misc]  # zope declares it without self
+        context = public_tls_context(str(tls.directory / CERTIFICATE), str(tls.directory / KEY)) if tls else None
+        _, bound = await listen(self._runner, Endpoint(host, port, context))
         self.address = f"{host}:{bound}"
         return bound
 
     async def close(self) -> None:
-        """Stop listening."""
-        if self._port is not None:
-            await close_port(self._port)
-            self._port = None
+        """Stop listening and close all connections."""
+        await self._runner.cleanup()
 
-    def render(self, request: Request) -> Any:
-        """Answer a request."""
-        request.setHeader("Docker-Distribution-Api-Version", "registry/2.0")
-        if not hmac.compare_digest(request.getPassword(), self.secret.encode()):
-            request.setHeader("WWW-Authenticate", 'Basic realm="rce"')
-            return _empty_answer(request, UNAUTHORIZED)
-        path = request.path.decode()
+    async def _answer(self, request: web.BaseRequest) -> web.StreamResponse:
+        if not hmac.compare_digest(_password(request), self.secret.encode()):
+            return _json_answer(b'{"errors":[]}', 401, CHALLENGE)
+        path = raw_path(request)
         if path == "/v2/":
-            return b"{}"
+            return _json_answer(b"{}")
         match = _PATH.fullmatch(path)
         file = self._directory / match[2] if match else None
         if match is None or file is None or not file.is_file():
-            return _empty_answer(request, NOT_FOUND)
-        request.setHeader("Docker-Content-Digest", f"sha256:{match[2]}")
+            return _json_answer(b'{"errors":[]}', 404)
+        if request.method not in METHODS:
+            return _json_answer(b'{"errors":[]}', 405, {"Allow": ", ".join(METHODS)})
         media_type = MANIFEST if match[1] == "manifests" else "application/octet-stream"
-        return File(str(file), defaultType=media_type).render(request)
+        headers = {"Docker-Content-Digest": f"sha256:{match[2]}", "Content-Type": media_type}
+        return web.FileResponse(file, headers=API_HEADERS | headers)
 
 
-def _empty_answer(request: Request, code: int) -> bytes:
-    request.setResponseCode(code)
-    return b'{"errors":[]}'
+def _password(request: web.BaseRequest) -> bytes:
+    """Return the password of a request; empty without a valid one."""
+    scheme, _, text = (header(request, "Authorization") or "").partition(" ")
+    try:
+        credentials = base64.b64decode(text, validate=True)
+    except ValueError:
+        return b""
+    return credentials.partition(b":")[2] if scheme.lower() == "basic" else b""
+
+
+def _json_answer(body: bytes, status: int = 200, headers: Mapping[str, str] | None = None) -> web.Response:
+    headers = {**API_HEADERS, **(headers or {})}
+    return web.Response(body=body, status=status, headers=headers, content_type="application/json")
