@@ -17,6 +17,12 @@ def wrap_angle(angle: float) -> float:
     return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
+def wrap_angles(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the equivalent angles in [-pi, pi)."""
+    wrapped: NDArray[np.float64] = (angles + np.pi) % (2 * np.pi) - np.pi
+    return wrapped
+
+
 class Pose(NamedTuple):
     """Pose in the plane, or the motion between two poses.
 
@@ -82,8 +88,13 @@ def trajectory_of_offset(trajectory: NDArray[np.float64], offset: Pose) -> NDArr
     """
     stamps, x, y, theta = trajectory.T
     c, s = np.cos(theta), np.sin(theta)
-    turned = (theta + offset.theta + math.pi) % (2 * math.pi) - math.pi
+    turned = wrap_angles(theta + offset.theta)
     return np.stack([stamps, x + c * offset.x - s * offset.y, y + s * offset.x + c * offset.y, turned], axis=1)
+
+
+def round_up_to_blocks(missing: NDArray[np.int64], block: int) -> NDArray[np.int64]:
+    """Round numbers of missing cells up to whole blocks of `block` cells; negative numbers become 0."""
+    return np.maximum(-(-missing // block), 0) * block
 
 
 def sample_cells(cells: NDArray[Cell], places: Points, outside: int) -> NDArray[Cell]:

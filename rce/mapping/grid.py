@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rce.mapping.geometry import Points, sample_cells
+from rce.mapping.geometry import Points, round_up_to_blocks, sample_cells
 from rce.mapping.matching import kernels
 from rce.mapping.state import Reader, State
 
@@ -50,6 +50,12 @@ class OccupancyGrid:
     resolution: float
     x: float
     y: float
+
+    def centres(self, chosen: NDArray[np.bool_]) -> Points:
+        """Return the centres (n, 2), metres, map frame, of the cells that are true in `chosen` (height, width)."""
+        rows, columns = np.nonzero(chosen)
+        centres: Points = (np.stack([columns, rows], axis=1) + 0.5) * self.resolution + np.array([self.x, self.y])
+        return centres
 
     def at(self, points: Points) -> NDArray[np.int8]:
         """Return the cells (n,) at points (n, 2), metres, map frame; unknown outside the grid."""
@@ -127,14 +133,9 @@ class GridMap:
         low, high = cells.min(axis=0), cells.max(axis=0)
         self._seen = np.stack([np.minimum(self._seen[0], low), np.maximum(self._seen[1], high)])
         size = np.array(self.log_odds.shape[::-1])
-        before = _round_up_to_blocks(self._corner - (low - 1))
-        after = _round_up_to_blocks(high + 2 - (self._corner + size))
+        before = round_up_to_blocks(self._corner - (low - 1), BLOCK)
+        after = round_up_to_blocks(high + 2 - (self._corner + size), BLOCK)
         if before.any() or after.any():
             columns, rows = zip(before.tolist(), after.tolist(), strict=True)
             self.log_odds = np.pad(self.log_odds, (rows, columns))
             self._corner = self._corner - before
-
-
-def _round_up_to_blocks(missing: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Round numbers of missing cells up to whole blocks; negative numbers become 0."""
-    return np.maximum(-(-missing // BLOCK), 0) * BLOCK

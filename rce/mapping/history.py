@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rce.mapping.geometry import Pose
+from rce.mapping.geometry import Pose, wrap_angles
 from rce.mapping.state import Reader, State
 
 FIRST_ROWS = 1024  # rows allocated at first; the arrays double when they are full
@@ -72,5 +72,4 @@ def _compose(frames: NDArray[np.float64], poses: NDArray[np.float64]) -> NDArray
     c, s = np.cos(frames[:, 2]), np.sin(frames[:, 2])
     x = frames[:, 0] + c * poses[:, 0] - s * poses[:, 1]
     y = frames[:, 1] + s * poses[:, 0] + c * poses[:, 1]
-    theta: NDArray[np.float64] = frames[:, 2] + poses[:, 2]
-    return np.stack([x, y, (theta + np.pi) % (2 * np.pi) - np.pi], axis=1)
+    return np.stack([x, y, wrap_angles(frames[:, 2] + poses[:, 2])], axis=1)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_typestore
 
 from rce.client import Environment, Event, Reconnected, Robot, Stream
-from rce.errors import Died, TimedOut
+from rce.errors import Died, TimedOut, Unavailable
 from rce.mapping.geometry import Pose
 from rce.mapping.grid import OccupancyGrid
 from rce.mapping.scans import Scan
@@ -197,6 +197,7 @@ class MappingRobot:
 
         Raises:
             Died: The node or its environment ended.
+            Unavailable: The robot was closed.
             TimedOut: `work` took longer than `seconds`; `what` names it in the message.
         """
         task = asyncio.ensure_future(work)
@@ -206,6 +207,7 @@ class MappingRobot:
                 return task.result()
             if self._failure.done():
                 self._failure.result()
+                raise Unavailable(f"the robot was closed while it was waiting for {what}")
             raise TimedOut(f"no answer within {seconds:g} s: waiting for {what}")
         finally:
             task.cancel()

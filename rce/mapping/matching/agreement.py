@@ -52,7 +52,7 @@ class Surroundings:
         for other in graph.distances(number, way):
             at = frame.to(graph.nodes[other].pose)
             for sweep in graph.nodes[other].sweeps[:1]:  # the other sweeps of a node cover nearly the same space
-                free.insert(at.transform(sweep.sensor), at.transform(sweep.points.astype(np.float64)))
+                free.insert(*sweep.seen_from(at))
         self._free = free.render()
 
     def count(self, points: Points) -> tuple[int, int]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rce.mapping.geometry import Points, Pose
+from rce.mapping.matching.fields import downsample
 from rce.mapping.matching.kernels import compiled
 
 CHECK_INTERVAL = 16  # points between checks whether a pose can still reach the score that is required
@@ -45,6 +46,11 @@ class PlaceSearch:
     turn: float = math.radians(1)
     view: float = 15.0
 
+    def points_in_view(self, points: Points) -> Points:
+        """Return the points of a place that are searched for, of points (n, 2), metres, frame of the place."""
+        near = points[np.hypot(points[:, 0], points[:, 1]) < self.view]
+        return downsample(near, self.spacing, self.max_points)
+
 
 def find_place(
     pyramid: NDArray[np.uint8],
@@ -73,31 +79,22 @@ def find_place(
     Returns:
         The pose, x and y in cells.
     """
-    least = settings.min_score
-    x, y, theta, score = _search(pyramid, cells, centre, steps, turns, settings, least, NOTHING_EXCLUDED)
-    if score <= least:
+
+    def search(around: Pose, least: float, excluded: NDArray[np.float64]) -> list[float]:
+        found: list[float] = branch_and_bound(
+            pyramid, cells, *around, steps, turns, settings.turn, least, excluded, settings.budget
+        ).tolist()
+        return found
+
+    x, y, theta, score = search(centre, settings.min_score, NOTHING_EXCLUDED)
+    if score <= settings.min_score:
         return None
     rival = settings.rival_ratio * score
     excluded = np.array([x, y, theta, settings.rival_distance / settings.resolution, settings.rival_turn])
     around = centre._replace(theta=theta) if turn_to_best else centre
-    if _search(pyramid, cells, around, steps, turns, settings, rival, excluded)[3] != rival:
+    if search(around, rival, excluded)[3] != rival:
         return None
     return Pose(x, y, theta)
-
-
-def _search(
-    pyramid: NDArray[np.uint8],
-    cells: Points,
-    centre: Pose,
-    steps: int,
-    turns: int,
-    settings: PlaceSearch,
-    least: float,
-    excluded: NDArray[np.float64],
-) -> tuple[float, float, float, float]:
-    found = branch_and_bound(pyramid, cells, *centre, steps, turns, settings.turn, least, excluded, settings.budget)
-    x, y, theta, score = found.tolist()
-    return x, y, theta, score
 
 
 @compiled("float64(uint8[:,::1], int32[:,::1], int64, int64, float64)")

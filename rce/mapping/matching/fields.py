@@ -120,6 +120,11 @@ def square_around(pose: Pose, half: float, resolution: float) -> Field:
     return Field((pose.x - half, pose.y - half), (pose.x + half, pose.y + half), resolution)
 
 
+def every_nth(points: Points, count: int) -> Points:
+    """Return `count` points of (n, 2) or up to twice as many, evenly chosen; all if there are fewer."""
+    return np.ascontiguousarray(points[:: max(1, len(points) // count)])
+
+
 def downsample(points: Points, spacing: float, limit: int) -> Points:
     """Return points (n, 2) reduced to one for each square of `spacing` metres, and evenly to at most `limit`."""
     _, first = np.unique(np.floor(points / spacing).astype(np.int64) @ np.array([1, 1 << 32]), return_index=True)

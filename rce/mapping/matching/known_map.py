@@ -12,7 +12,7 @@ from rce.mapping.geometry import Points, Pose, wrap_angle
 from rce.mapping.grid import OccupancyGrid
 from rce.mapping.matching import local_map
 from rce.mapping.matching.branch_and_bound import PlaceSearch, find_place
-from rce.mapping.matching.fields import Field, downsample
+from rce.mapping.matching.fields import Field
 from rce.mapping.matching.scan_matching import Match, Window, match
 
 SEARCH = PlaceSearch(spacing=0.2, max_points=200, min_points=60, budget=2_000_000)
@@ -50,8 +50,7 @@ class KnownMap:
     def __init__(self, grid: OccupancyGrid) -> None:
         """Prepare a map: a fine field for matching, and a pyramid for the search of the whole map."""
         self.grid = grid
-        rows, columns = np.nonzero(grid.cells >= 100 * OCCUPIED)
-        walls: Points = (np.stack([columns, rows], axis=1) + 0.5) * grid.resolution + np.array([grid.x, grid.y])
+        walls = grid.centres(grid.cells >= 100 * OCCUPIED)
         height, width = grid.cells.shape
         margin = SETTINGS.margin
         low = (grid.x - margin, grid.y - margin)
@@ -76,9 +75,7 @@ class KnownMap:
             The match, or None if the points fit nowhere, fit at several places, or are too few.
         """
         search = SETTINGS.search
-        query = downsample(
-            points[np.hypot(points[:, 0], points[:, 1]) < search.view], search.spacing, search.max_points
-        )
+        query = search.points_in_view(points)
         if len(query) < search.min_points:
             return None
         cells, (height, width) = query / search.resolution, self._coarse.likelihood.shape

@@ -55,6 +55,22 @@ MIN_HITS, MAX_HITS, PULL, TURN_PULL = SETTINGS.min_hits, SETTINGS.max_hits, SETT
 TURN_LIMIT, MOVE_TOLERANCE, TURN_TOLERANCE = SETTINGS.turn_limit, SETTINGS.move_tolerance, SETTINGS.turn_tolerance
 
 
+@compiled("UniTuple(int64, 3)(float32[:,:,:,::1], int32[:,::1], int64, int64)")
+def known_cell(tiles: NDArray[np.float32], table: NDArray[np.int32], column: int, row: int) -> tuple[int, int, int]:
+    """Return the index in `tiles` of the cell at a place of the map; the tile is -1 if there is no distribution.
+
+    Args:
+        tiles: Tiles of the map.
+        table: Index of the tile at each place.
+        column: Coarse cells, inside the map.
+        row: Coarse cells, inside the map.
+    """
+    tile, r, c = table[row >> SHIFT, column >> SHIFT], row & TILE - 1, column & TILE - 1
+    if tile >= 0 and tiles[tile, r, c, 0] < MIN_HITS:
+        return -1, r, c
+    return tile, r, c
+
+
 @compiled("void(float32[:,:,:,::1], int32[:,::1], float64[:,::1], int64)")
 def learn(tiles: NDArray[np.float32], table: NDArray[np.int32], hits: NDArray[np.float64], ratio: int) -> None:
     """Add hits to the normal distributions of their cells.
@@ -156,12 +172,10 @@ def align(
             v -= low
             for corner in range(4):
                 column, row = corner & 1, corner >> 1
-                tile = table[low + row >> SHIFT, left + column >> SHIFT]
+                tile, r, q = known_cell(tiles, table, left + column, low + row)
                 if tile < 0:
                     continue
-                cell = tiles[tile, low + row & TILE - 1, left + column & TILE - 1]
-                if cell[0] < MIN_HITS:
-                    continue
+                cell = tiles[tile, r, q]
                 # Error e: from the point to the mean of the cell.
                 ex, ey = cell[1] - (u - column) * ratio, cell[2] - (v - row) * ratio
                 # Information I = adj V / (det V + variance tr V).

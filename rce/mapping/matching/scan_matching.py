@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rce.mapping.geometry import Points, Pose, wrap_angle
 from rce.mapping.matching import kernels, ndt
-from rce.mapping.matching.fields import Field
+from rce.mapping.matching.fields import Field, every_nth
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ def match(field: Field, points: Points, predictions: list[Pose], window: Window,
             wall would pull the pose along it, this is what holds the pose.
     """
     cells = points / field.resolution
-    thinned = np.ascontiguousarray(cells[:: max(1, len(cells) // SETTINGS.search_points)])
+    thinned = every_nth(cells, SETTINGS.search_points)
     centres = [field.pose_to_cells(prediction) for prediction in predictions]
     pull = max(ndt.SETTINGS.pull, (SETTINGS.trust / spread) ** 2)
     expected = fit(field, cells, thinned, centres[0], centres[0], pull)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rce.mapping.geometry import Points, Pose
 from rce.mapping.grid import OccupancyGrid
 from rce.mapping.matching import scan_matching
-from rce.mapping.matching.fields import Field
+from rce.mapping.matching.fields import Field, every_nth
 from rce.mapping.matching.kernels import compiled, correlate
 from rce.mapping.matching.scan_matching import Match, fit
 
@@ -81,7 +81,7 @@ def match_wide(field: Field, free: OccupancyGrid, points: Points, predictions: l
         predictions: Poses in the map frame, the most trusted first.
     """
     cells = points / field.resolution
-    thinned = np.ascontiguousarray(cells[:: max(1, len(cells) // scan_matching.SETTINGS.search_points)])
+    thinned = every_nth(cells, scan_matching.SETTINGS.search_points)
     centres = [field.pose_to_cells(prediction) for prediction in predictions]
     # Candidates: the predictions and the refined modes of the coarse search.
     starts = [*centres, *(_refine(field, thinned, mode) for mode in _modes(field, thinned, centres[-1]))]
@@ -103,7 +103,7 @@ def _modes(field: Field, thinned: Points, centre: Pose) -> list[Pose]:
     """Return the best places of a coarse search around a centre that lie apart from each other; in cells."""
     settings = SETTINGS
     coarse = _max_pool(field.likelihood)
-    points = np.ascontiguousarray(thinned[:: max(1, len(thinned) // settings.coarse_points)] / settings.coarse)
+    points = every_nth(thinned, settings.coarse_points) / settings.coarse
     steps = round(settings.reach / field.resolution / settings.coarse)
     turns = round(settings.turn / settings.coarse_turn)
     x, y = ((value + 0.5) / settings.coarse - 0.5 for value in centre[:2])

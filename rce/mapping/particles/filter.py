@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rce.mapping.geometry import Points, Pose
+from rce.mapping.geometry import Points, Pose, wrap_angles
 from rce.mapping.matching.fields import downsample
 from rce.mapping.particles import kernels
 from rce.mapping.particles.paths import Paths
@@ -188,7 +188,7 @@ class ParticleFilter:
         # Scan matching: the measurement as a Gaussian. For a particle that jumps, the motion is ignored.
         matched, precision, likelihood, jumped = self._match(starts, expected, points)
         off = np.where(jumped[:, None], 0.0, expected - matched)
-        off[:, 2] = (off[:, 2] + np.pi) % (2 * np.pi) - np.pi
+        off[:, 2] = wrap_angles(off[:, 2])
         # Product of the two Gaussians: the proposal.
         both = precision + np.linalg.inv(prior)
         covariance = np.linalg.inv(both)
@@ -203,7 +203,7 @@ class ParticleFilter:
         self.log_weights -= self.log_weights.max()
         # Sample from the proposal.
         self.poses = mean + np.einsum("nij,nj->ni", np.linalg.cholesky(covariance + MIN_COVARIANCE), noise)
-        self.poses[:, 2] = (self.poses[:, 2] + np.pi) % (2 * np.pi) - np.pi
+        self.poses[:, 2] = wrap_angles(self.poses[:, 2])
 
     def _match(self, starts: Array, expected: Array, points: Points) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
         """Match points with the map of each particle.

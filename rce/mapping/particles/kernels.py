@@ -164,12 +164,10 @@ def log_likelihood(
             v -= low
             for corner in range(4):
                 column, row = corner & 1, corner >> 1
-                tile = table[low + row >> ndt.SHIFT, left + column >> ndt.SHIFT]
+                tile, r, q = ndt.known_cell(tiles, table, left + column, low + row)
                 if tile < 0:
                     continue
-                cell = tiles[tile, low + row & ndt.TILE - 1, left + column & ndt.TILE - 1]
-                if cell[0] < ndt.MIN_HITS:
-                    continue
+                cell = tiles[tile, r, q]
                 # Squared Mahalanobis distance e' I e with the information I of `ndt.align`.
                 ex, ey = cell[1] - (u - column) * ratio, cell[2] - (v - row) * ratio
                 vxx, vxy, vyy = cell[3], cell[4], cell[5]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rce.mapping.geometry import ORIGIN, Points, Pose
+from rce.mapping.geometry import ORIGIN, Points, Pose, wrap_angles
 from rce.mapping.grid import GridMap, OccupancyGrid
 from rce.mapping.history import History
 from rce.mapping.laser_odometry import LaserOdometry
@@ -100,8 +100,7 @@ class ParticleMapper:
             self._grid, self._drawn = GridMap(self.settings.resolution), np.empty((0, 3))
         sweeps = list(self._sweeps.values())
         for i in range(len(self._drawn), len(poses)):
-            pose = Pose(*poses[i].tolist())
-            self._grid.insert(pose.transform(sweeps[i].sensor), pose.transform(sweeps[i].points.astype(np.float64)))
+            self._grid.insert(*sweeps[i].seen_from(Pose(*poses[i].tolist())))
         self._drawn = poses
         return self._grid.render()
 
@@ -215,6 +214,6 @@ class ParticleMapper:
         best, step = self._filter.paths.path(self._filter.best), len(self._filter.paths) - 1
         kept = best[list(self._sweeps)]
         near = np.hypot(*(kept[:, :2] - best[step, :2]).T) < SETTINGS.draw
-        turn = np.abs((kept[:, 2] - best[step, 2] + np.pi) % (2 * np.pi) - np.pi) < SETTINGS.draw_turn
+        turn = np.abs(wrap_angles(kept[:, 2] - best[step, 2])) < SETTINGS.draw_turn
         if not (near & turn).any():
             self._sweeps[step] = Sweep(np.zeros((1, 2)), points.astype(np.float32))

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rce.mapping.geometry import Points
+from rce.mapping.geometry import Points, round_up_to_blocks
 from rce.mapping.matching import ndt
 from rce.mapping.particles import kernels
 from rce.mapping.state import Reader, State
@@ -60,8 +60,8 @@ class TileMaps:
         low = np.floor((poses[:, :2].min(axis=0) - reach) / SIDE).astype(np.int64)
         high = np.floor((poses[:, :2].max(axis=0) + reach) / SIDE).astype(np.int64)
         size = np.array(self.tables.shape[:0:-1])
-        before = _round_up_to_blocks(self._corner - low)
-        after = _round_up_to_blocks(high + 1 - (self._corner + size))
+        before = round_up_to_blocks(self._corner - low, BLOCK)
+        after = round_up_to_blocks(high + 1 - (self._corner + size), BLOCK)
         if before.any() or after.any():
             columns, rows = zip(before.tolist(), after.tolist(), strict=True)
             self.tables = np.pad(self.tables, ((0, 0), rows, columns), constant_values=-1)
@@ -99,11 +99,6 @@ class TileMaps:
 
     def _count_users(self) -> None:
         self._users = np.bincount(self.tables[self.tables >= 0], minlength=len(self.tiles)).astype(np.int32)
-
-
-def _round_up_to_blocks(missing: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Round numbers of missing tiles up to whole blocks; negative numbers become 0."""
-    return np.maximum(np.ceil(missing / BLOCK).astype(np.int64), 0) * BLOCK
 
 
 def reach_of(points: Points) -> float:

@@ -57,6 +57,10 @@ class Sweep:
     sensor: Points
     points: NDArray[np.float32]
 
+    def seen_from(self, pose: Pose) -> tuple[Points, Points]:
+        """Return the laser (1, 2) and the points (n, 2), metres, in the frame in which `pose` of the node is given."""
+        return pose.transform(self.sensor), pose.transform(self.points.astype(np.float64))
+
 
 @dataclass(slots=True)
 class Node:

@@ -10,7 +10,7 @@ import numpy as np
 from rce.mapping.geometry import ORIGIN, Points, Pose
 from rce.mapping.matching.agreement import Surroundings, agreement
 from rce.mapping.matching.branch_and_bound import PlaceSearch, find_place
-from rce.mapping.matching.fields import downsample, square_around
+from rce.mapping.matching.fields import square_around
 from rce.mapping.pose_graph.graph import (
     DRIFT,
     Edge,
@@ -158,10 +158,7 @@ class LoopFinder:
 
     def _query(self, new: int) -> Points:
         """Return the points (n, 2) around a new node, in its frame."""
-        search = SETTINGS.search
-        points = np.concatenate(list(points_around(self._graph, new, SETTINGS.recent)))
-        near = points[np.hypot(points[:, 0], points[:, 1]) < search.view]
-        return downsample(near, search.spacing, search.max_points)
+        return SETTINGS.search.points_in_view(np.concatenate(list(points_around(self._graph, new, SETTINGS.recent))))
 
     def _compare(self, new: int, old: int, query: Points, way: float) -> Candidate | None:
         """Match a new node with an old one; None if it does not fit there, or fits at several places."""

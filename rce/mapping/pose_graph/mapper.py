@@ -106,7 +106,7 @@ class GraphMapper:
             self._grid = GridMap(self.settings.resolution)
             for node in self._graph.nodes.values():
                 for sweep in node.sweeps:
-                    self._render(self._grid, node.pose, sweep)
+                    self._grid.insert(*sweep.seen_from(node.pose))
         return self._grid.render()
 
     @property
@@ -196,8 +196,7 @@ class GraphMapper:
             node = self._graph.nodes[number]
             if math.dist(node.pose[:2], pose[:2]) < local_map.SETTINGS.radius:
                 for sweep in node.sweeps:
-                    points = node.pose.transform(sweep.points.astype(np.float64))
-                    yield number, node.pose.transform(sweep.sensor), points
+                    yield number, *sweep.seen_from(node.pose)
 
     def _keep(self, pose: Pose, points: Points, covariance: NDArray[np.float64], reliable: bool) -> int | None:
         """Keep the scan if it shows something new; return the node that this completes, if any."""
@@ -266,11 +265,7 @@ class GraphMapper:
         node.sweeps.append(sweep)
         self._local.add(number, pose.transform(points))
         if self._grid is not None:
-            self._render(self._grid, node.pose, sweep)
-
-    @staticmethod
-    def _render(grid: GridMap, pose: Pose, sweep: Sweep) -> None:
-        grid.insert(pose.transform(sweep.sensor), pose.transform(sweep.points.astype(np.float64)))
+            self._grid.insert(*sweep.seen_from(node.pose))
 
     def _close_loops(self, complete: int) -> None:
         """Search loops at a complete node, and optimise if there are any."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import splu
 
-from rce.mapping.geometry import Pose
+from rce.mapping.geometry import Pose, wrap_angles
 from rce.mapping.pose_graph.graph import Edge, Node
 
 Array = NDArray[np.float64]
@@ -128,5 +128,5 @@ def _errors(first: Array, second: Array, motions: Array) -> tuple[Array, Array, 
 def _wrapped(poses: Array) -> Array:
     """Return poses (n, 3) with angles in [-pi, pi)."""
     turned = poses.copy()
-    turned[:, 2] = (poses[:, 2] + np.pi) % (2 * np.pi) - np.pi
+    turned[:, 2] = wrap_angles(poses[:, 2])
     return turned

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rce.mapping.geometry import Points, Pose
 from rce.mapping.matching.branch_and_bound import PlaceSearch, find_place
-from rce.mapping.matching.fields import Field, downsample
+from rce.mapping.matching.fields import Field
 from rce.mapping.matching.scan_matching import fit
 from rce.mapping.pose_graph.graph import Matrix, PoseGraph, information_matrix, points_around
 
@@ -64,10 +64,8 @@ class PlaceMatch:
 def place_points(graph: PoseGraph, number: int) -> Points | None:
     """Return the points (n, 2) around a node, in its frame, or None if they are too few to recognise the place."""
     search = SETTINGS.search
-    points = np.concatenate(list(points_around(graph, number, SETTINGS.way)))
-    near = points[np.hypot(points[:, 0], points[:, 1]) < search.view]
-    thinned = downsample(near, search.spacing, search.max_points)
-    return thinned if len(thinned) >= search.min_points else None
+    found = search.points_in_view(np.concatenate(list(points_around(graph, number, SETTINGS.way))))
+    return found if len(found) >= search.min_points else None
 
 
 class WholeMap:

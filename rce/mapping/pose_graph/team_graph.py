@@ -186,7 +186,7 @@ class Team:
         for number, node in nodes.items():
             at, drawn = self._drawn[number] if number < len(self._drawn) else (node.pose, 0)
             for sweep in node.sweeps[drawn:]:
-                self._grid.insert(at.transform(sweep.sensor), at.transform(sweep.points.astype(np.float64)))
+                self._grid.insert(*sweep.seen_from(at))
             self._drawn[number : number + 1] = [(at, len(node.sweeps))]  # append, or replace
         return self._grid.render()
 

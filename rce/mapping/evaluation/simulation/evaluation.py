@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rce.mapping.evaluation.simulation.drive import Simulation
 from rce.mapping.files.outputs import OCCUPIED
-from rce.mapping.geometry import Points, Pose
+from rce.mapping.geometry import Pose, wrap_angles
 from rce.mapping.grid import OccupancyGrid
 
 NEAR = 0.1  # metres between a wall and its cells in the map at most
@@ -50,15 +50,16 @@ def evaluate(grid: OccupancyGrid, trajectory: NDArray[np.float64], simulation: S
         raise ValueError(f"the trajectory has {len(trajectory)} poses, the simulation {len(truth)} scans")
     building = alignment(trajectory[:, 1:3], truth[:, 1:3])  # pose of the map frame in the frame of the building
     offset = building.transform(trajectory[:, 1:3]) - truth[:, 1:3]
-    turn = (trajectory[:, 3] + building.theta - truth[:, 3] + math.pi) % (2 * math.pi) - math.pi
+    turn = wrap_angles(trajectory[:, 3] + building.theta - truth[:, 3])
     occupied = grid.cells >= 100 * OCCUPIED
-    rows, columns = np.nonzero(occupied)
-    centres: Points = (np.stack([columns, rows], axis=1) + 0.5) * grid.resolution + np.array([grid.x, grid.y])
+    centres = grid.centres(occupied)
     return Accuracy(
         translation=float(np.hypot(offset[:, 0], offset[:, 1]).mean()),
         rotation=float(np.abs(turn).mean()),
         walls_found=_share_near(occupied, grid, building.inverse().transform(simulation.seen)),
-        walls_true=float((simulation.plan.distance(building.transform(centres)) <= NEAR).mean()) if len(rows) else 0.0,
+        walls_true=float((simulation.plan.distance(building.transform(centres)) <= NEAR).mean())
+        if len(centres)
+        else 0.0,
     )
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rce.errors import InvalidRequest
+from rce.mapping.geometry import wrap_angles
 
 Array = NDArray[np.float64]
 MAX_RELATIONS = 2000  # of each kind
@@ -127,5 +128,4 @@ def _between(first: Array, second: Array) -> Array:
     """Return the second poses (n, 3) in the frames of the first ones."""
     c, s = np.cos(first[:, 2]), np.sin(first[:, 2])
     dx, dy = (second - first)[:, 0], (second - first)[:, 1]
-    turn = (second[:, 2] - first[:, 2] + np.pi) % (2 * np.pi) - np.pi
-    return np.stack([c * dx + s * dy, c * dy - s * dx, turn], axis=1)
+    return np.stack([c * dx + s * dy, c * dy - s * dx, wrap_angles(second[:, 2] - first[:, 2])], axis=1)
