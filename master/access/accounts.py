@@ -22,6 +22,7 @@ from rce.api.roles import Principal, Scopes, UserRole
 from rce.errors import NotFound, RceError
 
 DAY = 86_400.0
+MAX_DAYS = 36_500.0
 ADD_IMAGE = "images+="
 
 
@@ -52,7 +53,7 @@ def parser() -> argparse.ArgumentParser:
     key_add.add_argument("user")
     key_add.add_argument("--role", choices=get_args(UserRole), default="robot")
     key_add.add_argument("--label", default="")
-    key_add.add_argument("--days", type=float, help="days until it expires")
+    key_add.add_argument("--days", type=days, help="days until it expires")
     key_add.add_argument("--robot", default="", help="the only robotID for which it is valid")
     key_add.add_argument("--environment", action="append", default=[], help="its only environments; repeatable")
     key_list = commands.add_parser("key-list", help="list a user's API keys")
@@ -69,6 +70,14 @@ def parser() -> argparse.ArgumentParser:
 def _add_database_options(to: argparse.ArgumentParser, directory: Path | str, database: str) -> None:
     to.add_argument("--data-dir", type=Path, default=directory, help="the Master's data directory")
     to.add_argument("--database", default=database, help="SQLAlchemy URL, if the Master's is not in its data directory")
+
+
+def days(text: str) -> float:
+    """Return a number of days from the command line; argparse reports a ValueError."""
+    number = float(text)
+    if not 0 < number <= MAX_DAYS:
+        raise argparse.ArgumentTypeError(f"{text} is not above 0 and at most {MAX_DAYS:g}")
+    return number
 
 
 def _password() -> str:
@@ -134,8 +143,8 @@ async def _limits(store: Store, words: argparse.Namespace) -> None:
     added = [change.removeprefix(ADD_IMAGE) for change in words.changes if change.startswith(ADD_IMAGE)]
     changes = parse(change for change in words.changes if not change.startswith(ADD_IMAGE))
     if added:
-        present = changes.get("images") or limits.own(words.user).get("images", [])
-        changes["images"] = list(dict.fromkeys([*present, *added]))
+        present = changes["images"] if "images" in changes else limits.own(words.user).get("images")
+        changes["images"] = list(dict.fromkeys([*(present or []), *added]))
     if changes:
         await limits.change(words.user, changes)
     own, whole = limits.own(words.user), msgspec.structs.asdict(limits.of(words.user))

@@ -122,12 +122,12 @@ class Audit:
         if minute != self._minute:
             self._minute, self._unauthenticated = minute, 0
         self._unauthenticated += 1
-        if self._unauthenticated == MAX_UNAUTHENTICATED:
+        if self._unauthenticated == MAX_UNAUTHENTICATED + 1:
             log.warn(
                 "more than {most} entries a minute of unauthenticated clients: the rest is dropped",
                 most=MAX_UNAUTHENTICATED,
             )
-        return self._unauthenticated < MAX_UNAUTHENTICATED
+        return self._unauthenticated <= MAX_UNAUTHENTICATED
 
     async def _write_all(self) -> None:
         await asyncio.sleep(0)  # collect what happens in this iteration of the loop
@@ -144,7 +144,7 @@ class Audit:
         """Return when all entries are written."""
         if self._write is None or self._write.done():
             self._write = asyncio.create_task(self._write_all())
-        await self._write
+        await asyncio.shield(self._write)  # who waits may be cancelled, and the entries must be written
 
     async def find(self, wanted: AuditFilter, before: int | None, limit: int) -> list[AuditView]:
         """Return entries that match, newest first, beginning after the entry with id `before`."""

@@ -26,6 +26,7 @@ from rce.web.requests import peer_address, read_accepted_body
 from rce.web.server import Endpoint, listen, serve_application
 
 HOURS = 24.0
+MAX_HOURS = 24.0 * 365
 MAX_BODY = 16_384  # bytes
 JSON, PEM, GZIP = "application/json", "application/x-pem-file", "application/gzip"
 STATUS: dict[type[RceError], int] = {InvalidRequest: 400, Unauthorized: 401}
@@ -70,8 +71,10 @@ class Inviter:
         """Return a join code for one machine, good once within these hours.
 
         Raises:
-            InvalidRequest: As `invite`.
+            InvalidRequest: As `invite`, or the hours are not above 0 and at most a year.
         """
+        if not 0 < hours <= MAX_HOURS:
+            raise InvalidRequest(f"a join code is valid for more than 0 and at most {MAX_HOURS:g} hours", field="hours")
         return JoinCode(self._url, self._authority, await invite(self._join_tokens, name, roles, address, hours))
 
 
@@ -114,6 +117,7 @@ class Registrar:
             raise InvalidRequest(
                 f"the machine has version {application.version}, the Master {rce.__version__}: install that one there"
             )
+        check_name(invitation.name)  # it comes from outside, and goes into the certificate
         address = invitation.address or peer
         certificate = self.authority.issue(application.request, invitation.name, [invitation.name, address, peer])
         if invitation.expires < time.time() or not await self._join_tokens.redeem(invitation.name, invitation.digest):

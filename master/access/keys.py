@@ -135,12 +135,15 @@ class Keys:
     async def note_use(self) -> None:
         """Store when keys were last used. It is called periodically, so that no login waits for the disk."""
         used, self._used = self._used, {}
-        if used:
-            statement = db.api_keys.update().where(db.api_keys.c.id == sa.bindparam("key"))
-            rows = [{"key": key, "at": when} for key, when in used.items()]
-            await self._store.run(
-                lambda connection: connection.execute(statement.values(used=sa.bindparam("at")), rows)
-            )
+        if not used:
+            return
+        statement = db.api_keys.update().where(db.api_keys.c.id == sa.bindparam("key")).values(used=sa.bindparam("at"))
+        rows = [{"key": key, "at": when} for key, when in used.items()]
+        try:
+            await self._store.run(lambda connection: connection.execute(statement, rows))
+        except sa.exc.SQLAlchemyError:
+            self._used = used | self._used  # stored by the next call
+            raise
 
     def _view(self, row: Any) -> KeyView:
         used = self._used.get(row.id, row.used)

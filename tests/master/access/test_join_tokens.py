@@ -1,4 +1,4 @@
-"""Processes join the Master by tokens; services act for users."""
+"""Join tokens: each is exchanged once for a credential of its process."""
 
 from __future__ import annotations
 
@@ -7,14 +7,112 @@ import asyncio
 import pytest
 
 import rce
-from master.access.audit import AuditFilter
-from master.access.users import digest
+from master.access.grants import digest
+from master.access.join_tokens import JoinTokens
+from master.storage.store import Store
 from rce.control.calls.endpoints import Sync
 from rce.control.calls.joining import Hello
-from rce.control.calls.robots import Login
-from rce.control.calls.services import Authenticate, CreateGrant, Identity, IssueKey, RecordAction, RevokeGrant
-from rce.errors import Forbidden, InvalidRequest, Unauthorized
+from rce.errors import InvalidRequest, Unauthorized
 from tests.support.master.peers import PATIENCE, Peer, Platform
+
+
+@pytest.fixture
+def processes(store: Store) -> JoinTokens:
+    return JoinTokens(store)
+
+
+async def test_token_is_exchanged_once_for_a_credential(processes: JoinTokens) -> None:
+    await processes.allow("west", "robot", "t")
+    credential = await processes.admit("west", "robot", "t")
+    assert await processes.admit("west", "robot", credential) == credential
+    with pytest.raises(Unauthorized):
+        await processes.admit("west", "robot", "t")
+    await processes.allow("west", "robot", "t")  # as a Master does at each start with this token in its settings
+    with pytest.raises(Unauthorized):
+        await processes.admit("west", "robot", "t")
+
+
+@pytest.mark.parametrize(
+    ("process", "role", "secret"),
+    [("east", "robot", "t"), ("west", "container", "t"), ("west", "robot", "u"), ("west", "robot", ""), ("", "", "")],
+)
+async def test_token_is_for_one_process_and_role(processes: JoinTokens, process: str, role: str, secret: str) -> None:
+    await processes.allow("west", "robot", "t")
+    with pytest.raises(Unauthorized):
+        await processes.admit(process, role, secret)
+    assert await processes.admit("west", "robot", "t")
+
+
+async def test_credential_is_for_one_role(processes: JoinTokens) -> None:
+    await processes.allow("west", "robot", "t")
+    credential = await processes.admit("west", "robot", "t")
+    with pytest.raises(Unauthorized):
+        await processes.admit("west", "container", credential)
+
+
+async def test_new_token_replaces_the_credential(processes: JoinTokens) -> None:
+    await processes.allow("west", "robot", "t")
+    old = await processes.admit("west", "robot", "t")
+    await processes.allow("west", "robot", "u")
+    new = await processes.admit("west", "robot", "u")
+    with pytest.raises(Unauthorized):
+        await processes.admit("west", "robot", old)
+    assert await processes.admit("west", "robot", new) == new
+
+
+async def test_forgotten_process_cannot_join(processes: JoinTokens) -> None:
+    await processes.allow("west", "robot", "t")
+    credential = await processes.admit("west", "robot", "t")
+    await processes.allow("west", "robot", "unused")
+    await processes.forget("west")
+    for secret in (credential, "t", "unused"):
+        with pytest.raises(Unauthorized):
+            await processes.admit("west", "robot", secret)
+
+
+async def test_names_are_of_processes_that_have_joined(processes: JoinTokens) -> None:
+    for name, role in (("west", "robot"), ("m1", "container"), ("ann/brain", "environment")):
+        await processes.allow(name, role, f"token of {name}")  # type: ignore[arg-type]
+        await processes.admit(name, role, f"token of {name}")
+    await processes.allow("east", "robot", "t")
+    assert await processes.names() == ["m1", "west"]
+
+
+# --- invitations of machines ------------------------------------------------------------------------------------------
+
+
+async def test_invitation_is_redeemed_once(processes: JoinTokens) -> None:
+    await processes.invite("beta", "digest")
+    assert not await processes.redeem("gamma", "digest")
+    assert not await processes.redeem("beta", "other")
+    assert await processes.redeem("beta", "digest")
+    assert not await processes.redeem("beta", "digest")
+
+
+async def test_new_invitation_revokes_the_unused_one_of_its_machine(processes: JoinTokens) -> None:
+    for machine, invitation in (("beta", "first"), ("gamma", "third"), ("beta", "second")):
+        await processes.invite(machine, invitation)
+    assert not await processes.redeem("beta", "first")
+    assert await processes.redeem("beta", "second")
+    assert await processes.redeem("gamma", "third")
+
+
+async def test_invitation_is_not_a_token_of_a_process(processes: JoinTokens) -> None:
+    await processes.invite("beta", digest("secret"))
+    for role in ("machine", "container"):
+        with pytest.raises(Unauthorized):
+            await processes.admit("beta", role, "secret")
+    await processes.allow("beta", "container", "token")
+    assert not await processes.redeem("beta", digest("token"))
+
+
+async def test_removed_machine_cannot_use_its_invitation(processes: JoinTokens) -> None:
+    await processes.invite("beta", "digest")
+    await processes.forget("beta")
+    assert not await processes.redeem("beta", "digest")
+
+
+# --- over a control connection ----------------------------------------------------------------------------------------
 
 
 async def test_token_admits_once_and_the_credential_again(platform: Platform) -> None:
@@ -50,51 +148,3 @@ async def test_second_connection_of_a_process_replaces_the_first(platform: Platf
     await asyncio.wait_for(first.control.lost, PATIENCE)
     assert "west" in platform.master.state.joined
     await second.next(Sync)
-
-
-async def test_service_acts_for_a_user_as_a_robot(platform: Platform) -> None:
-    maps = await platform.process("service", "map-service", url="http://:9020/")
-    west = await platform.endpoint()
-    assert await maps.call(Authenticate("ann", digest("secret"))) == Identity("ann", "user")
-    grant = await maps.call(CreateGrant("ann", digest("secret")))
-    lent = await maps.call(IssueKey(grant.grant, 60))
-    assert await west.call(Login("ann", "mapper", lent.key))
-    for call in (Authenticate("ann", lent.key), CreateGrant("ann", lent.key)):
-        with pytest.raises(Forbidden):
-            await maps.call(call)
-    await maps.call(RevokeGrant(grant.grant))
-    with pytest.raises(Unauthorized):
-        await west.call(Login("ann", "other", lent.key))
-
-
-async def test_service_acts_only_for_authenticated_users_with_robots(platform: Platform) -> None:
-    maps = await platform.process("service", "map-service")
-    await platform.master.users.add("root", "secret", "admin")
-    key, _ = await platform.master.users.keys.add("ann", "viewer")
-    for call, error in (
-        (CreateGrant("ann", digest("wrong")), Unauthorized),
-        (CreateGrant("root", digest("secret")), Forbidden),
-        (Authenticate("", key), Forbidden),
-        (IssueKey("0" * 32, 60), Unauthorized),
-    ):
-        with pytest.raises(error):
-            await maps.call(call)
-
-
-async def test_actions_and_refusals_of_services_are_audited(platform: Platform) -> None:
-    maps = await platform.process("service", "map-service")
-    person = await maps.call(Authenticate("ann", digest("secret"), "job.read", "10.0.0.1"))
-    await maps.call(RecordAction(person, "job.cancel", "ann/0", "not_found", "10.0.0.1"))
-    with pytest.raises(Unauthorized):
-        await maps.call(Authenticate("ann", digest("wrong"), "job.read", "10.0.0.1"))
-    found = await platform.master.audit.find(AuditFilter(), None, 10)
-    assert [(each.user, each.action, each.object, each.result, each.origin) for each in found] == [
-        ("", "login", "ann", "unauthorized", "map-service 10.0.0.1"),
-        ("ann", "job.cancel", "ann/0", "not_found", "map-service 10.0.0.1"),
-    ]
-
-
-async def test_only_services_may_act_for_users(platform: Platform) -> None:
-    west = await platform.endpoint()
-    with pytest.raises(InvalidRequest, match="does not answer"):
-        await west.call(CreateGrant("ann", digest("secret")))

@@ -3,28 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-import json
-import subprocess
-import sys
-from collections.abc import AsyncIterator
-from pathlib import Path
 
 import pytest
+import sqlalchemy as sa
 
 from master.access import user_limits as module
 from master.access.user_limits import UserLimits
 from master.access.users import Users
 from master.graph.limits import Policy
 from master.storage.store import Store
-
-
-@pytest.fixture
-async def store(tmp_path: Path) -> AsyncIterator[Store]:
-    store = Store(f"sqlite:///{tmp_path / 'master.db'}")
-    await store.open()
-    await Users(store).add("ann", "secret")
-    yield store
-    await store.close()
 
 
 async def test_changed_limits_override_those_of_the_platform(store: Store) -> None:
@@ -63,31 +50,27 @@ async def test_running_master_sees_changes_by_other_processes(store: Store, monk
     assert other.of("bob").size == 2
 
 
-async def test_limits_are_removed_with_their_user(store: Store) -> None:
+async def test_limits_are_removed_with_their_user(store: Store, users: Users) -> None:
     limits = UserLimits(store, Policy())
     await limits.open()
     await limits.change("ann", {"size": 5})
-    await Users(store).remove("ann")
+    await users.remove("ann")
     await limits.open()
     assert limits.of("ann") == Policy()
 
 
-async def test_command_shows_and_changes_limits(store: Store, tmp_path: Path) -> None:
-    def command(*words: str) -> subprocess.CompletedProcess[str]:
-        line = [sys.executable, "-P", "-m", "master.access.accounts", "--data-dir", str(tmp_path), "limits", *words]
-        return subprocess.run(line, capture_output=True, text=True, timeout=60)
+async def test_following_goes_on_after_a_database_failure(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    limits, tried = UserLimits(store), 0
 
-    await UserLimits(store, Policy(size=4)).open()
-    changed = await asyncio.to_thread(command, "ann", "memory=2GiB", "images=mine/*")
-    assert changed.returncode == 0, changed.stderr
-    assert ["memory", "2147483648", "own"] in [line.split() for line in changed.stdout.splitlines()]
-    shown = await asyncio.to_thread(command, "ann", "--json")
-    assert json.loads(shown.stdout)["size"] == 4
-    assert json.loads(shown.stdout)["images"] == ["mine/*"]
-    more = await asyncio.to_thread(command, "ann", "images+=users/ann/tools", "images+=mine/*", "--json")
-    assert json.loads(more.stdout)["images"] == ["mine/*", "users/ann/tools"]
-    for words, reason in ((("nobody",), "no user nobody"), (("ann", "memory=x"), "memory=x")):
-        refused = await asyncio.to_thread(command, *words)
-        assert refused.returncode == 1
-        assert reason in refused.stderr
-        assert "Traceback" not in refused.stderr
+    async def fail(work: object) -> None:
+        nonlocal tried
+        tried += 1
+        if tried == 2:
+            raise asyncio.CancelledError
+        raise sa.exc.OperationalError("locked", None, Exception())
+
+    monkeypatch.setattr(module, "REFRESH", 0)
+    monkeypatch.setattr(store, "run", fail)
+    with pytest.raises(asyncio.CancelledError):
+        await limits.follow()
+    assert tried == 2
