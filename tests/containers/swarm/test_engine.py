@@ -12,13 +12,13 @@ docker = pytest.importorskip("docker", reason="needs docker-py: pip install '.[d
 from containers.swarm.agents import AgentAccess
 from containers.swarm.engine import SwarmEngine
 from rce.errors import LimitExceeded, NoCapacity, StartFailed
-from rce.protocol.slots import MB, PIDS
+from tests.support.containers.container_contract import ContainerEngineContract, start_confined
 from tests.support.containers.container_world import COMMAND, IMAGE
-from tests.support.containers.engine_contract import Endings, EngineContract, opened, spec, with_options
+from tests.support.containers.engine_contract import Endings, opened, spec, with_options
 from tests.support.containers.swarm_world import SwarmWorld
 
 
-class TestSwarmEngine(EngineContract):
+class TestSwarmEngine(ContainerEngineContract):
     pass
 
 
@@ -33,17 +33,8 @@ async def engine(swarm_engine: SwarmEngine) -> SwarmEngine:
 
 
 async def test_container_of_a_task_is_confined(world: SwarmWorld, engine: SwarmEngine) -> None:
-    await engine.start(with_options(memory=300 * MB, cpu=0.5, size=2))
-    seen = world.inspect("ann/map")
-    host = seen["HostConfig"]
-    assert host["CapDrop"] == ["ALL"]
-    assert not host["CapAdd"]
-    assert not host["Privileged"]
-    assert host["ReadonlyRootfs"]
-    assert host["Memory"] == 300 * MB
-    assert (host["NanoCpus"], host["PidsLimit"]) == (500_000_000, 2 * PIDS)
+    seen = await start_confined(world, engine)
     assert seen["Config"]["User"] == "10000:10000"
-    assert host["LogConfig"]["Config"] == {"max-size": "2m", "max-file": "2"}
     assert {mount["Destination"]: mount["RW"] for mount in seen["Mounts"]} == {
         "/run/rce": False,
         "/run/rce-user": True,
@@ -66,14 +57,6 @@ async def test_requests_that_no_node_fulfils_are_refused(world: SwarmWorld, engi
     with pytest.raises(StartFailed, match=r"rce-test/nothing:1.*provision image"):
         await engine.start(with_options(image="rce-test/nothing:1"))
     assert world.remains() == set()
-
-
-async def test_out_of_memory_is_reported(world: SwarmWorld, endings: Endings) -> None:
-    async with opened(world.engine(endings, "eat")) as engine:
-        await engine.start(with_options(memory=32 * MB))
-        ended = await endings.next()
-        assert ended.status == -9
-        assert "memory of 32 MB" in ended.reason
 
 
 async def test_end_without_an_agent_is_reported_later(world: SwarmWorld, engine: SwarmEngine, endings: Endings) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import docker
 from twisted.internet.base import ReactorBase
 
 from containers.docker.setup import Setup
-from containers.engine import Engine
+from containers.engine import Engine, EnvironmentEnded
 from tests.support.containers.engine_contract import World
 
 COMMAND = ["/stand-in"]
@@ -55,6 +56,10 @@ class ContainerWorld(World):
     def _container(self, name: str) -> str:
         (container,) = [each["Id"] for each in self.containers() if each["Labels"]["rce.environment"] == name]
         return str(container)
+
+    @abstractmethod
+    def engine(self, ended: Callable[[EnvironmentEnded], None], *behaviour: str) -> Engine:
+        """Return a new engine whose environments behave so; see `World.engine` and stand_in.c."""
 
     @abstractmethod
     def remains(self) -> set[str]: ...
