@@ -12,6 +12,7 @@ import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -112,7 +113,7 @@ class Store:
         while self._waiting:
             rows, self._waiting = self._waiting, {}
             try:
-                await self.run(lambda db, rows=rows: _put(db, rows))  # type: ignore[misc]  # mypy: default of a lambda
+                await self.run(partial(_put, rows=rows))
             except BaseException:
                 self._waiting = rows | self._waiting  # written by the next try, unless changed again
                 raise

@@ -36,7 +36,7 @@ def test_command_is_complete_when_its_process_has_answered(desk: Desk, brain: Pe
     task = desk.do(m.AddNode("brain", "n", "p", "e"))
     assert not task.done()
     brain.release()
-    assert task.result() == [None]
+    assert task.result() is None
 
 
 def test_command_of_an_environment_that_starts_is_complete_when_it_is_in_sync(desk: Desk) -> None:
@@ -44,7 +44,7 @@ def test_command_of_an_environment_that_starts_is_complete_when_it_is_in_sync(de
     task = desk.do(m.CreateContainer("brain"), m.SetParameter("brain", "rate", 1))
     assert not task.done()
     desk.endpoint("brain")
-    assert task.result() == [None, None]
+    assert task.result() is None
 
 
 def test_refused_command_changes_nothing(desk: Desk, brain: Peer) -> None:
@@ -115,7 +115,7 @@ def test_later_value_of_a_parameter_outlasts_a_refused_one(desk: Desk, brain: Pe
     brain.release()
     assert refused.exception() is error
     brain.release()
-    assert accepted.result() == [None]
+    assert accepted.result() is None
     assert values(desk) == {"rate": 3}
     assert brain.got(PutParameter)[-1].parameter.value == 3
 
@@ -124,7 +124,7 @@ def test_command_ends_without_an_error_if_a_later_one_removes_its_object(desk: D
     desk.machine("m1")
     creating = desk.do(m.CreateContainer("brain"))
     desk.do(m.DestroyContainer("brain"))
-    assert creating.result() == [None]
+    assert creating.result() is None
 
 
 # --- commands of robots -----------------------------------------------------------------------------------------------

@@ -92,7 +92,8 @@ def test_failed_restart_is_retried_with_growing_pauses(desk: Desk) -> None:
     desk.made("brain")
     m1.refuse[StartEnvironment] = StartFailed("engine is down")
     die(desk, "killed")
-    pauses, before = [], desk.hand.time()
+    pauses: list[float] = []
+    before = desk.hand.time()
     while len(pauses) < 8:
         starts = len(m1.got(StartEnvironment))
         while len(m1.got(StartEnvironment)) == starts:

@@ -142,7 +142,7 @@ def test_environment_requested_during_a_task_set_restart_is_started_after_it(des
     m1 = desk.machine("m1")
     assert [call.environment.name for call in m1.got(StartEnvironment)] == ["ann/brain"]
     assert [each.tag for each in desk.endpoint("brain").got(Sync)[0].nodes] == ["n"]
-    assert task.result() == [None, None]
+    assert task.result() is None
 
 
 def test_environment_is_refused_if_no_task_set_returns(desk: Desk) -> None:

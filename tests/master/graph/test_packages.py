@@ -10,7 +10,7 @@ from master.graph.state import State
 from rce.control.calls.environments import StartEnvironment
 from rce.errors import InvalidName, InvalidRequest, LimitExceeded, NotFound
 from rce.protocol.messages import ContainerData, CreateContainer, DestroyContainer
-from tests.support.master.fleet import Fleet, furnished
+from tests.support.master.fleet import Fleet, calls, furnished
 
 
 def version(number: int, size: int = 10) -> Version:
@@ -167,7 +167,7 @@ def test_packages_of_removed_users_are_dropped(state: State) -> None:
 
 def create(fleet: Fleet, user: str, *references: str) -> StartEnvironment:
     outcome = fleet.do(user, CreateContainer("e", ContainerData(packages=[*references])))
-    call = outcome.plan[0][0].call  # type: ignore[union-attr]
+    (call,) = calls(outcome.plan)
     assert isinstance(call, StartEnvironment)
     return call
 

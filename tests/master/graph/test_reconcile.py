@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from master.graph import reconcile
+from master.graph.records import Role
 from rce.control.calls.endpoints import AddRoute, Bind, CloseLink, OpenLink, RemoveRoute, Sync
 from rce.control.calls.environments import KeepEnvironments, SetRelays, StartEnvironment
 from rce.control.calls.robots import DropRobot
@@ -13,8 +16,8 @@ from rce.protocol import messages as m
 from tests.support.master.fleet import Fleet, calls, everything, furnished, interface, wired
 
 
-def sync_of(fleet: Fleet, to: str, role: str = "robot", incarnation: str = "1", **hello: object) -> Sync:
-    plan = fleet.join(to, role, incarnation, **hello)  # type: ignore[arg-type]
+def sync_of(fleet: Fleet, to: str, role: Role = "robot", incarnation: str = "1", **hello: Any) -> Sync:
+    plan = fleet.join(to, role, incarnation, **hello)
     (sync,) = [call for call in calls(plan, to) if isinstance(call, Sync)]
     return sync
 

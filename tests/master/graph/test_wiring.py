@@ -77,9 +77,9 @@ def runs(fleet: Fleet) -> dict[str, str]:
 
 def test_connections_share_a_link_except_for_keep_all() -> None:
     fleet = wired()
-    for tag, history in (("two", "keep_last"), ("all", "keep_all")):
+    for tag, qos in (("two", m.Qos(history="keep_last")), ("all", m.Qos(history="keep_all"))):
         fleet.do("ann", interface("r1", tag, "SubscriberConverter"))
-        fleet.do("ann", interface("brain", tag, "PublisherInterface", qos=m.Qos(history=history)))
+        fleet.do("ann", interface("brain", tag, "PublisherInterface", qos=qos))
         fleet.do("ann", m.Connect(f"r1/{tag}", f"brain/{tag}"))
     links = {record.sender.rpartition("/")[2]: record.link for record in fleet.state.connections}
     assert links["pose"] == links["two"] != links["all"]

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
+from typing import Any
 
 import pytest
 
-from master.graph.records import Connection, Environment, EnvironmentOptions, Process, Robot, Role
-from master.graph.state import State
+from master.graph.records import Connection, Environment, EnvironmentOptions, Process, Record, Robot, Role
+from master.graph.state import State, Table
 from master.live import events as events_module
 from master.live.events import Events
 from rce.api.views import Event
@@ -26,14 +27,15 @@ class Story:
 
     def happen(self, *tags: str) -> None:
         """Add an event for each of these environments of ann."""
-        for tag in tags:
-            self.hand.do(lambda tag=tag: self.events.status_sent("ann", m.EnvironmentEvent(tag, "ready")))  # type: ignore[misc]
+
+        def happen() -> None:
+            for tag in tags:
+                self.events.status_sent("ann", m.EnvironmentEvent(tag, "ready"))
+
+        self.hand.do(happen)
 
     def follow(self, id: str = "") -> AsyncIterator[Event]:
         return self.events.follow(self.events.position(id))
-
-    def follow_from(self, position: int) -> AsyncIterator[Event]:
-        return self.events.follow(position)
 
     def next(self, follower: AsyncIterator[Event]) -> asyncio.Task[Event]:
         async def take() -> Event:
@@ -78,14 +80,15 @@ def test_status_of_a_user_is_an_event(story: Story, status: m.StatusData, type: 
 
 def test_records_that_come_and_go_are_events(story: Story) -> None:
     state = story.state
-    for record, table in (
-        (Environment("ann/brain", EnvironmentOptions(), "r", "m1"), state.environments),
-        (Robot("ann/r1", "west", "s"), state.robots),
-        (Connection("ann/r1/a", "ann/brain/b"), state.connections),
-    ):
-        table.put(record)  # type: ignore[attr-defined]
-        table.put(record)  # type: ignore[attr-defined]  # a change is no event
-        table.drop(record.key)  # type: ignore[attr-defined]
+    records: list[tuple[Table[Any], Record]] = [
+        (state.environments, Environment("ann/brain", EnvironmentOptions(), "r", "m1")),
+        (state.robots, Robot("ann/r1", "west", "s")),
+        (state.connections, Connection("ann/r1/a", "ann/brain/b")),
+    ]
+    for table, record in records:
+        table.put(record)
+        table.put(record)  # a change is no event
+        table.drop(record.key)
     assert [(event.type, event.user, event.object) for event in story.seen()] == [
         ("environment.gone", "ann", "ann/brain"),  # that it has come is told when it is ready
         ("robot.came", "ann", "ann/r1"),

@@ -91,7 +91,7 @@ def test_changes_are_sent_together_after_the_pause(show: Show) -> None:
     show.tick()
     _, message = watcher.got
     assert (message["seq"], "snapshot" in message) == (2, False)
-    assert list(message["put"]["parameters"]) == ["ann/brain/:a", "ann/brain/:b"]
+    assert sorted(message["put"]["parameters"]) == ["ann/brain/:a", "ann/brain/:b"]
     assert message["put"]["environments"]["ann/brain"]["parameters"] == 2
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from master.execution.readiness import Readiness
 from master.graph import reconcile
-from master.graph.records import ref
+from master.graph.records import Role, ref
 from master.graph.state import State
 from master.live import inventory
 from master.live.presenter import Presenter
@@ -56,10 +56,10 @@ def test_empty_platform_has_zeros() -> None:
         (["robot", "container"], []),
     ],
 )
-def test_processes_that_have_not_joined_are_missing(roles: list[str], lacking: list[str]) -> None:
+def test_processes_that_have_not_joined_are_missing(roles: list[Role], lacking: list[str]) -> None:
     fleet = Fleet()
     for role in roles:
-        fleet.join(role, role)  # type: ignore[arg-type]
+        fleet.join(role, role)
     sentences = inventory.missing_parts(fleet.state)
     assert len(sentences) == len(lacking)
     assert all(part in sentence for part, sentence in zip(lacking, sentences, strict=True))

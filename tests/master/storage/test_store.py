@@ -42,7 +42,14 @@ async def loaded(url: str) -> State:
 def full() -> State:
     fleet = wired()
     fleet.do("ann", m.AddNode("brain", "n", "p", "e", "--x 'ü'", "name", "space"))
-    for name, value in {"b": True, "i": 2**63 - 1, "f": 0.1, "s": "ä\x00\n", "l": [1, "two", 3.5, False]}.items():
+    values: dict[str, m.ParameterValue] = {
+        "b": True,
+        "i": 2**63 - 1,
+        "f": 0.1,
+        "s": "ä\x00\n",
+        "l": [1, "two", 3.5, False],
+    }
+    for name, value in values.items():
         fleet.do("ann", m.SetParameter("brain", name, value))
     options = m.ContainerData(size=2, group="g", groupIP="192.168.1.7", restart="no")
     fleet.do("bob", m.CreateContainer("other", options))
@@ -85,9 +92,12 @@ async def test_changed_and_removed_records_are_stored(store: Store, url: str) ->
 async def test_changes_during_a_write_are_written_together(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     written: list[set[str]] = []
     put = store_module._put
-    monkeypatch.setattr(
-        store_module, "_put", lambda connection, rows: (written.append({k for _, k in rows}), put(connection, rows))
-    )
+
+    def noting(connection: sa.Connection, rows: dict[tuple[str, str], str | None]) -> None:
+        written.append({key for _, key in rows})
+        put(connection, rows)
+
+    monkeypatch.setattr(store_module, "_put", noting)
     state = State()
 
     def save(tag: str) -> Any:

@@ -109,9 +109,11 @@ class Desk:
     def at(self, tag: str) -> str:
         return self.state.environments[f"ann/{tag}"].machine
 
-    def do(self, *commands: m.Command) -> asyncio.Task[list[Nothing]]:
-        async def all_of_them() -> list[Nothing]:
-            return await asyncio.gather(*(self.master.commands.execute("ann", command) for command in commands))
+    def do(self, *commands: m.Command) -> asyncio.Task[None]:
+        """Begin to execute commands of ann, all at once."""
+
+        async def all_of_them() -> None:
+            await asyncio.gather(*(self.master.commands.execute("ann", command) for command in commands))
 
         return self.hand.begin(all_of_them())
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
@@ -11,6 +12,9 @@ T = TypeVar("T")
 
 class HandTurnedLoop(asyncio.SelectorEventLoop):
     """Event loop whose time stands still until `turn`; it never waits."""
+
+    _ready: deque[asyncio.Handle]  # of asyncio.BaseEventLoop
+    _scheduled: list[asyncio.TimerHandle]  # as above, a heap
 
     def __init__(self) -> None:
         super().__init__()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from rce.protocol import messages as m
 from tests.support.master.fleet import Fleet
 
@@ -13,6 +15,6 @@ def machines(**capacities: int) -> Fleet:
     return fleet
 
 
-def placed(fleet: Fleet, user: str, tag: str, **options: object) -> str:
-    fleet.do(user, m.CreateContainer(tag, m.ContainerData(**options)))  # type: ignore[arg-type]
+def placed(fleet: Fleet, user: str, tag: str, **options: Any) -> str:
+    fleet.do(user, m.CreateContainer(tag, m.ContainerData(**options)))
     return fleet.state.environments[f"{user}/{tag}"].machine

@@ -110,11 +110,11 @@ class Platform:
         self.master.users.passwords.hasher = QUICK_HASHER
         await self.master.start()
         self.port = await listen(self.reactor, "tcp:0:interface=127.0.0.1", self.master)
-        self.address = f"tcp:127.0.0.1:{self.port.getHost().port}"  # type: ignore[misc,attr-defined]
+        self.address = f"tcp:127.0.0.1:{self.port.getHost().port}"  # type: ignore[misc]  # zope declares its methods without self
 
     async def stop(self) -> None:
         await asyncio.sleep(0)
-        self.port.stopListening()  # type: ignore[misc]
+        self.port.stopListening()  # type: ignore[misc]  # as above
         for control in [*self.controls, *self.master._runner.dispatcher.controls.values()]:
             control.close()
         await asyncio.wait_for(asyncio.gather(*(control.lost for control in self.controls)), PATIENCE)

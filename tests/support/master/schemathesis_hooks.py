@@ -8,7 +8,7 @@ import schemathesis
 
 
 @schemathesis.hook
-def before_call(context: schemathesis.HookContext, case: schemathesis.Case, *args: Any) -> None:
+def before_call(context: schemathesis.HookContext, case: schemathesis.Case[Any], *args: Any) -> None:
     """Ask for no endless streams, write integers without a point, and restrict only keys of robots."""
     if case.query:
         case.query.pop("follow", None)
