@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import cast
 
 import pytest
@@ -12,40 +11,24 @@ pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 
 
 from endpoints.data.frames import Message
-from endpoints.data.hops import HopRecorder
 from endpoints.data.interface import MAX_REQUESTS, error_of
 from endpoints.data.link import LoopLink
-from endpoints.environment.definitions import InstalledTypes
-from endpoints.environment.interfaces import RosContext
-from endpoints.environment.ros import RosThread
 from endpoints.environment.ros_services import RawClient
 from endpoints.environment.services import MAX_IN_FLIGHT, TIMEOUT, ServiceClientInterface
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import RceError
+from tests.support.endpoints.fake_ros import InstantRos
 
 PEER = b"p" * 16
 
 
-class Service:
-    """Fake of the ROS thread and of the client in it; every action is executed at once."""
+class Service(InstantRos):
+    """Fake of the ROS thread and of the client in it."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.is_available = True
         self.requests: list[bytes] = []
-        self.retries: list[Callable[[], None]] = []
-
-    def post(self, action: Callable[[], None]) -> None:
-        action()
-
-    deliver = post
-
-    def retry(self, action: Callable[[], None]) -> None:
-        self.retries.append(action)
-
-    def call_later(self, seconds: float, action: Callable[[], None]) -> None:
-        action()
-
-    def remove_waitable(self, client: object) -> None: ...
 
     def available(self) -> bool:
         return self.is_available
@@ -70,11 +53,9 @@ class Robot:
 async def parts() -> tuple[ServiceClientInterface, Service, Robot]:
     service, robot = Service(), Robot()
     spec = InterfaceSpec("11" * 16, "user/env", "tag", "ServiceClientInterface", "a/B", "/name")
-    hops = HopRecorder()
-    context = RosContext(cast(RosThread, service), hops, InstalledTypes([]), lambda spec, error: None)
-    interface = ServiceClientInterface(spec, context)
+    interface = ServiceClientInterface(spec, service.context())
     interface._client = cast(RawClient, service)
-    interface.peers[PEER] = LoopLink("loop", lambda message, _: robot.received.append(message), hops.sent)
+    interface.peers[PEER] = LoopLink("loop", lambda message, _: robot.received.append(message), lambda message: None)
     return interface, service, robot
 
 

@@ -1,0 +1,42 @@
+"""Fake of the ROS thread, for interfaces of an environment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar, cast
+
+from endpoints.data.hops import HopRecorder
+from endpoints.environment.definitions import InstalledTypes
+from endpoints.environment.interfaces import RosContext
+from endpoints.environment.ros import RosThread
+from rce.control.calls.endpoints import InterfaceSpec
+from rce.errors import RceError
+
+T = TypeVar("T")
+
+
+class InstantRos:
+    """ROS thread that runs every action at once; `retries` are run by the test."""
+
+    def __init__(self) -> None:
+        self.retries: list[Callable[[], None]] = []
+
+    def post(self, action: Callable[[], None]) -> None:
+        action()
+
+    deliver = post
+
+    async def run(self, action: Callable[[], T]) -> T:
+        return action()
+
+    def retry(self, action: Callable[[], None]) -> None:
+        self.retries.append(action)
+
+    def call_later(self, seconds: float, action: Callable[[], None]) -> None:
+        action()
+
+    def remove_waitable(self, waitable: object) -> None: ...
+
+    def context(self, report: Callable[[InterfaceSpec, RceError], None] = lambda spec, error: None) -> RosContext:
+        """Return the context of interfaces that use this thread."""
+        return RosContext(cast(RosThread, self), HopRecorder(), InstalledTypes([]), report)
