@@ -4,7 +4,6 @@ import asyncio
 import json
 import os
 import signal
-import socket
 from pathlib import Path
 
 import pytest
@@ -15,14 +14,12 @@ from containers.engine import RunningEnvironment
 from containers.process import engine as process
 from containers.process.domains import Domains
 from containers.process.engine import ProcessEngine
-from rce.control.calls.environments import EnvironmentSpec, Group
-from rce.errors import InvalidRequest, LimitExceeded, NoCapacity, StartFailed
+from rce.control.calls.environments import Group
+from rce.errors import NoCapacity, StartFailed
 from rce.net.relay_handshake import RelayRequest, refusal_reason
 from rce.net.sockets import unix_socket_path
-from rce.protocol.messages import ContainerData
 from tests.support.containers.engine_contract import Endings, EngineContract, opened, spec
 from tests.support.containers.process_world import ProcessWorld
-from tests.support.domains import domain
 
 
 @pytest.fixture
@@ -126,17 +123,6 @@ async def test_start_fails_if_all_domains_are_in_use(world: ProcessWorld, tmp_pa
         await engine.start(spec("ann/b", 2))
 
 
-def test_domain_with_foreign_participants_is_not_allocated(tmp_path: Path) -> None:
-    number = domain("foreign participant")
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
-        participant.bind(("127.0.0.1", 7400 + 250 * number + 10))
-        with pytest.raises(NoCapacity):
-            Domains(tmp_path, range(number, number + 1)).take()
-    allocated, lock = Domains(tmp_path, range(number, number + 1)).take()
-    os.close(lock)
-    assert allocated == number
-
-
 async def test_children_in_their_own_process_groups_are_killed(world: ProcessWorld, endings: Endings) -> None:
     async with opened(world.engine(endings, "child")) as engine:
         await engine.start(spec("ann/a", 1))
@@ -217,34 +203,6 @@ async def test_failed_start_has_a_reason(world: ProcessWorld, engine: ProcessEng
     world.break_start(engine)
     with pytest.raises(StartFailed, match="No such file or directory: '/nonexistent/program'"):
         await engine.start(spec())
-
-
-@pytest.mark.parametrize(
-    ("options", "error", "field"),
-    [
-        (ContainerData(cpu=10_000), LimitExceeded, "containerData.cpu"),
-        (ContainerData(memory=2**60), LimitExceeded, "containerData.memory"),
-    ],
-)
-async def test_request_for_more_than_the_machine_has_is_refused(
-    engine: ProcessEngine, options: ContainerData, error: type[InvalidRequest | LimitExceeded], field: str
-) -> None:
-    with pytest.raises(error) as raised:
-        await engine.start(EnvironmentSpec("ann/map", spec().run, "token", options))
-    assert raised.value.field == field
-    assert engine.running() == {}
-
-
-def test_domains_are_allocated_exclusively(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("containers.process.domains._in_use", set)
-    domains = Domains(tmp_path / "domains")
-    first, lock = domains.take()
-    second, other = domains.take()
-    os.close(lock)
-    third, again = domains.take()
-    os.close(other)
-    os.close(again)
-    assert (second > first, third) == (True, first)
 
 
 async def test_opening_cleans_shared_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
