@@ -54,17 +54,6 @@ def test_exactly_the_documented_files_are_written(tmp_path: Path) -> None:
     assert sorted((tmp_path / "new" / "out").iterdir()) == sorted(paths)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (30, 2000), (3000, 2500)])
-def test_picture_has_bounded_size_and_shows_walls_and_path(tmp_path: Path, shape: tuple[int, int]) -> None:
-    cells = np.zeros(shape, np.int8)
-    cells[:, 0] = 100
-    write_outputs(tmp_path, OccupancyGrid(cells, 0.05, 0.0, 0.0), np.array([[0.0, 0.02, 0.02, 0.0]]))
-    picture = image(tmp_path / "map.png", cv2.IMREAD_COLOR)
-    assert max(picture.shape) < 1800
-    assert picture.min() < 60, "walls are dark"
-    assert np.ptp(picture.astype(int), axis=2).max() > 100, "the trajectory is coloured"
-
-
 def test_map_without_trajectory_is_drawn(tmp_path: Path) -> None:
     write_outputs(tmp_path, GRID, np.empty((0, 4)))
     assert (tmp_path / "trajectory.txt").read_bytes() == b""

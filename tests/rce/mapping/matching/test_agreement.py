@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
 import pytest
 
 from rce.mapping.evaluation.simulation.floor_plan import FloorPlan, apartment
 from rce.mapping.geometry import Pose
 from rce.mapping.matching.agreement import Surroundings, agreement
-from rce.mapping.pose_graph.graph import PoseGraph, Sweep
-from rce.mapping.scans import Scan
+from rce.mapping.pose_graph.graph import PoseGraph
+from tests.support.laser import sweep_at
 
 
 def seen_at(pose: Pose, plan: FloorPlan) -> Surroundings:
-    ranges = plan.ranges(*pose, 720, 2 * math.pi).astype(np.float32)
-    points = Scan(0.0, ranges, -math.pi, 2 * math.pi / 720, 12.0).points(12.0)
     graph = PoseGraph()
     graph.add_node(pose)
-    graph.nodes[0].sweeps.append(Sweep(np.zeros((1, 2)), points.astype(np.float32)))
+    graph.nodes[0].sweeps.append(sweep_at(pose, plan, 720))
     return Surroundings(graph, 0, 1.0)
 
 

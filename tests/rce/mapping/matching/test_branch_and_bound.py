@@ -4,30 +4,23 @@ import math
 
 import numpy as np
 
-from rce.mapping.evaluation.simulation.floor_plan import apartment
-from rce.mapping.geometry import ORIGIN, Points, Pose
+from rce.mapping.geometry import ORIGIN, Pose
 from rce.mapping.matching import branch_and_bound, kernels
 from rce.mapping.matching.fields import Field, square_around
 from rce.mapping.pose_graph.loops import SEARCH
+from tests.support.laser import PLACE, points_at
 
 STEPS, TURNS, TURN, BUDGET = 20, 10, math.radians(1), 100_000
-PLACE = Pose(2.6, 3.4, 0.3)
-
-
-def seen_from(pose: Pose) -> Points:
-    ranges = apartment().ranges(*pose, 240, 2 * math.pi)
-    angles = -math.pi + np.arange(240) * 2 * math.pi / 240
-    return np.stack([ranges * np.cos(angles), ranges * np.sin(angles)], axis=1)
 
 
 def room() -> Field:
     field = square_around(ORIGIN, 20.0, 0.1)
-    field.add(seen_from(PLACE))
+    field.add(points_at(PLACE))
     return field
 
 
 def test_result_is_that_of_exhaustive_search() -> None:
-    field, cells = room(), seen_from(PLACE @ Pose(0.7, -0.9, 0.1)) / 0.1
+    field, cells = room(), points_at(PLACE @ Pose(0.7, -0.9, 0.1)) / 0.1
     centre = field.pose_to_cells(ORIGIN)
     found = branch_and_bound.branch_and_bound(
         field.pyramid(5), cells, *centre, STEPS, TURNS, TURN, 0.2, branch_and_bound.NOTHING_EXCLUDED, BUDGET
@@ -48,7 +41,7 @@ def test_no_pose_is_found_below_the_required_score() -> None:
 
 
 def test_excluded_pose_is_not_found() -> None:
-    field, cells = room(), seen_from(PLACE) / 0.1
+    field, cells = room(), points_at(PLACE) / 0.1
     centre = field.pose_to_cells(ORIGIN)
     excluded = np.array([*centre, 4.0, 0.2])
     found = branch_and_bound.branch_and_bound(
@@ -59,7 +52,7 @@ def test_excluded_pose_is_not_found() -> None:
 
 
 def test_budget_ends_the_search() -> None:
-    field, cells = room(), seen_from(PLACE) / 0.1
+    field, cells = room(), points_at(PLACE) / 0.1
     centre = field.pose_to_cells(ORIGIN)
     found = branch_and_bound.branch_and_bound(
         field.pyramid(5), cells, *centre, STEPS, TURNS, TURN, 0.0, branch_and_bound.NOTHING_EXCLUDED, 10
@@ -68,7 +61,7 @@ def test_budget_ends_the_search() -> None:
 
 
 def test_unambiguous_place_is_found() -> None:
-    field, cells = room(), seen_from(PLACE @ Pose(0.7, -0.9, 0.1)) / SEARCH.resolution
+    field, cells = room(), points_at(PLACE @ Pose(0.7, -0.9, 0.1)) / SEARCH.resolution
     found = branch_and_bound.find_place(field.pyramid(5), cells, field.pose_to_cells(ORIGIN), STEPS, TURNS, SEARCH)
     assert found is not None
     np.testing.assert_allclose(field.pose_from_cells(found), (0.7, -0.9, 0.1), atol=0.06)

@@ -5,22 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from rce.mapping.evaluation.simulation.floor_plan import apartment
 from rce.mapping.geometry import ORIGIN, Pose
 from rce.mapping.matching.fields import Field, square_around
 from rce.mapping.matching.local_map import SETTINGS
 from rce.mapping.matching.scan_matching import match
-
-
-def points_at(pose: Pose, noise: float, seed: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """Return the points (n, 2), frame of the robot, that a laser at `pose` in the apartment measures."""
-    ranges = apartment().ranges(*pose, 360, 2 * math.pi)
-    ranges = ranges + np.random.default_rng(seed).normal(0.0, noise, 360)
-    angles = -math.pi + np.arange(360) * 2 * math.pi / 360
-    return np.stack([ranges * np.cos(angles), ranges * np.sin(angles)], axis=1)
-
-
-PLACE = Pose(2.6, 3.4, 0.3)
+from tests.support.laser import PLACE, points_at
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +17,7 @@ def field() -> Field:
     """Walls of the first room, in the frame of a robot at PLACE."""
     field = square_around(ORIGIN, 20.0, 0.05)
     for seed in range(5):
-        field.add(points_at(PLACE, 0.01, seed))
+        field.add(points_at(PLACE, noise=0.01, seed=seed))
     return field
 
 
@@ -36,7 +25,7 @@ def field() -> Field:
     "shift", [ORIGIN, Pose(0.03, -0.02, 0.01), Pose(0.4, -0.3, 0.3), Pose(-0.45, 0.45, -0.5)], ids=str
 )
 def test_known_shift_is_recovered(field: Field, shift: Pose) -> None:
-    found = match(field, points_at(PLACE @ shift, 0.01, 9), [ORIGIN], SETTINGS.near)
+    found = match(field, points_at(PLACE @ shift, noise=0.01, seed=9), [ORIGIN], SETTINGS.near)
     error = shift.to(found.pose)
     assert math.hypot(error.x, error.y) < 0.02
     assert abs(error.theta) < 0.005
@@ -45,7 +34,7 @@ def test_known_shift_is_recovered(field: Field, shift: Pose) -> None:
 
 def test_second_prediction_is_used_if_the_first_is_wrong(field: Field) -> None:
     shift = Pose(0.1, 0.1, 1.5)
-    found = match(field, points_at(PLACE @ shift, 0.01, 9), [ORIGIN, Pose(0.0, 0.0, 1.4)], SETTINGS.near)
+    found = match(field, points_at(PLACE @ shift, noise=0.01, seed=9), [ORIGIN, Pose(0.0, 0.0, 1.4)], SETTINGS.near)
     assert abs(shift.to(found.pose).theta) < 0.01
 
 

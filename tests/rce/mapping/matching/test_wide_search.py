@@ -5,21 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from rce.mapping.evaluation.simulation.floor_plan import apartment
 from rce.mapping.geometry import ORIGIN, Points, Pose
 from rce.mapping.grid import GridMap, OccupancyGrid
 from rce.mapping.matching.fields import Field, square_around
 from rce.mapping.matching.wide_search import match_wide
-
-PLACE = Pose(2.6, 3.4, 0.3)
-ORIGINS = np.zeros((1, 2))
-
-
-def points_at(pose: Pose) -> Points:
-    """Return the points (n, 2), frame of the robot, that a laser at `pose` in the apartment measures all around."""
-    ranges = apartment().ranges(*pose, 360, 2 * math.pi)
-    angles = -math.pi + np.arange(360) * 2 * math.pi / 360
-    return np.stack([ranges * np.cos(angles), ranges * np.sin(angles)], axis=1)
+from tests.support.laser import PLACE, SENSOR, points_at
 
 
 def seen(points: Points) -> tuple[Field, OccupancyGrid]:
@@ -27,7 +17,7 @@ def seen(points: Points) -> tuple[Field, OccupancyGrid]:
     field, grid = square_around(ORIGIN, 20.0, 0.05), GridMap(0.1)
     for _ in range(5):
         field.add(points)
-        grid.insert(ORIGINS, points)
+        grid.insert(SENSOR, points)
     return field, grid.render()
 
 

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import math
 from itertools import pairwise
 
 import numpy as np
@@ -8,20 +7,13 @@ import pytest
 
 from rce.mapping.evaluation.simulation.floor_plan import FloorPlan, apartment
 from rce.mapping.geometry import Pose
-from rce.mapping.pose_graph.graph import DRIFT, Edge, PoseGraph, Sweep
+from rce.mapping.pose_graph.graph import DRIFT, Edge, PoseGraph
 from rce.mapping.pose_graph.loops import SETTINGS, LoopFinder
-from rce.mapping.scans import Scan
+from tests.support.laser import sweep_at
 
-SENSOR = np.zeros((1, 2))
 ROOM = [(1.2 + 1.1 * i, 2.4) for i in range(4)]  # places that the robot visits twice
 FAR = 100.0  # metres of way between the visits
 PRECISE = 1e4 * np.eye(3)  # information of an edge: a centimetre, half a degree
-
-
-def seen_from(pose: Pose, plan: FloorPlan) -> Sweep:
-    ranges = plan.ranges(*pose, 360, 2 * math.pi).astype(np.float32)
-    scan = Scan(0.0, ranges, -math.pi, 2 * math.pi / 360, 12.0)
-    return Sweep(SENSOR, scan.points(12.0).astype(np.float32))
 
 
 def graph_of(places: list[Pose], offset: Pose, plan: FloorPlan) -> PoseGraph:
@@ -30,7 +22,7 @@ def graph_of(places: list[Pose], offset: Pose, plan: FloorPlan) -> PoseGraph:
     for pose in (*places, *places):
         second = len(graph.nodes) >= len(places)
         number = graph.add_node(offset @ pose if second else pose)
-        graph.nodes[number].sweeps.append(seen_from(pose, plan))
+        graph.nodes[number].sweeps.append(sweep_at(pose, plan))
     for i, j in pairwise(graph.nodes):
         way = graph.nodes[i].pose.to(graph.nodes[j].pose)
         graph.add_edges([Edge(i, j, Pose(FAR, 0.0, 0.0) if j == len(places) else way, PRECISE)])
@@ -67,7 +59,7 @@ def test_different_place_is_not_recognised() -> None:
     graph = graph_of(places, Pose(0.2, 0.0, 0.0), plan)
     elsewhere = [Pose(x + 8.0, y, 2.0) for x, y in ROOM]
     for number, pose in zip(range(len(places), 2 * len(places)), elsewhere, strict=True):
-        graph.nodes[number].sweeps = [seen_from(pose, plan)]
+        graph.nodes[number].sweeps = [sweep_at(pose, plan)]
     assert not any(search(graph, len(places)))
 
 

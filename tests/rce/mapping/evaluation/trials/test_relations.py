@@ -1,26 +1,20 @@
+"""Error of a trajectory by relations between its poses."""
+
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from rce.errors import InvalidRequest
-from rce.mapping.evaluation.simulation import Simulation
 from rce.mapping.evaluation.trials import (
-    Odometry,
-    endless,
     error_of,
-    flatness,
     read_relations,
     relations_of,
-    run,
-    with_odometry,
 )
-from rce.mapping.evaluation.trials.endless import back_and_forth
-from rce.mapping.pose_graph.mapper import GraphMapper
+from rce.mapping.evaluation.trials.relations import MAX_RELATIONS, SAME_STAMP
 
 
 def circle(count: int = 400, turns: float = 2.0) -> np.ndarray:
@@ -74,36 +68,24 @@ def test_files_of_other_formats_are_rejected(tmp_path: Path, text: str, reason: 
         read_relations(path, np.arange(10.0))
 
 
-def test_same_seed_degrades_odometry_alike(simulation: Simulation) -> None:
-    scans = simulation.records[:100]
-
-    def way(odometry: Odometry) -> float:
-        poses = np.array([scan.odometry for scan in with_odometry(scans, odometry)])
-        return float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
-
-    assert way(Odometry(scale=1.1)) == pytest.approx(1.1 * way(Odometry()))
-    assert way(Odometry(slip=1.0, slip_every=50)) > way(Odometry()) + 0.9
-    noisy = [[scan.odometry for scan in with_odometry(scans, Odometry(noise=0.1), seed)] for seed in (0, 0, 1)]
-    assert noisy[0] == noisy[1] != noisy[2]
-    assert {scan.odometry for scan in with_odometry(scans, Odometry(none=True))} == {None}
+def test_relations_of_a_long_trajectory_are_a_sample() -> None:
+    truth = circle(6000, 30.0)
+    relations = relations_of(truth)
+    assert all(len(each.ends) <= MAX_RELATIONS for each in relations.values())
+    again, other = relations_of(truth), relations_of(truth, seed=1)
+    np.testing.assert_array_equal(relations["far"].ends, again["far"].ends)
+    assert not np.array_equal(relations["far"].ends, other["far"].ends)
 
 
-def test_trial_measures_a_run(simulation: Simulation) -> None:
-    truth = relations_of(simulation.truth[:300])
-    trial = run(GraphMapper, simulation.records[:300], Odometry(noise=0.1), truth)
-    assert trial.scans == 300
-    assert trial.cpu > 0
-    assert trial.errors["near"].translation < 0.05
-    assert trial.closed is None or trial.closed
+def test_relation_of_a_stamp_without_a_scan_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "a.relations"
+    near, off = SAME_STAMP * 0.9, SAME_STAMP * 1.1
+    path.write_text(f"{1 + near} {3 - near} 1 0 0 0 0 0\n{1 + off} 3 2 0 0 0 0 0\n")
+    relations = read_relations(path, np.arange(10.0))
+    assert relations.ends.tolist() == [[1, 3]]
+    assert relations.motions.tolist() == [[1.0, 0.0, 0.0]]
 
 
-def test_endless_run_does_not_jump_and_is_measured(simulation: Simulation) -> None:
-    scans = simulation.records[:50]
-    stream = list(back_and_forth(scans, 160))
-    assert np.diff([scan.stamp for scan in stream]) == pytest.approx(0.1)
-    jumps = [a.odometry.to(b.odometry) for a, b in pairwise(stream) if a.odometry and b.odometry]
-    assert max(math.hypot(jump.x, jump.y) for jump in jumps) < 0.2
-    measured = endless(GraphMapper, scans, 200)
-    assert len(measured.scans) == 100
-    assert flatness(measured.memory) < 1.2
-    assert (measured.seconds >= 0).all()
+def test_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InvalidRequest, match=r"none\.relations cannot be read"):
+        read_relations(tmp_path / "none.relations", np.arange(10.0))
