@@ -50,6 +50,8 @@ def read(path: Path, kind: type[S]) -> S:
 
 def path_hook(kind: type[Any], value: object) -> Path:
     """Decode a `Path`, which msgspec does not know, from a string; `~` is the user's home directory."""
-    if kind is Path and isinstance(value, str | Path):
+    if kind is Path:
+        if not isinstance(value, str | Path):
+            raise TypeError(f"Expected `str`, got `{type(value).__name__}`")  # becomes a ValidationError
         return Path(value).expanduser()
     raise NotImplementedError(f"fields of type {kind} are not supported")

@@ -31,5 +31,5 @@ def parse(line: bytes) -> Ready | None:
     """Decode the announcement in a line of a program's output; return None if the line is none."""
     try:
         return msgspec.json.decode(line, type=Ready)
-    except msgspec.DecodeError:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return None

@@ -11,7 +11,7 @@ import contextlib
 import secrets
 import signal
 import sys
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from pathlib import Path
 from typing import IO, Annotated, Literal
 
@@ -163,12 +163,23 @@ async def run(settings: Settings, started: Callable[[Ready], Awaitable[None]], l
                 file=log,
                 flush=True,
             )
-        await asyncio.gather(*(process.start() for process in processes))
+        await _start_all(processes)
         await started(entry)
     finally:
         # Jobs and environments first, while the Master runs and can be informed; the Master last.
         for process in (maps, container, robot, master):
             await process.stop()
+
+
+async def _start_all(processes: Iterable[ManagedProcess]) -> None:
+    """Start processes concurrently; if one fails, cancel the starts of the others."""
+    starts = [asyncio.create_task(process.start()) for process in processes]
+    try:
+        await asyncio.gather(*starts)
+    finally:
+        for start in starts:
+            start.cancel()
+        await asyncio.wait(starts)
 
 
 async def serve(settings: Settings) -> None:

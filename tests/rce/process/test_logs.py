@@ -69,7 +69,7 @@ def test_autobahn_warning_about_a_bad_request_is_not_logged(level: LogLevel) -> 
     """The warning has the request line, which may contain the key of a robot."""
     seen = Observer()
     log = Logger(namespace="autobahn.asyncio.websocket", observer=logs._filtered(seen))
-    log.emit(level, "dropping connection: Bad HTTP request status line")  # type: ignore[arg-type]  # constantly's
+    log.emit(level, "dropping connection: Bad HTTP request status line")
     assert seen.events == []
     log.error("defect")
     assert len(seen.events) == 1
@@ -82,7 +82,7 @@ def test_autobahn_warning_about_a_bad_request_is_not_logged(level: LogLevel) -> 
 def test_noise_of_libraries_is_not_logged(namespace: str, level: LogLevel) -> None:
     seen = Observer()
     log = Logger(namespace=namespace, observer=logs._filtered(seen))
-    log.emit(level, "noise")  # type: ignore[arg-type]  # constantly's
+    log.emit(level, "noise")
     assert seen.events == []
 
 
@@ -93,5 +93,5 @@ def test_rate_limited_logger_suppresses_and_counts_warnings() -> None:
         limited.warn("no key from {address}", address="a")
     now += 10
     limited.warn("no key from {address}", address="b")
-    lines = [formatEvent(event) for event in seen.events]  # type: ignore[arg-type]
+    lines = [formatEvent(event) for event in seen.events]
     assert lines == ["no key from a", "no key from b (2 similar warnings suppressed)"]

@@ -85,44 +85,6 @@ async def test_reactor_of_the_tests_runs_on_their_loop(reactor: ReactorBase) -> 
     assert await called
 
 
-RESET = """
-import asyncio, socket, struct
-from twisted.internet import protocol
-
-class Server(protocol.Protocol):
-    def __init__(self):
-        self.connected_once = asyncio.get_running_loop().create_future()
-        self.lost = asyncio.get_running_loop().create_future()
-    def connectionMade(self):
-        self.connected_once.set_result(None)
-    def connectionLost(self, reason):
-        self.lost.set_result(None)
-
-async def reset_with_data_pending(reactor):
-    server = Server()
-    factory = protocol.Factory.forProtocol(lambda: server)
-    port = reactor.listenTCP(0, factory, interface="127.0.0.1")
-    client = socket.create_connection(("127.0.0.1", port.getHost().port))
-    await asyncio.wait_for(server.connected_once, 20)
-    client.send(b"last")
-    client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-    client.close()
-    await asyncio.wait_for(server.lost, 20)
-    await port.stopListening().asFuture(asyncio.get_running_loop())
-"""
-
-
-def test_connection_reset_is_reported_despite_pending_data() -> None:
-    program = PROGRAM.replace("async def main", RESET.replace("{", "{{").replace("}", "}}") + "\nasync def main")
-    ended = subprocess.run(
-        [sys.executable, "-P", "-c", program.format(body="await reset_with_data_pending(reactor)")],
-        capture_output=True,
-        text=True,
-        timeout=30,
-    )
-    assert ended.returncode == 0, ended.stderr
-
-
 def test_port_in_use_is_logged_as_one_line() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
