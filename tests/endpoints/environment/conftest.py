@@ -1,14 +1,19 @@
-"""A real Environment endpoint, with a Master and a robot of the test, shared by the tests of a module."""
+"""A real Environment endpoint with a Master and a robot of the test, or its ROS thread alone, shared by a module."""
 
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
+from typing import TYPE_CHECKING
 
 import pytest
 from twisted.internet.base import ReactorBase
 
 from rce.control.calls.endpoints import NodeSpec, StartNode
+from tests.support.domains import domain
 from tests.support.endpoints.environment_driver import FakeMaster, driven
+
+if TYPE_CHECKING:
+    from tests.support.endpoints.ros_world import RosWorld
 
 
 @pytest.fixture(scope="module")
@@ -18,3 +23,16 @@ async def master(running_reactor: ReactorBase, tmp_path_factory: pytest.TempPath
     async with driven(running_reactor, tmp_path_factory.mktemp("environment")) as (master, _):
         await master.call(StartNode(NodeSpec("echo", "probe", "echo.py")))
         yield master
+
+
+@pytest.fixture(scope="module")
+async def world(running_reactor: ReactorBase) -> AsyncIterator[RosWorld]:
+    """A ROS thread in this process, with a node of another process."""
+    pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
+    from tests.support.endpoints.ros_world import ros_world
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        patch.setenv("ROS_DOMAIN_ID", str(domain("ros world")))
+        async with ros_world() as made:
+            yield made

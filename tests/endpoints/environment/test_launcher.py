@@ -9,6 +9,7 @@ import sys
 import time
 
 from endpoints.environment.node import LAUNCHER
+from tests.support.endpoints.environment_driver import is_alive
 
 PYTHON = (sys.executable, "-I", "-S")
 
@@ -64,13 +65,5 @@ def test_command_dies_with_its_parent() -> None:
         parent.send_signal(signal.SIGKILL)
         assert parent.stderr.read() == ""  # the command has the pipe, too, so this waits for its end
     deadline = time.monotonic() + 10
-    while _runs(pid):
+    while is_alive(pid):
         assert time.monotonic() < deadline
-
-
-def _runs(pid: int) -> bool:
-    try:
-        with open(f"/proc/{pid}/stat") as file:
-            return file.read().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
-        return False

@@ -15,6 +15,7 @@ from endpoints.environment.node import NodeProcess
 from endpoints.environment.output_log import OutputLog
 from rce.control.calls.endpoints import NodeSpec
 from rce.errors import StartFailed
+from tests.support.endpoints.environment_driver import is_alive
 
 SPEC = NodeSpec("brain", "p", "e")
 QUICK_STEPS = ((signal.SIGINT, 0.2), (signal.SIGTERM, 0.2), (signal.SIGKILL, 10.0))
@@ -57,14 +58,6 @@ async def line(process: NodeProcess, text: str) -> str:
             for each in lines:
                 if text in each:
                     return each
-
-
-def runs(pid: int) -> bool:
-    """Return True if a process exists and is no zombie."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
 
 
 async def test_status_and_output_of_process_that_ends(start: Start, ended: list[int], tmp_path: Path) -> None:
@@ -112,18 +105,17 @@ async def test_processes_that_a_node_leaves_behind_are_killed(start: Start) -> N
     process = await start("sh", "-c", "sleep 60 & echo child $!")
     child = int((await line(process, "child")).split()[1])
     assert await asyncio.wait_for(process.over, 10) == 0
-    assert not runs(child)
+    assert not is_alive(child)
 
 
-async def test_output_after_end_of_process_is_not_awaited_forever(
+async def test_open_output_of_other_process_is_not_awaited_forever(
     start: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A process of another group may keep the output open."""
     monkeypatch.setattr(node, "OUTPUT_TIMEOUT", 0.05)
     process = await start("sh", "-c", "setsid sleep 60 & echo child $!")
     child = int((await line(process, "child")).split()[1])
     try:
         assert await asyncio.wait_for(process.over, 10) == 0
     finally:
-        if runs(child):
+        if is_alive(child):
             os.kill(child, signal.SIGKILL)

@@ -10,14 +10,11 @@ pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 
 from rce.control.calls.endpoints import (
     DropParameter,
-    InterfaceSpec,
-    LinkSpec,
     NodeSpec,
     ParameterSpec,
     PutParameter,
     StartNode,
     StopNode,
-    Sync,
 )
 from rce.control.calls.watching import ReadLog
 from rce.errors import InvalidRequest, NotFound, StartFailed
@@ -106,39 +103,3 @@ async def test_parameters_set_before_start(master: FakeMaster) -> None:
     await master.call(StartNode(NodeSpec("fast", "probe", "echo", namespace="/fast")))
     assert "speed is 1.0" in await wait_for_line(master, "fast", "speed is 1.0")
     await master.call(StopNode("fast"))
-
-
-async def test_parameters_of_running_nodes(master: FakeMaster) -> None:
-    await wait_for_line(master, "echo", "words is")
-    await master.call(StartNode(NodeSpec("other", "probe", "echo", namespace="/other")))
-    await wait_for_line(master, "other", "words is")
-    await master.call(PutParameter(ParameterSpec("speed", 3, "other")))
-    assert "becomes 3.0" in await wait_for_line(master, "other", "speed becomes")
-    assert not [line for line in (await master.call(ReadLog("echo"))).lines if "speed becomes" in line]
-    await master.call(PutParameter(ParameterSpec("words", ["a"])))
-    for tag in ("echo", "other"):
-        assert "['a']" in await wait_for_line(master, tag, "words becomes")
-    await master.call(PutParameter(ParameterSpec("undeclared", 1)))
-    with pytest.raises(InvalidRequest, match="too fast"):
-        await master.call(PutParameter(ParameterSpec("speed", 11)))
-    await master.call(StopNode("other"))
-
-
-async def test_sync_reconciles_nodes_and_reports_failures(master: FakeMaster) -> None:
-    await master.call(StartNode(NodeSpec("away", "probe", "say", "live")))
-    pid = int((await wait_for_line(master, "away", "pids")).split()[1])
-    echo = NodeSpec("echo", "probe", "echo.py")
-    wanted = Sync(
-        interfaces=[
-            InterfaceSpec("11" * 16, "user/env", "good", "PublisherInterface", "std_msgs/String", "there"),
-            InterfaceSpec("22" * 16, "user/env", "bad", "PublisherInterface", "std_msgs/Nothing", "there"),
-        ],
-        links=[LinkSpec(await master.link(), "00" * 16)],
-        nodes=[echo, NodeSpec("missing", "probe", "nothing")],
-        parameters=[ParameterSpec("mixed", [1, "a"])],
-    )
-    settled = await master.call(wanted)
-    assert set(settled.failed) == {"22" * 16, "node:missing", "parameter::mixed"}
-    settled = await master.call(Sync(links=wanted.links, nodes=[echo]))
-    assert settled.failed == {}
-    assert not is_alive(pid)

@@ -13,8 +13,6 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
 from rce.control.calls.endpoints import NodeSpec, StartNode, StopNode, Unbind
-from rce.control.calls.robots import DescribeType
-from rce.control.calls.watching import ReadGraph, RosName
 from rce.errors import InvalidRequest, UnknownType
 from rce.protocol.messages import Qos
 from tests.support.endpoints.environment_driver import FakeMaster
@@ -147,20 +145,6 @@ async def test_invalid_ros_names_are_rejected(master: FakeMaster, addr: str) -> 
 async def test_unknown_types_are_rejected(master: FakeMaster, name: str) -> None:
     with pytest.raises(UnknownType):
         await master.bind("PublisherInterface", name, "a")
-
-
-async def test_definition_of_type_is_read(master: FakeMaster) -> None:
-    described = await master.call(DescribeType("user", "sensor_msgs/Image", service=False))
-    assert {"sensor_msgs/msg/Image", "std_msgs/msg/Header", "builtin_interfaces/msg/Time"} == set(described.texts)
-
-
-async def test_ros_graph_is_read(master: FakeMaster) -> None:
-    await master.interface("SubscriberInterface", "std_msgs/String", "/read/here")
-    await master.interface("ServiceProviderInterface", "std_srvs/SetBool", "/read/asked")
-    graph = await master.call(ReadGraph())
-    (topic,) = [each for each in graph.topics if each.name == "/read/here"]
-    assert (topic.types, topic.publishers, topic.subscribers) == (["std_msgs/msg/String"], 0, 1)
-    assert RosName("/read/asked", ["std_srvs/srv/SetBool"]) in graph.services
 
 
 async def test_unbound_interface_receives_nothing(master: FakeMaster) -> None:

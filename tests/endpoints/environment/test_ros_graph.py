@@ -1,0 +1,38 @@
+"""The ROS graph as the endpoint sees it."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
+
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
+
+from endpoints.environment.ros_graph import read_graph
+from rce.control.calls.watching import RosName
+from tests.support.endpoints.ros_world import RosWorld
+
+
+async def test_topics_and_services_of_nodes_are_sorted_and_counted(world: RosWorld) -> None:
+    node = world.other
+    for _ in range(2):
+        node.create_subscription(String, "/read/zebra", print, 10)
+    node.create_publisher(String, "/read/zebra", 10)
+    node.create_publisher(String, "/read/ape", 10)
+    node.create_service(SetBool, "/read/flip", lambda request, response: response)
+    topics = [
+        RosName("/read/ape", ["std_msgs/msg/String"], 1, 0),
+        RosName("/read/zebra", ["std_msgs/msg/String"], 1, 2),
+    ]
+    services = [RosName("/read/flip", ["std_srvs/srv/SetBool"])]
+
+    def complete() -> bool:
+        graph = read_graph(world.ros.node)
+        return [_ours(graph.topics), _ours(graph.services)] == [topics, services]
+
+    await world.until(complete)
+
+
+def _ours(names: list[RosName]) -> list[RosName]:
+    return [each for each in names if each.name.startswith("/read/")]

@@ -1,0 +1,98 @@
+"""Service clients and servers of serialized messages, which call each other through ROS."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
+
+from rclpy.serialization import deserialize_message, serialize_message
+from std_srvs.srv import SetBool
+
+from endpoints.environment.ros_services import MAX_BATCH, Header, RawClient, RawService
+from rce.errors import ConversionError
+from tests.support.endpoints.ros_world import LIMIT, RosWorld
+
+COUNT = 3 * MAX_BATCH
+
+
+class Pair:
+    """A client, and a server whose requests the test answers."""
+
+    def __init__(self, world: RosWorld) -> None:
+        self._ros = world.ros
+        self.requests: asyncio.Queue[tuple[Header, bytes]] = asyncio.Queue()
+        self.responses: asyncio.Queue[tuple[int, bytes]] = asyncio.Queue()
+        self.service: RawService
+        self.client: RawClient
+
+    async def open(self) -> None:
+        ros = self._ros
+        self.client = await ros.run(lambda: RawClient(ros, SetBool, "/raw/flip", self._answered))
+        assert not await ros.run(self.client.available), "there is no server yet"
+        self.service = await ros.run(lambda: RawService(ros, SetBool, "/raw/flip", self._requested))
+
+    def _answered(self, number: int, payload: bytes) -> None:
+        self._ros.deliver(lambda: self.responses.put_nowait((number, payload)))
+
+    def _requested(self, header: Header, payload: bytes) -> None:
+        self._ros.deliver(lambda: self.requests.put_nowait((header, payload)))
+
+    async def call(self, payload: bytes) -> int:
+        return await self._ros.run(lambda: self.client.call(payload))
+
+    async def answer(self, header: Header, payload: bytes) -> None:
+        await self._ros.run(lambda: self.service.answer(header, payload))
+
+    async def close(self) -> None:
+        for each in (self.client, self.service):
+            await self._ros.run(lambda each=each: self._ros.remove_waitable(each))  # type: ignore[misc]
+
+
+@pytest.fixture
+async def pair(world: RosWorld) -> AsyncIterator[Pair]:
+    made = Pair(world)
+    await made.open()
+    await world.until(made.client.available)
+    yield made
+    await made.close()
+
+
+def request(value: bool) -> bytes:
+    return serialize_message(SetBool.Request(data=value))
+
+
+def response(text: str) -> bytes:
+    return serialize_message(SetBool.Response(success=True, message=text))
+
+
+async def test_requests_are_answered_in_any_order(pair: Pair) -> None:
+    numbers = [await pair.call(request(bool(index % 2))) for index in range(COUNT)]
+    async with asyncio.timeout(LIMIT):
+        requests = [await pair.requests.get() for _ in range(COUNT)]
+        values = [deserialize_message(payload, SetBool.Request).data for _, payload in requests]
+        assert values == [bool(index % 2) for index in range(COUNT)]
+        for index, (header, _) in reversed(list(enumerate(requests))):
+            await pair.answer(header, response(str(index)))
+        answers = dict([await pair.responses.get() for _ in range(COUNT)])
+    texts = {number: deserialize_message(payload, SetBool.Response).message for number, payload in answers.items()}
+    assert texts == {number: str(index) for index, number in enumerate(numbers)}
+
+
+@pytest.mark.parametrize("payload", [b"", b"\0\1\0\0"])
+async def test_payload_of_another_type_is_refused(pair: Pair, payload: bytes) -> None:
+    with pytest.raises(ConversionError, match=r"the request to /raw/flip is not a serialized .*SetBool_Request"):
+        await pair.call(payload)
+    await pair.call(request(True))
+    header, _ = await asyncio.wait_for(pair.requests.get(), LIMIT)
+    with pytest.raises(ConversionError, match=r"the response of /raw/flip is not a serialized .*SetBool_Response"):
+        await pair.answer(header, payload)
+
+
+async def test_service_that_is_gone_is_not_available(pair: Pair, world: RosWorld) -> None:
+    await world.ros.run(lambda: world.ros.remove_waitable(pair.service))
+    await world.until(lambda: not pair.client.available())
+    pair.service = await world.ros.run(lambda: RawService(world.ros, SetBool, "/raw/flip", pair._requested))
