@@ -16,8 +16,9 @@ MAX_FILES = 64  # of one recording
 
 Mapper = Literal["graph", "particle"]
 State = Literal["queued", "running", "cancelling", "done", "failed", "cancelled"]
-Topic = Annotated[str, Meta(max_length=255, pattern=r"^(/[A-Za-z0-9_/]*)?$")]
-Name = Annotated[str, Meta(max_length=64, pattern="^[0-9a-f]+$")]
+# In Python, `$` alone also matches before a newline at the end.
+Topic = Annotated[str, Meta(max_length=255, pattern=r"^(/[A-Za-z0-9_/]*)?$(?!\n)")]
+UploadId = Annotated[str, Meta(max_length=64, pattern=r"^[0-9a-f]+$(?!\n)")]
 MAPPERS: tuple[Mapper, ...] = get_args(Mapper)
 FINAL_STATES: frozenset[State] = frozenset({"done", "failed", "cancelled"})
 
@@ -35,7 +36,7 @@ class MapOptions(Struct, frozen=True, forbid_unknown_fields=True):
 class JobRequest(Struct, frozen=True, forbid_unknown_fields=True):
     """Mapping job to start. Several uploads are the files of one ROS 2 bag, including its metadata.yaml."""
 
-    uploads: Annotated[list[Name], Meta(min_length=1, max_length=MAX_FILES, description="ids of finished uploads")]
+    uploads: Annotated[list[UploadId], Meta(min_length=1, max_length=MAX_FILES, description="ids of finished uploads")]
     options: MapOptions = MapOptions()
     name: Annotated[str, Meta(max_length=200, description="name of the recording; by default that of its file")] = ""
 

@@ -9,7 +9,8 @@ from msgspec import Meta, Struct, field
 from rce.api.joining import Role
 from rce.api.views.resources import Usage
 
-MachineName = Annotated[str, Meta(pattern="^[A-Za-z0-9]+(-[A-Za-z0-9]+)*$", max_length=63)]
+# In Python, `$` alone also matches before a newline at the end.
+MachineName = Annotated[str, Meta(pattern=r"^[A-Za-z0-9]+(-[A-Za-z0-9]+)*$(?!\n)", max_length=63)]
 
 
 class MachineView(Struct, frozen=True):

@@ -13,7 +13,8 @@ from msgspec import Meta, Raw, Struct
 Amount = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Name = Annotated[str, Meta(min_length=1, max_length=255)]
 Short = Annotated[str, Meta(max_length=255)]
-VariableName = Annotated[str, Meta(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=255)]
+# In Python, `$` alone also matches before a newline at the end.
+VariableName = Annotated[str, Meta(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$(?!\n)", max_length=255)]
 VariableValue = Annotated[str, Meta(pattern=r"^[^\x00]*$", max_length=32_768)]
 Integer = Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]  # the range of a ROS 2 integer parameter
 ParameterValue = bool | Integer | float | str | list[bool | Integer | float | str]

@@ -58,6 +58,13 @@ def test_error_names_the_item_and_the_path_of_the_field(kind: type[Any], text: s
     assert str(raised.value).startswith("connect[3]" + (f".{field}: " if field else ": "))
 
 
+@pytest.mark.parametrize("name", ["", "1A", "A-B", "A=B", "A\n", "Ä", "x" * 256])
+def test_name_that_no_environment_variable_has_is_refused(name: str) -> None:
+    data = {"containerTag": "a", "containerData": {"env": {name: "value"}}}
+    with pytest.raises(InvalidRequest, match="env"):
+        m.decode_as(m.CreateContainer, json.dumps(data).encode(), "CC")
+
+
 def test_malformed_item_does_not_affect_the_items_before() -> None:
     lists = m.decode_as(m.ConfigureConnections, b'{"connect":[{"tagA":"a/b","tagB":"c/d"},{"tagA":1}]}', "data")
     assert m.decode_as(m.Connect, lists.connect[0], "connect[0]") == m.Connect("a/b", "c/d")
