@@ -88,7 +88,7 @@ class Gauges:
         return leave
 
     def close(self) -> None:
-        """Measure no more; nothing old is presenter."""
+        """Measure no more, and remove the figures: they would be old."""
         self._watchers.clear()
         if self._running is not None:
             self._running.cancel()

@@ -1,4 +1,4 @@
-"""Fixtures: a loop whose time is turned by hand, databases, a Master with processes."""
+"""Fixtures: a loop whose time is turned by hand, databases, a Master with processes, the entry over HTTP."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ import sqlalchemy as sa
 from twisted.internet.base import ReactorBase
 
 from master.access.users import Users
-from master.execution import process_tracker
+from master.execution import lifecycle, process_tracker
 from master.storage.store import Store
+from tests.support.master.entry import Ask, asking
+from tests.support.master.fleet import Fleet
 from tests.support.master.hand_turned import HandTurnedLoop
 from tests.support.master.peers import LONG, Furnished, Platform
+from tests.support.master.served import serve_entry
 
 POSTGRES = os.environ.get("RCE_TEST_POSTGRES", "")
 needs_postgres = pytest.mark.skipif(
@@ -53,6 +56,18 @@ def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 
 
 @pytest.fixture
+async def port(reactor: ReactorBase, fleet: Fleet, tmp_path: Path) -> AsyncIterator[int]:
+    """Port of the entry and the dashboard of the platform `fleet`, a fixture of the test's module."""
+    async with serve_entry(fleet.state, tmp_path) as port:
+        yield port
+
+
+@pytest.fixture
+def ask(port: int) -> Ask:
+    return asking(port)
+
+
+@pytest.fixture
 async def store(tmp_path: Path) -> AsyncIterator[Store]:
     store = Store(f"sqlite:///{tmp_path / 'master.db'}")
     await store.open()
@@ -69,7 +84,8 @@ async def users(store: Store) -> Users:
 
 @pytest.fixture
 async def platform(reactor: ReactorBase, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Platform]:
-    monkeypatch.setattr(process_tracker, "RETRY_FIRST", 0.0)
+    for module in (process_tracker, lifecycle):
+        monkeypatch.setattr(module, "RETRY_FIRST", 0.0)
     platform = Platform(reactor, f"sqlite:///{tmp_path / 'master.db'}", LONG)
     await platform.start()
     await platform.master.users.add("ann", "secret")

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator
-from pathlib import Path
 
 import pytest
-from twisted.internet.base import ReactorBase
 
 from rce.protocol.messages import CURRENT_VERSION, MINIMAL_VERSION
-from tests.support.master.entry import Ask, asking
+from tests.support.master.entry import Ask
 from tests.support.master.fleet import Fleet
-from tests.support.master.served import serve_entry
 
 GOOD = f"/?userID=ann&version={CURRENT_VERSION}"
 PLAIN = "text/plain; charset=utf-8"
@@ -24,17 +20,6 @@ def fleet() -> Fleet:
     fleet = Fleet()
     fleet.join("west", "robot", url="ws://:9010/")
     return fleet
-
-
-@pytest.fixture
-async def port(reactor: ReactorBase, fleet: Fleet, tmp_path: Path) -> AsyncIterator[int]:
-    async with serve_entry(fleet.state, tmp_path) as port:
-        yield port
-
-
-@pytest.fixture
-def ask(port: int) -> Ask:
-    return asking(port)
 
 
 async def test_answer_is_the_address_of_a_robot_endpoint(ask: Ask) -> None:

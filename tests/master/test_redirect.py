@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
-from pathlib import Path
 
 import pytest
-from twisted.internet.base import ReactorBase
 
 from master.redirect import absolute_url
-from tests.support.master.entry import Ask, asking
+from tests.support.master.entry import Ask
 from tests.support.master.fleet import Fleet
-from tests.support.master.served import serve_entry
 
 
 @pytest.fixture
@@ -21,17 +17,6 @@ def fleet() -> Fleet:
     fleet.join("west", "robot", url="ws://:9010/")
     fleet.join("map-service", "service", url="http://:9020/")
     return fleet
-
-
-@pytest.fixture
-async def port(reactor: ReactorBase, fleet: Fleet, tmp_path: Path) -> AsyncIterator[int]:
-    async with serve_entry(fleet.state, tmp_path) as port:
-        yield port
-
-
-@pytest.fixture
-def ask(port: int) -> Ask:
-    return asking(port)
 
 
 @pytest.mark.parametrize(

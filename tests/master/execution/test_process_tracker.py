@@ -1,15 +1,17 @@
-"""Process tracker: machines that leave and return, with a clock turned by hand."""
+"""Process tracker: machines and Robot endpoints that leave and return, with a clock turned by hand."""
 
 from __future__ import annotations
 
 from master.execution.lifecycle import RETRY_FIRST
-from rce.control.calls.endpoints import AddRoute, Sync
+from master.graph.records import Robot
+from rce.control.calls.endpoints import AddRoute, RemoveRoute, Sync
 from rce.control.calls.environments import KeepEnvironments, StartEnvironment
+from rce.control.calls.joining import Hello
 from rce.control.calls.robots import SendStatus
 from rce.errors import NoCapacity, StartFailed
 from rce.protocol import messages as m
 from rce.protocol.messages import EnvironmentEvent
-from tests.support.master.desk import GRACE, Desk, Peer
+from tests.support.master.desk import GRACE, ROBOT_GRACE, Desk, Peer
 from tests.support.master.fleet import interface
 
 
@@ -155,3 +157,47 @@ def test_environment_is_refused_if_no_task_set_returns(desk: Desk) -> None:
     assert isinstance(task.exception(), NoCapacity)
     assert isinstance(desk.do(m.CreateContainer("brain")).exception(), NoCapacity)
     assert len(desk.state.environments) == 0
+
+
+# --- Robot endpoints --------------------------------------------------------------------------------------------------
+
+
+def test_robots_of_a_lost_endpoint_are_removed_after_the_grace_period(desk: Desk) -> None:
+    west, brain = desk.wired()
+    west.leave()
+    desk.turn(ROBOT_GRACE - 1)
+    assert ("ann/r1" in desk.state.robots, brain.got(RemoveRoute)) == (True, [])
+    desk.turn(1)
+    assert "ann/r1" not in desk.state.robots
+    assert "west" not in desk.state.processes
+    assert len(brain.got(RemoveRoute)) == 1
+
+
+def test_robots_of_an_endpoint_that_returns_in_time_stay(desk: Desk) -> None:
+    west, brain = desk.wired()
+    west.leave()
+    desk.turn(ROBOT_GRACE - 1)
+    (sync,) = Peer(desk, Hello("robot", "west", "", "", "1", robots=["ann/r1"])).got(Sync)
+    assert (sync.robots, len(sync.routes)) == (["ann/r1"], 1)
+    desk.turn(10 * ROBOT_GRACE)
+    assert "ann/r1" in desk.state.robots
+    assert brain.got(RemoveRoute) == []
+
+
+def test_robot_that_its_endpoint_lacks_may_resume_elsewhere_within_the_grace_period(desk: Desk) -> None:
+    desk.wired()
+    desk.state.robots.put(Robot("ann/r2", "west", "s"))
+    Peer(desk, Hello("robot", "west", "", "", "2"))
+    desk.turn(ROBOT_GRACE - 1)
+    desk.state.robots.put(Robot("ann/r1", "east", "t"))  # as a login at another endpoint does
+    desk.turn(1)
+    assert [robot.name for robot in desk.state.robots] == ["ann/r1"]
+
+
+def test_second_connection_of_a_process_replaces_the_first(desk: Desk) -> None:
+    west, _ = desk.wired()
+    Peer(desk, Hello("robot", "west", "", "", "1", robots=["ann/r1"]))
+    assert west.lost.done()
+    desk.turn(10 * ROBOT_GRACE)
+    assert "west" in desk.state.joined
+    assert "ann/r1" in desk.state.robots

@@ -19,7 +19,7 @@ from rce.protocol import messages as m
 from tests.support.master.fleet import interface
 from tests.support.master.hand_turned import HandTurnedLoop
 
-GRACE = 30.0
+GRACE, ROBOT_GRACE = 30.0, 10.0  # seconds: of machines, and of Robot endpoints and robots
 T = TypeVar("T")
 
 
@@ -87,7 +87,7 @@ class Desk:
 
     def __init__(self, hand: HandTurnedLoop) -> None:
         self.hand = hand
-        self.master = hand.do(lambda: Master(cast(Store, NoStore()), 10.0, machine_grace=GRACE))
+        self.master = hand.do(lambda: Master(cast(Store, NoStore()), ROBOT_GRACE, machine_grace=GRACE))
         self.state = self.master.state
 
     def robot(self) -> Peer:
