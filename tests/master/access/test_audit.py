@@ -125,7 +125,7 @@ def test_names_in_a_body_are_noted_without_its_secrets() -> None:
 async def test_unauthenticated_clients_do_not_fill_the_disk(audit: Audit, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_UNAUTHENTICATED", 3)
     now = 600.0
-    monkeypatch.setattr(module.time, "time", lambda: now)
+    monkeypatch.setattr(time, "time", lambda: now)
     note(audit, *"abcde", who=None)
     note(audit, "f")  # whoever has authenticated is always recorded
     now = 659.9
@@ -198,7 +198,7 @@ async def test_object_stands_for_all_below_it(audit: Audit) -> None:
 
 async def test_times_are_from_since_up_to_until(audit: Audit, monkeypatch: pytest.MonkeyPatch) -> None:
     for now in (1.0, 2.0, 3.0):
-        monkeypatch.setattr(module.time, "time", lambda now=now: now)
+        monkeypatch.setattr(time, "time", lambda now=now: now)
         note(audit, f"{now:g}")
     assert await objects(audit, since=2.0) == ["2", "3"]
     assert await objects(audit, until=2.0) == ["1"]
@@ -214,7 +214,7 @@ async def test_pages_go_on_before_an_id(audit: Audit) -> None:
 
 async def test_old_entries_are_forgotten(audit: Audit, monkeypatch: pytest.MonkeyPatch) -> None:
     now = 1000.0
-    monkeypatch.setattr(module.time, "time", lambda: now)
+    monkeypatch.setattr(time, "time", lambda: now)
     note(audit, "old")
     now += DAY
     note(audit, "new")

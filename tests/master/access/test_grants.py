@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from master.access import grants as module
 from master.access.rights import Principal
 from master.access.users import Users, digest
 from master.storage import tables as db
@@ -79,11 +78,11 @@ async def test_temporary_key_expires_with_its_time_and_its_api_key(
     lent = await users.grants.issue_key("maps", grant, 100)
     longer = await users.grants.give("maps", "ann", key.id)
     long = await users.grants.issue_key("maps", longer, 5000)
-    monkeypatch.setattr(module.time, "time", lambda: now + 101)
+    monkeypatch.setattr(time, "time", lambda: now + 101)
     with pytest.raises(Unauthorized):
         await users.check("ann", lent.key)
     assert await users.check("ann", long.key)
-    monkeypatch.setattr(module.time, "time", lambda: now + 1001)
+    monkeypatch.setattr(time, "time", lambda: now + 1001)
     with pytest.raises(Unauthorized):
         await users.check("ann", long.key)
     with pytest.raises(Unauthorized):

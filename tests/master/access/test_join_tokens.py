@@ -9,6 +9,7 @@ import pytest
 import rce
 from master.access.grants import digest
 from master.access.join_tokens import JoinTokens
+from master.graph.records import Role
 from master.storage.store import Store
 from rce.control.calls.endpoints import Sync
 from rce.control.calls.joining import Hello
@@ -71,8 +72,9 @@ async def test_forgotten_process_cannot_join(processes: JoinTokens) -> None:
 
 
 async def test_names_are_of_processes_that_have_joined(processes: JoinTokens) -> None:
-    for name, role in (("west", "robot"), ("m1", "container"), ("ann/brain", "environment")):
-        await processes.allow(name, role, f"token of {name}")  # type: ignore[arg-type]
+    roles: dict[str, Role] = {"west": "robot", "m1": "container", "ann/brain": "environment"}
+    for name, role in roles.items():
+        await processes.allow(name, role, f"token of {name}")
         await processes.admit(name, role, f"token of {name}")
     await processes.allow("east", "robot", "t")
     assert await processes.names() == ["m1", "west"]

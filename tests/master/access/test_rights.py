@@ -8,12 +8,11 @@ import pytest
 
 from master.access.rights import COLUMNS, COMMANDS, EVERYBODY, NOBODY, RIGHTS, Principal, check, check_command, may
 from master.graph.commands import CommandContext, execute
-from master.graph.records import Environment, Robot
+from master.graph.records import Environment, EnvironmentOptions, Robot
 from master.graph.state import State
 from rce.api.roles import ASSIGNABLE_ROLES, Scopes, UserRole
 from rce.errors import Forbidden, NotFound, RceError
 from rce.protocol import messages as m
-from rce.protocol.messages import ContainerData
 
 TIED = Principal("ann", "robot", "k", scopes=Scopes("r1", ["e1"]))
 
@@ -73,7 +72,7 @@ def furnished(*, hidden: bool) -> State:
     tags = ["1", "2"] if hidden else ["1"]
     for tag in tags:
         state.robots.put(Robot(f"ann/r{tag}", "", ""))
-        state.environments.put(Environment(f"ann/e{tag}", ContainerData(), "0", ""))
+        state.environments.put(Environment(f"ann/e{tag}", EnvironmentOptions(), "0", ""))
         for owner, kind in ((f"r{tag}", "SubscriberConverter"), (f"e{tag}", "PublisherInterface")):
             execute(CommandContext(state, "ann", lambda: "id"), m.AddInterface(owner, "i", kind, "std_msgs/String"))
         execute(CommandContext(state, "ann", lambda: "id"), m.AddNode(f"e{tag}", "n", "p", "e"))

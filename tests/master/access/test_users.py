@@ -27,10 +27,11 @@ from rce.errors import (
 
 async def contents(store: Store) -> str:
     """Return the whole contents of the database as text."""
-    rows: list[Any] = []
-    for table in db.tables.sorted_tables:
-        rows += await store.run(lambda connection, table=table: list(connection.execute(sa.select(table))))  # type: ignore[misc]
-    return repr(rows)
+
+    def read(connection: sa.Connection) -> list[Any]:
+        return [row for table in db.tables.sorted_tables for row in connection.execute(sa.select(table))]
+
+    return repr(await store.run(read))
 
 
 @pytest.mark.parametrize("secret", [digest("secret"), digest("secret").upper()])

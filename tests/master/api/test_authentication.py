@@ -44,7 +44,7 @@ def basic(text: str) -> str:
     ],
 )
 def test_credentials_are_a_key_a_password_or_its_hash(header: str, found: tuple[str, str]) -> None:
-    assert credentials(make_call(None, Authorization=header).request) == found
+    assert credentials(make_call(None, headers={"Authorization": header}).request) == found
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,7 @@ def test_credentials_are_a_key_a_password_or_its_hash(header: str, found: tuple[
 )
 def test_malformed_credentials_are_refused(header: str) -> None:
     with pytest.raises(Unauthorized, match="credentials are missing"):
-        credentials(make_call(None, Authorization=header).request)
+        credentials(make_call(None, headers={"Authorization": header}).request)
 
 
 # --- audit ------------------------------------------------------------------------------------------------------------
@@ -76,7 +76,7 @@ async def entries(audit: Audit) -> list[AuditView]:
 async def test_failed_login_is_recorded_without_its_secret(
     authenticator: Authenticator, audit: Audit, users: Users
 ) -> None:
-    right, wrong = (make_call(None, Authorization=basic(f"ann:{word}")).request for word in ("secret", "wrong"))
+    right, wrong = (make_call(None, headers=client.basic("ann", word)).request for word in ("secret", "wrong"))
     assert (await authenticator.authenticate(right)).user == "ann"
     with pytest.raises(Unauthorized):
         await authenticator.authenticate(wrong)
@@ -157,7 +157,7 @@ async def test_api_key_and_hash_of_the_password_are_accepted(platform: PackagePl
     key, _ = await platform.master.users.keys.add("ann", "user")
     await platform.do("ann", lambda packages: packages.push("tool", platform.entries()), key)
     assert len(await platform.do("ann", lambda packages: packages.list(), HASH)) == 1
-    status, _ = await platform.raw("GET", "/api/v1/packages", Authorization=f"Bearer {key}")
+    status, _ = await platform.raw("GET", "/api/v1/packages", headers=client.bearer(key))
     assert status == 200
     with pytest.raises(Unauthorized):
         await platform.do("bob", lambda packages: packages.list(), key)
@@ -171,5 +171,5 @@ async def test_no_route_of_packages_is_open_to_wrong_credentials(platform: Packa
         ("GET", "/api/v1/archives", client.bearer("x")),
         ("GET", "/api/v1/packages", {}),
     ):
-        status, problem = await platform.raw(method, path, b"x" * (method == "PUT"), **headers)
+        status, problem = await platform.raw(method, path, b"x" * (method == "PUT"), headers)
         assert (status, problem["code"], problem["status"]) == (401, "unauthorized", 401), path

@@ -38,7 +38,7 @@ class Handler:
 
 
 def post(key: str = "k", principal: Principal | None = ANN, path: str = "/a", content: bytes = b"") -> Call:
-    return make_call(principal, "POST", path, content, Idempotency_Key=key)
+    return make_call(principal, "POST", path, content, headers={"Idempotency-Key": key})
 
 
 async def test_request_without_a_key_is_handled_each_time() -> None:

@@ -10,18 +10,21 @@ from typing import Any
 import msgspec
 import pytest
 
-from master.graph.records import Environment, Process
+from master.graph.records import Environment, EnvironmentOptions, Process
 from rce.api import http as client
 from rce.control.calls.environments import FetchPackage
 from rce.errors import Forbidden, LimitExceeded, NotFound, Unauthorized
 from rce.packages.client import Package
-from rce.protocol.messages import ContainerData
 from tests.support.master.package_platform import QUOTA, PackagePlatform, announce, packed
 from tests.support.master.served import PASSWORD
 
 
 async def names(platform: PackagePlatform, user: str) -> set[str]:
     return {package.name for package in await platform.do(user, lambda packages: packages.list())}
+
+
+async def push(platform: PackagePlatform, user: str, name: str) -> None:
+    await platform.do(user, lambda packages: packages.push(name, platform.entries()))
 
 
 async def test_package_is_pushed_listed_shared_and_removed(platform: PackagePlatform) -> None:
@@ -50,12 +53,12 @@ async def test_package_is_pushed_listed_shared_and_removed(platform: PackagePlat
 
 async def test_lists_come_in_pages(platform: PackagePlatform, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("c", "a", "b"):
-        await platform.do("ann", lambda packages, name=name: packages.push(name, platform.entries()))
-    await platform.do("bob", lambda packages: packages.push("d", platform.entries()))
+        await push(platform, "ann", name)
+    await push(platform, "bob", "d")
     await platform.do("bob", lambda packages: packages.share("d", ["*"]))
-    seen = (await platform.raw("GET", "/api/v1/packages?limit=2", **client.basic("ann", PASSWORD)))[1]
+    seen = (await platform.raw("GET", "/api/v1/packages?limit=2", headers=client.basic("ann", PASSWORD)))[1]
     assert ([each["name"] for each in seen["items"]], seen["next"]) == (["ann/a", "ann/b"], "ann/b")
-    assert (await platform.raw("GET", "/api/v1/packages?size=2", **client.basic("ann", PASSWORD)))[0] == 400
+    assert (await platform.raw("GET", "/api/v1/packages?size=2", headers=client.basic("ann", PASSWORD)))[0] == 400
     monkeypatch.setattr("rce.packages.client.PAGE_SIZE", 3)
     found = await platform.do("ann", lambda packages: packages.list())
     assert [each.name for each in found] == ["ann/a", "ann/b", "ann/c", "bob/d"]
@@ -96,7 +99,7 @@ async def test_read_only_roles_cannot_push(platform: PackagePlatform, role: Any)
 async def test_wrong_requests_are_problems(
     platform: PackagePlatform, method: str, path: str, body: bytes, status: int, code: str
 ) -> None:
-    answer = await platform.raw(method, path, body, **client.basic("ann", PASSWORD))
+    answer = await platform.raw(method, path, body, client.basic("ann", PASSWORD))
     assert (answer[0], answer[1]["code"]) == (status, code)
     assert answer[1]["detail"]
 
@@ -114,15 +117,15 @@ async def test_package_cannot_be_shared_with_an_unknown_user(platform: PackagePl
 async def test_upload_ticket_is_valid_once(platform: PackagePlatform) -> None:
     content = packed(platform)
     token = client.bearer(await announce(platform, content))
-    assert (await platform.raw("PUT", "/api/v1/uploads", content, **token))[0] == 201
-    assert (await platform.raw("PUT", "/api/v1/uploads", content, **token))[0] == 401
+    assert (await platform.raw("PUT", "/api/v1/uploads", content, token))[0] == 201
+    assert (await platform.raw("PUT", "/api/v1/uploads", content, token))[0] == 401
     assert platform.stored() == {hashlib.sha256(content).hexdigest()}
 
 
 async def test_digest_alone_does_not_give_an_archive(platform: PackagePlatform) -> None:
     contents = await platform.do("ann", lambda packages: packages.push("tool", platform.entries()))
     body = {"name": "mine", "digest": contents.digest, "size": contents.size}
-    answer = await platform.raw("POST", "/api/v1/packages", msgspec.json.encode(body), **client.basic("eve", PASSWORD))
+    answer = await platform.raw("POST", "/api/v1/packages", msgspec.json.encode(body), client.basic("eve", PASSWORD))
     assert (answer[0], bool(answer[1]["token"])) == (202, True)  # eve must show that she has it
     assert await names(platform, "eve") == set()
 
@@ -135,14 +138,14 @@ async def test_upload_that_was_not_announced_is_refused(platform: PackagePlatfor
     content = packed(platform)
     assert len(content) == 3072 + 1024
     token = await announce(platform, content[:3072])
-    assert (await platform.raw("PUT", "/api/v1/uploads", sent, **client.bearer(token)))[0] == status
+    assert (await platform.raw("PUT", "/api/v1/uploads", sent, client.bearer(token)))[0] == status
     assert platform.stored() == set()
     assert platform.depot.pending() == []
 
 
 async def test_malformed_archive_is_refused(platform: PackagePlatform) -> None:
     token = await announce(platform, b"no archive")
-    status, problem = await platform.raw("PUT", "/api/v1/uploads", b"no archive", **client.bearer(token))
+    status, problem = await platform.raw("PUT", "/api/v1/uploads", b"no archive", client.bearer(token))
     assert (status, problem["code"]) == (400, "invalid_request")
     assert platform.stored() == set()
 
@@ -175,7 +178,9 @@ async def test_task_set_fetches_packages_of_its_environments(platform: PackagePl
     fetch = master._fetch_package
     with pytest.raises(NotFound):
         await fetch(machine, FetchPackage(contents.digest))
-    master.state.environments.put(Environment("ann/e", ContainerData(), "0" * 32, "m1", packages=[contents.digest]))
+    master.state.environments.put(
+        Environment("ann/e", EnvironmentOptions(), "0" * 32, "m1", packages=[contents.digest])
+    )
     with pytest.raises(NotFound):
         await fetch(other, FetchPackage(contents.digest))
     with pytest.raises(NotFound):

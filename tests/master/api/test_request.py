@@ -123,14 +123,14 @@ def test_wrong_body_names_the_field(content: bytes, field: str) -> None:
 
 
 def test_header_is_returned_or_missing() -> None:
-    call = make_call(None, Last_Event_ID="7")
+    call = make_call(None, headers={"Last-Event-ID": "7"})
     assert call.header("last-event-id") == "7"
     assert call.header("Idempotency-Key") is None
 
 
 @pytest.mark.parametrize(("length", "good"), [(0, False), (1, True), (MAX_HEADER, True), (MAX_HEADER + 1, False)])
 def test_length_of_headers_is_limited(length: int, good: bool) -> None:
-    call = make_call(None, X="a" * length)
+    call = make_call(None, headers={"X": "a" * length})
     if good:
         assert call.header("X") == "a" * length
     else:

@@ -6,7 +6,7 @@ Allowed requests succeed. Other users' resources get the same answer as those th
 from __future__ import annotations
 
 import json
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -123,11 +123,11 @@ async def test_lists_have_what_the_user_may_see(world: World) -> None:
                     tags = [each.get(tag, "") for tag in ("robotID", "containerTag", "endpointTag", "tagA", "tagB")]
                     seen.setdefault(route, set()).update((each["user"], tag.partition("/")[0]) for tag in tags if tag)
         users = USERS if name == "operator" else ("ann",)
-        tags = {"r1", "brain"} if name == "tied" else {"r1", "r2", "brain", "attic"}
+        visible = {"r1", "brain"} if name == "tied" else {"r1", "r2", "brain", "attic"}
         for route in ("GET /robots", "GET /environments", "GET /interfaces", "GET /connections"):
             assert {user for user, _ in seen[route]} == set(users), (name, route)
-            assert {tag for _, tag in seen[route]} <= tags, (name, route)
-        assert {tag for _, tag in seen["GET /connections"]} == tags
+            assert {tag for _, tag in seen[route]} <= visible, (name, route)
+        assert {tag for _, tag in seen["GET /connections"]} == visible
 
 
 @pytest.mark.parametrize("name", ACTORS)
@@ -214,13 +214,16 @@ LISTENS: list[m.Command] = [
     m.RemoveInterface(GUEST, "ear"),
 ]
 SPEAKS: list[m.Command] = [
-    m.AddInterface(GUEST, f"new{number}", kind, STRING)
-    for number, kind in enumerate(
-        ("SubscriberConverter", "SubscriberForwarder", "ServiceClientConverter", "ServiceProviderForwarder")
-    )
-] + [
-    m.AddInterface("brain", f"{GUEST}.new{number}", kind, STRING, "/said")
-    for number, kind in enumerate(("PublisherInterface", "ServiceClientInterface", "ServiceProviderInterface"))
+    *(
+        m.AddInterface(GUEST, f"new{number}", kind, STRING)
+        for number, kind in enumerate(
+            ("SubscriberConverter", "SubscriberForwarder", "ServiceClientConverter", "ServiceProviderForwarder")
+        )
+    ),
+    *(
+        m.AddInterface("brain", f"{GUEST}.new{number}", kind, STRING, "/said")
+        for number, kind in enumerate(("PublisherInterface", "ServiceClientInterface", "ServiceProviderInterface"))
+    ),
 ]
 NOT_ITS_OWN: list[m.Command] = [
     m.AddInterface("brain", "plain", "SubscriberInterface", STRING, "/said"),
@@ -256,7 +259,12 @@ async def test_commands_of_guests(world: World, name: str, owner: str) -> None:
         assert f"{user}/{GUEST}" not in state.robots
         return
     usage = (state.robots_of_user("bob"), state.connections_of_user("bob"))
-    tried = (("data.read", LISTENS), ("data.write", SPEAKS), ("", commands("r1", "brain")[:9]), ("", NOT_ITS_OWN[-2:]))
+    tried: tuple[tuple[str, Sequence[m.Command]], ...] = (
+        ("data.read", LISTENS),
+        ("data.write", SPEAKS),
+        ("", commands("r1", "brain")[:9]),
+        ("", NOT_ITS_OWN[-2:]),
+    )
     for operation, each in ((operation, each) for operation, all_of in tried for each in all_of):
         said = await outcome(world, Execute.of(f"{user}/{GUEST}", each))
         assert (said == "ok") == may(operation or COMMANDS[type(each)]), (name, each, said)

@@ -46,8 +46,10 @@ class Routes:
 
         self.api.add(Route(method, path, handler, **{"public": True, **options}))
 
-    async def ask(self, method: str, path: str, content: bytes = b"", **headers: str) -> web.Response:
-        response = await self.api.handle(make_call(None, method, path, **headers).request, content, None)
+    async def ask(
+        self, method: str, path: str, content: bytes = b"", headers: dict[str, str] | None = None
+    ) -> web.Response:
+        response = await self.api.handle(make_call(None, method, path, headers=headers).request, content, None)
         assert isinstance(response, web.Response)
         return response
 
@@ -142,8 +144,8 @@ async def test_ambiguous_query_is_refused(routes: Routes, query: str, field: str
 async def test_forms_are_refused(routes: Routes, kind: str, status: int) -> None:
     routes.add("POST", "/things", body=Greeting)
     routes.add("POST", "/others")
-    assert (await routes.ask("POST", f"{PREFIX}/things", b"{}", Content_Type=kind)).status == status
-    assert (await routes.ask("POST", f"{PREFIX}/others", b"{}", Content_Type=kind)).status == 200  # takes no body
+    assert (await routes.ask("POST", f"{PREFIX}/things", b"{}", {"Content-Type": kind})).status == status
+    assert (await routes.ask("POST", f"{PREFIX}/others", b"{}", {"Content-Type": kind})).status == 200  # takes no body
 
 
 # --- answers ----------------------------------------------------------------------------------------------------------
@@ -170,8 +172,8 @@ async def test_answers_are_sent_by_their_types(routes: Routes, tmp_path: Path) -
 
 async def test_request_id_is_in_the_answer(routes: Routes) -> None:
     routes.add("GET", "/things")
-    assert (await routes.ask("GET", f"{PREFIX}/things", X_Request_Id="r1")).headers["X-Request-Id"] == "r1"
-    assert (await routes.ask("GET", f"{PREFIX}/none", X_Request_Id="r2")).headers["X-Request-Id"] == "r2"
+    assert (await routes.ask("GET", f"{PREFIX}/things", headers={"X-Request-Id": "r1"})).headers["X-Request-Id"] == "r1"
+    assert (await routes.ask("GET", f"{PREFIX}/none", headers={"X-Request-Id": "r2"})).headers["X-Request-Id"] == "r2"
     assert (await routes.ask("GET", f"{PREFIX}/things")).headers["X-Request-Id"]
 
 
@@ -205,7 +207,7 @@ async def test_routes_need_credentials_unless_they_are_public(routes: Routes, us
     routes.add("GET", "/things", public=False)
     assert (await routes.ask("GET", f"{PREFIX}/things")).status == 401
     assert not routes.calls
-    assert (await routes.ask("GET", f"{PREFIX}/things", **client.basic("ann", "secret"))).status == 200
+    assert (await routes.ask("GET", f"{PREFIX}/things", headers=client.basic("ann", "secret"))).status == 200
     (call,) = routes.calls
     assert (call.user, call.principal is not None) == ("ann", True)
 
@@ -214,7 +216,7 @@ async def test_changes_are_recorded(routes: Routes, users: Users) -> None:
     routes.add("GET", "/things", public=False)
     routes.add("POST", "/things", public=False)
     for method in ("GET", "POST"):
-        await routes.ask(method, f"{PREFIX}/things", **client.basic("ann", "secret"))
+        await routes.ask(method, f"{PREFIX}/things", headers=client.basic("ann", "secret"))
     recorded = await routes.audit.find(AuditFilter(), None, 10)
     assert [(each.user, each.action, each.result) for each in recorded] == [("ann", f"POST {PREFIX}/things", "ok")]
 
@@ -224,7 +226,7 @@ async def test_repeated_post_with_a_key_is_handled_once(routes: Routes, users: U
     routes.add("PUT", "/things", public=False)
     headers = client.basic("ann", "secret") | {"Idempotency-Key": "k"}
     for method in ("POST", "POST", "PUT", "PUT"):
-        assert (await routes.ask(method, f"{PREFIX}/things", **headers)).status == 200
+        assert (await routes.ask(method, f"{PREFIX}/things", headers=headers)).status == 200
     assert [call.method for call in routes.calls] == ["POST", "PUT", "PUT"]
 
 

@@ -107,7 +107,7 @@ async def test_upload_that_cannot_be_stored_is_unavailable(
     monkeypatch.setattr(Upload, "write", fail)
     content = packed(platform)
     token = await announce(platform, content)
-    status, problem = await platform.raw("PUT", "/api/v1/uploads", content, **client.bearer(token))
+    status, problem = await platform.raw("PUT", "/api/v1/uploads", content, client.bearer(token))
     assert (status, problem["code"]) == (503, "unavailable")
     assert platform.stored() == set()
 

@@ -15,17 +15,16 @@ def make_call(
     method: str = "GET",
     path: str = "/",
     content: bytes = b"",
+    *,
     parameters: dict[str, str] | None = None,
     variables: dict[str, str] | None = None,
-    **headers: str,
+    headers: dict[str, str] | None = None,
 ) -> Call:
-    """Return a call; underscores in the names of headers stand for hyphens."""
-    sent = {name.replace("_", "-"): value for name, value in headers.items()}
-    request = make_mocked_request(method, path, sent, transport=transport())
+    """Return a call from 10.0.0.1."""
+    request = make_mocked_request(method, path, headers, transport=_transport("10.0.0.1"))
     user = principal.user if principal else ""
     return Call(user, principal, variables or {}, "", content, None, parameters or {}, request, AuditDetails())
 
 
-def transport(peer: str = "10.0.0.1") -> Mock:
-    """Return a transport from this address."""
+def _transport(peer: str) -> Mock:
     return Mock(get_extra_info=lambda name, default=None: (peer, 1234) if name == "peername" else default)

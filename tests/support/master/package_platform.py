@@ -46,10 +46,14 @@ class PackagePlatform(NamedTuple):
     async def do(self, user: str, action: Callable[[PackagesClient], Any], secret: str = PASSWORD) -> Any:
         return await asyncio.to_thread(action, PackagesClient(self.entry(user, secret)))
 
-    async def raw(self, method: str, path: str, body: bytes = b"", **headers: str) -> tuple[int, dict[str, Any]]:
+    async def raw(
+        self, method: str, path: str, body: bytes = b"", headers: dict[str, str] | None = None
+    ) -> tuple[int, dict[str, Any]]:
+        """Return the status and the body of the answer to one request."""
+
         def ask() -> tuple[int, dict[str, Any]]:
             connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)
-            connection.request(method, path, body, {"Connection": "close", **headers})
+            connection.request(method, path, body, {"Connection": "close"} | (headers or {}))
             response = connection.getresponse()
             answer = response.status, json.loads(response.read() or b"{}")
             connection.close()
@@ -92,7 +96,7 @@ async def serve_packages(reactor: ReactorBase, files: Path) -> AsyncIterator[Pac
 async def announce(platform: PackagePlatform, content: bytes, size: int = 0) -> str:
     """Announce an upload of ann and return its ticket."""
     body = {"name": "tool", "digest": hashlib.sha256(content).hexdigest(), "size": size or len(content)}
-    answer = await platform.raw("POST", "/api/v1/packages", msgspec.json.encode(body), **client.basic("ann", PASSWORD))
+    answer = await platform.raw("POST", "/api/v1/packages", msgspec.json.encode(body), client.basic("ann", PASSWORD))
     assert answer[0] == 202
     return str(answer[1]["token"])
 
