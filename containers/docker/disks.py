@@ -80,14 +80,28 @@ def detach(disk: Disk) -> None:
 
 
 def sweep(root: Path) -> None:
-    """Detach all disks whose files are below `root`."""
+    """Detach all disks whose files are below `root`.
+
+    Raises:
+        StartFailed: A disk cannot be detached.
+    """
     for backing in BLOCK.glob("loop*/loop/backing_file"):
+        file = _file_behind(backing)
+        if file is None or not file.is_relative_to(root):
+            continue
         try:
-            file = backing.read_text().strip().removesuffix(" (deleted)")
-        except OSError:
-            continue  # it was detached meanwhile
-        if Path(file).is_relative_to(root):
             _run("losetup", "--detach", f"/dev/{backing.parents[1].name}")
+        except StartFailed:
+            if _file_behind(backing) == file:
+                raise
+
+
+def _file_behind(backing: Path) -> Path | None:
+    """Return the file of a loop device; None if it was detached meanwhile."""
+    try:
+        return Path(backing.read_text().strip().removesuffix(" (deleted)"))
+    except OSError:
+        return None
 
 
 def underlying_disk(path: Path) -> str:

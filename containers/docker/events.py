@@ -69,9 +69,11 @@ class Events:
         since = time.time()
         while not self._closed.is_set():
             try:
-                self._stream = self._api.events(since=int(since), filters=self._filters, decode=True)
+                stream = self._stream = self._api.events(since=int(since), filters=self._filters, decode=True)
+                if self._closed.is_set():  # by a thread that did not see the stream yet
+                    stream.close()
                 self._post(self._on_resumed)
-                for event in self._stream:
+                for event in stream:
                     since = time.time()
                     self._post(self._on_event, event)
             except (DockerException, requests.RequestException, urllib3.exceptions.HTTPError, OSError) as error:
