@@ -65,9 +65,10 @@ def test_path_leads_from_a_green_to_a_red_dot() -> None:
     assert np.ptp(middle.astype(int)) > 50, "the line between them is coloured"
 
 
-@pytest.mark.parametrize(("columns", "metres"), [(100, 1.0), (1000, 10.0), (10_000, 100.0), (460, 5.0)])
+@pytest.mark.parametrize(("columns", "metres"), [(100, 1.0), (1000, 10.0), (10_000, 100.0), (500, 5.0)])
 def test_scale_bar_has_a_round_length(columns: int, metres: float) -> None:
     picture = drawn(np.zeros((10, columns), np.int8))
     pixels_per_metre = inside(picture).shape[1] / (columns * 0.05)
     ink = np.flatnonzero((picture[picture.shape[0] - 22] == INK).all(axis=1))
-    assert ink[-1] - ink[0] == pytest.approx(metres * pixels_per_metre, abs=3)
+    bar = ink[: np.argmax(np.diff(ink) > 5) + 1]  # what follows is the text
+    assert bar[-1] - bar[0] == pytest.approx(metres * pixels_per_metre, abs=3)

@@ -7,7 +7,7 @@ import pytest
 
 from rce.mapping.evaluation.simulation.floor_plan import FloorPlan, apartment
 from rce.mapping.geometry import Pose
-from rce.mapping.pose_graph.graph import DRIFT, Edge, PoseGraph
+from rce.mapping.pose_graph.graph import Edge, PoseGraph
 from rce.mapping.pose_graph.loops import SETTINGS, LoopFinder
 from tests.support.laser import sweep_at
 
@@ -68,13 +68,3 @@ def test_nodes_near_along_edges_are_not_searched() -> None:
     graph = graph_of(places, Pose(0.1, 0.0, 0.0), apartment())
     graph.add_edges([Edge(0, len(places), Pose(0.1, 0.0, 0.0), PRECISE)])
     assert not any(search(graph, len(places)))
-
-
-def test_edge_in_doubt_counts_as_a_long_way() -> None:
-    graph = PoseGraph()
-    for x in range(3):
-        graph.add_node(Pose(float(x), 0.0, 0.0))
-    sideways = np.diag([1.0 / 0.8**2, 1e4, 1e4])
-    graph.add_edges([Edge(0, 1, Pose(1.0, 0.0, 0.0), PRECISE), Edge(1, 2, Pose(1.0, 0.0, 0.0), sideways)])
-    assert graph.distances(0)[1] == pytest.approx(1.0)
-    assert graph.distances(1)[2] == pytest.approx(DRIFT.doubt_length)

@@ -3,10 +3,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pytest
 
 from rce.mapping.geometry import ORIGIN, Pose
-from rce.mapping.pose_graph.graph import Edge, Matrix, PoseGraph, information_matrix
+from rce.mapping.pose_graph.graph import Edge, Matrix, PoseGraph
 from rce.mapping.pose_graph.optimisation import disagreement, optimise
 
 SIDE = 10  # nodes along each side of a square
@@ -57,20 +56,3 @@ def test_false_closure_among_true_ones_has_no_effect() -> None:
     false = Edge(5, 25, truth[5].to(truth[25]) @ Pose(1.0, 1.0, 0.2), LOOSE, closure=True)
     graph.add_edges([*true, false])
     assert worst(graph, truth) < 0.05
-
-
-def test_information_is_rotated_and_bounded() -> None:
-    along_x = np.diag([1.0, 1e-8, 1e-8])
-    information = information_matrix(along_x, math.pi / 2, (0.1, 0.01), 1.0)
-    np.testing.assert_allclose(np.diag(information), [100.0, 1 / 1.01, 1e4], rtol=1e-3)
-
-
-def test_distances_are_along_edges_nearest_first() -> None:
-    graph, _ = square(0.0)
-    ways = graph.distances(5, 3.5)
-    assert list(ways.values()) == sorted(ways.values())
-    assert set(ways) == {2, 3, 4, 5, 6, 7, 8}
-    graph.add_edges([Edge(5, 30, ORIGIN, EXACT, closure=True)])
-    assert graph.distances(5)[31] == pytest.approx(1.1)
-    graph.remove_edges([graph.edges[-1]])
-    assert graph.distances(5)[31] > 20
