@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import functools
+import inspect
 import ssl as tls
 from collections.abc import Callable, Coroutine, Iterator
 from types import TracebackType
@@ -110,6 +111,8 @@ def blocking_factory(
     def call(self: Blocking[W], /, *arguments: P.args, **options: P.kwargs) -> B:
         return kind(self._thread, self._thread.wait(method(self.inner, *arguments, **options)))
 
+    signature = inspect.signature(method).replace(return_annotation=kind)
+    call.__signature__ = signature  # type: ignore[attr-defined]  # what `help` shows; functions may have it
     return call
 
 

@@ -66,6 +66,11 @@ def test_methods_have_the_arguments_of_the_asyncio_client(blocking: type[Any], a
         ], name
 
 
+def test_signature_has_the_blocking_result() -> None:
+    assert inspect.signature(BlockingRobot.publisher).return_annotation is BlockingPublisher
+    assert inspect.signature(BlockingEnvironment.service_client).return_annotation is BlockingServiceClient
+
+
 async def test_settings_of_interfaces_reach_the_platform(fake: FakePlatform) -> None:
     def run() -> None:
         with robot(fake.url) as a:
