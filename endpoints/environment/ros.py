@@ -101,7 +101,8 @@ class RosThread:
             try:
                 result = action()
             except Exception as error:  # noqa: BLE001  # it is raised in the caller
-                self.deliver(lambda error=error: None if done.done() else done.set_exception(error))  # type: ignore[misc]
+                failure = error  # `error` is unbound after this block
+                self.deliver(lambda: None if done.done() else done.set_exception(failure))
             else:
                 self.deliver(lambda: None if done.done() else done.set_result(result))
 

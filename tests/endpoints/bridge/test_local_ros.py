@@ -123,8 +123,7 @@ async def test_link_always_has_room() -> None:
     assert (link.wait_for_room(CLOUD), link.backlog(CLOUD)) == (None, 0)
 
 
-def test_interfaces_process_timeouts_once_a_second() -> None:
-    hand = HandTurnedLoop()
+def test_interfaces_process_timeouts_once_a_second(hand: HandTurnedLoop) -> None:
     local = hand.do(lambda: LocalRos(cast(RosThread, None), []))
 
     async def add() -> RosInterface:
@@ -137,4 +136,3 @@ def test_interfaces_process_timeouts_once_a_second() -> None:
     hand.do(local.close)
     hand.turn(2)
     assert len(made.ticks) == 3
-    hand.close()

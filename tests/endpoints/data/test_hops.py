@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 
 import pytest
 
@@ -14,13 +13,6 @@ from rce.control.calls.watching import FollowMessages, HopRecord
 from tests.support.master.hand_turned import HandTurnedLoop
 
 OUT, IN, OTHER = bytes([1] * 16), bytes([2] * 16), bytes([3] * 16)
-
-
-@pytest.fixture
-def hand() -> Iterator[HandTurnedLoop]:
-    loop = HandTurnedLoop()
-    yield loop
-    loop.close()
 
 
 @pytest.fixture

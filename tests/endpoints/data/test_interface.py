@@ -66,8 +66,8 @@ async def links() -> tuple[FakeLink, FakeLink]:
     return FakeLink(), FakeLink()
 
 
-def message(name: str, payload: bytes = b"", **more: bytes) -> Message:
-    return Message(bytes.fromhex(ID), name, payload, **more)  # type: ignore[arg-type]  # mypy takes it for all fields
+def message(name: str, payload: bytes = b"", destination: bytes | None = None) -> Message:
+    return Message(bytes.fromhex(ID), name, payload, destination)
 
 
 async def test_peers_behind_one_link_get_one_copy(links: tuple[FakeLink, FakeLink]) -> None:

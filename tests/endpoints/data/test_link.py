@@ -20,7 +20,7 @@ async def test_messages_pass_complete_and_in_order_both_ways(pair: tuple[End, En
         for number in range(100):
             end.link.send(Message(A, str(number), b"x" * number), None)
         end.link.send(Message(B, "large", b"y" * 3_000_000), None)
-        await other.until(lambda other=other: len(other.received) == 101)  # type: ignore[misc]
+        await other.until_received(101)
         assert sorted(message.msg_id for message in end.sent) == sorted(message.msg_id for message in other.received)
         assert [m.msg_id for m in other.received if m.source == A] == [str(number) for number in range(100)]
         assert bytes(next(m for m in other.received if m.source == B).payload) == b"y" * 3_000_000
@@ -60,7 +60,7 @@ async def test_paused_link_delivers_everything_after_pause(pair: tuple[End, End]
     assert not there.received
     until.set_result(None)
     await asyncio.wait_for(room, WAIT)
-    await there.until(lambda: len(there.received) == 60)
+    await there.until_received(60)
     assert [m.msg_id for m in there.received] == [str(number) for number in range(60)]
 
 
@@ -79,7 +79,7 @@ async def test_links_of_sender_share_its_rate_limit(port: tuple[Listener, list[s
     for here, _ in ends:
         here.link.send(Message(A, "1", bytes(size)), None)
     for _, there in ends:
-        await there.until(lambda there=there: len(there.received) == 1)  # type: ignore[misc]
+        await there.until_received(1)
     assert asyncio.get_running_loop().time() - began > (2 * size / rate - BURST) * 0.9 - 0.1
     for here, there in ends:
         here.link.close()
@@ -146,7 +146,7 @@ async def test_flood_does_not_starve_other_tasks(pair: tuple[End, End]) -> None:
     task = asyncio.create_task(other())
     for number in range(100):
         here.link.send(Message(A, str(number), bytes(1_000_000)), None)
-    await there.until(lambda: len(there.received) == 100)
+    await there.until_received(100)
     task.cancel()
     assert turns > 10
 

@@ -48,8 +48,8 @@ class Recorder(Interface):
         self.events.append("closed")
 
 
-def spec(number: int, **more: object) -> InterfaceSpec:
-    return InterfaceSpec(f"{number:032x}", "u/r", f"i{number}", "PublisherConverter", "a/B", **more)  # type: ignore[arg-type]
+def spec(number: int, qos: Qos | None = None) -> InterfaceSpec:
+    return InterfaceSpec(f"{number:032x}", "u/r", f"i{number}", "PublisherConverter", "a/B", qos=qos or Qos())
 
 
 class Board(Switchboard):

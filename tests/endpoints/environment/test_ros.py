@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from functools import partial
 from typing import Any
 
 import pytest
@@ -61,7 +62,7 @@ async def test_work_and_results_keep_their_order(ros: RosThread) -> None:
         ros.deliver(lambda: results.append(number))
 
     for number in range(1000):
-        ros.post(lambda number=number: work(number))  # type: ignore[misc]  # mypy does not see the default
+        ros.post(partial(work, number))
     await ros.run(lambda: None)
     assert order == results == list(range(1000))
 

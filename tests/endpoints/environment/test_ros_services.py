@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
+from functools import partial
 
 import pytest
 
@@ -49,7 +50,7 @@ class Pair:
 
     async def close(self) -> None:
         for each in (self.client, self.service):
-            await self._ros.run(lambda each=each: self._ros.remove_waitable(each))  # type: ignore[misc]
+            await self._ros.run(partial(self._ros.remove_waitable, each))
 
 
 @pytest.fixture

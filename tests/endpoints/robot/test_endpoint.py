@@ -109,12 +109,9 @@ class Trial:
 
 
 @pytest.fixture
-def trial() -> Iterator[Trial]:
-    hand = HandTurnedLoop()
-    made = Trial(hand)
-    yield made
+def trial(hand: HandTurnedLoop) -> Iterator[Trial]:
+    yield Trial(hand)
     hand.turn(100)  # let grace times pass
-    hand.close()
 
 
 def test_robot_is_logged_in_by_master(trial: Trial) -> None:

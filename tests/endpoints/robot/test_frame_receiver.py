@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, cast
 
 import pytest
@@ -75,13 +75,6 @@ class Socket:
     def errors(self) -> list[tuple[str, Any]]:
         """Codes of the errors that were sent to the robot, with the ids of the frames."""
         return [(error.info.code, None if id is UNSET else id) for error, id in self.session.errors]
-
-
-@pytest.fixture
-def hand() -> Iterator[HandTurnedLoop]:
-    loop = HandTurnedLoop()
-    yield loop
-    loop.close()
 
 
 @pytest.fixture

@@ -34,6 +34,9 @@ class End:
         self.lost.append(reason)
         self.changed.set()
 
+    async def until_received(self, count: int) -> None:
+        await self.until(lambda: len(self.received) == count)
+
     async def until(self, wanted: Callable[[], bool]) -> None:
         async with asyncio.timeout(WAIT):
             while not wanted():
