@@ -9,10 +9,10 @@ from msgspec import Meta
 
 from master.access import rights
 from master.api.commands import Commands, created
-from master.api.principals import authorize, authorize_list, page_of_records, principal_of
+from master.api.principals import authorize_list, find_environment, page_of_records, principal_of
 from master.api.request import Answer, Call, ListQuery, Owner, OwnerQuery, PageQuery
 from master.api.router import Api, Route
-from master.graph.records import Environment, Node, user_of
+from master.graph.records import Node, user_of
 from master.service import Master
 from rce.api.views import EnvironmentView, NewEnvironment, NewNode, NewParameter, NodeView, Page, ParameterView
 from rce.api.views.resources import EnvironmentState
@@ -133,13 +133,13 @@ class EnvironmentsApi:
     async def _show(self, call: Call) -> Answer:
         return Answer(
             self._master.presenter.environment(
-                self._find_environment(call, "environment.read", call.query(OwnerQuery).user)
+                find_environment(call, self._state, "environment.read", call.query(OwnerQuery).user)
             )
         )
 
     async def _list_nodes(self, call: Call) -> Answer:
         query = call.query(ContentQuery)
-        environment = self._find_environment(call, "node.read", query.user)
+        environment = find_environment(call, self._state, "node.read", query.user)
         records = self._state.nodes.by(environment.name)
         return page_of_records(records, user_of(environment.name), query, self._master.presenter.node)
 
@@ -156,7 +156,7 @@ class EnvironmentsApi:
         return Answer(status=204)
 
     async def _show_node(self, call: Call) -> Answer:
-        environment = self._find_environment(call, "node.read", call.query(OwnerQuery).user)
+        environment = find_environment(call, self._state, "node.read", call.query(OwnerQuery).user)
         return Answer(
             self._master.presenter.node(
                 self._find_node(user_of(environment.name), call.path["environment"], call.path["node"])
@@ -171,7 +171,7 @@ class EnvironmentsApi:
 
     async def _list_parameters(self, call: Call) -> Answer:
         query = call.query(ParametersQuery)
-        environment = self._find_environment(call, "parameter.read", query.user)
+        environment = find_environment(call, self._state, "parameter.read", query.user)
         records = self._state.parameters.by(environment.name)
         presenter = self._master.presenter.parameter
         return page_of_records(
@@ -192,20 +192,8 @@ class EnvironmentsApi:
 
     async def _show_parameter(self, call: Call) -> Answer:
         query, name = call.query(ParameterQuery), call.path["name"]
-        environment = self._find_environment(call, "parameter.read", query.user)
+        environment = find_environment(call, self._state, "parameter.read", query.user)
         parameter = self._state.parameters.get(f"{environment.name}/{query.node}:{name}")
         if parameter is None:
             raise NotFound(f"there is no parameter {name[:80]!r}", field="name")
         return Answer(self._master.presenter.parameter(parameter))
-
-    def _find_environment(self, call: Call, operation: str, user: str) -> Environment:
-        """Return the environment of the path.
-
-        Raises:
-            NotFound: There is none of this name.
-        """
-        tag = call.path["environment"]
-        environment = self._state.environments.get(f"{authorize(call, operation, user, environment=tag)}/{tag}")
-        if environment is None:
-            raise NotFound(f"there is no environment {tag[:80]!r}", field="environment")
-        return environment

@@ -9,9 +9,10 @@ from typing import TypeVar
 from master.access import rights
 from master.access.rights import EVERYBODY, Principal
 from master.api.request import Answer, Call, PageQuery
-from master.graph.records import Record, user_of
+from master.graph.records import Environment, Record, user_of
+from master.graph.state import State
 from rce.api.views import Page
-from rce.errors import Unauthorized
+from rce.errors import NotFound, Unauthorized
 
 R = TypeVar("R", bound=Record)
 V = TypeVar("V")
@@ -55,6 +56,20 @@ def authorize_list(call: Call, operation: str, user: str) -> str:
     if user == EVERYBODY and rights.reach(principal_of(call), operation) == "own":
         return call.user
     return authorize(call, operation, user)
+
+
+def find_environment(call: Call, state: State, operation: str, user: str) -> Environment:
+    """Return the environment in the path of a call, if the caller may do this operation on it.
+
+    Raises:
+        Forbidden: As `authorize`.
+        NotFound: As `authorize`, or there is none of this name.
+    """
+    tag = call.path["environment"]
+    environment = state.environments.get(f"{authorize(call, operation, user, environment=tag)}/{tag}")
+    if environment is None:
+        raise NotFound(f"there is no environment {tag[:80]!r}", field="environment")
+    return environment
 
 
 def _check(call: Call, operation: str, owner: str, robot: str = "", environment: str = "") -> None:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from master.api.principals import authorize, page_of_views
+from master.api.principals import find_environment, page_of_views
 from master.api.request import Answer, Call, Owner, PageQuery
 from master.api.router import Api, Route
 from master.service import Master
 from rce.api.views import Page
 from rce.control.calls.watching import ReadGraph, RosGraph, RosName
-from rce.errors import NotFound
 
 AT = "/environments/{environment}"
 
@@ -39,9 +38,5 @@ class RosApi:
         return page_of_views(((each.name, each) for each in (await self._graph(call)).services), call.query(RosQuery))
 
     async def _graph(self, call: Call) -> RosGraph:
-        tag = call.path["environment"]
-        user = authorize(call, "interface.read", call.query(RosQuery).user, environment=tag)
-        environment = self._master.state.environments.get(f"{user}/{tag}")
-        if environment is None:
-            raise NotFound(f"there is no environment {tag[:80]!r}", field="environment")
+        environment = find_environment(call, self._master.state, "interface.read", call.query(RosQuery).user)
         return await self._master.ask(environment, ReadGraph())

@@ -12,12 +12,12 @@ import msgspec
 import pytest
 from twisted.internet.base import ReactorBase
 
-from master.access.enrolment import EnrolmentServer, Registrar, invite, port_of
+from master.access.enrolment import EnrolmentServer, Registrar, invite
 from master.access.join_tokens import JoinTokens
 from master.storage.store import Store
 from provisioning import identity
 from rce.api.joining import JoinCode, parse_join_code
-from rce.errors import InvalidRequest, RceError, Unauthorized, Unavailable
+from rce.errors import InvalidRequest, Unauthorized, Unavailable
 from rce.net.certificates import Authority, certificate_hosts, fingerprint
 from rce.web import requests
 from rce.web.server import parse_endpoint
@@ -190,18 +190,6 @@ async def test_refused_version_does_not_use_up_the_invitation(
     await join(machine, code)
 
 
-@pytest.mark.parametrize("body", [b"", b"{}", b"[1]", b"\xff", b"x" * 20_000])
-async def test_malformed_request_is_refused(platform: Platform, body: bytes) -> None:
-    trust = ssl.create_default_context(cadata=platform.authority.certificate)
-    status, _ = await asyncio.to_thread(identity._ask, platform.url, trust, "POST", "machines", body)
-    assert status == (400 if len(body) <= 16_384 else 413)
-
-
-async def test_source_can_be_fetched(platform: Platform) -> None:
-    trust = ssl.create_default_context(cadata=platform.authority.certificate)
-    assert await asyncio.to_thread(identity._ask, platform.url, trust, "GET", "source") == (200, b"the source")
-
-
 def test_ca_and_valid_certificate_are_kept(tmp_path: Path) -> None:
     identity.make(tmp_path, tmp_path / "ca.key", "alpha", ["10.0.0.1"])
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
@@ -217,16 +205,3 @@ def test_malformed_signing_request_is_refused() -> None:
     for text in ("", "nonsense", authority.certificate):
         with pytest.raises(InvalidRequest, match="not a certificate signing request"):
             authority.issue(text, "beta", ["beta"])
-
-
-@pytest.mark.parametrize("name", ["", "a b", "a/b", "-a", "a--b", "x" * 64, "ä"])
-async def test_invalid_name_of_a_machine_is_refused(platform: Platform, name: str) -> None:
-    with pytest.raises(RceError, match="not a name for a machine"):
-        await platform.code(name)
-
-
-@pytest.mark.parametrize(
-    "text", ["tcp:8080", "tcp:8080:interface=10.0.0.1", "tcp:port=8080", "tcp:interface=x:port=8080"]
-)
-def test_port_of(text: str) -> None:
-    assert port_of(text) == "8080"

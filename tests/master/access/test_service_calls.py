@@ -36,6 +36,7 @@ async def test_service_acts_only_for_authenticated_users_with_robots(platform: P
         (CreateGrant("root", digest("secret")), Forbidden),
         (Authenticate("", key), Forbidden),
         (IssueKey("0" * 32, 60), Unauthorized),
+        (Authenticate("ann", digest("secret"), "user.remove"), InvalidRequest),
     ):
         with pytest.raises(error):
             await maps.call(call)

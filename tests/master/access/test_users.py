@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import pytest
@@ -9,7 +10,7 @@ import sqlalchemy as sa
 
 from master.access.join_tokens import JoinTokens
 from master.access.rights import Principal
-from master.access.users import Users, check_robot_login, digest
+from master.access.users import Standing, Users, check_robot_login, digest
 from master.storage import tables as db
 from master.storage.store import Store
 from rce.api.roles import UserRole
@@ -113,3 +114,40 @@ async def test_wrong_passwords_delay_passwords_but_not_keys(users: Users) -> Non
             said.append(type(raised.value))
         assert said == [Unauthorized] * 5 + [TooManyAttempts] * 2
     assert (await users.check("ann", key, "10.0.0.1")).user == "ann"
+
+
+@pytest.mark.parametrize(
+    ("principal", "holds"),
+    [
+        (Principal("ann", "user"), True),
+        (Principal("ann", "viewer"), False),  # by password one has one's present role
+        (Principal("ann", "operator"), False),
+        (Principal("bob", "user"), False),
+        (Principal("ann", "robot", "k1"), True),
+        (Principal("ann", "robot", "k2"), False),
+        (Principal("ann", "operator", "k1"), False),
+        (Principal("ann", "robot", lent=True), True),
+        (Principal("ann", "robot", "k1", lent=True), True),
+        (Principal("ann", "robot", "k2", lent=True), False),
+    ],
+)
+def test_credentials_hold_while_their_user_role_and_key_do(principal: Principal, holds: bool) -> None:
+    assert Standing({"ann": "user"}, {"k1"}).holds(principal) == holds
+
+
+async def test_standing_has_the_keys_that_have_not_expired(users: Users) -> None:
+    _, endless = await users.keys.add("ann")
+    _, present = await users.keys.add("ann", expires=time.time() + 100)
+    await users.keys.add("ann", expires=time.time() - 1)
+    assert await users.standing() == Standing({"ann": "user"}, {endless.id, present.id})
+
+
+async def test_unknown_user_cannot_be_changed(users: Users) -> None:
+    for action in (
+        users.get("bob"),
+        users.remove("bob"),
+        users.change_role("bob", "viewer"),
+        users.change_password("bob", "x"),
+    ):
+        with pytest.raises(NotFound, match="no user bob"):
+            await action

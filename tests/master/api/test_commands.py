@@ -12,20 +12,11 @@ from rce.api.roles import Principal
 from rce.control.calls.environments import StartEnvironment
 from rce.errors import StartFailed
 from rce.protocol import messages as m
+from tests.support.master.bodies import IN, OUT
 from tests.support.master.calls import make_call
 from tests.support.master.served import Served
 
 BRAIN = {"containerTag": "brain"}
-OUT = {
-    "endpointTag": "brain",
-    "interfaceTag": "out",
-    "interfaceType": "SubscriberInterface",
-    "className": "std_msgs/String",
-    "addr": "/out",
-}
-IN = OUT | {"endpointTag": "r1", "interfaceTag": "in", "interfaceType": "PublisherConverter", "addr": ""}
-
-
 ANN, OLGA = Principal("ann", "user"), Principal("olga", "operator")
 
 

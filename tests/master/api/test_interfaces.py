@@ -4,16 +4,8 @@ from __future__ import annotations
 
 from rce.api.roles import Scopes
 from rce.protocol import messages as m
+from tests.support.master.bodies import IN, OUT
 from tests.support.master.served import Served
-
-OUT = {
-    "endpointTag": "brain",
-    "interfaceTag": "out",
-    "interfaceType": "SubscriberInterface",
-    "className": "std_msgs/String",
-    "addr": "/out",
-}
-IN = OUT | {"endpointTag": "r1", "interfaceTag": "in", "interfaceType": "PublisherConverter", "addr": ""}
 
 
 async def test_interfaces_are_added_connected_and_removed(served: Served) -> None:

@@ -9,12 +9,14 @@ from master.api.principals import (
     authorize,
     authorize_list,
     authorize_platform,
+    find_environment,
     page_of_records,
     page_of_views,
     principal_of,
 )
 from master.api.request import Answer, PageQuery
-from master.graph.records import Robot
+from master.graph.records import Environment, EnvironmentOptions, Robot
+from master.graph.state import State
 from rce.api.roles import Principal, Scopes
 from rce.api.views import Page
 from rce.errors import Forbidden, NotFound, Unauthorized
@@ -69,6 +71,23 @@ def test_list_of_everybody_has_what_the_caller_may_see() -> None:
         authorize_list(make_call(ANN), "robot.read", "bob")
     with pytest.raises(Forbidden):
         authorize_list(make_call(ANN), "machine.read", EVERYBODY)
+
+
+def test_environment_of_the_path_is_found_with_the_rights_to_it() -> None:
+    state = State()
+    for name in ("ann/brain", "ann/attic", "bob/brain"):
+        state.environments.put(Environment(name, EnvironmentOptions(), "0", ""))
+
+    def find(principal: Principal, tag: str, user: str = "") -> str:
+        call = make_call(principal, variables={"environment": tag})
+        return find_environment(call, state, "node.read", user).name
+
+    assert find(ANN, "brain") == "ann/brain"
+    assert find(OLGA, "brain", "bob") == "bob/brain"
+    tied = Principal("ann", "robot", "k", scopes=Scopes(environments=["brain"]))
+    for principal, tag, user in ((ANN, "none", ""), (ANN, "brain", "bob"), (OLGA, "brain", ""), (tied, "attic", "")):
+        with pytest.raises(NotFound):
+            find(principal, tag, user)
 
 
 # --- pages ------------------------------------------------------------------------------------------------------------
