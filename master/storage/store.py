@@ -130,11 +130,13 @@ class Store:
         return []
 
     async def close(self) -> None:
-        """Finish the write under way and close the database."""
-        if self._flush is not None:
-            await self._flush
-        await self._do(self._engine.dispose)
-        self._thread.shutdown()
+        """Finish the write under way and close the database, which it does also if that write fails."""
+        try:
+            if self._flush is not None:
+                await self._flush
+        finally:
+            await self._do(self._engine.dispose)
+            self._thread.shutdown()
 
 
 def _put(connection: sa.Connection, rows: dict[tuple[str, str], str | None]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -124,6 +125,23 @@ async def test_failed_write_is_repeated_with_the_next(store: Store, url: str, mo
             await store.save(state)
     await store.save(state)
     assert everything(await loaded(url)) == everything(state)
+
+
+async def test_database_is_closed_although_the_last_write_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(connection: sa.Connection, rows: object) -> None:
+        raise OSError("disk is full")
+
+    store = Store(f"sqlite:///{tmp_path / 'master.db'}")
+    await store.open()
+    monkeypatch.setattr(store_module, "_put", broken)
+    for attempt in (lambda: store.save(full()), store.close):
+        with pytest.raises(OSError, match="disk is full"):
+            await attempt()
+    assert os.listdir(tmp_path) == ["master.db"]  # SQLite removes the others with the last connection
+    with pytest.raises(RuntimeError, match="after shutdown"):
+        await store.run(lambda connection: None)
 
 
 async def test_failed_transaction_is_rolled_back(store: Store) -> None:
