@@ -14,9 +14,8 @@ pytest.importorskip("rosidl_adapter", reason="needs ROS 2: pip install '.[ros]'"
 
 from provisioning.system import System
 from provisioning.typesupport import TypeSupport, build, shipped
+from tests.support.provisioning.packages import write_package
 from tests.support.provisioning.systems import make_system
-
-MANIFEST = '<?xml version="1.0"?>\n<package format="3">\n  <name>{name}</name>\n</package>\n'
 
 SYSTEMS = [("debian", "12", "3.11"), ("debian", "13", "3.13"), ("ubuntu", "24.04", "3.12")]
 
@@ -26,11 +25,7 @@ def make_package(tmp_path: Path) -> Callable[..., Path]:
     """`make_package("pkg", {"msg/A.msg": "int32 a"})` writes a package and returns its directory."""
 
     def make(name: str, files: dict[str, str], directory: str = "") -> Path:
-        root = tmp_path / (directory or name)
-        for path, text in {"package.xml": MANIFEST.format(name=name), **files}.items():
-            (root / path).parent.mkdir(parents=True, exist_ok=True)
-            (root / path).write_text(text)
-        return root
+        return write_package(tmp_path / (directory or name), name, files)
 
     return make
 

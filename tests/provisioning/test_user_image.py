@@ -72,10 +72,3 @@ def test_installation_in_the_image(tmp_path: Path) -> None:
     install(tmp_path / "context", tmp_path / "prefix", tmp_path / "modules")
     assert (tmp_path / "prefix/share/p/package.xml").is_file()
     assert (tmp_path / "prefix/lib/p/talk.py").read_text() == "x"
-
-
-def test_type_support_of_another_python_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "context/types").mkdir(parents=True)
-    (tmp_path / "context/types/python").write_text("2.7")
-    with pytest.raises(SystemExit, match=r"built for Python 2\.7"):
-        install(tmp_path / "context", tmp_path / "prefix", tmp_path / "modules")
