@@ -43,7 +43,7 @@ def _times(axes: Any, results: Results) -> None:
         places = np.arange(len(names)) + (number - len(mappers) / 2) * width
         axes.bar(places, [seconds.get(name, 0.0) for name in names], width, label=label)
     axes.set_xticks(range(len(names)), names, rotation=20, ha="right")
-    axes.set(title="By the map service", ylabel="seconds", yscale="log")
+    axes.set(title="By the map service", ylabel="seconds", yscale="log" if results.served else "linear")
     axes.grid(True, axis="y", alpha=0.4)
     axes.legend(fontsize="small")
 

@@ -8,7 +8,7 @@ import json
 import secrets
 import sys
 import tempfile
-from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Coroutine, Iterable, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from functools import wraps
 from pathlib import Path
@@ -67,9 +67,7 @@ def measure_dashboard(session: ConsoleSession, args: argparse.Namespace) -> int:
 async def measure_round_trips(args: argparse.Namespace) -> None:
     """Measure round trips over the routes of --routes."""
     names = args.routes.split(",")
-    unknown = set(names) - set(ROUTES)
-    if unknown:
-        raise InvalidRequest(f"rce bench: there is no route {', '.join(unknown)}: it is one of {', '.join(ROUTES)}")
+    _check_names("route", names, ROUTES)
     count, samples = (QUICK_SIZES, QUICK_SAMPLES) if args.quick else (args.sizes, args.samples)
     sizes = payloads.sizes(count)
     async with _bench_place(args) as place:
@@ -93,11 +91,11 @@ async def measure_overtake(args: argparse.Namespace) -> None:
 @_command
 async def measure_start(args: argparse.Namespace) -> None:
     """Measure how long environments take to start, with each engine."""
+    engines = args.engines.split(",")
+    _check_names("engine", engines, ENGINES)
     async with AsyncExitStack() as stack:
         robots: dict[str, Robot] = {}
-        for engine in args.engines.split(","):
-            if engine not in ENGINES:
-                raise InvalidRequest(f"rce bench: there is no engine {engine}: it is one of {', '.join(ENGINES)}")
+        for engine in engines:
             access = await stack.enter_async_context(platform(argparse.Namespace(url="", engine=engine)))
             robot = Robot(access.url, user=access.user, robot="bench", password=access.password)
             robots[engine] = await stack.enter_async_context(robot)
@@ -161,11 +159,15 @@ def _parse_names(kind: str, text: str, known: Sequence[N]) -> list[N]:
     Raises:
         InvalidRequest: The list has another name.
     """
-    names = [name for name in known if name in text.split(",")]
-    unknown = set(text.split(",")) - {"", *names}
+    given = text.split(",")
+    _check_names(kind, filter(None, given), known)
+    return [name for name in known if name in given]
+
+
+def _check_names(kind: str, names: Iterable[str], known: Collection[str]) -> None:
+    unknown = [name for name in names if name not in known]
     if unknown:
         raise InvalidRequest(f"rce bench: there is no {kind} {', '.join(unknown)}: it is one of {', '.join(known)}")
-    return names
 
 
 @asynccontextmanager

@@ -93,8 +93,9 @@ def build_type_support(interfaces: list[Path]) -> list[Entry]:
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         names = ", ".join(path.name for path in interfaces)
+        *_, reason = [f"status {done.returncode}", *done.stderr.strip().splitlines()]
         raise StartFailed(
-            f"the build of type support for {names} failed: {done.stderr.strip().splitlines()[-1]}\n"
+            f"the build of type support for {names} failed: {reason}\n"
             "It needs ROS 2 (pip install '.[ros]' in a checkout of RCE) and g++ on this machine; or push with "
             "--text-only if the environment's image has the type support"
         )

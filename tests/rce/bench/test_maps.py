@@ -12,8 +12,6 @@ import pytest
 pytest.importorskip("rclpy", reason="needs the extra `ros`")
 
 from rce.bench.large_recording import write
-from rce.bench.maps import Mapped, Recorded, Results, Served
-from rce.bench.maps_report import as_text
 
 pytestmark = [pytest.mark.e2e, pytest.mark.ros]
 
@@ -64,21 +62,3 @@ def test_unknown_mapper_is_rejected(recording: Path) -> None:
     done = rce("map", str(recording), "--mappers", "graph,guess")
     assert done.returncode == 1
     assert "no mapper guess" in done.stderr
-
-
-def test_report_contains_results_of_other_systems() -> None:
-    name = "mit-csail.clf.gz"
-    recorded = Recorded(name, Path(name), 835_101, 1988, 3976, 374.0, Path("mit-csail.relations"))
-    mapped = Mapped(name, "graph", "recorded", 3.5, 4.0, 28_000_000, {"benchmark": (0.0274, 0.361)}, None)
-    lines = as_text(Results([recorded], [Served(name, "graph", 0.1, 19.3)], [mapped])).splitlines()
-    assert next(line for line in lines if "3976" in line).split() == [
-        name,
-        "0.84",
-        "1988",
-        "3976",
-        "374",
-        "0.10",
-        "19.3",
-    ]
-    assert any(line.split()[-2:] == ["0.027", "0.36°"] for line in lines)
-    assert any("GMapping" in line and "0.043" in line for line in lines)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from rce.bench import start
 from rce.bench.report import aligned, as_data, as_text
 from rce.bench.statistics import Series
 
@@ -33,8 +32,3 @@ def test_data_has_all_samples() -> None:
 
 def test_columns_are_aligned() -> None:
     assert list(aligned([["a", "bb"], ["ccc", "d"]])) == ["  a  bb", "ccc   d"]
-
-
-def test_table_of_starts_has_ratios() -> None:
-    text = start.as_text({"process": [1.0, 3.0, 2.0], start.BARE: [1.0, 1.0]})
-    assert ["process", "2.000", "s", "1.000", "s", "3.000", "s", "2.00"] in [line.split() for line in text.splitlines()]
