@@ -50,10 +50,16 @@ class Listener:
 
 @asynccontextmanager
 async def listening(
-    reactor: ReactorBase, handlers: Handlers | None = None, tls: Tls | None = None
+    reactor: ReactorBase,
+    handlers: Handlers | None = None,
+    tls: Tls | None = None,
+    joiner: OpenJoiner | None = None,
 ) -> AsyncIterator[Listener]:
-    """Accept control connections at a free port; calls over them are answered by `handlers`."""
-    joiner = OpenJoiner(handlers)
+    """Accept control connections at a free port.
+
+    Calls over them are answered by `handlers`, unless there is another `joiner`.
+    """
+    joiner = joiner or OpenJoiner(handlers)
     port = await listen(reactor, LOOPBACK, joiner, tls)
     try:
         yield Listener(reactor, joiner, port)

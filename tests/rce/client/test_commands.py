@@ -8,6 +8,7 @@ from rce.client.commands import already_done, frame_of
 from rce.errors import AlreadyExists, NotFound
 from rce.protocol.messages import (
     AddNode,
+    Command,
     Connect,
     ContainerData,
     CreateContainer,
@@ -39,8 +40,8 @@ from rce.protocol.messages import (
         (Connect("a/x", "b/y"), {"type": "CX", "data": {"connect": [{"tagA": "a/x", "tagB": "b/y"}]}}),
     ],
 )
-def test_frame_has_one_command_without_default_values(command: object, frame: object) -> None:
-    assert frame_of(command) == frame  # type: ignore[arg-type]
+def test_frame_has_one_command_without_default_values(command: Command, frame: object) -> None:
+    assert frame_of(command) == frame
 
 
 def test_errors_that_show_an_earlier_execution() -> None:

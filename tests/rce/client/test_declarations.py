@@ -3,7 +3,15 @@
 from __future__ import annotations
 
 from rce.client.declarations import Declarations
-from rce.protocol.messages import AddInterface, Connect, CreateContainer, DestroyContainer, Disconnect, RemoveInterface
+from rce.protocol.messages import (
+    AddInterface,
+    Command,
+    Connect,
+    CreateContainer,
+    DestroyContainer,
+    Disconnect,
+    RemoveInterface,
+)
 
 STRING = "std_msgs/String"
 
@@ -12,9 +20,9 @@ def own(tag: str, robot: str = "a") -> AddInterface:
     return AddInterface(robot, tag, "SubscriberConverter", STRING)
 
 
-def recorded(declarations: Declarations, *commands: object) -> list[object]:
+def recorded(declarations: Declarations, *commands: Command) -> list[Command]:
     for command in commands:
-        declarations.record(command)  # type: ignore[arg-type]
+        declarations.record(command)
     return [*declarations.commands()]
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 from twisted.internet.base import ReactorBase
-from twisted.internet.interfaces import IListeningPort
 from twisted.spread import pb
 
 from rce.control.calls.call import Nothing
@@ -18,7 +17,7 @@ from rce.control.client import client_endpoint, connect
 from rce.control.connection import CallReceiver, Control, Handlers, Pages, decode_pages, encode_pages
 from rce.control.server import listen
 from rce.errors import ErrorInfo, InvalidRequest, Unauthorized
-from tests.support.control import HELLO, LOOPBACK, TIMEOUT, Listener, OpenJoiner, listening
+from tests.support.control import HELLO, TIMEOUT, Listener, OpenJoiner, listening
 
 
 class GuardedJoiner(OpenJoiner):
@@ -37,10 +36,8 @@ class GuardedJoiner(OpenJoiner):
 
 @pytest.fixture
 async def guarded(reactor: ReactorBase) -> AsyncIterator[Listener]:
-    joiner = GuardedJoiner()
-    port: IListeningPort = await listen(reactor, LOOPBACK, joiner)
-    yield Listener(reactor, joiner, port)
-    await port.stopListening().asFuture(asyncio.get_running_loop())  # type: ignore[misc,union-attr]
+    async with listening(reactor, joiner=GuardedJoiner()) as listener:
+        yield listener
 
 
 async def join_raw(reactor: ReactorBase, description: str, pages: Pages) -> tuple[bool, Pages]:
