@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-
 import pytest
 
 import rce
@@ -11,10 +9,9 @@ from master.access.grants import digest
 from master.access.join_tokens import JoinTokens
 from master.graph.records import Role
 from master.storage.store import Store
-from rce.control.calls.endpoints import Sync
 from rce.control.calls.joining import Hello
 from rce.errors import InvalidRequest, Unauthorized
-from tests.support.master.peers import PATIENCE, Peer, Platform
+from tests.support.master.peers import Peer, Platform
 
 
 @pytest.fixture
@@ -117,15 +114,6 @@ async def test_removed_machine_cannot_use_its_invitation(processes: JoinTokens) 
 # --- over a control connection ----------------------------------------------------------------------------------------
 
 
-async def test_token_admits_once_and_the_credential_again(platform: Platform) -> None:
-    await platform.master.join_tokens.allow("west", "robot", "one-time")
-    west = await platform.endpoint(token="one-time")
-    with pytest.raises(Unauthorized):
-        await platform.endpoint(token="one-time")
-    again = await platform.endpoint(token=west.credential)
-    assert again.credential == west.credential
-
-
 @pytest.mark.parametrize(
     ("hello", "error"),
     [
@@ -142,11 +130,3 @@ async def test_processes_without_valid_token_are_refused(
     with pytest.raises(error):
         await Peer(platform, hello).join()
     assert not platform.master.state.joined
-
-
-async def test_second_connection_of_a_process_replaces_the_first(platform: Platform) -> None:
-    first = await platform.endpoint()
-    second = await platform.endpoint(token=first.credential)
-    await asyncio.wait_for(first.control.lost, PATIENCE)
-    assert "west" in platform.master.state.joined
-    await second.next(Sync)
