@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Union
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from rce.errors import InvalidRequest
 from rce.mapping.geometry import Pose
@@ -56,13 +56,13 @@ class Reader:
         """Return whether there is a branch of this name."""
         return any(key.startswith(f"{self._prefix}{name}/") for key in self._arrays)
 
-    def array(self, name: str, kind: ArrayLike | type, *shape: int | None) -> Array:
+    def array(self, name: str, kind: DTypeLike, *shape: int | None) -> Array:
         """Return an array of this type and shape, where None stands for any length. Floats are finite."""
         path = self._prefix + name
         found = self._arrays.get(path)
         if found is None:
             raise self.invalid(name, "is missing")
-        wanted = np.dtype(kind)  # type: ignore[arg-type]
+        wanted = np.dtype(kind)
         if found.dtype != wanted or found.ndim != len(shape):
             raise self.invalid(name, f"is {found.dtype}{found.shape}, not {wanted} with {len(shape)} dimensions")
         if any(want is not None and have != want for have, want in zip(found.shape, shape, strict=True)):

@@ -77,9 +77,9 @@ def _origin(path: Path, metadata: dict[str, Any]) -> tuple[float, float, float]:
     resolution = _number(path, metadata, "resolution")
     if not 0.001 <= resolution <= 10.0:
         raise InvalidRequest(f"{path}: the resolution is {resolution} m; it must be 1 mm to 10 m", field="resolution")
-    origin = metadata.get("origin")
+    origin: Any = metadata.get("origin")
     try:
-        x, y, yaw = (float(value) for value in origin)  # type: ignore[union-attr]
+        x, y, yaw = (float(value) for value in origin)
     except (TypeError, ValueError):
         raise InvalidRequest(f"{path}: the origin is {origin!r}; it must be three numbers", field="origin") from None
     if not math.isfinite(x + y) or yaw != 0.0:

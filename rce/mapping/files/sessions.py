@@ -6,6 +6,7 @@ import io
 import zipfile
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +29,12 @@ def save_session(mapper: AnyMapper, path: Path) -> None:
     """Write the state of a mapper atomically to one file: .npz without pickled objects."""
     kind = next(name for name, each in MAPPERS.items() if isinstance(mapper, each))
     settings = mapper.settings
-    arrays = dict(flatten(mapper.state()))
+    arrays: dict[str, Any] = dict(flatten(mapper.state()))  # the stubs of savez take the names for options
     arrays["about"] = np.array([FORMAT, str(VERSION), kind])
     arrays["sizes"] = np.array([settings.resolution, settings.max_range], np.float64)
     arrays["counts"] = np.array([settings.particles, settings.seed], np.int64)
     whole = io.BytesIO()
-    np.savez_compressed(whole, **arrays)  # type: ignore[arg-type]  # the stubs take the names for options
+    np.savez_compressed(whole, **arrays)
     write_atomically(path, whole.getvalue())
 
 

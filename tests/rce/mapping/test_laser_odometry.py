@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from rce.mapping.geometry import ORIGIN, Points, Pose
+from rce.mapping.geometry import ORIGIN, Pose
 from rce.mapping.laser_odometry import SETTINGS, LaserOdometry
 from rce.mapping.matching import local_map
 from rce.mapping.scans import Scan
@@ -93,5 +93,4 @@ def test_restored_odometry_continues_exactly() -> None:
     for each in (odometry, other):
         add(each, WAY[-1] @ Pose(0.05, 0.01, -0.02), len(WAY))
     assert (odometry.pose, odometry.wheel_pose, odometry.count) == (other.pose, other.wheel_pose, other.count)
-    points: list[Points] = [each.local_points() for each in (odometry, other)]
-    np.testing.assert_array_equal(*points)
+    np.testing.assert_array_equal(odometry.local_points(), other.local_points())

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from rce.mapping.evaluation.simulation import Simulation
 from rce.mapping.geometry import Pose
@@ -13,9 +14,11 @@ from rce.mapping.localiser import Localiser
 from rce.mapping.pose_graph.mapper import GraphMapper
 from rce.mapping.scans import Scan
 
+Known = tuple[OccupancyGrid, NDArray[np.float64]]
+
 
 @pytest.fixture(scope="module")
-def known(simulation: Simulation) -> tuple[OccupancyGrid, np.ndarray]:
+def known(simulation: Simulation) -> Known:
     """Map of the apartment, and the trajectory in it."""
     mapper = GraphMapper()
     for scan in simulation:
@@ -23,10 +26,11 @@ def known(simulation: Simulation) -> tuple[OccupancyGrid, np.ndarray]:
     return mapper.grid(), mapper.trajectory()
 
 
-def errors(localiser: Localiser, truth: np.ndarray) -> np.ndarray:
+def errors(localiser: Localiser, truth: NDArray[np.float64]) -> NDArray[np.float64]:
     found = localiser.trajectory()
     rows = np.searchsorted(truth[:, 0], found[:, 0])
-    return np.hypot(*(found[:, 1:3] - truth[rows, 1:3]).T)
+    off: NDArray[np.float64] = np.hypot(*(found[:, 1:3] - truth[rows, 1:3]).T)
+    return off
 
 
 def without_odometry(scans: list[Scan]) -> list[Scan]:
@@ -34,7 +38,7 @@ def without_odometry(scans: list[Scan]) -> list[Scan]:
 
 
 @pytest.mark.parametrize("start", [0, 400, 650])
-def test_robot_is_found_anywhere_and_tracked(simulation: Simulation, known: tuple, start: int) -> None:
+def test_robot_is_found_anywhere_and_tracked(simulation: Simulation, known: Known, start: int) -> None:
     grid, truth = known
     localiser = Localiser(grid)
     assert localiser.lost
@@ -46,7 +50,7 @@ def test_robot_is_found_anywhere_and_tracked(simulation: Simulation, known: tupl
     assert errors(localiser, truth).max() < 0.15
 
 
-def test_initial_pose_may_be_inexact_without_odometry(simulation: Simulation, known: tuple) -> None:
+def test_initial_pose_may_be_inexact_without_odometry(simulation: Simulation, known: Known) -> None:
     grid, truth = known
     initial = Pose(*truth[300, 1:]) @ Pose(0.6, -0.4, math.radians(20))
     localiser = Localiser(grid, initial)
@@ -54,7 +58,7 @@ def test_initial_pose_may_be_inexact_without_odometry(simulation: Simulation, kn
     assert errors(localiser, truth).max() < 0.15
 
 
-def test_robot_that_was_carried_away_is_found_again(simulation: Simulation, known: tuple) -> None:
+def test_robot_that_was_carried_away_is_found_again(simulation: Simulation, known: Known) -> None:
     grid, truth = known
     localiser = Localiser(grid, Pose(*truth[0, 1:]))
     for scan in simulation.records[:60]:
@@ -70,7 +74,7 @@ def test_robot_that_was_carried_away_is_found_again(simulation: Simulation, know
     assert errors(localiser, truth)[-20:].max() < 0.15
 
 
-def test_place_outside_the_map_is_not_found(simulation: Simulation, known: tuple) -> None:
+def test_place_outside_the_map_is_not_found(simulation: Simulation, known: Known) -> None:
     """The apartment has no round room."""
     grid, _ = known
     localiser = Localiser(grid)
@@ -82,7 +86,7 @@ def test_place_outside_the_map_is_not_found(simulation: Simulation, known: tuple
     assert localiser.trajectory().shape == (0, 4)
 
 
-def test_late_scans_are_not_accepted(simulation: Simulation, known: tuple) -> None:
+def test_late_scans_are_not_accepted(simulation: Simulation, known: Known) -> None:
     grid, truth = known
     localiser = Localiser(grid, Pose(*truth[0, 1:]))
     for scan in simulation.records[:5]:

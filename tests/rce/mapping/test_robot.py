@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import AsyncIterator
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import pytest
 
-from rce.client import Event, Reconnected, Stream
+from rce.client import Environment, Event, Reconnected, Robot, Stream
 from rce.errors import Died, TimedOut, Unavailable
 from rce.mapping import robot as mapping_robot
 from rce.mapping.geometry import ORIGIN, Pose
@@ -73,8 +73,8 @@ def map_cdr() -> bytes:
 
 
 def stamp_of(cdr: bytes, kind: str) -> int:
-    stamp = store.deserialize_cdr(cdr, kind).header.stamp  # type: ignore[attr-defined]
-    return int(stamp.sec) * SECOND + int(stamp.nanosec)
+    message: Any = store.deserialize_cdr(cdr, kind)
+    return int(message.header.stamp.sec) * SECOND + int(message.header.stamp.nanosec)
 
 
 class Subscriber(Stream[T]):
@@ -164,9 +164,14 @@ def node() -> FakeNode:
     return FakeNode()
 
 
+def client(node: FakeNode, namespace: str = "") -> MappingRobot:
+    """Return the client under test; the fake has what it uses of a robot and of an environment."""
+    return MappingRobot(cast(Robot, node), cast(Environment, node), namespace)
+
+
 @pytest.fixture
 async def robot(node: FakeNode) -> AsyncIterator[MappingRobot]:
-    async with MappingRobot(node, node) as robot:  # type: ignore[arg-type]  # only what is used of both
+    async with client(node) as robot:
         await robot.wire()
         yield robot
 
@@ -181,7 +186,7 @@ async def until_stuck(node: FakeNode, robot: MappingRobot) -> asyncio.Task[None]
 
 
 async def test_node_is_started_with_its_parameters(node: FakeNode) -> None:
-    async with MappingRobot(node, node, "/one") as robot:  # type: ignore[arg-type]
+    async with client(node, "/one") as robot:
         await robot.prepare({"mapper": "graph", "resolution": 0.1})
     assert node.log == [
         ("mapper", "graph"),
@@ -196,7 +201,7 @@ async def test_node_is_started_with_its_parameters(node: FakeNode) -> None:
 async def test_node_that_is_not_ready_in_time_is_given_up(node: FakeNode, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mapping_robot, "START_TIMEOUT", 0.01)
     monkeypatch.setattr(Subscriber, "put", lambda *_: None)
-    async with MappingRobot(node, node) as robot:  # type: ignore[arg-type]
+    async with client(node) as robot:
         with pytest.raises(TimedOut, match="to be ready"):
             await robot.wire()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import functools
 import itertools
 from collections.abc import Iterator
 from pathlib import Path
@@ -274,7 +275,7 @@ def test_watch_yields_changes_until_the_job_is_over(bench: Bench) -> None:
     coming = bench.loop.begin(_next(changes))
     assert not coming.done()
     for scans in (1, 2, 3):
-        bench.loop.do(lambda scans=scans: bench.runner.report(job.id, Report("mapping", scans)))  # type: ignore[misc]
+        bench.loop.do(functools.partial(bench.runner.report, job.id, Report("mapping", scans)))
     assert coming.result().scans == 1
     bench.finish(job)
     last = bench.loop.begin(_next(changes)).result()

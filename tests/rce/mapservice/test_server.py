@@ -69,7 +69,7 @@ async def test_expired_uploads_are_removed_when_the_service_starts(tmp_path: Pat
     service = Service(tmp_path)
     await service.start()
     async with asyncio.timeout(20):
-        while (await service.request("HEAD", f"/uploads/{upload}")).status != 404:
-            pass
+        while earlier.path(upload).exists():
+            await service.request("GET", "/uploads")  # meanwhile the service works
+    assert (await service.request("HEAD", f"/uploads/{upload}")).status == 404
     await service.stop()
-    assert not earlier.path(upload).exists()

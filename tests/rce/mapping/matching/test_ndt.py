@@ -33,7 +33,8 @@ def room() -> Points:
 def aligned(points: Points, start: Pose, expected: Pose, walls: Points, pull: float = ndt.PULL) -> list[float]:
     tiles, table = empty()
     ndt.learn(tiles, table, np.ascontiguousarray(walls + SIDE), RATIO)
-    return ndt.align(tiles, table, points, *start, *expected, RATIO, VARIANCE, 30, pull).tolist()
+    found: list[float] = ndt.align(tiles, table, points, *start, *expected, RATIO, VARIANCE, 30, pull).tolist()
+    return found
 
 
 def test_mean_and_covariance_of_the_hits_of_a_cell_are_learned() -> None:

@@ -127,10 +127,10 @@ def test_lattice_finds_the_nearest_of_its_poses(known: Maps) -> None:
 
 
 def matched(maps: Maps, start: Pose, expected: Pose, jump: float) -> NDArray[np.float64]:
-    found = np.zeros((1, 11))
+    found: NDArray[np.float64] = np.zeros((11,))
     starts, means = np.array([start]), np.array([expected])
-    kernels.match(maps.tiles, maps.tables, room(), starts, means, found, RATIO, VARIANCE, 12, jump, 0, 1)
-    return found[0]
+    kernels.match(maps.tiles, maps.tables, room(), starts, means, found[None], RATIO, VARIANCE, 12, jump, 0, 1)
+    return found
 
 
 def test_points_are_fitted_from_the_start(known: Maps) -> None:

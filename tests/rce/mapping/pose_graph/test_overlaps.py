@@ -23,7 +23,8 @@ def walls(seed: int = 0) -> Points:
 def seen_at(pose: Pose) -> Points:
     """Return what a robot at `pose` sees of these walls, in its frame."""
     points = pose.inverse().transform(walls())
-    return points[np.hypot(*points.T) < 12][::3]
+    near: Points = points[np.hypot(*points.T) < 12][::3]
+    return near
 
 
 def add_node(graph: PoseGraph, pose: Pose, points: Points) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from rce.mapping.pose_graph.team_mapper import TeamMapper
 from rce.mapping.scans import Scan
 
 
-def in_turns(parts: dict[str, Sequence[Scan]]) -> Iterator[tuple[str, Scan]]:
+def in_turns(parts: Mapping[str, Sequence[Scan]]) -> Iterator[tuple[str, Scan]]:
     for scans in zip_longest(*parts.values()):
         yield from ((name, scan) for name, scan in zip(parts, scans, strict=True) if scan is not None)
 
