@@ -10,10 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from provisioning import (
-    development,
-    steps,
-)
+from provisioning import development, steps
 from tests.support.paths import ROOT
 
 SCRIPT = ROOT / "provisioning" / "provision"
@@ -138,7 +135,7 @@ def apt(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
     monkeypatch.setattr(development, "run", run)
     monkeypatch.setattr(development, "POLICY", tmp_path / "policy-rc.d")
     monkeypatch.setattr(development, "CLOUD_INIT_OFF", tmp_path / "cloud" / "cloud-init.disabled")
-    monkeypatch.setattr(development.shutil, "which", lambda name, path="": f"/usr/bin/{name}")
+    monkeypatch.setattr(shutil, "which", lambda name, path="": f"/usr/bin/{name}")
     return commands
 
 

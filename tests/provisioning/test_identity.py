@@ -16,7 +16,7 @@ from master.access.enrolment import EnrolmentServer, Registrar, invite
 from master.access.join_tokens import JoinTokens
 from master.storage.store import Store
 from provisioning import identity
-from rce.api.joining import JoinCode, parse_join_code
+from rce.api.joining import JoinCode, Membership, parse_join_code
 from rce.errors import InvalidRequest, Unauthorized, Unavailable
 from rce.net.certificates import Authority, certificate_hosts, fingerprint
 from rce.web import requests
@@ -69,7 +69,7 @@ def machine(tmp_path: Path) -> Path:
     return tmp_path / "machine"
 
 
-async def join(machine: Path, code: JoinCode) -> identity.Membership:
+async def join(machine: Path, code: JoinCode) -> Membership:
     return await asyncio.to_thread(identity.join, machine, code)
 
 

@@ -11,6 +11,7 @@ import pytest
 pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
 from provisioning import image
+from rce.errors import StartFailed
 
 
 @pytest.fixture(autouse=True)
@@ -61,5 +62,5 @@ def test_ca_certificates_of_the_host_are_added(tmp_path: Path, monkeypatch: pyte
 
 def test_failed_build_shows_its_last_lines() -> None:
     output = iter([{"stream": "Step 1\n"}, {"stream": "no such package\n"}, {"error": "returned 1"}])
-    with pytest.raises(image.StartFailed, match=r"no such package\n+rce/base was not built: returned 1"):
+    with pytest.raises(StartFailed, match=r"no such package\n+rce/base was not built: returned 1"):
         image._follow("rce/base", output)

@@ -7,15 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from provisioning import (
-    release,
-)
+from provisioning import release
 from provisioning.system import System
+from tests.support.paths import ROOT
 
 
 def test_name_depends_on_content_and_extras(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in release.FILES:
-        shutil.copy(release.ROOT / name, tmp_path)
+        shutil.copy(ROOT / name, tmp_path)
     (tmp_path / "rce").mkdir()
     (tmp_path / "rce" / "a.py").write_text("a = 1")
     monkeypatch.setattr(release, "ROOT", tmp_path)

@@ -58,6 +58,10 @@ class Robot:
     def until(self, condition: Callable[[], bool]) -> None:
         spin_until(self.executor, condition)
 
+    def until_poses(self, count: int) -> None:
+        """Wait until this many scans were answered."""
+        self.until(lambda: len(self.poses) == count)
+
     def send_scan(self, scan: Scan, frame: str = "base_link") -> None:
         message = LaserScan(angle_min=scan.angle_min, angle_increment=scan.angle_increment, range_max=scan.range_max)
         message.header.stamp, message.header.frame_id = stamp_of(scan.stamp), frame

@@ -57,7 +57,7 @@ def test_pose_of_laser_on_robot_is_read_from_static_transforms(robot: Robot, sim
     assert robot.mapper.track.transforms.lookup("unknown") == (0.0, 0.0, 0.0)
     for scan in simulation.records[:3]:
         robot.send_scan(scan, frame="laser")
-    robot.until(lambda: len(robot.poses) == 3)
+    robot.until_poses(3)
     first = robot.poses[0].pose.pose
     assert (first.position.x, first.orientation.z) == (pytest.approx(0.5), pytest.approx(-1.0))
 
@@ -73,7 +73,7 @@ def test_odometry_is_read_from_transforms(robot: Robot, simulation: Simulation) 
         x, _, theta = scan.odometry
         out.publish(TFMessage(transforms=[transform("odom", "base_link", x, theta, stamp_of(scan.stamp))]))
         robot.send_scan(scan)
-    robot.until(lambda: len(robot.poses) == 5)
+    robot.until_poses(5)
     assert robot.mapper.track._odometry_expected, "no scan has timed out waiting for its odometry"
 
 

@@ -36,7 +36,7 @@ def test_update_covers_the_changes_since_the_last_whole_map(robot: Robot, simula
     robot.mapper.set_parameters([Parameter("map_updates_interval", value=0.1)])
     for sent, scan in enumerate(simulation.records, 1):
         robot.send_scan(scan)
-        robot.until(lambda sent=sent: len(robot.poses) == sent)  # type: ignore[misc]
+        robot.until_poses(sent)
         if sent % 10:
             continue
         # Stand still for a while: the timer publishes the whole map if it has grown, else an update.

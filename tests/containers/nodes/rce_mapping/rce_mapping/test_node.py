@@ -23,7 +23,7 @@ def test_each_scan_is_answered_with_its_stamp_and_mapped(robot: Robot, simulatio
     for i, scan in enumerate(sent):
         for send in (robot.send_scan, robot.send_odometry)[:: 1 if i % 2 else -1]:
             send(scan)
-    robot.until(lambda: len(robot.poses) == len(sent))
+    robot.until_poses(len(sent))
     assert [pose.header.stamp for pose in robot.poses] == [stamp_of(scan.stamp) for scan in sent]
     assert {pose.header.frame_id for pose in robot.poses} == {"map"}
     covariance = np.array(robot.poses[-1].pose.covariance).reshape(6, 6)
@@ -43,14 +43,14 @@ def test_scans_without_odometry_and_unusable_scans_are_answered(robot: Robot, si
     sent = [*simulation.records[:3], Scan(1.8e9, np.empty(0, np.float32), 0.0, 0.0, 0.0), simulation.records[3]]
     for scan in sent:
         robot.send_scan(scan)
-    robot.until(lambda: len(robot.poses) == len(sent))
+    robot.until_poses(len(sent))
     assert [pose.header.stamp for pose in robot.poses] == [stamp_of(scan.stamp) for scan in sent]
 
 
 def test_duplicate_scan_is_answered_but_not_mapped(robot: Robot, simulation: Simulation) -> None:
     for scan in (*simulation.records[:3], simulation.records[1]):
         robot.send_scan(scan)
-    robot.until(lambda: len(robot.poses) == 4)
+    robot.until_poses(4)
     answer = robot.client.call_async(GetMap.Request())
     robot.until(lambda: answer.done() and bool(robot.paths[-1].poses))
     assert len(robot.paths[-1].poses) == 3

@@ -20,7 +20,7 @@ from tests.support.containers.mapper_robot import Robot, call
 def test_pause_reset_and_save(robot: Robot, simulation: Simulation, tmp_path: Path) -> None:
     for scan in simulation.records[:20]:
         robot.send_scan(scan)
-    robot.until(lambda: len(robot.poses) == 20)
+    robot.until_poses(20)
     assert (
         call(robot, "slam_toolbox", "SaveMap", "slam_toolbox/save_map", name=String(data=f"{tmp_path}/one")).result == 0
     )
@@ -31,11 +31,11 @@ def test_pause_reset_and_save(robot: Robot, simulation: Simulation, tmp_path: Pa
     assert call(robot, "slam_toolbox", "Pause", "slam_toolbox/pause_new_measurements").status
     for scan in simulation.records[20:23]:
         robot.send_scan(scan)
-    robot.until(lambda: len(robot.poses) == 23)
+    robot.until_poses(23)
     assert {pose.pose.pose.position.x for pose in robot.poses[20:]} == {robot.poses[19].pose.pose.position.x}
     assert call(robot, "slam_toolbox", "Reset", "slam_toolbox/reset").result == 0
     robot.send_scan(simulation.records[30])
-    robot.until(lambda: len(robot.poses) == 24)
+    robot.until_poses(24)
     assert robot.poses[-1].pose.pose.position.x == 0.0
 
 
@@ -43,14 +43,14 @@ def test_saved_session_is_continued(robot: Robot, simulation: Simulation, tmp_pa
     file = str(tmp_path / "session.npz")
     for scan in simulation.records[:20]:
         robot.send_scan(scan)
-    robot.until(lambda: len(robot.poses) == 20)
+    robot.until_poses(20)
     assert call(robot, "slam_toolbox", "SerializePoseGraph", "slam_toolbox/serialize_map", filename=file).result == 0
     robot.send_scan(simulation.records[20])
-    robot.until(lambda: len(robot.poses) == 21)
+    robot.until_poses(21)
     call(robot, "slam_toolbox", "Reset", "slam_toolbox/reset")
     call(robot, "slam_toolbox", "DeserializePoseGraph", "slam_toolbox/deserialize_map", filename=file)
     robot.send_scan(simulation.records[20])
-    robot.until(lambda: len(robot.poses) == 22)
+    robot.until_poses(22)
     assert robot.poses[21].pose.pose == robot.poses[20].pose.pose
     robot.until(lambda: len(robot.paths[-1].poses) >= 20)
     answer = call(robot, "slam_toolbox", "SerializePoseGraph", "slam_toolbox/serialize_map", filename="/proc/no/file")
@@ -60,7 +60,7 @@ def test_saved_session_is_continued(robot: Robot, simulation: Simulation, tmp_pa
 def test_robot_is_localised_in_loaded_map(robot: Robot, simulation: Simulation, tmp_path: Path) -> None:
     for scan in simulation.records[:60]:
         robot.send_scan(scan)
-    robot.until(lambda: len(robot.poses) == 60)
+    robot.until_poses(60)
     map_url = str(tmp_path / "map.yaml")
     assert call(robot, "nav2_msgs", "SaveMap", "map_saver/save_map", map_url=map_url).result
     assert call(robot, "nav2_msgs", "LoadMap", "map_server/load_map", map_url="/no/map.yaml").result == 1
@@ -73,7 +73,7 @@ def test_robot_is_localised_in_loaded_map(robot: Robot, simulation: Simulation, 
     robot.until(lambda: not robot.mapper.mapper.lost)
     for scan in simulation.records[40:50]:
         robot.send_scan(scan)
-    robot.until(lambda: len(robot.poses) == 70)
+    robot.until_poses(70)
     for then, now in zip(robot.poses[40:50], robot.poses[60:70], strict=True):
         before, after = then.pose.pose.position, now.pose.pose.position
         assert math.hypot(before.x - after.x, before.y - after.y) < 0.1
