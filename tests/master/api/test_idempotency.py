@@ -26,11 +26,13 @@ class Handler:
     def __init__(self, *errors: BaseException) -> None:
         self.calls = 0
         self.errors = list(errors)
+        self.begun = asyncio.Event()
         self.may_answer = asyncio.Event()
         self.may_answer.set()
 
     async def __call__(self, call: Call) -> Answer:
         self.calls += 1
+        self.begun.set()
         await self.may_answer.wait()
         if self.errors:
             raise self.errors.pop(0)
@@ -92,7 +94,7 @@ async def test_request_goes_on_when_its_client_disconnects() -> None:
     cache, handler = IdempotencyCache(), Handler()
     handler.may_answer.clear()
     first, second = (asyncio.ensure_future(cache.answer(post(), handler)) for _ in range(2))
-    await asyncio.sleep(0)
+    await asyncio.wait_for(handler.begun.wait(), 20)
     first.cancel()
     await asyncio.wait([first])
     handler.may_answer.set()
