@@ -168,14 +168,15 @@ class FakeMaster:
 
 
 async def wait_for_line(master: FakeMaster, tag: str, text: str) -> str:
-    """Return the last line of a node's output that contains `text`, once there is one."""
+    """Return the last complete line of a node's output that contains `text`, once there is one."""
+    position = "beginning"
     async with asyncio.timeout(10):
         while True:
-            log = await master.call(ReadLog(tag))
+            log = await master.call(ReadLog(tag, after=position, wait=1))
             found = [line for line in log.lines if text in line]
             if found:
                 return found[-1]
-            await asyncio.sleep(0.01)
+            position = log.next
 
 
 def is_alive(pid: int) -> bool:
