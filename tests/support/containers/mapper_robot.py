@@ -45,7 +45,7 @@ class Robot:
         self.node.create_subscription(PathMessage, "path", self.paths.append, LATCHED)
         self.scans = self.node.create_publisher(LaserScan, "scan", LOSSLESS)
         self.odometry = self.node.create_publisher(Odometry, "odom", LOSSLESS)
-        self.client = self.node.create_client(GetMap, "dynamic_map")
+        self.client: Any = self.node.create_client(GetMap, "dynamic_map")
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.mapper)
         self.executor.add_node(self.node)
@@ -86,7 +86,7 @@ class Robot:
 def call(robot: Robot, package: str, kind: str, name: str, /, **fields: Any) -> Any:
     """Call a service of the mapper; return the response."""
     service = getattr(importlib.import_module(f"{package}.srv"), kind)
-    client = robot.node.create_client(service, name)
+    client: Any = robot.node.create_client(service, name)
     robot.until(client.service_is_ready)
     answer = client.call_async(service.Request(**fields))
     robot.until(answer.done)

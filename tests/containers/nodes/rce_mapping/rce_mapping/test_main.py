@@ -27,7 +27,7 @@ def run(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], Any]], int]:
     def run(make: Callable[[], Any]) -> int:
         found = SimpleNamespace(MapperNode=make)
         monkeypatch.setattr(module, "importlib", SimpleNamespace(import_module=lambda name, package: found))
-        status = module.main("node", "MapperNode")
+        status: int = module.main("node", "MapperNode")
         assert not rclpy.ok()
         return status
 

@@ -27,6 +27,10 @@ from std_msgs.msg import String
 NAMES = "one", "two"
 
 
+def _answered(poses: list[Any], count: int) -> bool:
+    return len(poses) == count
+
+
 def test_each_robot_is_answered_on_its_own_topics(start_ros: Callable[..., None], simulation: Simulation) -> None:
     start_ros("robots:=[one, two]")
     from rce_mapping.map_output import LATCHED
@@ -56,7 +60,7 @@ def test_each_robot_is_answered_on_its_own_topics(start_ros: Callable[..., None]
                 message.range_max, message.ranges = scan.range_max, array("f", scan.ranges.tobytes())
                 message.header.stamp = Time(sec=int(scan.stamp), nanosec=int(scan.stamp % 1 * 1e9))
                 publisher.publish(message)
-                until(lambda name=name, count=count: len(poses[name]) == count)  # type: ignore[misc]
+                until(partial(_answered, poses[name], count))
     finally:
         executor.shutdown()
         team.destroy_node()
