@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -63,7 +64,7 @@ async def test_share_is_cpu_time_by_elapsed_time(monkeypatch: pytest.MonkeyPatch
     spent = iter([10.0, 10.5])
     clock = iter([100.0, 102.0])
     monkeypatch.setattr(dashboard, "_spent", lambda processes: next(spent))
-    monkeypatch.setattr(dashboard.time, "monotonic", lambda: next(clock, 0.0))
+    monkeypatch.setattr(time, "monotonic", lambda: next(clock, 0.0))
     assert await dashboard._share([], 0) == 0.25
 
 

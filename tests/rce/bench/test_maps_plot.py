@@ -43,7 +43,7 @@ def test_errors_are_beside_those_of_other_systems(figures: list[Figure], tmp_pat
     labels = [label.get_text() for label in errors.get_yticklabels()]
     assert labels[-1] == "mit-csail, graph, recorded (benchmark)"
     assert any("GMapping" in label for label in labels)
-    assert errors.patches[-1].get_width() == 0.03
+    assert errors.containers[0][-1].get_width() == 0.03
 
 
 @pytest.mark.filterwarnings("error")
@@ -59,7 +59,7 @@ def test_endless_run_is_drawn_over_hours(figures: list[Figure], tmp_path: Path) 
     run = Endless(scans, np.array([0.001, 0.002]), np.array([0.01, 0.05]), np.array([1, 2]) * 1_000_000)
     plot_endless({"a, graph": run}, tmp_path / "endless.svg")
     memory, times = figures[0].axes
-    assert list(memory.lines[0].get_xdata()) == [1, 2]
-    assert list(memory.lines[0].get_ydata()) == [1, 2]
+    assert np.array(memory.lines[0].get_xdata()).tolist() == [1, 2]
+    assert np.array(memory.lines[0].get_ydata()).tolist() == [1, 2]
     assert [line.get_label() for line in times.lines] == ["a, graph, CPU, mean", "a, graph, longest"]
-    assert list(times.lines[1].get_ydata()) == pytest.approx([10, 50])
+    assert np.array(times.lines[1].get_ydata()).tolist() == pytest.approx([10, 50])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from rce.cli.arguments import argument
@@ -16,5 +18,5 @@ def test_argument_without_dash_is_positional(flag: str, positional: bool) -> Non
     ("action", "takes_value"), [(None, True), ("store", True), ("append", True), ("store_true", False)]
 )
 def test_option_takes_a_value_unless_it_is_a_flag(action: str | None, takes_value: bool) -> None:
-    options = {} if action is None else {"action": action}
+    options: dict[str, Any] = {} if action is None else {"action": action}
     assert argument("--option", **options).takes_value is takes_value

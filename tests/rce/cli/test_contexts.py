@@ -78,6 +78,11 @@ def test_unknown_context_is_answered_with_the_existing_ones(two_contexts: Path) 
         contexts.load().named("moon")
 
 
+def set_variables(monkeypatch: pytest.MonkeyPatch, variables: dict[str, str]) -> None:
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+
+
 @pytest.mark.parametrize(
     ("options", "variables", "expected"),
     [
@@ -106,8 +111,7 @@ def test_options_come_before_variables_before_contexts(
     two_contexts: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for name, value in variables.items():
-        monkeypatch.setenv(name, value)
+    set_variables(monkeypatch, variables)
     assert contexts.access(**options) == expected
 
 
@@ -141,8 +145,7 @@ def test_running_platform_is_the_current_context_unless_options_say_otherwise(
     two_contexts: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for name, value in variables.items():
-        monkeypatch.setenv(name, value)
+    set_variables(monkeypatch, variables)
     args = argparse.Namespace(**{"url": "", "user": DEV_USER, "password": None} | given)
     assert contexts.running_platform(args) == expected
 

@@ -7,7 +7,7 @@ import shlex
 import pytest
 
 from rce.cli import table
-from rce.cli.command import parser
+from rce.cli.command import Command, parser
 from rce.cli.original import translate
 
 TRANSLATIONS = {
@@ -54,6 +54,6 @@ def test_line_of_the_original_becomes_a_valid_line(line: str) -> None:
 
 
 @pytest.mark.parametrize("command", table.COMMANDS.values(), ids=lambda command: command.name)
-def test_examples_of_this_console_are_not_translated(command: table.Command) -> None:
+def test_examples_of_this_console_are_not_translated(command: Command) -> None:
     for example in command.examples:
         assert translate(shlex.split(example)) == shlex.split(example)

@@ -8,7 +8,7 @@ import shlex
 import pytest
 
 from rce.cli import table
-from rce.cli.command import Command, Lazy, Section, parser
+from rce.cli.command import Command, Lazy, Program, Section, parser
 from rce.process import programs
 
 COMMANDS = list(table.COMMANDS.values())
@@ -27,7 +27,7 @@ def test_examples_are_valid_command_lines(command: Command) -> None:
 
 
 @pytest.mark.parametrize("entry", [*COMMANDS, *table.PROGRAMS.values()], ids=lambda entry: entry.name)
-def test_lazy_function_exists(entry: Command | table.Program) -> None:
+def test_lazy_function_exists(entry: Command | Program) -> None:
     function = getattr(entry.run, "work", entry.run)
     if isinstance(function, Lazy):
         assert callable(function.load())
@@ -68,7 +68,7 @@ def test_arguments_decide_between_program_and_command_of_one_name(line: str, is_
 def test_overview_lists_every_visible_entry() -> None:
     text = table.overview()
     for entry in table.TABLE:
-        visible = isinstance(entry, Command | table.Program) and entry.section is not Section.HIDDEN
+        visible = isinstance(entry, Command | Program) and entry.section is not Section.HIDDEN
         assert not visible or re.search(rf"^  {entry.name.split()[0]} ", text, re.MULTILINE), entry.name
 
 

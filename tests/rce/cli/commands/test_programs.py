@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from rce.cli.command import Program
 from rce.cli.commands import programs
 from rce.process import programs as installed
 from rce.process import up
@@ -18,7 +19,7 @@ class Started(Exception):
     [programs.BRIDGE, programs.IMAGE, *programs.SERVERS, *programs.ON_MASTER_FILES],
     ids=lambda entry: entry.name,
 )
-def test_program_gets_its_arguments_unchanged(entry: programs.Program, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_program_gets_its_arguments_unchanged(entry: Program, monkeypatch: pytest.MonkeyPatch) -> None:
     def exec_program(name: str, arguments: list[str]) -> None:
         raise Started(name, arguments)
 

@@ -11,6 +11,9 @@ from rce.control.calls.watching import Hop
 from tests.support.console import Console, Request, open_terminal
 
 
+Hops = list[tuple[str, Hop, float]]
+
+
 def message(name: str, *hops: tuple[str, Hop, float], host: str = "h") -> MessageTrace:
     views = [HopView(interface, hop, time, host) for interface, hop, time in hops]
     return MessageTrace(name, "brain/out", views)
@@ -51,10 +54,18 @@ def test_message_to_two_interfaces_has_a_row_for_each_without_missing_steps() ->
 
 
 def test_response_of_a_service_adds_the_steps_back() -> None:
-    there = [("brain/out", "entered", 0.0), ("brain/out", "sent", 0.1), ("r1/in", "received", 0.2)]
-    back = [("r1/in", "entered", 1.3), ("r1/in", "sent", 1.4), ("brain/out", "received", 1.5)]
-    hops = [*there, ("r1/in", "delivered", 0.3), *back, ("brain/out", "delivered", 1.6)]
-    ((_, row),) = paths(message("call", *hops))  # type: ignore[arg-type]  # hops are strings
+    there: Hops = [
+        ("brain/out", "entered", 0.0),
+        ("brain/out", "sent", 0.1),
+        ("r1/in", "received", 0.2),
+    ]
+    back: Hops = [
+        ("r1/in", "entered", 1.3),
+        ("r1/in", "sent", 1.4),
+        ("brain/out", "received", 1.5),
+    ]
+    hops: Hops = [*there, ("r1/in", "delivered", 0.3), *back, ("brain/out", "delivered", 1.6)]
+    ((_, row),) = paths(message("call", *hops))
     assert {step: round(value / 1e5) for step, value in row.items()} == {
         "sent": 1, "received": 1, "delivered": 1, "entered back": 10, "sent back": 1, "received back": 1,
         "delivered back": 1, "total": 16,

@@ -13,6 +13,7 @@ import pytest
 
 from rce.bench import overtake, start
 from rce.bench.nodes import Place, Probe
+from rce.bench.routes import ROUTES
 from rce.cli.commands.bench import QUICK_SAMPLES, QUICK_SIZES
 from rce.cli.contexts import Access
 from rce.cli.execute import FAILURE, SUCCESS, run
@@ -80,7 +81,7 @@ def sampled(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     async def tcp(place: Place) -> list[Probe]:
         return [Probe("tcp", "topic", sample)]
 
-    monkeypatch.setitem(bench.ROUTES, "tcp", tcp)
+    monkeypatch.setitem(ROUTES, "tcp", tcp)
     monkeypatch.setattr("rce.bench.run.PAUSE", (0.0, 0.0))
     return sizes
 

@@ -8,8 +8,8 @@ import sys
 import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -27,14 +27,15 @@ from tests.support.console import ACCESS, Terminal
 FLASER = "FLASER 3 1.0 1.0 1.0 0 0 0 0 0 0 {0}.0 host {0}.0\n"
 
 
-class Recorded(NamedTuple):
+@dataclass
+class Recorded:
     """Recording without scans."""
 
     name: str = "a.log"
     scans: int | None = 100
     duration: float | None = 50.0
 
-    def __iter__(self) -> Iterator[Scan]:  # type: ignore[override]  # a recording is not used as a tuple
+    def __iter__(self) -> Iterator[Scan]:
         return iter(())
 
 
