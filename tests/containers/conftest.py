@@ -1,4 +1,4 @@
-"""Fixtures for tests of engines: images of a small program, a swarm of one machine, and opened engines."""
+"""Fixtures for tests of task sets: images of a small program, a swarm of one machine, a Master and opened engines."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from twisted.internet.base import ReactorBase
 from containers.engine import Engine
 from rce import __version__
 from tests.support.containers.engine_contract import Endings, World, opened
+from tests.support.containers.fake_master import FakeMaster
 from tests.support.paths import TESTS
 
 STAND_IN = "rce-test/stand-in:latest"
@@ -69,33 +70,6 @@ def one_machine(stand_in: bytes) -> Iterator[Any]:
         yield made
 
 
-@pytest.fixture(scope="session")
-def swarm_directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Data directory of the task set on the swarm, which its agent belongs to."""
-    return tmp_path_factory.mktemp("swarm")
-
-
-@pytest.fixture
-def swarm_world(
-    one_machine: Any, swarm_directory: Path, reactor: ReactorBase, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[Any]:
-    from tests.support.containers.swarm_world import SwarmWorld
-
-    monkeypatch.setenv("DOCKER_HOST", one_machine.nodes[0].host)
-    world = SwarmWorld(one_machine, swarm_directory, reactor)
-    world.reset()
-    yield world
-    world.api.close()
-
-
-@pytest.fixture
-async def swarm_engine(swarm_world: Any, endings: Endings) -> AsyncIterator[Any]:
-    async with opened(swarm_world.engine(endings)) as engine:
-        yield engine
-    assert swarm_world.remains() == set()
-    assert swarm_world.networks() == []
-
-
 @pytest.fixture
 def docker_world(tmp_path: Path, stand_in_image: str, reactor: ReactorBase) -> Iterator[Any]:
     from tests.support.containers.docker_world import DockerWorld
@@ -103,6 +77,14 @@ def docker_world(tmp_path: Path, stand_in_image: str, reactor: ReactorBase) -> I
     world = DockerWorld(tmp_path, stand_in_image, reactor)
     yield world
     world.api.close()
+
+
+@pytest.fixture
+async def master(reactor: ReactorBase) -> AsyncIterator[FakeMaster]:
+    master = FakeMaster(reactor)
+    await master.up()
+    yield master
+    await master.close()
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@ from collections.abc import Callable
 
 import pytest
 
-from containers import hollow
 from containers.engine import EnvironmentEnded
 from containers.fake import FakeMachine
 from containers.hollow import HollowEngine
@@ -66,7 +65,7 @@ async def test_refused_endpoint_fails_the_start() -> None:
 
 async def test_usage_grows_with_time(world: HollowWorld, monkeypatch: pytest.MonkeyPatch) -> None:
     now = 100.0
-    monkeypatch.setattr(hollow.time, "monotonic", lambda: now)
+    monkeypatch.setattr("containers.hollow.time.monotonic", lambda: now)
     async with opened(world.engine(Endings())) as engine:
         await engine.start(spec())
         first = (await engine.usage())["ann/map"]

@@ -7,11 +7,9 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from twisted.internet.base import ReactorBase
 
 from rce.control.calls.environments import StartEnvironment, StopEnvironment
 from tests.support.containers.engine_contract import spec
@@ -26,14 +24,6 @@ from containers.process import engine
 engine.COMMAND = {command!r}
 sys.exit(__main__.main())
 """
-
-
-@pytest.fixture
-async def master(reactor: ReactorBase) -> AsyncIterator[FakeMaster]:
-    master = FakeMaster(reactor)
-    await master.up()
-    yield master
-    await master.close()
 
 
 class Program:

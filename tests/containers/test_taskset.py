@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
-from twisted.internet.base import ReactorBase
 
 from containers.engine import RunningEnvironment
 from containers.fake import FailingEngine, FakeEngine, FakeMachine
@@ -29,14 +27,6 @@ from rce.process.exposition import prometheus_text
 from rce.process.metrics import Family, gauge_family
 from tests.support.containers.engine_contract import spec
 from tests.support.containers.fake_master import FakeMaster, joined
-
-
-@pytest.fixture
-async def master(reactor: ReactorBase) -> AsyncIterator[FakeMaster]:
-    master = FakeMaster(reactor)
-    await master.up()
-    yield master
-    await master.close()
 
 
 class Running:

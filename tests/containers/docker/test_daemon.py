@@ -23,7 +23,7 @@ from rce.protocol.slots import MB
 LABELS = {"rce.platform": "machine"}
 FOUND = Found("id", "ann/map", "1" * 32, 1, running=True)
 OPTIONS = ContainerOptions("10000:10000", {}, Attachments(hostname="h" * 80))
-LISTED = {
+LISTED: dict[str, Any] = {
     "Id": "id",
     "State": "running",
     "Labels": {**LABELS, "rce.environment": "ann/map", "rce.run": "1" * 32, "rce.size": "2", "rce.gpus": "0,3"},
@@ -106,8 +106,8 @@ def daemon(api: Api, monkeypatch: pytest.MonkeyPatch) -> Daemon:
 
 
 async def test_containers_are_read_from_their_labels(daemon: Daemon, api: Api) -> None:
-    dead = {**LISTED, "State": "exited", "Labels": {key: LISTED["Labels"][key] for key in LISTED["Labels"]}}
-    del dead["Labels"]["rce.gpus"]
+    labels = {key: value for key, value in LISTED["Labels"].items() if key != "rce.gpus"}
+    dead = {**LISTED, "State": "exited", "Labels": labels}
     api.listed = [LISTED, dead]
     assert await daemon.present() == [
         Found("id", "ann/map", "1" * 32, 2, running=True, gpus=["0", "3"]),

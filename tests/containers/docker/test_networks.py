@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import subprocess
 from collections.abc import AsyncIterator, Callable
-from ipaddress import ip_network
+from ipaddress import IPv4Network
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -158,10 +158,10 @@ async def test_each_environment_has_its_own_egress_network(world: DockerWorld, e
     grouped = replace(member("ann/b", 3), egress="all")
     await asyncio.gather(engine.start(with_egress("ann/a", "internet")), engine.start(grouped))
     assert set(networks(world)) == {"ann/a", "ann/b", "ann/fleet"}
-    subnets = {name: ip_network(each["IPAM"]["Config"][0]["Subnet"]) for name, each in networks(world).items()}
+    subnets = {name: IPv4Network(each["IPAM"]["Config"][0]["Subnet"]) for name, each in networks(world).items()}
     assert str(subnets.pop("ann/fleet")) == SUBNET
     assert len(set(subnets.values())) == 2
-    assert all(subnet.prefixlen == 30 and subnet.subnet_of(ip_network(EGRESS_POOL)) for subnet in subnets.values())
+    assert all(subnet.prefixlen == 30 and subnet.subnet_of(IPv4Network(EGRESS_POOL)) for subnet in subnets.values())
     seen = world.inspect("ann/b")["NetworkSettings"]["Networks"]
     assert {each["IPAddress"] for each in seen.values()} >= {"10.128.77.3"}
     assert world.inspect("ann/a")["HostConfig"]["Dns"] == list(NAMESERVERS)

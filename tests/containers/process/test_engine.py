@@ -207,6 +207,6 @@ async def test_failed_start_has_a_reason(world: ProcessWorld, engine: ProcessEng
 
 async def test_opening_cleans_shared_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cleaned: list[bool] = []
-    monkeypatch.setattr(process.shared_memory, "clean", lambda: cleaned.append(True))
+    monkeypatch.setattr("containers.process.shared_memory.clean", lambda: cleaned.append(True))
     async with opened(ProcessWorld(tmp_path).engine(Endings())):
         assert cleaned

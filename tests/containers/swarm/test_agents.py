@@ -25,7 +25,8 @@ async def agents(reactor: ReactorBase) -> AsyncIterator[tuple[Agents, list[Contr
     port = await agents.listen(reactor, "tcp:0:interface=127.0.0.1")
 
     async def never(_: ReadMetrics) -> Metrics:
-        return await asyncio.get_running_loop().create_future()
+        future: asyncio.Future[Metrics] = asyncio.get_running_loop().create_future()
+        return await future
 
     for node in ("well", "mute", "old"):
         handlers = Handlers()

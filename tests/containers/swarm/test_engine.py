@@ -22,16 +22,6 @@ class TestSwarmEngine(ContainerEngineContract):
     pass
 
 
-@pytest.fixture
-def world(swarm_world: SwarmWorld) -> SwarmWorld:
-    return swarm_world
-
-
-@pytest.fixture
-async def engine(swarm_engine: SwarmEngine) -> SwarmEngine:
-    return swarm_engine
-
-
 async def test_container_of_a_task_is_confined(world: SwarmWorld, engine: SwarmEngine) -> None:
     seen = await start_confined(world, engine)
     assert seen["Config"]["User"] == "10000:10000"

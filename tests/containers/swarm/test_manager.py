@@ -253,7 +253,7 @@ def node(state: str = "ready", availability: str = "active", **labels: str) -> N
 
 def test_node_resources_are_read() -> None:
     seen = node(**{"rce.feature.camera": "true", "other": "true"})
-    assert (seen.features, seen.gpus, seen.size.cores, seen.size.memory) == ({"camera"}, 3, 4.0, 1000)
+    assert (seen.features, seen.gpus, seen.size.cores, seen.size.memory) == (frozenset({"camera"}), 3, 4.0, 1000)
     assert seen.usable
     assert node(availability="pause").usable
 

@@ -35,16 +35,6 @@ REACH = "import socket; socket.create_connection(({address!r}, {port}), 3)"
 LISTEN = "import socket; s = socket.create_server(({address!r}, {port})); print(flush=True); s.accept()"
 
 
-@pytest.fixture
-def world(swarm_world: SwarmWorld) -> SwarmWorld:
-    return swarm_world
-
-
-@pytest.fixture
-async def engine(swarm_engine: SwarmEngine) -> SwarmEngine:
-    return swarm_engine
-
-
 def within(process: int, *words: str) -> str:
     """Run a program of this machine in the network namespace of an environment; return its output."""
     command = ["nsenter", f"--net=/proc/{process}/ns/net", *words]

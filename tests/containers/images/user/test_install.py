@@ -52,7 +52,7 @@ class Pip:
 @pytest.fixture
 def pip(monkeypatch: pytest.MonkeyPatch) -> Pip:
     pip = Pip()
-    monkeypatch.setattr(module.subprocess, "run", pip.run)
+    monkeypatch.setattr(subprocess, "run", pip.run)
     monkeypatch.setattr(module, "distribution", pip.distribution)
     return pip
 
@@ -96,7 +96,7 @@ def test_package_that_pip_cannot_install_ends_the_build(
     here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write(here / "sources/p/package.xml")
-    monkeypatch.setattr(module.subprocess, "run", Pip(status=1).run)
+    monkeypatch.setattr(subprocess, "run", Pip(status=1).run)
     with pytest.raises(SystemExit, match="pip could not install p"):
         install(here, tmp_path / "prefix", tmp_path / "modules")
 
