@@ -10,7 +10,6 @@ from rce.cli.commands.tracing import CLOCK_WARNING, medians, paths
 from rce.control.calls.watching import Hop
 from tests.support.console import Console, Request, open_terminal
 
-
 Hops = list[tuple[str, Hop, float]]
 
 
