@@ -9,7 +9,7 @@ from tests.support.paths import ROOT
 PACKAGES = ("rce", "master", "endpoints", "containers", "converters", "provisioning")
 PROGRAMS = {"__init__.py", "__main__.py"}  # tested by their packages and by running them
 WITHOUT_LOGIC = {
-    "containers/docker/setup.py": "a record with one property, through which every test of the engine finds its containers",
+    "containers/docker/setup.py": "a record; every test of the engine finds its containers by it",
     "containers/nodes/rce_bench/images.py": "subscribes to a topic, without a reaction",
     "master/graph/effects.py": "structs and type aliases",
     "master/storage/migrations/env.py": "started by Alembic in each test of migrations",
