@@ -13,6 +13,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from twisted.logger import Logger
 
 from endpoints.environment.arguments import enclave
+from endpoints.environment.parameters import ros_form
 from endpoints.environment.ros import NODE, RosThread
 from endpoints.environment.ros_services import RawClient
 from rce.control.calls.endpoints import ParameterSpec
@@ -139,17 +140,21 @@ class LiveParameters:
 
 
 def ros_value(value: ParameterValue, declared: int) -> RosValue:
-    """Return the value as a ROS message; integers become floating point if that is the `declared` type."""
-    items = value if isinstance(value, list) else [value]
+    """Return the value as a ROS message of the `declared` type, where that holds it.
+
+    Integers become floating point, and an empty list, which has no type of its own, an array of that type.
+    """
+    form = ros_form(value)
+    if value == [] and "array" in _fields.get(declared, ("", str))[0]:
+        return RosValue(type=declared)
+    items = form if isinstance(form, list) else [form]
     kind = type(items[0])
     if kind is int and declared in (ParameterType.PARAMETER_DOUBLE, ParameterType.PARAMETER_DOUBLE_ARRAY):
         kind = float
     number = next(
-        number
-        for number, (field, of) in _fields.items()
-        if of is kind and ("array" in field) == isinstance(value, list)
+        number for number, (field, of) in _fields.items() if of is kind and ("array" in field) == isinstance(form, list)
     )
     message = RosValue(type=number)
     converted = [kind(item) for item in items]
-    setattr(message, _fields[number][0], converted if isinstance(value, list) else converted[0])
+    setattr(message, _fields[number][0], converted if isinstance(form, list) else converted[0])
     return message

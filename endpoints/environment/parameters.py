@@ -6,34 +6,50 @@ import json
 import math
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from rce.control.calls.endpoints import ParameterSpec
 from rce.errors import InvalidRequest
 from rce.protocol.messages import ParameterValue
 
 Scalar = bool | int | float | str
-INT64 = range(-(1 << 63), 1 << 63)
+RosValue = Scalar | list[bool] | list[int] | list[float] | list[str]
+"""Value that ROS 2 has a parameter type for."""
 
 
 def validate(spec: ParameterSpec) -> ParameterSpec:
-    """Return the spec, with a list of mixed numbers converted to floats.
-
-    Raises:
-        InvalidRequest: ROS 2 has no parameter type for the value, or the name is not valid.
-    """
-    value = spec.value
-    values = value if isinstance(value, list) else [value]
-    kinds = {type(item) for item in values}
-    if kinds == {int, float}:
-        values, kinds = [float(item) for item in values], {float}
-    if len(kinds) != 1:
-        reason = "an empty list has no type" if not kinds else "all items of a list must be of the same type"
-        raise InvalidRequest(f"parameter {spec.name}: {reason}", field="value")
-    if any(type(item) is int and item not in INT64 for item in values):
-        raise InvalidRequest(f"parameter {spec.name}: an integer does not fit into 64 bits", field="value")
+    """Return the spec; raise InvalidRequest if its name is not valid."""
     if not spec.name.strip() or any(ord(letter) < 32 for letter in spec.name):
         raise InvalidRequest("the name of a parameter must not be empty or contain control characters", field="name")
-    return ParameterSpec(spec.name, values if isinstance(value, list) else value, spec.node)
+    return spec
+
+
+def ros_form(value: ParameterValue) -> RosValue:
+    """Return a parameter's value as nodes get it.
+
+    ROS 1 had lists of mixed types, empty and nested ones, and maps. ROS 2 has no types for them: nodes get them as YAML
+    text. Mixed integers and floats are floats.
+    """
+    if not isinstance(value, list | dict):
+        return value
+    if isinstance(value, list):
+        kinds = {type(item) for item in value}
+        if kinds == {int, float}:
+            return [float(item) for item in value]
+        if len(kinds) == 1 and kinds < {bool, int, float, str}:
+            return value
+    return yaml_text(value)
+
+
+def yaml_text(value: Any) -> str:
+    """Return a value as YAML with every string quoted, so that it is not read as a bool or a number."""
+    if isinstance(value, list):
+        return f"[{', '.join(map(yaml_text, value))}]"
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{yaml_text(key)}: {yaml_text(item)}' for key, item in value.items())}}}"
+    if isinstance(value, float) and not math.isfinite(value):
+        return ".nan" if math.isnan(value) else ".inf" if value > 0 else "-.inf"
+    return json.dumps(value, ensure_ascii=False)
 
 
 class Parameters:
@@ -61,17 +77,7 @@ class Parameters:
 
 
 def params_file(parameters: Iterable[tuple[str, ParameterValue]]) -> str:
-    """Return YAML with every string quoted, so that ROS 2 does not read it as a bool or a number."""
+    """Return the content of a ROS 2 parameter file."""
     lines = ["/**:", "  ros__parameters:"]
-    lines += [f"    {_scalar(name)}: {_value(value)}" for name, value in parameters]
+    lines += [f"    {yaml_text(name)}: {yaml_text(ros_form(value))}" for name, value in parameters]
     return "\n".join(lines if len(lines) > 2 else ["/**:", "  ros__parameters: {}"]) + "\n"
-
-
-def _value(value: ParameterValue) -> str:
-    return f"[{', '.join(map(_scalar, value))}]" if isinstance(value, list) else _scalar(value)
-
-
-def _scalar(value: Scalar) -> str:
-    if isinstance(value, float) and not math.isfinite(value):
-        return ".nan" if math.isnan(value) else ".inf" if value > 0 else "-.inf"
-    return json.dumps(value, ensure_ascii=False)

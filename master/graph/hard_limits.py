@@ -12,6 +12,7 @@ NODES = 1000  # of one environment, as are those below
 PARAMETERS = 10_000
 PARAMETER_TEXT = 16 * 1024 * 1024  # characters and items of lists, in all of its parameters together
 INTERFACES = 10_000  # of one robot or environment
+WAITING = 1000  # connections of one user that wait for an end that is away
 SMALL = 1024  # smaller parameters are bounded by their number alone
 
 
@@ -48,5 +49,7 @@ def check_parameter(state: State, parameter: Parameter) -> None:
 
 def _size(value: ParameterValue) -> int:
     if isinstance(value, list):
-        return sum(map(_size, value))
+        return sum(max(1, _size(item)) for item in value)
+    if isinstance(value, dict):
+        return sum(len(key) + 1 + _size(item) for key, item in value.items())
     return len(value) if isinstance(value, str) else 1

@@ -4,6 +4,7 @@
     Environment 1─* Node, Parameter
     Environment, Robot 1─* Interface
     Connection: two Interfaces of one user
+    Waiting: a Connection of which an Interface is away
     Process: Robot endpoint, Environment endpoint, task set, as it last joined
     Link: two Processes that share connections
     Package 1─* Version: a user's own ROS packages
@@ -15,7 +16,7 @@ Keys are paths (`user/env/node`). Invariants are documented at the records; `com
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 from msgspec import Struct
 
@@ -23,7 +24,7 @@ from rce.api.roles import Principal
 
 Role = Literal["robot", "container", "environment", "service"]
 Egress = Literal["none", "internet", "all"]
-ParameterValue = bool | int | float | str | list[bool | int | float | str]
+ParameterValue = bool | int | float | str | list[Any] | dict[str, Any]
 
 
 class Ref(NamedTuple):
@@ -177,12 +178,29 @@ class Connection(Struct, frozen=True):
     """Two interfaces of one user that exchange messages; both exist.
 
     `sender` and `receiver` are keys of interfaces, in the direction of topic messages and service requests. `link` is
-    the data link that carries it, empty while one of the two sides is absent.
+    the data link that carries it, empty while one of the two sides is absent. `by` is the robot that asked for it if
+    one of the ends is its own, else empty. `restored`: it is back after it waited for an end; whoever declares it again
+    gets no error.
     """
 
     sender: str
     receiver: str
     link: str = ""
+    by: str = ""
+    restored: bool = False
+
+    @property
+    def key(self) -> str:
+        """Return the key of the record in its table."""
+        return f"{self.sender} {self.receiver}"
+
+
+class Waiting(Struct, frozen=True):
+    """A connection that is back when an end that left is added again by its name; `by` is as in `Connection`."""
+
+    sender: str
+    receiver: str
+    by: str = ""
 
     @property
     def key(self) -> str:

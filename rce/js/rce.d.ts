@@ -56,8 +56,9 @@ export class InternalError extends RceError {}
  * may be sent as Uint8Array and arrive as base64 strings.
  */
 export type Message = Record<string, any> | Uint8Array;
-/** Value of a ROS 2 parameter. */
-export type ParameterValue = boolean | number | bigint | string | (boolean | number | bigint | string)[];
+/** Value of a parameter; nodes read what ROS 2 has no type for as YAML text. */
+export type ParameterValue = boolean | number | bigint | string | ParameterItem[] | { [key: string]: ParameterItem };
+export type ParameterItem = ParameterValue | null;
 /** Kind of an interface: `...Interface` in an environment, `...Converter` or `...Forwarder` (raw) at a robot. */
 export type InterfaceType = `${"Publisher" | "Subscriber" | "ServiceClient" | "ServiceProvider"}${
   "Interface" | "Converter" | "Forwarder"}`;

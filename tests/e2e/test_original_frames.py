@@ -8,6 +8,7 @@ import re
 import cv2
 import numpy as np
 import pytest
+import yaml
 
 from tests.support.e2e.original_robot import (
     OriginalRobot,
@@ -116,11 +117,13 @@ async def test_services_in_both_directions(platform: RealPlatform) -> None:
 
 async def test_parameters_of_all_kinds(platform: RealPlatform) -> None:
     """Parameters of the original's debug configuration, set before the node starts."""
-    values = {"int": 99, "str": "$(find Test)", "float": 3.14, "bool": True, "list": [1, 2, 3]}
+    values = {"int": 99, "str": "$(find Test)", "float": 3.14, "bool": True}
+    mixed = ["one", 2, "three", "true"]
     async with OriginalRobot(platform.url, "setter") as robot:
         await robot.send(
             container("parameters"),
             *(configure("setParam", containerTag="parameters", name=name, value=values[name]) for name in values),
+            configure("setParam", containerTag="parameters", name="list", value=mixed),
             node("parameters", "params", "paramTest.py"),
             interface("parameters", "ask", "ServiceClientInterface", "Test/ParameterTest", addr="/parameterTest"),
             interface("setter", "ask", "ServiceProviderConverter", "Test/ParameterTest"),
@@ -130,6 +133,7 @@ async def test_parameters_of_all_kinds(platform: RealPlatform) -> None:
         await robot.send(message("ask", "Test/ParameterTest", {}, "1"))
         told = json.loads((await robot.take_data("ask"))["msg"]["msg"])
         assert told.pop("str").endswith("Test")
+        assert yaml.safe_load(told.pop("list")) == mixed
         assert told == {name: values[name] for name in told}
         await robot.send(destroy("parameters"))
         await robot.take_frame(status("ask", False))

@@ -19,7 +19,7 @@ def robot_file(url: str = "http://127.0.0.1:9000/") -> dict[str, Any]:
         "robotID": "a",
         "password": "testUser",
         "containers": [{"cTag": "c1"}, {"cTag": "c2", "group": "net", "size": 2}],
-        "parameters": [{"cTag": "c1", "name": "list", "value": [1, 2]}],
+        "parameters": [{"cTag": "c1", "name": "list", "value": ["one", 2, "three", "true"]}],
         "nodes": [{"cTag": "c1", "nTag": "echo", "pkg": "Test", "exe": "stringEcho.py", "args": "--x"}],
         "interfaces": [
             {"eTag": "c1", "iTag": "req", "iType": "PublisherInterface", "iCls": STRING, "addr": "/req"},

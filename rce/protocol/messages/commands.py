@@ -6,9 +6,11 @@ before it stay applied, and the error names it (`addNodes[2]`).
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Raw, Struct
+
+from rce.errors import InvalidRequest
 
 Amount = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Name = Annotated[str, Meta(min_length=1, max_length=255)]
@@ -17,7 +19,9 @@ Short = Annotated[str, Meta(max_length=255)]
 VariableName = Annotated[str, Meta(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$(?!\n)", max_length=255)]
 VariableValue = Annotated[str, Meta(pattern=r"^[^\x00]*$", max_length=32_768)]
 Integer = Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]  # the range of a ROS 2 integer parameter
-ParameterValue = bool | Integer | float | str | list[bool | Integer | float | str]
+# Lists and maps may be nested and of mixed types; msgspec has no recursive types other than structs.
+ParameterValue = bool | Integer | float | str | list[Any] | dict[str, Any]
+MAX_DEPTH = 32  # of a parameter's lists and maps; what decodes them after this process may be deep in its stack
 ParameterName = Annotated[str, Meta(min_length=1, max_length=255, pattern=r"^[^\x00]*$")]
 
 
@@ -148,6 +152,25 @@ class SetParameter(Struct, frozen=True):
     name: ParameterName
     value: ParameterValue
     nodeTag: str = ""
+
+    def __post_init__(self) -> None:
+        """Check what is within a list or map.
+
+        Raises:
+            InvalidRequest: It is nested too deeply, or an integer in it does not fit into 64 bits.
+        """
+        if isinstance(self.value, list | dict):
+            _check_items(self.value, MAX_DEPTH)
+
+
+def _check_items(value: Any, depth: int) -> None:
+    if isinstance(value, list | dict):
+        if not depth:
+            raise InvalidRequest(f"value: lists and maps are nested more than {MAX_DEPTH} deep", field="value")
+        for item in value.values() if isinstance(value, dict) else value:
+            _check_items(item, depth - 1)
+    elif isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise InvalidRequest("value: an integer in it does not fit into 64 bits", field="value")
 
 
 class DeleteParameter(Struct, frozen=True):

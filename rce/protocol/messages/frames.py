@@ -75,6 +75,8 @@ def decode_as(kind: type[T], raw: Raw | bytes, where: str) -> T:
     try:
         value: T = decoder.decode(raw)
         return value
+    except InvalidRequest as error:  # of a value that its type cannot describe
+        raise InvalidRequest(f"{where}.{error}", field=error.info.field) from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         reason, _, path = str(error).partition(" - at `$")
         path = path.rstrip("`").lstrip(".")

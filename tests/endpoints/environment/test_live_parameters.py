@@ -53,6 +53,16 @@ def test_integers_become_floats_where_node_declares_them(value: ParameterValue, 
     assert (found.type, plain(found)) == (number(kind), value)
 
 
+def test_empty_list_has_the_array_type_that_node_declares() -> None:
+    assert plain(ros_value([], number("INTEGER_ARRAY"))) == []
+    assert plain(ros_value([], number("STRING"))) == "[]"
+
+
+def test_list_of_mixed_types_is_text() -> None:
+    assert plain(ros_value(["one", 2], number("STRING"))) == '["one", 2]'
+    assert ros_value(["one", 2], number("STRING_ARRAY")).type == number("STRING")  # which the node refuses
+
+
 @pytest.mark.parametrize(("value", "declared", "kind"), [(2.5, "INTEGER", "DOUBLE"), (True, "DOUBLE", "BOOL")])
 def test_other_values_keep_their_type_and_node_refuses_them(value: ParameterValue, declared: str, kind: str) -> None:
     assert ros_value(value, number(declared)).type == number(kind)

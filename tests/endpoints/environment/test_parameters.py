@@ -5,7 +5,7 @@ import math
 import pytest
 import yaml
 
-from endpoints.environment.parameters import Parameters, params_file, validate
+from endpoints.environment.parameters import Parameters, params_file, ros_form, validate
 from rce.control.calls.endpoints import ParameterSpec
 from rce.errors import InvalidRequest
 from rce.protocol.messages import ParameterValue
@@ -48,10 +48,18 @@ def test_parameters_of_single_node_take_precedence() -> None:
 
 
 def test_mixed_numbers_of_list_become_floats() -> None:
-    assert validate(ParameterSpec("a", [1, 2.5])).value == [1.0, 2.5]
+    assert ros_form([1, 2.5]) == [1.0, 2.5]
 
 
-@pytest.mark.parametrize("value", [[1, "a"], [True, 1], [], 1 << 63, [0, -(1 << 63) - 1]])
-def test_value_without_ros_type_is_rejected(value: ParameterValue) -> None:
-    with pytest.raises(InvalidRequest, match="parameter a"):
-        validate(ParameterSpec("a", value))
+@pytest.mark.parametrize(
+    "value", [["one", 2, "three", "true"], [True, 1], [], [[1, 2], []], [None], {}, {"gains": [0.5, {"p": "1"}]}]
+)
+def test_value_without_ros_type_is_yaml_text(value: ParameterValue) -> None:
+    assert yaml.safe_load(str(ros_form(value))) == value
+    text = yaml.safe_load(params_file([("a", value)]))["/**"]["ros__parameters"]["a"]
+    assert yaml.safe_load(text) == value
+
+
+def test_name_with_control_character_is_rejected() -> None:
+    with pytest.raises(InvalidRequest, match="name"):
+        validate(ParameterSpec("a\nb", 1))

@@ -36,7 +36,7 @@ def test_size_of_parameters_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     fleet = furnished()
     fleet.do("ann", m.SetParameter("brain", "a", "x" * 3000))
     fleet.do("ann", m.SetParameter("brain", "a", "x" * 4000))  # replaces the other
-    too_large: list[m.ParameterValue] = ["x" * 2000, ["x" * 1000] * 2, [1] * 2000]
+    too_large: list[m.ParameterValue] = ["x" * 2000, ["x" * 1000] * 2, [1] * 2000, [[[]] * 2000], {"x" * 2000: {}}]
     for value in too_large:
         with pytest.raises(LimitExceeded, match="5000 characters"):
             fleet.do("ann", m.SetParameter("brain", "b", value))

@@ -21,7 +21,7 @@ def test_json_and_yaml_are_equivalent(tmp_path: Path, suffix: str) -> None:
     file = read(path)
     assert isinstance(file, RobotFile)
     assert file.containers[1].group == "net"
-    assert file.parameters[0].value == [1, 2]
+    assert file.parameters[0].value == ["one", 2, "three", "true"]
     assert file.interfaces[0].addr == "/req"
 
 
@@ -31,7 +31,7 @@ def test_json_and_yaml_are_equivalent(tmp_path: Path, suffix: str) -> None:
         ({"url": None}, "url: Expected `str`"),
         ({"nodes": [{"cTag": "c1", "nTag": "n", "exe": "x"}]}, r"nodes\[0\]: .*`pkg`"),
         ({"interfaces": [{"eTag": "a", "iTag": "i", "iType": "Publisher", "iCls": "a/B"}]}, r"interfaces\[0\].iType"),
-        ({"parameters": [{"cTag": "c", "name": "x", "value": {}}]}, r"parameters\[0\].value"),
+        ({"parameters": [{"cTag": "c", "name": "x", "value": None}]}, r"parameters\[0\].value"),
         ({"conections": []}, "unknown field `conections`"),
     ],
 )
