@@ -5,7 +5,8 @@
     payload
 
 A message of more than `PART` bytes is split into several frames with the same stream number, and frames of other
-messages may come in between. The receiver reads large payloads directly into their final buffer.
+messages may come in between. The receiver reads large payloads directly into their final buffer, whose memory grows
+with what arrives: a first frame may announce more than ever follows.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from time import perf_counter
 
+from endpoints.memory import uninitialized
 from rce.errors import LimitExceeded
 
 HEAD = struct.Struct("!BBIII")
@@ -39,6 +41,9 @@ class Message:
         destination: Id of the only peer that gets the message; None for all peers.
         error: True for the answer to a service request that failed.
         entered_at: `time.perf_counter` when the message came into this process; not transmitted.
+
+    Raises:
+        LimitExceeded: The payload is too large for a data link.
     """
 
     source: bytes
@@ -47,6 +52,13 @@ class Message:
     destination: bytes | None = None
     error: bool = False
     entered_at: float = field(default_factory=perf_counter, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if len(self.payload) > MAX_MESSAGE:  # here, where its sender can be told: the other end would break the link
+            raise LimitExceeded(
+                f"a message of {len(self.payload)} bytes exceeds the {MAX_MESSAGE} bytes of a data link",
+                bytes=MAX_MESSAGE,
+            )
 
 
 def pieces(message: Message, stream: int) -> Iterator[list[Buffer]]:
@@ -173,7 +185,7 @@ class FrameReader:
                 "them"
             )
         self._unfinished += total
-        begun = self._streams[stream] = _Unfinished(stream, message, bytearray(total))
+        begun = self._streams[stream] = _Unfinished(stream, message, uninitialized(total))
         return begun
 
     def _finish(self, unfinished: _Unfinished, done: list[Message]) -> None:

@@ -139,6 +139,7 @@ class ServiceClientInterface(RosInterface):
                 self.request(answer)
             except LimitExceeded as error:
                 self._report_once(error)
+                self.fail(request, error)
 
     def _refuse(self, request: Message, error: RceError) -> None:
         self._unanswered -= 1

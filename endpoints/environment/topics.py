@@ -8,12 +8,13 @@ from time import perf_counter
 from uuid import uuid4
 
 from endpoints.data.frames import Buffer, Message
+from endpoints.data.interface import error_of
 from endpoints.data.link import Link
 from endpoints.environment.interfaces import RosContext, RosInterface
 from endpoints.environment.ros_topics import SETTLING_TIME, RawPublisher, RawSubscription, Topic
 from endpoints.environment.ros_types import message_class
 from rce.control.calls.endpoints import InterfaceSpec
-from rce.errors import ConversionError, InvalidRequest
+from rce.errors import ConversionError, InvalidRequest, LimitExceeded
 
 HIGH_WATER = 8  # unpublished messages at which the sender has to wait, with keep_all
 MAX_UNHANDLED = 8  # messages taken from ROS that the loop has not handled yet
@@ -122,8 +123,11 @@ class SubscriberInterface(_TopicInterface):
             await asyncio.sleep(SETTLING_TIME)
 
     def receive(self, message: Message, link: Link) -> None:
-        """Report an error: this interface only sends to its peers."""
-        self._report_once(InvalidRequest(f"interface {self.spec.tag} sends messages and cannot receive any"))
+        """Report an error: that of a message which did not reach its robot, or that this interface receives none."""
+        if message.error:
+            self._report_once(error_of(message))
+        else:
+            self._report_once(InvalidRequest(f"interface {self.spec.tag} sends messages and cannot receive any"))
 
     def started(self) -> None:
         """Start taking messages."""
@@ -149,10 +153,16 @@ class SubscriberInterface(_TopicInterface):
 
     def _handle(self, payload: bytes, publisher: bytes, more: bool, since: float) -> None:
         self._handled += 1
-        if self._subscription.latched:
-            self._keep_latched(payload, publisher)
-        if self.peers:
-            self.send(Message(self.id, uuid4().hex, payload, entered_at=since))
+        try:
+            message = Message(self.id, uuid4().hex, payload, entered_at=since)
+        except LimitExceeded as error:
+            self.dropped += 1
+            self._report_once(error)
+        else:
+            if self._subscription.latched:
+                self._keep_latched(payload, publisher)
+            if self.peers:
+                self.send(message)
         if not more:
             self._resume()
 

@@ -1,4 +1,4 @@
-"""Settings of malloc, which keep the memory of large messages for the next ones."""
+"""Memory of large messages: it is kept for the next ones, and taken when it is written."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from endpoints.memory import VARIABLES
+from endpoints.memory import VARIABLES, uninitialized
 
 ROUNDS, BLOCKS, SIZE = 5, 3, 20_000_000
 PAGES = BLOCKS * SIZE // os.sysconf("SC_PAGE_SIZE")  # of the blocks that are in use at a time
@@ -46,3 +46,10 @@ def test_memory_of_freed_blocks_is_used_again() -> None:
     assert page_faults() > ROUNDS * PAGES / 2, "by default the system gives new pages each time"
     assert page_faults("keep_large_blocks()") < PAGES / 2
     assert page_faults(**VARIABLES) < PAGES / 2, "the variables have the same effect on a child process"
+
+
+def test_uninitialized_buffer_has_its_size_and_can_be_written() -> None:
+    buffer = uninitialized(10)
+    buffer[:] = b"0123456789"
+    assert buffer == b"0123456789"
+    assert uninitialized(0) == b""

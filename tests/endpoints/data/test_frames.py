@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import os
 import random
 import tracemalloc
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -143,3 +145,23 @@ def test_completed_message_frees_its_share_of_limit(monkeypatch: pytest.MonkeyPa
         message = Message(bytes(16), "", bytes(900_000))
         wire = b"".join(b"".join(piece) for piece in pieces(message, stream))
         assert len(feed(reader, wire, itertools.cycle([100_000]))) == 1
+
+
+def resident() -> int:
+    """Return the number of bytes of memory that this process has."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def test_announced_message_takes_memory_only_as_it_arrives() -> None:
+    before, readers = resident(), [FrameReader() for _ in range(4)]
+    for reader in readers:
+        for stream in range(4):
+            feed(reader, HEAD.pack(FIRST, 0, stream, 1, frames.MAX_MESSAGE) + bytes(17), itertools.cycle([31]))
+    assert resident() - before < 20_000_000
+
+
+def test_message_that_no_link_carries_is_refused_where_it_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(frames, "MAX_MESSAGE", 1000)
+    assert len(Message(bytes(16), "", bytes(1000)).payload) == 1000
+    with pytest.raises(LimitExceeded, match="1001 bytes"):
+        Message(bytes(16), "", bytes(1001))

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+from types import SimpleNamespace
+from typing import cast
 
+import msgspec
 import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
@@ -12,8 +15,15 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
-from rce.control.calls.endpoints import NodeSpec, StartNode, StopNode, Unbind
-from rce.errors import InvalidRequest, UnknownType
+from endpoints.data import frames
+from endpoints.data.frames import Message
+from endpoints.data.hops import HopRecorder
+from endpoints.data.link import Link
+from endpoints.environment.interfaces import RosContext
+from endpoints.environment.ros_topics import RawSubscription
+from endpoints.environment.topics import SubscriberInterface
+from rce.control.calls.endpoints import InterfaceSpec, NodeSpec, StartNode, StopNode, Unbind
+from rce.errors import InvalidRequest, LimitExceeded, RceError, UnknownType
 from rce.protocol.messages import Qos
 from tests.support.endpoints.environment_driver import FakeMaster
 
@@ -157,3 +167,20 @@ async def test_unbound_interface_receives_nothing(master: FakeMaster) -> None:
     await back.next()
     await asyncio.sleep(0)
     assert receiver.received.empty()
+
+
+async def test_message_too_large_for_links_is_reported_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(frames, "MAX_MESSAGE", 1000)
+    reports: list[RceError] = []
+    context = SimpleNamespace(ros=None, hops=HopRecorder(), definitions=None, report=lambda _, e: reports.append(e))
+    spec = InterfaceSpec("ab" * 16, "user/env", "tag", "SubscriberInterface", "std_msgs/String", "addr", Qos())
+    interface = SubscriberInterface(spec, cast(RosContext, context))
+    interface._subscription = cast(RawSubscription, SimpleNamespace(latched=False))
+    for _ in range(2):
+        interface._handle(bytes(1001), b"publisher", True, 0.0)
+    interface._handle(bytes(10), b"publisher", True, 0.0)
+    assert interface.dropped == 2
+    assert [error.code for error in reports] == ["limit_exceeded"]
+    undelivered = msgspec.msgpack.encode(LimitExceeded("too large for the robot").info)
+    interface.receive(Message(bytes(16), "", undelivered, error=True), cast(Link, None))
+    assert str(reports[-1]) == "too large for the robot"
