@@ -94,7 +94,10 @@ class _TopicEnd:
 
 
 class RawPublisher(_TopicEnd):
-    """Publisher of CDR bytes, which waits while only this process subscribes.
+    """Publisher of CDR bytes, which waits while only this process subscribes, and keeps the last message.
+
+    A late node gets the last message: by the middleware if both sides are transient_local, else it is published again.
+    DDS cannot address one subscription, so that is done only while no other subscription would get it twice.
 
     Attributes:
         waiting: Messages to publish. The loop appends to the right, the ROS thread takes from the left and calls
@@ -107,6 +110,8 @@ class RawPublisher(_TopicEnd):
         self._published = published
         self._unacknowledged = 0
         self._matched = self._settled = False  # there is a subscription; and it has been there for SETTLING_TIME
+        self._last: Buffer | None = None  # of the published messages
+        self._subscribed: dict[bytes, bool] = {}  # subscriptions by gid; True if they got the last message
         self._create(for_publisher(topic.qos, self._without_own(ros.node.get_subscriptions_info_by_topic(topic.name))))
         ros.add_waitable(self)
         self.peers_changed()
@@ -124,9 +129,15 @@ class RawPublisher(_TopicEnd):
         infos = self._ros.node.get_subscriptions_info_by_topic(self._topic.name)
         subscriptions = self._without_own(infos)
         profile = for_publisher(self._topic.qos, subscriptions)
+        self._subscribed = {
+            gid: self._subscribed.get(gid, is_latched(self._profile) and is_latched(info.qos_profile))
+            for info in subscriptions
+            if (gid := bytes(info.endpoint_gid))
+        }
         if is_latched(profile) and not is_latched(self._profile):
             self._ros.node.destroy_publisher(self._publisher)
             self._create(profile)
+            self._subscribed = dict.fromkeys(self._subscribed, False)  # the new publisher has published nothing
         self._check([(self._profile, info.qos_profile) for info in subscriptions])
         own = [info for info in infos if info not in subscriptions and not mismatch(self._profile, info.qos_profile)]
         if self._publisher.get_subscription_count() <= len(own):
@@ -134,11 +145,22 @@ class RawPublisher(_TopicEnd):
         elif not self._matched:
             self._matched = True
             self._ros.call_later(SETTLING_TIME, self._settling_over)
+        if self._last is not None and self._late():
+            self._ros.call_later(SETTLING_TIME, self._publish_again)
         self.flush()
 
     def _settling_over(self) -> None:
         self._settled = self._matched
         self.flush()
+
+    def _late(self) -> bool:
+        """Return True if there are subscriptions, of which none got the last message."""
+        return bool(self._subscribed) and not any(self._subscribed.values())
+
+    def _publish_again(self) -> None:
+        if self._settled and self._last is not None and self._late() and not self.waiting:
+            self.waiting.appendleft(self._last)
+            self.flush()
 
     def flush(self) -> None:
         """Publish what waits, once there are subscriptions and, with `keep_all`, they have acknowledged enough."""
@@ -152,6 +174,9 @@ class RawPublisher(_TopicEnd):
                 break
             payload = self.waiting.popleft()
             self._publisher.handle.publish_raw(payload)  # type: ignore[arg-type]  # its C++ takes bytes and bytearray
+            if self._topic.qos.durability != "volatile":
+                self._last = payload
+            self._subscribed = dict.fromkeys(self._subscribed, True)
             self._unacknowledged += 1
             if len(payload) >= LARGE:
                 self._ros.post(self.flush)
@@ -171,6 +196,7 @@ class RawPublisher(_TopicEnd):
         """Destroy the publisher and drop what waits."""
         self._matched = self._settled = False
         self.waiting.clear()
+        self._last = None
         self._ros.node.destroy_publisher(self._publisher)
 
 

@@ -38,8 +38,9 @@ class _TopicInterface(RosInterface):
 class PublisherInterface(_TopicInterface):
     """Publishes the messages of its peers.
 
-    While there is no subscription, the newest `depth` messages wait for nodes that are still starting, as with the
-    latched publishers of the original. With `keep_all` none is dropped: the sender has to wait.
+    While there is no subscription, the newest `depth` messages wait for nodes that are still starting. Nodes that start
+    later get the last message (see `RawPublisher`), as from the latched publishers of the original. With `keep_all`
+    none is dropped: the sender has to wait.
     """
 
     _publisher: RawPublisher

@@ -25,7 +25,7 @@ from endpoints.environment.topics import SubscriberInterface
 from rce.control.calls.endpoints import InterfaceSpec, NodeSpec, StartNode, StopNode, Unbind
 from rce.errors import InvalidRequest, LimitExceeded, RceError, UnknownType
 from rce.protocol.messages import Qos
-from tests.support.endpoints.environment_driver import FakeMaster
+from tests.support.endpoints.environment_driver import FakeMaster, wait_for_line
 
 
 def cdr(text: str) -> bytes:
@@ -56,6 +56,52 @@ async def test_messages_wait_for_first_subscription(master: FakeMaster) -> None:
     report = await master.report(early.spec.tag)
     assert report.drops == 1
     await master.call(StopNode("early"))
+
+
+async def test_node_that_starts_later_gets_last_message(master: FakeMaster) -> None:
+    place = "restarted"
+    there = await master.interface("PublisherInterface", "std_msgs/String", f"{place}/there")
+    back = await master.interface("SubscriberInterface", "std_msgs/String", f"{place}/back")
+    for word in ("one", "two"):
+        there.publish(cdr(word))
+    await master.call(StartNode(NodeSpec(place, "probe", "echo.py", namespace=place)))
+    assert [text(await back.next()), text(await back.next())] == ["one", "two"]
+    await master.call(StopNode(place))
+    await master.call(StartNode(NodeSpec(place, "probe", "echo.py", namespace=place)))
+    assert text(await back.next()) == "two"
+    await master.call(StopNode(place))
+
+
+async def test_later_node_that_asks_for_last_message_gets_it(master: FakeMaster) -> None:
+    there = await master.interface("PublisherInterface", "std_msgs/String", "asking/there")
+    back = await master.interface("SubscriberInterface", "std_msgs/String", "asking/back")
+    await master.call(StartNode(NodeSpec("plain", "probe", "echo.py", namespace="asking")))
+    there.publish(cdr("one"))
+    assert text(await back.next()) == "one"
+    await master.call(StartNode(NodeSpec("asking", "probe", "echo.py", "latched", namespace="asking")))
+    assert text(await back.next()) == "one"
+    for tag in ("plain", "asking"):
+        await master.call(StopNode(tag))
+
+
+async def test_last_message_is_not_repeated_to_a_node_that_got_it(master: FakeMaster) -> None:
+    there = await master.interface("PublisherInterface", "std_msgs/String", "twice/there")
+    back = await master.interface("SubscriberInterface", "std_msgs/String", "twice/back")
+    await master.call(StartNode(NodeSpec("first", "probe", "echo.py", namespace="twice")))
+    there.publish(cdr("one"))
+    assert text(await back.next()) == "one"
+    await master.call(StartNode(NodeSpec("second", "probe", "echo.py", namespace="twice")))
+    await wait_for_line(master, "second", "words is")
+    got: list[str] = []
+    async with asyncio.timeout(10):
+        while got[-2:] != ["two", "two"]:  # of both nodes; the second may not have discovered the publisher at first
+            there.publish(cdr("two"))
+            while not got or not back.received.empty():
+                got.append(text(await back.next()))
+            await asyncio.sleep(0.05)
+    assert set(got) == {"two"}
+    for tag in ("first", "second"):
+        await master.call(StopNode(tag))
 
 
 async def test_all_peers_get_messages_and_late_ones_those_of_latched_topics(master: FakeMaster) -> None:

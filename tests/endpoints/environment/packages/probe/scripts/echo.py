@@ -23,6 +23,7 @@ class Echo(Node):
             depth=10,
             history=HistoryPolicy.KEEP_ALL if "keep_all" in sys.argv else HistoryPolicy.KEEP_LAST,
             reliability=ReliabilityPolicy.BEST_EFFORT if "best_effort" in sys.argv else ReliabilityPolicy.RELIABLE,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if "latched" in sys.argv else DurabilityPolicy.VOLATILE,
         )
         back = self.create_publisher(String, "back", qos)
         self.create_subscription(String, "there", back.publish, qos)
