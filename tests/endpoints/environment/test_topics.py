@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from types import SimpleNamespace
 from typing import cast
+from unittest.mock import Mock
 
 import msgspec
 import pytest
@@ -19,8 +19,6 @@ from endpoints.data import frames
 from endpoints.data.frames import Message
 from endpoints.data.hops import HopRecorder
 from endpoints.data.link import Link
-from endpoints.environment.interfaces import RosContext
-from endpoints.environment.ros_topics import RawSubscription
 from endpoints.environment.topics import SubscriberInterface
 from rce.control.calls.endpoints import InterfaceSpec, NodeSpec, StartNode, StopNode, Unbind
 from rce.errors import InvalidRequest, LimitExceeded, RceError, UnknownType
@@ -218,10 +216,10 @@ async def test_unbound_interface_receives_nothing(master: FakeMaster) -> None:
 async def test_message_too_large_for_links_is_reported_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(frames, "MAX_MESSAGE", 1000)
     reports: list[RceError] = []
-    context = SimpleNamespace(ros=None, hops=HopRecorder(), definitions=None, report=lambda _, e: reports.append(e))
+    context = Mock(hops=HopRecorder(), budget=None, report=lambda _, error: reports.append(error))
     spec = InterfaceSpec("ab" * 16, "user/env", "tag", "SubscriberInterface", "std_msgs/String", "addr", Qos())
-    interface = SubscriberInterface(spec, cast(RosContext, context))
-    interface._subscription = cast(RawSubscription, SimpleNamespace(latched=False))
+    interface = SubscriberInterface(spec, context)
+    interface._subscription = Mock(latched=False)
     for _ in range(2):
         interface._handle(bytes(1001), b"publisher", True, 0.0)
     interface._handle(bytes(10), b"publisher", True, 0.0)
