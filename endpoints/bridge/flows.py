@@ -21,6 +21,7 @@ from endpoints.environment.services import TIMEOUT, ServiceClientInterface, Serv
 from endpoints.environment.topics import PublisherInterface, SubscriberInterface
 from rce.client import Environment
 from rce.errors import ConversionError, RceError
+from rce.net.outbox import Owner
 from rce.protocol.blobs import Buffer
 from rce.protocol.messages import Qos
 
@@ -95,7 +96,7 @@ class SentTopic(Flow):
         )
         await self.add_local_interface(local, SubscriberInterface, topic.type, topic.topic, topic.qos)
 
-    def send(self, message: Message, keep: int | None) -> int:
+    def send(self, message: Message, keep: int | None, owner: Owner | None = None) -> int:
         """Filter a message of the robot and publish it in the environment; return the number of dropped ones."""
         if not self._rate_limit.allows():
             return 0
@@ -172,7 +173,7 @@ class OfferedService(Flow):
         finally:
             del self._calls[name]
 
-    def send(self, message: Message, keep: int | None) -> int:
+    def send(self, message: Message, keep: int | None, owner: Owner | None = None) -> int:
         """Complete a call with the response of the robot's service."""
         answer = self._calls.get(message.msg_id)
         if answer is not None and not answer.done():
@@ -197,7 +198,7 @@ class CalledService(Flow):
         self._client = await environment.service_client(service.service, service.type, raw=True)
         await self.add_local_interface(local, ServiceProviderInterface, service.type, service.to or service.service)
 
-    def send(self, message: Message, keep: int | None) -> int:
+    def send(self, message: Message, keep: int | None, owner: Owner | None = None) -> int:
         """Call the service of the environment for a node of the robot."""
         task = asyncio.create_task(self._call(message))
         self._tasks.add(task)

@@ -17,6 +17,7 @@ from endpoints.environment.interfaces import RosContext, RosInterface
 from endpoints.environment.ros import RosThread
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import RceError
+from rce.net.outbox import Owner
 from rce.process.metrics import Family
 from rce.protocol.messages import Qos
 
@@ -36,7 +37,7 @@ class CloudLink:
         self.opened: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.opened.set_result(None)
 
-    def send(self, message: Message, keep: int | None) -> int:
+    def send(self, message: Message, keep: int | None, owner: Owner | None = None) -> int:
         """Process a message of the robot's ROS; return the number of older ones that were dropped."""
         raise NotImplementedError
 

@@ -17,6 +17,7 @@ from endpoints.data.frames import Message
 from endpoints.environment.interfaces import RosInterface
 from endpoints.environment.topics import SubscriberInterface
 from rce.errors import InvalidRequest
+from rce.net.outbox import Owner
 from rce.protocol.messages import Qos
 from rce.protocol.names import parse_type
 
@@ -93,7 +94,7 @@ class _TopicRecorder(CloudLink):
         self._recording = recording
         self._connection = connection
 
-    def send(self, message: Message, keep: int | None) -> int:
+    def send(self, message: Message, keep: int | None, owner: Owner | None = None) -> int:
         """Write a message."""
         self._recording.write(self._connection, bytes(message.payload))
         return 0

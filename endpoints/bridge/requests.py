@@ -23,6 +23,7 @@ from endpoints.environment.interfaces import RosInterface
 from endpoints.environment.services import ServiceProviderInterface
 from endpoints.environment.topics import PublisherInterface, SubscriberInterface
 from rce.errors import ConversionError, NotFound, RceError
+from rce.net.outbox import Owner
 from rce.protocol.messages import Qos
 from rce.protocol.names import parse_type
 
@@ -121,7 +122,7 @@ class _RequestTopic(CloudLink):
         super().__init__()
         self._server = server
 
-    def send(self, message: Message, keep: int | None) -> int:
+    def send(self, message: Message, keep: int | None, owner: Owner | None = None) -> int:
         self._server.request_received(bytes(message.payload))
         return 0
 
@@ -136,7 +137,7 @@ class _RequestService(CloudLink):
         self._name = name
         self._codec = TypeRegistry().service(parse_type(TRIGGER)).response
 
-    def send(self, message: Message, keep: int | None) -> int:
+    def send(self, message: Message, keep: int | None, owner: Owner | None = None) -> int:
         self._server.start(self._answer(message))
         return 0
 

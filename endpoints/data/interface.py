@@ -14,6 +14,7 @@ from endpoints.data.link import Link
 from endpoints.data.traffic import InterfaceCounter
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import ErrorInfo, LimitExceeded, NotConnected, RceError
+from rce.net.budget import INTERFACE, MB, Budget
 
 MAX_REQUESTS = 1000  # service messages of one interface that may wait for a link
 
@@ -28,10 +29,13 @@ class Interface(ABC):
     Attributes:
         peers: Link to each peer, by the id of the peer's interface.
         dropped: Number of messages dropped so far, in both directions.
+        budget: Bytes that the interface's messages may hold while they wait.
     """
 
-    def __init__(self, spec: InterfaceSpec, hops: HopRecorder) -> None:
+    def __init__(self, spec: InterfaceSpec, hops: HopRecorder, within: Budget | None = None) -> None:
+        """Create an interface without peers; its budget is a part of `within`."""
         self.spec = spec
+        self.budget = Budget(INTERFACE, within, spare=1)
         self.id = bytes.fromhex(spec.id)
         self.hops = hops
         self.peers: dict[bytes, Link] = {}
@@ -89,8 +93,14 @@ class Interface(ABC):
             self._put(message, link, keep)
         self.traffic.sent.count(len(message.payload))
 
+    def evicted(self, count: int) -> None:
+        """Count messages that were dropped from a queue because a larger budget was exceeded."""
+        self.dropped += count
+        if len(self.peers) == 1:
+            self.traffic.of(next(iter(self.peers))).drops += count
+
     def _put(self, message: Message, link: Link, keep: int | None) -> None:
-        dropped = link.send(message, keep)
+        dropped = link.send(message, keep, self)
         if dropped:
             self.dropped += dropped
             for peer, towards in self.peers.items():
@@ -113,9 +123,11 @@ class Interface(ABC):
             LimitExceeded: Too many messages wait already.
             NotConnected: There is no such peer.
         """
-        if any(link.backlog(self.id) >= MAX_REQUESTS for link in self.peers.values()):
+        most = 1 if self.budget.full else MAX_REQUESTS
+        if any(link.backlog(self.id) >= most for link in self.peers.values()):
             raise LimitExceeded(
-                f"{self.spec.owner}/{self.spec.tag}: {MAX_REQUESTS} service messages wait already: send fewer at a time"
+                f"{self.spec.owner}/{self.spec.tag}: {MAX_REQUESTS} service messages, or {INTERFACE // MB} MB of them, "
+                "wait already: send fewer at a time"
             )
         self._deliver(message, None)
 

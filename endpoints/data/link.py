@@ -12,7 +12,8 @@ from twisted.logger import Logger
 from endpoints.data.frames import Buffer, FrameReader, Message, pieces
 from endpoints.data.throttle import Throttle
 from rce.errors import LimitExceeded, Unavailable
-from rce.net.outbox import Outbox
+from rce.net.budget import OVERHEAD
+from rce.net.outbox import Outbox, Owner
 from rce.net.sockets import tune
 
 HIGH_WATER = 256 * 1024  # bytes; while the transport holds more, messages wait in the outbox, where they take turns
@@ -27,12 +28,13 @@ class Link(Protocol):
     name: str
     opened: asyncio.Future[None]
 
-    def send(self, message: Message, keep: int | None) -> int:
+    def send(self, message: Message, keep: int | None, owner: Owner | None = None) -> int:
         """Queue a message.
 
         Args:
             message: The message to send.
             keep: Number of messages of this source that may wait, the newest; None for all.
+            owner: The interface, whose budget bounds the bytes of messages that wait.
 
         Returns:
             The number of older messages of the same source that were dropped.
@@ -85,9 +87,9 @@ class LoopLink(_QueuedLink[Message]):
         self._outbox = Outbox(self._write)
         self._until: asyncio.Future[None] | None = None
 
-    def send(self, message: Message, keep: int | None) -> int:
+    def send(self, message: Message, keep: int | None, owner: Owner | None = None) -> int:
         """Deliver a message, or queue it while the link is paused; return the number of dropped messages."""
-        return self._outbox.put(message.source, iter((message,)), keep)
+        return self._outbox.put(message.source, iter((message,)), keep, len(message.payload) + OVERHEAD, owner)
 
     def pause(self, until: asyncio.Future[None]) -> None:
         """Stop delivering until the future is done."""
@@ -183,9 +185,10 @@ class StreamLink(_QueuedLink[list[Buffer]], asyncio.BufferedProtocol):
 
     # Link
 
-    def send(self, message: Message, keep: int | None) -> int:
+    def send(self, message: Message, keep: int | None, owner: Owner | None = None) -> int:
         """Queue a message; return the number of older messages of the same source that were dropped."""
-        return self._outbox.put(message.source, self._pieces(message), keep)
+        size = len(message.payload) + OVERHEAD
+        return self._outbox.put(message.source, self._pieces(message), keep, size, owner)
 
     def _pieces(self, message: Message) -> Iterator[list[Buffer]]:
         self._sent(message)

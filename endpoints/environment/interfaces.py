@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from rclpy.exceptions import InvalidServiceNameException, InvalidTopicNameException
@@ -16,8 +16,10 @@ from endpoints.environment.definitions import InstalledTypes
 from endpoints.environment.ros import RosThread, Waitable
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import InvalidRequest, RceError
+from rce.net.budget import MB, Budget
 
 log = Logger()
+QUEUES = 128 * MB  # bytes of all messages of an environment that wait
 MAX_REPORTED = 100  # different errors that one interface reports
 W = TypeVar("W", bound=Waitable)
 
@@ -30,13 +32,14 @@ class RosContext:
     hops: HopRecorder
     definitions: InstalledTypes
     report: Callable[[InterfaceSpec, RceError], None]
+    budget: Budget = field(default_factory=lambda: Budget(QUEUES))
 
 
 class RosInterface(Interface):
     """Interface with a ROS entity, which `open` creates."""
 
     def __init__(self, spec: InterfaceSpec, context: RosContext) -> None:
-        super().__init__(spec, context.hops)
+        super().__init__(spec, context.hops, context.budget)
         self._ros = context.ros
         self._context = context
         self._reported: set[str] = set()  # texts of reported errors

@@ -16,6 +16,7 @@ from endpoints.environment.ros_topics import SETTLING_TIME
 from endpoints.environment.ros_types import service_class
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import ConversionError, LimitExceeded, NotConnected, NotFound, RceError, TimedOut
+from rce.net.budget import INTERFACE, MB
 
 TIMEOUT = 30.0  # seconds for a response
 DISCOVERY_TIMEOUT = 5.0  # seconds for which a request waits until its service appears
@@ -37,7 +38,7 @@ class ServiceClientInterface(RosInterface):
 
     def __init__(self, spec: InterfaceSpec, context: RosContext) -> None:
         super().__init__(spec, context)
-        self._unanswered = 0
+        self._unanswered = self._unanswered_size = 0
         # The ROS thread owns these:
         self._waiting: deque[_Request] = deque()
         self._in_flight: dict[int, _Request] = {}
@@ -51,8 +52,10 @@ class ServiceClientInterface(RosInterface):
     def receive(self, message: Message, link: Link) -> None:
         """Queue a request, or refuse it when too many are unanswered."""
         self._unanswered += 1
-        if self._unanswered > MAX_REQUESTS:
-            self._refuse(message, LimitExceeded(f"{self._label} has {MAX_REQUESTS} unanswered requests: send fewer"))
+        self._unanswered_size += len(message.payload)
+        if self._unanswered > MAX_REQUESTS or (self._unanswered > 1 and self._unanswered_size > INTERFACE):
+            most = f"{MAX_REQUESTS} unanswered requests, or {INTERFACE // MB} MB of them"
+            self._refuse(message, LimitExceeded(f"{self._label} has {most}: send fewer"))
         else:
             self._ros.post(lambda: self._accept(_Request(message, time.monotonic())))
 
@@ -132,7 +135,7 @@ class ServiceClientInterface(RosInterface):
     # in the loop
 
     def _respond(self, request: Message, payload: bytes, since: float) -> None:
-        self._unanswered -= 1
+        self._answered_one(request)
         if request.source in self.peers:
             try:
                 answer = Message(self.id, request.msg_id, payload, destination=request.source, entered_at=since)
@@ -141,8 +144,12 @@ class ServiceClientInterface(RosInterface):
                 self._report_once(error)
                 self.fail(request, error)
 
-    def _refuse(self, request: Message, error: RceError) -> None:
+    def _answered_one(self, request: Message) -> None:
         self._unanswered -= 1
+        self._unanswered_size -= len(request.payload)
+
+    def _refuse(self, request: Message, error: RceError) -> None:
+        self._answered_one(request)
         try:
             self.fail(request, error)
         except LimitExceeded as full:

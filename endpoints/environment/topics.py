@@ -15,6 +15,7 @@ from endpoints.environment.ros_topics import SETTLING_TIME, RawPublisher, RawSub
 from endpoints.environment.ros_types import message_class
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import ConversionError, InvalidRequest, LimitExceeded
+from rce.net.budget import INTERFACE
 
 HIGH_WATER = 8  # unpublished messages at which the sender has to wait, with keep_all
 MAX_UNHANDLED = 8  # messages taken from ROS that the loop has not handled yet
@@ -45,6 +46,7 @@ class PublisherInterface(_TopicInterface):
 
     _publisher: RawPublisher
     _room: asyncio.Future[None] | None = None
+    _largest = 0  # size of the largest message since messages began to wait
 
     async def open(self) -> None:
         """Create the ROS entity."""
@@ -59,9 +61,10 @@ class PublisherInterface(_TopicInterface):
             return
         waiting = self._publisher.waiting
         waiting.append(bytes(payload) if isinstance(payload, memoryview) else payload)
+        self._largest = max(self._largest, len(payload)) if len(waiting) > 1 else len(payload)
         if self.keep is not None:
             self._drop_oldest(waiting, self.keep)
-        elif len(waiting) >= HIGH_WATER:
+        elif len(waiting) >= HIGH_WATER or self._too_large(waiting):
             if self._room is None:
                 self._room = asyncio.get_running_loop().create_future()
             link.pause(self._room)
@@ -73,8 +76,14 @@ class PublisherInterface(_TopicInterface):
         if not self._publisher.waiting:
             self.hops.delivered(self.id, message)
 
+    def _too_large(self, waiting: deque[Buffer]) -> bool:
+        """Return True if more than one message waits and their bytes exceed those of an interface."""
+        if len(waiting) < 2 or len(waiting) * self._largest <= INTERFACE:
+            return False
+        return sum(map(len, list(waiting))) > INTERFACE  # a copy: the ROS thread takes messages meanwhile
+
     def _drop_oldest(self, waiting: deque[Buffer], keep: int) -> None:
-        while len(waiting) > keep:
+        while len(waiting) > keep or self._too_large(waiting):
             try:
                 waiting.popleft()
             except IndexError:  # the ROS thread has published it meanwhile
@@ -113,6 +122,7 @@ class SubscriberInterface(_TopicInterface):
         self._taken = 0  # counted by the ROS thread
         self._handled = 0  # counted by the loop
         self._latched: dict[bytes, deque[bytes]] = {}  # by publisher
+        self._latched_size = 0
         self._latched_depth = spec.qos.depth if spec.qos.durability == "transient_local" else 1
 
     async def open(self) -> None:
@@ -176,9 +186,20 @@ class SubscriberInterface(_TopicInterface):
             self._ros.post(self._subscription.resume)
 
     def _keep_latched(self, payload: bytes, publisher: bytes) -> None:
-        if publisher not in self._latched and len(self._latched) >= MAX_LATCHED:
-            del self._latched[next(iter(self._latched))]
-        self._latched.setdefault(publisher, deque(maxlen=self._latched_depth)).append(payload)
+        kept = self._latched[publisher] = self._latched.pop(publisher, deque())  # the last of the publishers now
+        kept.append(payload)
+        self._latched_size += len(payload)
+        if len(kept) > self._latched_depth:
+            self._latched_size -= len(kept.popleft())
+        while len(self._latched) > MAX_LATCHED or self._latched_size > max(INTERFACE, len(payload)):
+            self._forget_latched()
+
+    def _forget_latched(self) -> None:
+        """Forget the oldest message of the publisher that has not published for the longest time."""
+        publisher, kept = next(iter(self._latched.items()))
+        self._latched_size -= len(kept.popleft())
+        if not kept:
+            del self._latched[publisher]
 
     def close(self) -> None:
         """Destroy the subscription."""

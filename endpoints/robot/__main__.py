@@ -60,6 +60,9 @@ class Settings(Struct):
     bad_messages: Annotated[int, Meta(ge=0, description="bad messages a minute that close a socket; 0: no limit")] = 100
     unfinished_blobs: Annotated[int, Meta(ge=1, description="unfinished blobs that a robot may have")] = 64
     unfinished_size: Annotated[int, Meta(ge=1, description="total size of unfinished blobs in MB")] = 256
+    queue_size: Annotated[
+        int, Meta(ge=320, description="size of all messages that wait, in MB; a user has a half, a robot a quarter")
+    ] = 512
 
 
 def robot_url(options: Settings, port: int, host: str = "") -> str:
@@ -88,7 +91,8 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
         options.unfinished_blobs,
         options.unfinished_size * MEGABYTE,
     )
-    endpoint = RobotEndpoint(port, Options(limits, options.grace, options.service_timeout))
+    queues = options.queue_size * MEGABYTE
+    endpoint = RobotEndpoint(port, Options(limits, options.grace, options.service_timeout, queues))
     server = await listen(
         endpoint, options.ws_host, options.ws_port, public_tls_context(options.certificate, options.private_key)
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Coroutine
 from functools import partial
+from weakref import WeakValueDictionary
 
 from msgspec import Struct
 from twisted.logger import Logger
@@ -32,6 +33,7 @@ from rce.control.calls.robots import (
 from rce.control.client import ControlClient
 from rce.control.connection import Handlers
 from rce.errors import NotFound, RceError, Unavailable
+from rce.net.budget import MB, Budget
 from rce.process import logs
 from rce.process.metrics import Family, gauge_family
 from rce.protocol.blobs import Buffer
@@ -44,11 +46,12 @@ log = Logger()
 
 
 class Options(Struct, frozen=True):
-    """Options of a Robot endpoint; times in seconds."""
+    """Options of a Robot endpoint; times in seconds, `queues` is the size of all messages that wait, in bytes."""
 
     limits: ServerLimits
     grace: float
     service_timeout: float
+    queues: int = 512 * MB
 
 
 class LoginResult(Struct, frozen=True):
@@ -75,6 +78,9 @@ class RobotEndpoint:
         self._timeout = options.service_timeout
         self.switchboard = Switchboard(port, self._link_lost)
         self.sessions: dict[str, RobotSession] = {}
+        self._queues = options.queues
+        self._budget = Budget(options.queues)
+        self._budgets: WeakValueDictionary[str, Budget] = WeakValueDictionary()  # by user
         self._types: dict[str, UserTypes] = {}  # by user: users do not see each other's types
         self._grace_timers: dict[str, asyncio.TimerHandle] = {}  # of sessions without a socket
         self._expiring: dict[str, asyncio.Task[None]] = {}
@@ -98,6 +104,7 @@ class RobotEndpoint:
         return [
             gauge_family("rce_sessions", "Sessions of robots, with an open socket or away", ["state"], states),
             gauge_family("rce_queued_frames", "Messages, statuses and errors queued for robots", [], {(): queued}),
+            gauge_family("rce_queued_bytes", "Bytes of messages that wait", [], {(): self._budget.used}),
         ]
 
     # --- robots -------------------------------------------------------------------------------------------------------
@@ -149,9 +156,17 @@ class RobotEndpoint:
         old = self.sessions.pop(name, None)
         if old is not None:
             old.end("the session has ended")
-        session = self.sessions[name] = RobotSession(name, self.master)
+        session = self.sessions[name] = RobotSession(name, self.master, self._session_budget(name))
         self._start_grace(session)
         return session
+
+    def _session_budget(self, name: str) -> Budget:
+        """Return a new budget: a user may have a half of this process's bytes, a session a quarter."""
+        user = name.partition("/")[0]
+        budget = self._budgets.get(user)
+        if budget is None:
+            budget = self._budgets[user] = Budget(self._queues // 2, self._budget)
+        return Budget(self._queues // 4, budget)
 
     def away(self) -> list[str]:
         """Return the names of the robots that have a session but no socket."""

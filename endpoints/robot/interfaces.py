@@ -25,6 +25,7 @@ from endpoints.data.link import Link
 from endpoints.robot.session import Piece, RobotSession
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import InvalidRequest, LimitExceeded, NotConnected, RceError, TimedOut
+from rce.net.budget import OVERHEAD
 from rce.protocol.blobs import Buffer, binary_frames
 from rce.protocol.messages import MAX_MSG_ID, DataMessage
 from rce.protocol.names import parse_type
@@ -62,8 +63,10 @@ class PassThroughCodec:
 class RobotInterface(Interface):
     """Base of the four kinds: holds the robot's session and encodes data messages for it."""
 
+    way = "from the robot"  # on which messages may be dropped
+
     def __init__(self, spec: InterfaceSpec, hops: HopRecorder, session: RobotSession) -> None:
-        super().__init__(spec, hops)
+        super().__init__(spec, hops, session.budget)
         self.session = session
         self._type = parse_type(spec.type)
         quoted = msgspec.json.encode({"iTag": spec.tag, "type": spec.type})[:-1]
@@ -107,10 +110,11 @@ class RobotInterface(Interface):
 
         The message is converted when it leaves the queue, so a dropped message costs no conversion.
         """
-        dropped = self.session.outbox.put(self.id, self._pieces(codec, msg_id, message), keep)
+        size = len(message.payload) + OVERHEAD
+        dropped = self.session.outbox.put(self.id, self._pieces(codec, msg_id, message), keep, size, self)
         if dropped:
             self.dropped += dropped
-            self.session.dropped(self.spec.tag, self.dropped, "on the way to the robot")
+            self.report_drops()
 
     def _pieces(self, codec: Codec, msg_id: str, message: Message) -> Iterator[Piece]:
         try:
@@ -129,14 +133,20 @@ class RobotInterface(Interface):
             yield [text, *frames]
         self.hops.delivered(self.id, message)
 
+    def evicted(self, count: int) -> None:
+        """Count and report messages that were dropped from a queue because a larger budget was exceeded."""
+        super().evicted(count)
+        self.report_drops()
+
     def report_drops(self) -> None:
-        """Report to the robot the messages that the link has dropped."""
-        if self.dropped:
-            self.session.dropped(self.spec.tag, self.dropped, "on the way from the robot")
+        """Report to the robot the messages that were dropped."""
+        self.session.dropped(self.spec.tag, self.dropped, f"on the way {self.way}")
 
 
 class Publisher(RobotInterface):
     """Sends messages of a topic to the robot."""
+
+    way = "to the robot"
 
     def __init__(self, spec: InterfaceSpec, hops: HopRecorder, session: RobotSession, codec: Codec) -> None:
         super().__init__(spec, hops, session)
@@ -209,6 +219,14 @@ class ServiceInterface(RobotInterface):
         """Handle an unanswered call when the last peer is gone."""
         raise NotImplementedError
 
+    def check_room(self) -> None:
+        """Raise LimitExceeded if too many bytes wait for the robot to take another message."""
+        if self.budget.full and self.session.outbox.backlog(self.id):
+            raise LimitExceeded(
+                f"interface {self.spec.tag}: too many bytes wait for robot {self.spec.owner} already: "
+                "send fewer or smaller messages at a time"
+            )
+
     def _add_call(self, name: str, call: Message) -> None:
         """Keep an unanswered call; raise LimitExceeded when there are too many."""
         if len(self._waiting) >= MAX_PENDING:
@@ -244,7 +262,8 @@ class ServiceClient(ServiceInterface):
         """Send a request to the robot under a message id of its own."""
         name = uuid.uuid4().hex
         try:
-            self._add_call(name, message)
+            self.check_room()
+            self._add_call(name, Message(message.source, message.msg_id, b""))  # the payload is not needed any more
         except LimitExceeded as error:
             self.fail(message, error)
             return
@@ -301,10 +320,14 @@ class ServiceProvider(ServiceInterface):
         """Send a response, or an error, to the robot."""
         if self._pop_call(message.msg_id) is None:
             return  # the call has timed out, and the robot got an error
-        if message.error:
-            self._fail(message, error_of(message))
-        else:
-            self.to_robot(self._response, message.msg_id, message, None)
+        try:
+            if message.error:
+                raise error_of(message)
+            self.check_room()
+        except RceError as error:
+            self._fail(message, error)
+            return
+        self.to_robot(self._response, message.msg_id, message, None)
 
     def timed_out(self, call: Message) -> None:
         """Send an error to the robot."""

@@ -20,6 +20,7 @@ from rce.control.calls.endpoints import InterfaceSpec
 from rce.control.calls.robots import Execute
 from rce.control.client import ControlClient
 from rce.errors import InvalidRequest, LimitExceeded, Lost, RceError
+from rce.net.budget import Budget
 from rce.net.outbox import Outbox
 from rce.process import logs
 from rce.process.metrics import errors
@@ -34,6 +35,8 @@ MAX_COMMANDS = 1000  # of one robot that are in progress
 MAX_COMMAND_SIZE = 4 * 1024 * 1024  # bytes of all these commands
 YIELD_EVERY = 20  # commands after which other tasks of the loop get a turn
 MAX_TRIES = 3
+MAX_SHOWN = 20  # interfaces in a summary of dropped messages
+MAX_STATUSES = 10_000  # statuses and errors that may wait for a robot before its socket is closed
 
 log = Logger()
 
@@ -75,22 +78,25 @@ class RobotSession:
         token: Secret with which a later socket resumes the session.
         connection: Id of the connection, which marks log lines about its commands.
         outbox: Messages to the robot.
+        budget: Bytes that messages from and to the robot may hold while they wait.
     """
 
-    def __init__(self, name: str, master: ControlClient) -> None:
+    def __init__(self, name: str, master: ControlClient, budget: Budget | None = None) -> None:
+        """Create a session without a socket; `budget` is unlimited by default."""
         self.name = name
         self.features: frozenset[str] = frozenset()
         self.interfaces: dict[str, SessionInterface] = {}
         self.socket: Socket | None = None
         self.token = ""
         self.connection = ""
+        self.budget = budget
         self.outbox: Outbox[Piece] = Outbox(self._write)
         self.outbox.pause()
         self._master = master
         self._order = asyncio.Lock()
         self._count = itertools.count(1)
         self._commands: dict[asyncio.Task[None], tuple[int, int]] = {}  # number of items, number of bytes
-        self._drops: dict[tuple[str, str], int] = {}
+        self._drops: dict[tuple[str, str], int] = {}  # number of all drops, by interface and direction
         self._drop_timer: asyncio.TimerHandle | None = None
 
     # --- socket -------------------------------------------------------------------------------------------------------
@@ -159,6 +165,8 @@ class RobotSession:
         self.outbox.put(CONTROL, iter([piece]), None)
         if (room := self.outbox.wait_for_room(CONTROL)) is not None:
             self.pause_reading(room)
+        if self.socket is not None and self.outbox.backlog(CONTROL) > MAX_STATUSES:
+            self.socket.end(f"the robot has not read its last {MAX_STATUSES} statuses and errors")
 
     def error_piece(self, error: RceError, id: m.FrameId | UnsetType = UNSET) -> Piece:
         """Return the ER for an error that this endpoint found; the original protocol prefixes invalid requests."""
@@ -178,6 +186,8 @@ class RobotSession:
     def dropped(self, tag: str, count: int, where: str) -> None:
         """Report dropped messages, at most once a second.
 
+        A robot without the feature `events` gets an ER with a summary of all its interfaces.
+
         Args:
             tag: The interface.
             count: Number of all messages dropped so far.
@@ -189,9 +199,19 @@ class RobotSession:
 
     def _report_drops(self) -> None:
         self._drop_timer = None
-        for (tag, where), count in self._drops.items():
-            self.status(m.DropEvent(tag, count, where))
-        self._drops.clear()
+        drops, self._drops = self._drops, {}
+        if "events" in self.features:
+            for (tag, where), count in drops.items():
+                self.status(m.DropEvent(tag, count, where))
+            return
+        shown = [f"{tag}: {count} {where}" for (tag, where), count in islice(drops.items(), MAX_SHOWN)]
+        more = f" and {len(drops) - MAX_SHOWN} more interfaces" if len(drops) > MAX_SHOWN else ""
+        self.error(
+            LimitExceeded(
+                f"messages were dropped, counted since each interface was added: {', '.join(shown)}{more}; "
+                "send fewer or smaller ones, or raise the depth in the qos of the interface"
+            )
+        )
 
     # --- commands -----------------------------------------------------------------------------------------------------
 

@@ -3,7 +3,7 @@
 Each source (an interface) has its own queue. A message is a sequence of pieces, and the stream takes one piece from
 each source in turn. So a velocity command waits for at most one piece of each image that is being sent. The messages of
 one source stay in order. The queue of a topic keeps the newest messages and counts those that it drops; a queue without
-a bound makes its sender wait (`wait_for_room`).
+a bound makes its sender wait (`wait_for_room`). The bytes of all queues of an owner are bounded too (`rce.net.budget`).
 """
 
 from __future__ import annotations
@@ -11,21 +11,107 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
+
+from rce.net.budget import Budget
 
 P = TypeVar("P")
 HIGH_WATER = 8  # messages in an unbounded queue at which its sender must wait
 
 
+class Owner(Protocol):
+    """The owner of a queue, whose budget bounds its bytes."""
+
+    budget: Budget
+
+    def evicted(self, count: int) -> None:
+        """Handle that this many messages were dropped from a queue, because a budget was exceeded."""
+
+
 class _Queue(Generic[P]):
-    """Queue of one source: the message that is being sent, and those that wait."""
+    """Queue of one source: the message that is being sent, and those that wait, each with its size.
 
-    __slots__ = ("current", "drained", "waiting")
+    `bytes` is what the messages hold. The budget knows of `charged`: it is told only while messages have to wait, which
+    costs nothing for those that are written at once.
+    """
 
-    def __init__(self) -> None:
+    __slots__ = ("bytes", "charged", "current", "current_size", "drained", "droppable", "drops", "owner", "waiting")
+
+    def __init__(self, owner: Owner | None, droppable: bool) -> None:
+        self.owner = owner
+        self.droppable = droppable
         self.current: Iterator[P] | None = None
-        self.waiting: deque[Iterator[P]] = deque()
+        self.current_size = 0
+        self.waiting: deque[tuple[Iterator[P], int]] = deque()
         self.drained: asyncio.Future[None] | None = None
+        self.bytes = self.charged = 0
+        self.drops = 0  # not reported yet
+
+    @property
+    def full(self) -> bool:
+        """True if the sender has to wait until the queue is empty."""
+        if len(self.waiting) >= HIGH_WATER:
+            return True
+        return bool(self.waiting) and self.owner is not None and self.owner.budget.full
+
+    def begin_next(self) -> None:
+        """Take the oldest message, to send it."""
+        self.current, self.current_size = self.waiting.popleft()
+
+    def end_current(self) -> None:
+        """Forget the message that is being sent."""
+        self.current = None
+        self.bytes -= self.current_size
+        self.current_size = 0
+        if self.charged:
+            self.settle()
+
+    def drop_oldest(self, spare: int = 0) -> bool:
+        """Drop the oldest message; return False if no more than `spare` messages wait."""
+        if len(self.waiting) <= spare:
+            return False
+        self.bytes -= self.waiting.popleft()[1]
+        self.drops += 1
+        self.settle()
+        return True
+
+    def discard(self) -> None:
+        """Drop all messages that wait."""
+        self.bytes -= sum(size for _, size in self.waiting)
+        self.waiting.clear()
+        self.settle()
+        self.release()
+
+    def settle(self) -> None:
+        """Tell the budget what the messages hold now."""
+        if self.owner is not None and (change := self.bytes - self.charged):
+            self.charged = self.bytes
+            self.owner.budget.charge(self, change)
+
+    def shrink(self) -> None:
+        """Make the largest queues drop messages if a budget is exceeded, and tell the owners of the others."""
+        self.settle()
+        if self.owner is None:
+            return
+        for queue in self.owner.budget.shrink():
+            if isinstance(queue, _Queue) and queue is not self:
+                queue.report()
+
+    def report(self) -> None:
+        """Tell the owner of the messages that were dropped."""
+        if self.owner is not None:
+            self.owner.evicted(self.take_drops())
+
+    def take_drops(self) -> int:
+        """Return the number of drops that were not reported yet."""
+        drops, self.drops = self.drops, 0
+        return drops
+
+    def release(self) -> None:
+        """Let the sender continue."""
+        if self.drained is not None and not self.drained.done():
+            self.drained.set_result(None)
+        self.drained = None
 
 
 class Outbox(Generic[P]):
@@ -40,30 +126,35 @@ class Outbox(Generic[P]):
         self._turns: deque[bytes] = deque()
         self._open = True
 
-    def put(self, source: bytes, pieces: Iterator[P], keep: int | None) -> int:
+    def put(
+        self, source: bytes, pieces: Iterator[P], keep: int | None, size: int = 0, owner: Owner | None = None
+    ) -> int:
         """Queue a message.
 
         Args:
             source: Source of the message.
             pieces: The pieces of the message.
             keep: Number of messages of the source that may wait, the newest; None for all.
+            size: Bytes that the message holds while it waits.
+            owner: Owner of the source, whose budget bounds these bytes.
 
         Returns:
             The number of older messages of the source that were dropped.
         """
         queue = self._queues.get(source)
         if queue is None:
-            queue = self._queues[source] = _Queue()
+            queue = self._queues[source] = _Queue(owner, keep is not None)
             self._turns.append(source)
-        queue.waiting.append(pieces)
-        dropped = 0
+        queue.waiting.append((pieces, size))
+        queue.bytes += size
         if self._open:
             self._pump()
         elif keep is not None:
-            while len(queue.waiting) > keep:
-                queue.waiting.popleft()
-                dropped += 1
-        return dropped
+            while queue.drop_oldest(keep):
+                pass
+        if queue.bytes != queue.charged:  # it has to wait
+            queue.shrink()
+        return queue.take_drops() if queue.drops else 0
 
     @property
     def empty(self) -> bool:
@@ -83,7 +174,7 @@ class Outbox(Generic[P]):
     def wait_for_room(self, source: bytes) -> asyncio.Future[None] | None:
         """Return None while `source` may send, else a future that is done when its queue is empty."""
         queue = self._queues.get(source)
-        if queue is None or len(queue.waiting) < HIGH_WATER:
+        if queue is None or not queue.full:
             return None
         if queue.drained is None:
             queue.drained = asyncio.get_running_loop().create_future()
@@ -93,18 +184,18 @@ class Outbox(Generic[P]):
         """Drop the waiting messages of `source`; one that is being sent is completed."""
         queue = self._queues.get(source)
         if queue is not None:
-            queue.waiting.clear()
-            self._release(queue)
+            queue.discard()
 
     def abort_current(self) -> None:
         """Drop the messages that are being sent, because the stream broke."""
         for queue in self._queues.values():
-            queue.current = None
+            queue.end_current()
 
     def clear(self) -> None:
         """Drop all messages and stop writing, because the stream is gone."""
         for queue in self._queues.values():
-            self._release(queue)
+            queue.end_current()
+            queue.discard()
         self._queues.clear()
         self._turns.clear()
         self._open = False
@@ -124,19 +215,13 @@ class Outbox(Generic[P]):
             self._turns.rotate(-1)  # first, because the calls below may raise or call `put`
             queue = self._queues[source]
             if queue.current is None and queue.waiting:
-                queue.current = queue.waiting.popleft()
+                queue.begin_next()
             piece = next(queue.current, None) if queue.current is not None else None
             if piece is not None:
                 self._open = self._write(piece)
                 continue
-            queue.current = None
+            queue.end_current()
             if not queue.waiting:
                 self._turns.remove(source)
                 del self._queues[source]
-                self._release(queue)
-
-    @staticmethod
-    def _release(queue: _Queue[P]) -> None:
-        if queue.drained is not None and not queue.drained.done():
-            queue.drained.set_result(None)
-        queue.drained = None
+                queue.release()

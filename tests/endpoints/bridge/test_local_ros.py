@@ -16,6 +16,7 @@ from endpoints.environment.interfaces import RosContext, RosInterface
 from endpoints.environment.ros import RosThread
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import InvalidRequest, UnknownType
+from rce.net.outbox import Owner
 from rce.protocol.messages import Qos
 from tests.support.master.hand_turned import HandTurnedLoop
 
@@ -59,7 +60,7 @@ class DroppingLink(CloudLink):
         super().__init__()
         self.sent: list[Message] = []
 
-    def send(self, message: Message, keep: int | None) -> int:
+    def send(self, message: Message, keep: int | None, owner: Owner | None = None) -> int:
         self.sent.append(message)
         return 1
 

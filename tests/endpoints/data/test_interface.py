@@ -12,6 +12,7 @@ from endpoints.data.interface import MAX_REQUESTS, Interface, error_of
 from endpoints.data.link import Link
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import LimitExceeded, NotConnected, TimedOut
+from rce.net.outbox import Owner
 from rce.protocol.messages import Qos
 
 ID = "0a" * 16
@@ -30,7 +31,7 @@ class FakeLink:
         self.waiting = 0
         self.room: asyncio.Future[None] | None = None
 
-    def send(self, message: Message, keep: int | None) -> int:
+    def send(self, message: Message, keep: int | None, owner: Owner | None = None) -> int:
         self.sent.append((message, keep))
         return self.drops
 

@@ -17,6 +17,7 @@ from endpoints.environment.ros_services import RawClient
 from endpoints.environment.services import MAX_IN_FLIGHT, TIMEOUT, ServiceClientInterface
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import RceError
+from rce.net.budget import INTERFACE
 from tests.support.endpoints.fake_ros import InstantRos
 
 PEER = b"p" * 16
@@ -95,6 +96,18 @@ async def test_requests_waiting_for_their_turn_time_out(parts: Parts) -> None:
     send_requests(interface, MAX_IN_FLIGHT + 2)
     interface.tick(time.monotonic() + TIMEOUT + 1)
     assert robot.errors() == ["timed_out"] * (MAX_IN_FLIGHT + 2)
+
+
+async def test_bytes_of_unanswered_requests_are_limited(parts: Parts) -> None:
+    interface, _, robot = parts
+    size = INTERFACE // 4
+    for number in range(6):
+        interface.receive(Message(PEER, str(number), bytes(size)), interface.peers[PEER])
+    assert robot.errors() == ["limit_exceeded"] * 2
+    interface._answered(1, b"answer")
+    interface.receive(Message(PEER, "later", bytes(size)), interface.peers[PEER])
+    assert [message.msg_id for message in robot.received if not message.error] == ["0"]
+    assert robot.errors() == ["limit_exceeded"] * 2
 
 
 async def test_unanswered_requests_are_limited(parts: Parts) -> None:

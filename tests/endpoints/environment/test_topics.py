@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from typing import cast
+from collections import deque
+from typing import Literal, cast
 from unittest.mock import Mock
 
 import msgspec
@@ -19,9 +20,10 @@ from endpoints.data import frames
 from endpoints.data.frames import Message
 from endpoints.data.hops import HopRecorder
 from endpoints.data.link import Link
-from endpoints.environment.topics import SubscriberInterface
+from endpoints.environment.topics import PublisherInterface, SubscriberInterface
 from rce.control.calls.endpoints import InterfaceSpec, NodeSpec, StartNode, StopNode, Unbind
 from rce.errors import InvalidRequest, LimitExceeded, RceError, UnknownType
+from rce.net.budget import INTERFACE
 from rce.protocol.messages import Qos
 from tests.support.endpoints.environment_driver import FakeMaster, wait_for_line
 
@@ -228,3 +230,39 @@ async def test_message_too_large_for_links_is_reported_and_counted(monkeypatch: 
     undelivered = msgspec.msgpack.encode(LimitExceeded("too large for the robot").info)
     interface.receive(Message(bytes(16), "", undelivered, error=True), cast(Link, None))
     assert str(reports[-1]) == "too large for the robot"
+
+
+def interface_without_node(kind: str, qos: Qos) -> InterfaceSpec:
+    return InterfaceSpec("ab" * 16, "user/env", "tag", kind, "std_msgs/String", "addr", qos)
+
+
+@pytest.mark.parametrize("history", ["keep_last", "keep_all"])
+async def test_messages_for_a_busy_node_are_bounded_by_bytes(history: Literal["keep_last", "keep_all"]) -> None:
+    spec = interface_without_node("PublisherInterface", Qos(history=history, depth=1000))
+    interface = PublisherInterface(spec, Mock(hops=HopRecorder(), budget=None))
+    interface._publisher = Mock(waiting=deque())
+    link = Mock()
+    large = bytes(2) + bytes(INTERFACE // 4)
+    for _ in range(3):
+        interface.receive(Message(bytes(16), "", large), link)
+    assert (interface.dropped, link.pause.called) == (0, False)
+    for _ in range(2):
+        interface.receive(Message(bytes(16), "", large), link)
+    if history == "keep_all":
+        assert (interface.dropped, link.pause.called) == (0, True)
+    else:
+        assert (interface.dropped, len(interface._publisher.waiting)) == (2, 3)
+    interface.close()
+
+
+async def test_messages_kept_for_late_peers_are_bounded_by_bytes() -> None:
+    spec = interface_without_node("SubscriberInterface", Qos(durability="transient_local", depth=1000))
+    interface = SubscriberInterface(spec, Mock(hops=HopRecorder(), budget=None))
+    interface._subscription = Mock(latched=True)
+    interface._handle(b"first", b"other", True, 0.0)
+    for number in range(10):
+        interface._handle(bytes([number]) * (INTERFACE // 4), b"publisher", True, 0.0)
+    kept = [payload for messages in interface._latched.values() for payload in messages]
+    assert [payload[0] for payload in kept] == [6, 7, 8, 9]
+    interface._handle(bytes(2 * INTERFACE), b"publisher", True, 0.0)
+    assert [len(payload) for messages in interface._latched.values() for payload in messages] == [2 * INTERFACE]

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from rce.net.budget import INTERFACE
 from rce.protocol.blobs import PART
 from tests.support.endpoints.platforms import Platform, pair
 from tests.support.endpoints.raw_robot import USER, Json, Robot, eventually
@@ -84,6 +85,58 @@ async def test_slow_robot_gets_newest_messages_and_report_of_drops(platform: Pla
     assert numbers == sorted(numbers)
     assert numbers[-3:] == [37, 38, 39]
     assert drops == {"topic": "drops", "iTag": "in", "count": 40 - len(numbers), "where": "on the way to the robot"}
+
+
+async def test_deep_queue_of_slow_robot_is_bounded_by_bytes(platform: Platform) -> None:
+    a, b = await forwarders(platform, "parts", qos={"depth": 10_000})
+    b.socket.transport.pause_reading()
+    part = bytes(PART - 40)
+    size = 4 * len(part)
+    for number in range(30):
+        name = f"{number:032x}".encode()
+        await a.send(
+            image(name.decode()), *(name + struct.pack("!II", each * len(part), size) + part for each in range(4))
+        )
+    await a.expect_silence()
+    session = platform.endpoint.sessions[f"{USER}/b"]
+    assert session.budget is not None
+    await eventually(lambda: sum(each.dropped for each in platform.endpoint.switchboard.interfaces.values()) > 0)
+    assert INTERFACE // 2 < session.budget.used < INTERFACE + 2 * size
+
+
+async def test_robot_without_events_gets_one_summary_of_drops_a_second(platform: Platform) -> None:
+    a, b = await forwarders(platform, qos={"depth": 3})
+    b.socket.transport.pause_reading()
+    blob = bytes(1_000_000)
+    for number in range(20):
+        name = f"{number:032x}"
+        await a.send(image(name), name.encode() + blob)
+    await a.expect_silence()
+    b.socket.transport.resume_reading()
+    frames = await b.until(lambda frame: isinstance(frame, dict) and frame["type"] == "ER")
+    got = sum(isinstance(frame, bytes) for frame in frames)
+    assert f"in: {20 - got} on the way to the robot" in frames[-1]["data"]
+    assert frames[-1].keys() == {"type", "data"}
+    await b.expect_silence()
+
+
+async def test_call_of_robot_that_does_not_read_is_refused_when_its_queue_has_too_many_bytes(
+    platform: Platform,
+) -> None:
+    caller, server = await platform.robot("caller"), await platform.robot("server")
+    await caller.add("ask", "ServiceProviderForwarder", "std_srvs/SetBool")
+    await caller.add("serve", "ServiceClientForwarder", "std_srvs/SetBool", of="server")
+    await caller.connect("caller/ask", "server/serve")
+    await caller.receive()
+    await server.receive()
+    server.socket.transport.pause_reading()
+    for number in range(INTERFACE // 1_000_000 + 10):
+        name = f"{number:032x}"
+        frame = {"iTag": "ask", "type": "std_srvs/SetBool", "msgID": name, "msg*": name}
+        await caller.send({"type": "DM", "data": frame}, name.encode() + bytes(1_000_000))
+    answer = await caller.receive()
+    assert answer["type"] == "ER"
+    assert "too many bytes wait for robot testUser/server" in answer["data"]
 
 
 async def test_keep_all_slows_down_sender_and_drops_nothing(platform: Platform) -> None:
