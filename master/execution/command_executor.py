@@ -20,7 +20,6 @@ from rce.control.connection import Handlers
 from rce.errors import NotFound, RceError
 from rce.process import metrics
 from rce.protocol.messages import Command, DestroyContainer
-from rce.protocol.names import is_guest
 
 START_TIMEOUT = 60.0  # seconds until everything that a command asked for must be ready
 
@@ -52,19 +51,19 @@ class CommandExecutor:
         with self._audit.auditing(guests.operation(tag, command), user, about, origin) as action:
             action.who, action.quiet = robot.by, guests.is_exempt_from_audit(tag, command)
             guests.check_command(robot.by, self._state, user, tag, command)
-            await self.execute(user, command, call.again, tag if is_guest(tag) else "")
+            await self.execute(user, command, call.again, tag)
         return Nothing()
 
-    async def execute(self, user: str, command: Command, repeated: bool = False, guest: str = "") -> None:
+    async def execute(self, user: str, command: Command, repeated: bool = False, robot: str = "") -> None:
         """Execute a command of `user`; return when it is complete and stored.
 
-        A command that does not become ready is taken back. `guest` is the robotID of the guest that gave it.
+        A command that does not become ready is taken back. `robot` is the robotID of the robot that gave it.
 
         Raises:
             RceError: The reason why it was refused or did not become ready.
         """
         began = time.perf_counter()
-        context = CommandContext(self._state, user, new_id, self._limits.of(user), repeated, guest)
+        context = CommandContext(self._state, user, new_id, self._limits.of(user), repeated, robot)
         outcome = execute(context, command)
         saved = self._runner.save(by_command=True)
         await self._complete(outcome)
@@ -79,7 +78,10 @@ class CommandExecutor:
         }
         pending = [future for future in waiting.values() if not future.done()]  # the others were ready before
         try:
-            answers = await self._runner.run(outcome.plan)
+            running = self._runner.run(outcome.plan)
+            if outcome.follows:
+                self._lifecycle.apply(outcome.follows)
+            answers = await running
             self._lifecycle.handle(answers)
             raise_first_error(answers)
             for awaited, future in waiting.items():

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from master.graph import groups
+from master.graph import connections, groups
 from master.graph.effects import MarkReady, Outcome, Plan, Send
 from master.graph.records import Connection, Environment, Interface, Node, Parameter, Ref, ref
 from master.graph.state import State
 from master.graph.translation import container_data, parameter_spec
-from master.graph.wiring import connections_of, deactivate, interface_ref
+from master.graph.wiring import deactivate, interface_ref
 from rce.control.calls.endpoints import DropParameter, PutParameter, StartNode, StopNode, Unbind
 from rce.control.calls.environments import EnvironmentSpec, StartEnvironment, StopEnvironment
 
@@ -27,10 +27,13 @@ def start(state: State, environment: Environment) -> Plan:
     return [[Send(environment.machine, StartEnvironment(spec), ref(environment))]]
 
 
-def remove_environment(state: State, environment: Environment) -> Plan:
-    """Remove an environment and all that is in it from the graph, and stop it."""
+def remove_environment(state: State, environment: Environment, away: bool = False) -> Plan:
+    """Remove an environment and all that is in it from the graph, and stop it.
+
+    `away`: it was not removed on purpose. Connections of others wait until its interfaces are added again.
+    """
     name = environment.name
-    plan = remove_interfaces(state, name)
+    plan = remove_interfaces(state, name, away)
     for node in state.nodes.by(name):
         state.nodes.drop(node.key)
     for parameter in state.parameters.by(name):
@@ -48,11 +51,15 @@ def remove_node(state: State, node: Node) -> Plan:
     return call_host(state, node, StopNode(node.tag))
 
 
-def remove_interface(state: State, interface: Interface) -> Plan:
-    """Remove an interface and its connections from the graph."""
+def remove_interface(state: State, interface: Interface, away: bool = False) -> Plan:
+    """Remove an interface and its connections from the graph; if it is only `away`, those of others wait for it."""
     plan: Plan = []
     for connection in state.connections.by(interface.key):
         plan += remove_connection(state, connection)
+        if connection.by != interface.owner:
+            plan += connections.end_left(state, connection, away)
+    if not away:
+        plan += connections.drop_waiting(state, interface.key)
     state.interfaces.drop(interface.key)
     host = state.host(interface.owner)
     if host:
@@ -60,14 +67,11 @@ def remove_interface(state: State, interface: Interface) -> Plan:
     return plan
 
 
-def remove_interfaces(state: State, owner: str) -> Plan:
+def remove_interfaces(state: State, owner: str, away: bool) -> Plan:
     """Remove all interfaces of a robot or environment from the graph."""
-    plan: Plan = []
-    for connection in connections_of(state, owner):
-        plan += remove_connection(state, connection)
-    for interface in state.interfaces.by(owner):
-        plan += remove_interface(state, interface)
-    return plan
+    return [
+        sequence for interface in state.interfaces.by(owner) for sequence in remove_interface(state, interface, away)
+    ]
 
 
 def remove_connection(state: State, connection: Connection) -> Plan:
@@ -112,7 +116,7 @@ def _undo_one(state: State, awaited: Ref) -> Plan:
         case "environment" if environment := state.environments.get(awaited.key):
             plan = remove_environment(state, environment)
         case "interface" if interface := state.interfaces.get(awaited.key):
-            plan = remove_interface(state, interface)
+            plan = remove_interface(state, interface, away=True)  # its owner may declare it again
         case "connection" if connection := state.connections.get(awaited.key):
             plan = remove_connection(state, connection)
         case "node" if node := state.nodes.get(awaited.key):

@@ -9,32 +9,33 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple, get_args
 
-from master.graph import changes, groups, hard_limits
+from msgspec.structs import replace
+
+from master.graph import changes, connections, groups, hard_limits
 from master.graph.changes import call_host, start
+from master.graph.connections import split_kind
 from master.graph.effects import MarkReady, Outcome, Plan, Send
-from master.graph.limits import UNLIMITED, Policy, check_connections, check_totals, granted
+from master.graph.limits import UNLIMITED, Policy, check_totals, granted
 from master.graph.packages import resolve_all
 from master.graph.placement import place
-from master.graph.records import Connection, Environment, Interface, Parameter, parameter_key, ref
+from master.graph.records import Connection, Environment, Interface, Parameter, Waiting, parameter_key, ref
 from master.graph.state import State
 from master.graph.translation import interface_from, interface_spec, node_from, node_spec, options_from, parameter_spec
 from master.graph.wiring import Ids, activate, interface_ref
 from rce.control.calls.endpoints import Bind, DropParameter, PutParameter, StartNode
 from rce.errors import AlreadyExists, InvalidRequest, NotConnectable, NotFound
 from rce.protocol import messages as m
-from rce.protocol.names import check_new_name, check_tag, parse_type, split_interface
+from rce.protocol.names import check_new_name, check_tag, is_guest, parse_type, split_interface
 from rce.protocol.variables import check_variables
 
 KINDS = get_args(m.InterfaceType)
-OPPOSITE = {"Publisher": "Subscriber", "ServiceClient": "ServiceProvider"}
-SENDERS = {"Subscriber", "ServiceProvider"}  # the side that topic messages, or requests, come from
 
 
 class CommandContext(NamedTuple):
     """User and state of a command.
 
     `ids` makes identifiers, `policy` has the user's limits. `repeated`: the command was given before and its answer was
-    lost. `guest` is the robotID by which it comes if that is a guest's: names under it are for the guest alone.
+    lost. `robot` is the robotID by which it comes, empty for one by HTTP.
     """
 
     state: State
@@ -42,7 +43,12 @@ class CommandContext(NamedTuple):
     ids: Ids
     policy: Policy = UNLIMITED
     repeated: bool = False
-    guest: str = ""
+    robot: str = ""
+
+    @property
+    def guest(self) -> str:
+        """The robotID if it is a guest's: names under it are for the guest alone."""
+        return self.robot if is_guest(self.robot) else ""
 
     def environment(self, tag: str, field: str = "containerTag") -> Environment:
         """Return the user's environment of this tag.
@@ -154,18 +160,6 @@ def delete_parameter(context: CommandContext, command: m.DeleteParameter) -> Out
 # --- interfaces -------------------------------------------------------------------------------------------------------
 
 
-def split_kind(kind: str) -> tuple[str, str]:
-    """Split an interface type, as `PublisherConverter` into `Publisher` and `Converter`.
-
-    Raises:
-        InvalidRequest: There is no such interface type.
-    """
-    for suffix in ("Interface", "Converter", "Forwarder"):
-        if kind.endswith(suffix):
-            return kind.removesuffix(suffix), suffix
-    raise InvalidRequest(f"interfaceType {kind[:80]!r} does not exist", field="interfaceType")
-
-
 def add_interface(context: CommandContext, command: m.AddInterface) -> Outcome:
     """CN: add an interface to a robot or an environment."""
     state = context.state
@@ -185,7 +179,8 @@ def add_interface(context: CommandContext, command: m.AddInterface) -> Outcome:
     host = state.host(owner)
     bind = Bind(interface_spec(interface))
     plan: Plan = [[Send(host, bind, interface_ref(interface)), MarkReady(ref(interface))]] if host else []
-    return Outcome(plan, [ref(interface)])
+    follows = connections.restore(state, interface, context.policy, context.ids)
+    return Outcome(plan, [ref(interface)], follows=follows)
 
 
 def _owner_of_new_interface(context: CommandContext, command: m.AddInterface, kind: str) -> str:
@@ -223,30 +218,28 @@ def connect(context: CommandContext, command: m.Connect) -> Outcome:
     """CX: connect two interfaces of opposite kinds and the same type."""
     state = context.state
     one, other = _pair(context, command.tagA, command.tagB)
-    (prefix, _), (opposite, _) = split_kind(one.kind), split_kind(other.kind)
-    if OPPOSITE.get(prefix) != opposite and OPPOSITE.get(opposite) != prefix:
-        raise NotConnectable(
-            f"{command.tagA} is a {one.kind} and {command.tagB} a {other.kind}: "
-            "a Publisher goes with a Subscriber, a ServiceClient with a ServiceProvider"
-        )
-    if parse_type(one.type) != parse_type(other.type):
-        raise NotConnectable(f"{command.tagA} has type {one.type} and {command.tagB} {other.type}")
-    sender, receiver = (one, other) if prefix in SENDERS else (other, one)
-    connection = Connection(sender.key, receiver.key)
-    if connection.key in state.connections:
-        if context.repeated:
-            return Outcome([], [ref(connection)])
-        raise AlreadyExists(f"{command.tagA} and {command.tagB} are connected already")
-    if sender.kind.startswith("ServiceProvider") and state.connections.by(sender.key):
-        raise NotConnectable(f"{sender.key.partition('/')[2]} is a {sender.kind}: it takes one connection only")
-    if not any(state.visits(interface.owner) for interface in (one, other)):
-        check_connections(state, context.user, context.policy)
+    connection = connections.joining(one, other)
+    robot = f"{context.user}/{context.robot}"
+    by = robot if robot in (one.owner, other.owner) else ""
+    present = state.connections.get(connection.key)
+    if present is not None:
+        if present.restored:  # two want it now, so it does not end with one of them
+            state.connections.put(replace(present, restored=False, by=by if by == present.by else ""))
+        elif not context.repeated:
+            raise AlreadyExists(f"{command.tagA} and {command.tagB} are connected already")
+        return Outcome([], [ref(connection)])
+    connections.check_new(state, connection, context.policy)
+    connection = replace(connection, by=by)
     state.connections.put(connection)
     return Outcome(activate(state, connection, context.ids), [ref(connection)])
 
 
 def disconnect(context: CommandContext, command: m.Disconnect) -> Outcome:
-    """CX: disconnect two interfaces."""
+    """CX: disconnect two interfaces, of which one may be away."""
+    for sides in ((command.tagA, command.tagB), (command.tagB, command.tagA)):
+        sender_key, receiver_key = (f"{context.user}/{side}" for side in sides)
+        if context.state.waiting.drop(Waiting(sender_key, receiver_key).key) is not None:
+            return Outcome([])
     one, other = _pair(context, command.tagA, command.tagB)
     for sender, receiver in ((one, other), (other, one)):
         connection = context.state.connections.get(Connection(sender.key, receiver.key).key)

@@ -36,9 +36,13 @@ Plan = list[Sequence]
 
 
 class Outcome(Struct, frozen=True):
-    """Result of a command: it is complete when `plan` has run and everything in `awaits` is ready."""
+    """Result of a command: it is complete when `plan` has run and everything in `awaits` is ready.
+
+    `follows` runs as well, but the command neither waits for it nor fails with it.
+    """
 
     plan: Plan
     awaits: list[Ref] = []
     parameter: Parameter | None = None  # as the command set it
     replaced: Parameter | None = None  # the one before it; restored if the new value is refused
+    follows: Plan = []

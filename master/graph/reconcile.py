@@ -5,11 +5,12 @@ from __future__ import annotations
 from msgspec.structs import replace
 
 from master.graph.changes import remove_environment, remove_interface, remove_interfaces, remove_node, start
+from master.graph.connections import drop_waiting
 from master.graph.effects import Outcome, Plan, Send
 from master.graph.limits import UNLIMITED, Policy, check_robots
 from master.graph.placement import place
 from master.graph.records import Environment, Process, Ref, Robot, ref, user_of
-from master.graph.state import State, at
+from master.graph.state import State, all_of, at
 from master.graph.translation import interface_spec, node_spec, parameter_spec
 from master.graph.wiring import (
     RELAY,
@@ -117,7 +118,7 @@ def environment_down(state: State, environment: Environment) -> Plan:
     plan = take_down(state, environment.name)
     state.forget(environment.name)
     if environment.options.restart == "no":
-        plan += remove_environment(state, environment)
+        plan += remove_environment(state, environment, away=True)
     return plan
 
 
@@ -217,13 +218,16 @@ def _leave_endpoint(state: State, robot: Robot) -> Plan:
 
 
 def robot_left(state: State, name: str) -> Plan:
-    """Remove a robot with its interfaces and connections; with a guest also what it added to environments."""
+    """Remove a robot with its interfaces and connections; with a guest also what it added to environments.
+
+    The connections that others asked for wait for its return.
+    """
     if name not in state.robots:
         return []
-    plan = remove_interfaces(state, name) + _remove_guest_items(state, name)
+    plan = remove_interfaces(state, name, away=True) + _remove_guest_items(state, name)
     state.away.discard(name)
     state.robots.drop(name)
-    return plan
+    return plan + drop_waiting(state, name)
 
 
 def _remove_guest_items(state: State, name: str) -> Plan:
@@ -235,7 +239,7 @@ def _remove_guest_items(state: State, name: str) -> Plan:
     for environment in state.environments.by(user):
         for interface in state.interfaces.by(environment.name):
             if interface.tag.startswith(f"{robot}."):
-                plan += remove_interface(state, interface)
+                plan += remove_interface(state, interface, away=True)
         for node in state.nodes.by(environment.name):
             if node.tag.startswith(f"{robot}."):
                 plan += remove_node(state, node)
@@ -258,6 +262,7 @@ def user_gone(state: State, user: str) -> Plan:
         plan += robot_dismissed(state, robot.name, "the user was removed")
     for environment in state.environments.by(user):
         plan += remove_environment(state, environment)
+    plan += drop_waiting(state, all_of(user))
     for package in state.packages.by(user):
         state.packages.drop(package.key)
     for package in state.packages.by(f">{user}"):  # a later user of this name must not inherit it

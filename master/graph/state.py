@@ -18,6 +18,7 @@ from master.graph.records import (
     Record,
     Ref,
     Robot,
+    Waiting,
     user_of,
 )
 
@@ -109,7 +110,7 @@ def at(process: str) -> str:
     return f"@{process}"
 
 
-def _all_of(user: str) -> str:
+def all_of(user: str) -> str:
     """Return the index term of a user's connections; no link or interface has a name with a space."""
     return f"user {user}"
 
@@ -126,7 +127,10 @@ class State:
         self.interfaces = Table(Interface, lambda record: (record.owner,))
         self.connections = Table(
             Connection,
-            lambda record: {record.sender, record.receiver, record.link, _all_of(user_of(record.sender))} - {""},
+            lambda record: {record.sender, record.receiver, record.link, all_of(user_of(record.sender))} - {""},
+        )
+        self.waiting = Table(
+            Waiting, lambda record: {record.sender, record.receiver, record.by, all_of(user_of(record.sender))} - {""}
         )
         self.processes = Table(Process, lambda record: (record.role,))
         self.links = Table(Link, lambda record: {record.listener, record.dialler})
@@ -144,6 +148,7 @@ class State:
             self.parameters,
             self.interfaces,
             self.connections,
+            self.waiting,
             self.processes,
             self.links,
             self.packages,
@@ -158,7 +163,7 @@ class State:
         visitors = [robot.name for robot in self.robots.by(user) if self.visits(robot.name)]
         interfaces = [interface.key for name in visitors for interface in self.interfaces.by(name)]
         of_visitors = {connection.key for key in interfaces for connection in self.connections.by(key)}
-        return len(self.connections.by(_all_of(user))) - len(of_visitors)
+        return len(self.connections.by(all_of(user))) - len(of_visitors)
 
     def visits(self, owner: str) -> bool:
         """Return whether a robot is a guest of another user, which counts in none of the owner's limits."""

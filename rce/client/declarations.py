@@ -31,6 +31,10 @@ class Declarations:
         elif isinstance(command, Connect | Disconnect):
             self._record_connection(command)
 
+    def connection_gone(self, one: str, other: str) -> None:
+        """Update the record after the platform removed a connection."""
+        self.connections.pop(frozenset((one, other)), None)
+
     def commands(self) -> list[Command]:
         """Return the commands that declare everything again, in a valid order."""
         return [*self.interfaces.values(), *self.connections.values()]

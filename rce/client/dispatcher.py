@@ -12,7 +12,7 @@ from rce.client.events import Disconnected, Event, PlatformEvent, Reconnected
 from rce.client.interface import Interface
 from rce.client.stream import Stream
 from rce.errors import RceError
-from rce.protocol.messages import Command, InterfaceStatus
+from rce.protocol.messages import Command, ConnectionEvent, InterfaceStatus
 
 EVENT_BACKLOG = 1000  # unread events that one reader may have
 
@@ -58,8 +58,10 @@ class Dispatcher:
         if isinstance(status, InterfaceStatus):
             if status.iTag in self.interfaces:
                 self.interfaces[status.iTag]._set_status(status.status)
-        else:
-            self._publish(status)
+            return
+        if isinstance(status, ConnectionEvent) and status.state == "gone":
+            self._declarations.connection_gone(status.tagA, status.tagB)
+        self._publish(status)
 
     def error_received(self, error: RceError) -> None:
         """Fail the service call that the error answers, or publish it as an event."""

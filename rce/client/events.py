@@ -1,11 +1,11 @@
-"""Events of a robot besides its messages: environments, nodes, drops, limits, its own connection, errors."""
+"""Events of a robot besides its messages: environments, nodes, connections, drops, limits, errors."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 from rce.errors import RceError
-from rce.protocol.messages import DropEvent, EnvironmentEvent, LimitEvent, NodeEvent
+from rce.protocol.messages import ConnectionEvent, DropEvent, EnvironmentEvent, LimitEvent, NodeEvent
 
 
 class Disconnected(NamedTuple):
@@ -29,7 +29,7 @@ class Reconnected(NamedTuple):
     resumed: bool
 
 
-PlatformEvent = EnvironmentEvent | NodeEvent | DropEvent | LimitEvent
+PlatformEvent = EnvironmentEvent | NodeEvent | DropEvent | ConnectionEvent | LimitEvent
 """Events that the platform sends."""
 
 Event = PlatformEvent | Disconnected | Reconnected | RceError
@@ -38,6 +38,7 @@ Event = PlatformEvent | Disconnected | Reconnected | RceError
 - `EnvironmentEvent`: an environment is ready, failed to start, was lost, or is gone.
 - `NodeEvent`: a node ended; with its exit status and the last lines of its output.
 - `DropEvent`: the platform dropped messages of one of the robot's interfaces, with their number and the place.
+- `ConnectionEvent`: a connection that the robot made waits for an end that is away, is restored, or is gone.
 - `LimitEvent`: a limit of the user was reached.
 - `Disconnected` and `Reconnected`: changes of the robot's own connection.
 - `RceError`: an error that answers no command of this client, for example of a message that could not be converted.

@@ -23,10 +23,21 @@ from rce.client.commands import already_done, frame_of
 from rce.client.connection import Connection, Incoming, Message
 from rce.client.events import PlatformEvent
 from rce.client.values import encode
-from rce.errors import Forbidden, InternalError, InvalidRequest, NotFound, RceError, TimedOut, Unauthorized, Unavailable
+from rce.errors import (
+    Forbidden,
+    InternalError,
+    InvalidRequest,
+    NotFound,
+    RceError,
+    TimedOut,
+    Unauthorized,
+    Unavailable,
+    UnknownType,
+)
 from rce.protocol.messages import Ack, Command, Failure, FrameId, InterfaceStatus, Session
 
 COMMANDS = " commands"  # their source in the outbox; a tag cannot contain a space
+MAY_COME_BACK = (NotFound, UnknownType, TimedOut)  # errors of declarations whose peer or environment is away
 MIN_DELAY, MAX_DELAY = 0.1, 10.0  # seconds between attempts to reconnect; the first attempt is immediate
 
 log = logging.getLogger("rce.client")
@@ -218,14 +229,23 @@ class ClientSession:
             self._send(connection, number, request)
 
     async def _redeclare(self, number: FrameId, request: Request) -> None:
+        """Wait for the answer to a declaration; repeat it while what it needs, as the peer, is not back yet."""
+        reported = False
         for delay in backoff_delays():
             try:
                 return await self._outcome(number, request)
             except Unavailable:
-                await asyncio.sleep(delay)
-                number, request = self._submit(request.command, restores=True)
+                pass
             except RceError as error:
-                return self._listener.error_received(error)
+                if not reported:
+                    self._listener.error_received(error)
+                reported = True
+                if not isinstance(error, MAY_COME_BACK):
+                    return
+            await asyncio.sleep(delay)
+            if request.command not in self._listener.declarations():
+                return  # the application does not want it any more
+            number, request = self._submit(request.command, restores=True)
 
     def _handle(self, incoming: Incoming) -> None:
         if isinstance(incoming, Message):

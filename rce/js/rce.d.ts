@@ -112,6 +112,8 @@ export type Event =
   | { topic: "node"; containerTag: string; nodeTag: string; status: number; lines?: string[] }
   /** The platform dropped messages of an interface. */
   | { topic: "drops"; iTag: string; count: number; where: string }
+  /** A connection that the robot made waits for an end that is away, is restored, or is gone. */
+  | { topic: "connection"; tagA: string; tagB: string; state: "waiting" | "restored" | "gone"; reason?: string }
   | { topic: "limit"; reason: string }
   /** The socket broke; the robot reconnects by itself. */
   | { topic: "disconnected"; reason: string }

@@ -190,8 +190,14 @@ export class Robot {
   }
 
   statusReceived(status) {
-    if (status.topic === "iu") this.#interfaces.get(status.iTag)?.setStatus(status.status);
-    else this.#publish(status);
+    if (status.topic === "iu") {
+      this.#interfaces.get(status.iTag)?.setStatus(status.status);
+      return;
+    }
+    if (status.topic === "connection" && status.state === "gone") {
+      this.#declared.connections.delete(pairOf(status));
+    }
+    this.#publish(status);
   }
 
   errorReceived(error) {
@@ -235,14 +241,18 @@ export class Robot {
         if (isRemoved(tagA) || isRemoved(tagB)) connections.delete(pair);
       }
     };
-    const pair = () => [item.tagA, item.tagB].sort().join(" ");
     const own = () => item.endpointTag === this.name || (this.isGuest && item.interfaceTag.startsWith(`${this.name}.`));
     if (list === "addInterfaces" && own()) interfaces.set(`${item.endpointTag}/${item.interfaceTag}`, command);
     else if (list === "removeInterfaces") forget((tag) => tag === `${item.endpointTag}/${item.interfaceTag}`);
     else if (list === "DC") forget((tag) => tag.startsWith(`${item.containerTag}/`));
-    else if (list === "disconnect") connections.delete(pair());
+    else if (list === "disconnect") connections.delete(pairOf(item));
     else if (list === "connect" && [item.tagA, item.tagB].some((tag) => tag.startsWith(`${this.name}/`))) {
-      connections.set(pair(), command);
+      connections.set(pairOf(item), command);
     }
   }
+}
+
+/** Key of a connection, whatever the order of its ends. */
+function pairOf({ tagA, tagB }) {
+  return [tagA, tagB].sort().join(" ");
 }

@@ -5,13 +5,14 @@
 // or with the error by which the platform refused the robot.
 
 import { Connection } from "./connection.js";
-import { AlreadyExists, Forbidden, InvalidRequest, NotFound, RceError, TimedOut, Unauthorized, Unavailable, refusal,
-  within } from "./errors.js";
+import { AlreadyExists, Forbidden, InvalidRequest, NotFound, RceError, TimedOut, Unauthorized, Unavailable, UnknownType,
+  refusal, within } from "./errors.js";
 import { encode } from "./values.js";
 
 const VERSION = "20130902";
 const FEATURES = "ack,events,parts,resume";
 const COMMANDS = " commands"; // their source in the outbox; a tag cannot contain a space
+const MAY_COME_BACK = [NotFound, UnknownType, TimedOut]; // errors of declarations whose peer or environment is away
 const [MIN_DELAY, MAX_DELAY] = [0.1, 10]; // seconds between attempts to reconnect; the first attempt is immediate
 const LISTS = { connect: "CX", disconnect: "CX" };
 const REMOVALS = new Set(["DC", "removeNodes", "removeInterfaces", "deleteParam", "disconnect"]);
@@ -214,19 +215,27 @@ export class ClientSession {
     for (const request of pending) this.#send(request);
   }
 
+  /** Wait for the answer to a declaration; repeat it while what it needs, as the peer, is not back yet. */
   async #redeclare(request) {
-    let delay = MIN_DELAY;
-    while (this.connection) {
+    const { connection } = this;
+    let [delay, reported] = [MIN_DELAY, false];
+    for (;;) {
       try {
-        return await this.#outcome(request);
+        await this.#outcome(request);
+        return;
       } catch (error) {
-        if (!(error instanceof Unavailable)) return this.#listener.errorReceived(error);
+        if (this.connection !== connection) return; // the next connection declares anew
+        if (!(error instanceof Unavailable)) {
+          if (!reported) this.#listener.errorReceived(error);
+          reported = true;
+          if (!MAY_COME_BACK.some((kind) => error instanceof kind)) return;
+        }
       }
       await new Promise((resolve) => { setTimeout(resolve, delay * 1000); });
       delay = Math.min(2 * delay, MAX_DELAY);
-      if (this.connection) request = this.#submit(request.command, true);
+      if (this.connection !== connection || !this.#listener.declarations().includes(request.command)) return;
+      request = this.#submit(request.command, true);
     }
-    return undefined;
   }
 
   #end(error) {

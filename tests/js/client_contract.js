@@ -172,6 +172,30 @@ const tests = {
     await throws(rce.NotFound, a.removeInterface(a.name, "gone"));
   },
 
+  async "connection is back when the other robot is"(make, rce) {
+    const { a, b, publisher } = await pair(make, STRING);
+    const events = a.events();
+    await b.close();
+    equal((await event(events, "connection")).state, "waiting");
+    const again = await make("b");
+    const subscriber = await again.subscriber("in", STRING);
+    equal((await event(events, "connection")).state, "restored");
+    await publisher.publish({ data: "again" });
+    equal(await subscriber.get(10), { data: "again" });
+  },
+
+  async "new session connects when the other robot is back"(make, rce) {
+    const { a, b, publisher } = await pair(make, STRING);
+    await b.close();
+    const events = a.events();
+    breakSocket(a, 1000); // ends the session
+    equal((await event(events, "error")).error instanceof rce.NotFound, true);
+    const again = await make("b");
+    const subscriber = await again.subscriber("in", STRING);
+    await publisher.publish({ data: "again" });
+    equal(await subscriber.get(10), { data: "again" });
+  },
+
   async "refused robots get the reason"(make, rce) {
     await make("a");
     await throws(rce.AlreadyExists, make("a"));

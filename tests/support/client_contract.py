@@ -16,6 +16,8 @@ from typing import Any
 import pytest
 
 from rce.client import Disconnected, Reconnected, Robot
+from rce.client.events import Event
+from rce.client.stream import Stream
 from rce.errors import (
     AlreadyExists,
     NotConnectable,
@@ -26,7 +28,7 @@ from rce.errors import (
     Unavailable,
 )
 from rce.protocol.blobs import PART
-from rce.protocol.messages import AddInterface, Connect
+from rce.protocol.messages import AddInterface, Connect, ConnectionEvent
 
 STRING, POSE, SET_BOOL = "std_msgs/String", "geometry_msgs/Pose2D", "std_srvs/SetBool"
 
@@ -52,6 +54,14 @@ async def until(condition: Callable[[], bool]) -> None:
     async with asyncio.timeout(10):
         while not condition():  # noqa: ASYNC110  # the condition has no event to wait for
             await asyncio.sleep(0)
+
+
+async def state_of_connection(events: Stream[Event]) -> str:
+    """Return what the next event about a connection reports."""
+    while True:
+        event = await events.get(10)
+        if isinstance(event, ConnectionEvent):
+            return event.state
 
 
 class ClientContract:
@@ -211,6 +221,41 @@ class ClientContract:
             assert (await call.call({"data": True}))["success"]
             with pytest.raises(NotFound):
                 await a.remove_interface("a", "gone")
+
+    async def test_connection_is_back_when_the_other_robot_is(self, platform: Platform) -> None:
+        async with platform.robot("a") as a:
+            async with platform.robot("b") as b:
+                await b.subscriber("in", STRING)
+                publisher = await a.publisher("out", STRING, to="b/in")
+                events = a.events()
+            assert await state_of_connection(events) == "waiting"
+            async with platform.robot("b") as b:
+                subscriber = await b.subscriber("in", STRING)
+                assert await state_of_connection(events) == "restored"
+                await publisher.publish({"data": "again"})
+                assert await subscriber.get(10) == {"data": "again"}
+
+    async def test_new_session_connects_when_the_other_robot_is_back(self, platform: Platform) -> None:
+        async with platform.robot("a") as a:
+            async with platform.robot("b") as b:
+                await b.subscriber("in", STRING)
+                publisher = await a.publisher("out", STRING, to="b/in")
+            events = a.events()
+            await platform.end_session("a")
+            while not isinstance(await events.get(10), NotFound):
+                pass  # a was told that b/in does not exist
+            async with platform.robot("b") as b:
+                subscriber = await b.subscriber("in", STRING)
+                await publisher.publish({"data": "again"})
+                assert await subscriber.get(10) == {"data": "again"}
+
+    async def test_connection_to_a_removed_interface_is_gone(self, platform: Platform) -> None:
+        async with platform.robot("a") as a, platform.robot("b") as b:
+            subscriber = await b.subscriber("in", STRING)
+            await a.publisher("out", STRING, to="b/in")
+            events = a.events()
+            await subscriber.close()
+            assert await state_of_connection(events) == "gone"
 
     async def test_commands_issued_while_offline_are_executed(self, platform: Platform) -> None:
         async with platform.robot("a") as a, platform.robot("b") as b:

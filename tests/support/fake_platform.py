@@ -7,6 +7,7 @@ the original. The methods at the end inject faults.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import time
@@ -70,6 +71,8 @@ class FakePlatform:
         self.frame_types: list[str] = []
         self.entry_body = ""
         self.ignores_commands = False
+        self._makers: dict[frozenset[str], str] = {}  # robots that asked for connections
+        self._waiting: dict[frozenset[str], str] = {}  # connections of others whose end is away
         self._tokens = itertools.count(1)
         self._calls: dict[str, tuple[str, DataMessage]] = {}
         self._server: Server | None = None
@@ -181,7 +184,7 @@ class FakePlatform:
             else:
                 for name in CN_ITEMS if frame.type == "CN" else CX_ITEMS:
                     for index, item in enumerate(data.get(name, [])):
-                        await self._item(name, index, item)
+                        await self._item(peer, name, index, item)
         except RceError as error:
             await self._send_error(peer, number, error)
             return
@@ -191,16 +194,23 @@ class FakePlatform:
         elif number is not None:
             await self._send(peer, {"type": "ST", "id": number, "data": {"topic": "ack"}})
 
-    async def _item(self, name: str, index: int, item: dict[str, Any]) -> None:
+    async def _item(self, peer: Peer, name: str, index: int, item: dict[str, Any]) -> None:
         try:
             if name == "addInterfaces":
                 tag = f"{item['endpointTag']}/{item['interfaceTag']}"
                 self._add("interface", tag)
                 self.interfaces[tag] = item
+                await self._restore(tag)
             elif name == "removeInterfaces":
-                await self._remove_interface(f"{item['endpointTag']}/{item['interfaceTag']}")
+                tag = f"{item['endpointTag']}/{item['interfaceTag']}"
+                gone = [pair for pair in self.connections if tag in pair]
+                await self._remove_interface(tag)
+                for pair in gone:
+                    if self._makers[pair] != item["endpointTag"]:
+                        await self._connection_event(pair, self._makers[pair], "gone")
             elif name in ("connect", "disconnect"):
                 await self._connection(name, item["tagA"], item["tagB"])
+                self._makers[frozenset((item["tagA"], item["tagB"]))] = peer.name
             else:
                 key = (item["containerTag"], item.get("nodeTag", ""), item.get("name", ""))
                 (self._remove if name in ("removeNodes", "deleteParam") else self._add)(*key)
@@ -299,7 +309,8 @@ class FakePlatform:
 
     async def _send(self, peer: Peer, frame: dict[str, Any]) -> None:
         if peer.socket is not None:
-            await peer.socket.send(json.dumps(frame))
+            with contextlib.suppress(ConnectionClosed):  # it broke just now
+                await peer.socket.send(json.dumps(frame))
 
     async def _send_error(self, peer: Peer, number: int | str | None, error: RceError) -> None:
         frame: dict[str, Any] = {"type": "ER", "data": str(error)}
@@ -326,7 +337,24 @@ class FakePlatform:
     async def _end_session(self, peer: Peer) -> None:
         self.peers.pop(peer.name, None)
         for tag in [tag for tag in self.interfaces if tag.startswith(f"{peer.name}/")]:
+            kept = {pair: self._makers[pair] for pair in self.connections if tag in pair}
             await self._remove_interface(tag)
+            for pair, maker in kept.items():
+                if maker != peer.name:
+                    self._waiting[pair] = maker
+                    await self._connection_event(pair, maker, "waiting")
+        self._waiting = {pair: maker for pair, maker in self._waiting.items() if maker != peer.name}
+
+    async def _restore(self, tag: str) -> None:
+        for pair in [pair for pair in self._waiting if tag in pair and all(each in self.interfaces for each in pair)]:
+            maker = self._makers[pair] = self._waiting.pop(pair)
+            await self._connection("connect", *pair)
+            await self._connection_event(pair, maker, "restored")
+
+    async def _connection_event(self, pair: frozenset[str], robot: str, state: str) -> None:
+        if robot in self.peers and "events" in self.peers[robot].features:
+            one, other = sorted(pair)
+            await self.send_status(robot, topic="connection", tagA=one, tagB=other, state=state)
 
     def lose_next_ack(self) -> None:
         """Execute the next command, but break the socket before its acknowledgement."""

@@ -36,6 +36,8 @@ from rce.protocol.messages.frames import FrameId as FrameId
 from rce.protocol.messages.frames import decode_as as decode_as
 from rce.protocol.messages.frames import decode_frame as decode_frame
 from rce.protocol.messages.status import Ack as Ack
+from rce.protocol.messages.status import ConnectionEvent as ConnectionEvent
+from rce.protocol.messages.status import ConnectionState as ConnectionState
 from rce.protocol.messages.status import DropEvent as DropEvent
 from rce.protocol.messages.status import EnvironmentEvent as EnvironmentEvent
 from rce.protocol.messages.status import Failure as Failure

@@ -65,13 +65,25 @@ class DropEvent(Struct, frozen=True, tag_field="topic", tag="drops"):
     where: str
 
 
+ConnectionState = Literal["waiting", "restored", "gone"]
+
+
+class ConnectionEvent(Struct, frozen=True, tag_field="topic", tag="connection"):
+    """A connection that this robot asked for waits for an end that is away, is restored, or is gone."""
+
+    tagA: str
+    tagB: str
+    state: ConnectionState
+    reason: str = ""
+
+
 class LimitEvent(Struct, frozen=True, tag_field="topic", tag="limit"):
     """A limit was reached; the socket stays open unless the reason says otherwise."""
 
     reason: str
 
 
-StatusData = InterfaceStatus | Ack | Session | EnvironmentEvent | NodeEvent | DropEvent | LimitEvent
+StatusData = InterfaceStatus | Ack | Session | EnvironmentEvent | NodeEvent | DropEvent | ConnectionEvent | LimitEvent
 
 
 class Status(Struct, frozen=True, tag_field="type", tag="ST", omit_defaults=True):

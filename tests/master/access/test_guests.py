@@ -112,9 +112,9 @@ def test_items_of_a_guest_are_removed_with_it() -> None:
     with pytest.raises(InvalidName):
         fleet.do("ann", interface("brain", "@desk.x", "SubscriberInterface"))
     for guest in ("@desk", "@desk2"):
-        fleet.do("ann", interface("brain", f"{guest}.x", "SubscriberInterface"), guest=guest)
-        fleet.do("ann", m.AddNode("brain", f"{guest}.shell", "p", "x"), guest=guest)
-    fleet.do("ann", interface("brain", "plain", "SubscriberInterface"), guest="@desk")
+        fleet.do("ann", interface("brain", f"{guest}.x", "SubscriberInterface"), robot=guest)
+        fleet.do("ann", m.AddNode("brain", f"{guest}.shell", "p", "x"), robot=guest)
+    fleet.do("ann", interface("brain", "plain", "SubscriberInterface"), robot="@desk")
     reconcile.robot_left(fleet.state, "ann/@desk")
     assert {each.tag for each in fleet.state.interfaces} == {"@desk2.x", "plain"}
     assert {each.tag for each in fleet.state.nodes} == {"@desk2.shell"}
@@ -129,9 +129,9 @@ def test_only_own_guests_count_in_limits() -> None:
         reconcile.robot_arrived(fleet.state, Robot(f"ann/{guest}", "west", "s", who), "", fleet.ids, fleet.policy)
 
     def listen(owner: str, tag: str, guest: str = "") -> None:
-        fleet.do("ann", interface(owner, "ear", "PublisherConverter"), guest=guest)
-        fleet.do("ann", interface("brain", tag, "SubscriberInterface"), guest=guest)
-        fleet.do("ann", m.Connect(f"brain/{tag}", f"{owner}/ear"), guest=guest)
+        fleet.do("ann", interface(owner, "ear", "PublisherConverter"), robot=guest)
+        fleet.do("ann", interface("brain", tag, "SubscriberInterface"), robot=guest)
+        fleet.do("ann", m.Connect(f"brain/{tag}", f"{owner}/ear"), robot=guest)
 
     listen("r1", "out")
     come("@desk", root)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import pytest
 
 from master.execution.command_executor import START_TIMEOUT
+from master.graph import reconcile
 from master.graph.records import Parameter, Robot
 from rce.api.roles import Principal, Scopes
-from rce.control.calls.endpoints import Bind, PutParameter, StartNode, StopNode, Unbind
+from rce.control.calls.endpoints import AddRoute, Bind, OpenLink, PutParameter, StartNode, StopNode, Unbind
 from rce.control.calls.environments import StartEnvironment, StopEnvironment
 from rce.control.calls.robots import Execute
-from rce.errors import AlreadyExists, Forbidden, InvalidRequest, NotFound, RceError, StartFailed, TimedOut
+from rce.errors import AlreadyExists, Forbidden, InvalidRequest, NotFound, RceError, StartFailed, TimedOut, Unavailable
 from rce.protocol import messages as m
 from tests.support.master.desk import Desk, Peer
 from tests.support.master.fleet import interface
@@ -62,6 +63,17 @@ def test_environment_that_waits_for_room_starts_after_one_is_destroyed(desk: Des
     desk.do(m.DestroyContainer("one"))
     desk.do(m.CreateContainer("two", m.ContainerData(size=2)))
     assert [call.environment.name for call in m1.got(StartEnvironment)] == ["ann/two"]
+
+
+def test_interface_is_added_although_the_connection_that_waited_for_it_cannot_be_opened(desk: Desk) -> None:
+    west, brain = desk.wired()
+    desk.hand.do(lambda: desk.master.process_tracker._lifecycle.apply(reconcile.robot_left(desk.state, "ann/r1")))
+    desk.state.robots.put(Robot("ann/r1", "west", "s"))
+    west.refuse[OpenLink] = Unavailable("nothing listens there")
+    assert desk.do(interface("r1", "pose", "SubscriberConverter")).result() is None
+    assert "ann/r1/pose" in desk.state.interfaces
+    assert [*desk.state.connections]
+    assert len(brain.got(AddRoute)) == 2
 
 
 # --- failures ---------------------------------------------------------------------------------------------------------

@@ -81,7 +81,7 @@ def test_connection_of_two_interfaces_of_one_owner_is_removed_once() -> None:
     fleet.do("ann", interface("r1", "out", "SubscriberForwarder"))
     fleet.do("ann", interface("r1", "in", "PublisherForwarder"))
     fleet.do("ann", m.Connect("r1/out", "r1/in"))
-    plan = changes.remove_interfaces(fleet.state, "ann/r1")
+    plan = changes.remove_interfaces(fleet.state, "ann/r1", away=True)
     assert [type(call) for call in calls(plan)].count(RemoveRoute) == 2
     assert len(fleet.state.interfaces) == len(fleet.state.connections) == 0
 

@@ -73,18 +73,18 @@ class Platform(EffectRunner, RuleBasedStateMachine):
 
     # --- what happens ---------------------------------------------------------------------------------------------
 
-    @rule(user=users, command=commands, again=st.booleans())
-    def command(self, user: str, command: m.Command, again: bool) -> None:
+    @rule(user=users, command=commands, again=st.booleans(), robot=st.just("") | robots)
+    def command(self, user: str, command: m.Command, again: bool, robot: str) -> None:
         before = everything(self.state)
         others = {key: record for key, record in before.items() if self._owner(key) not in (user, "")}
         try:
-            plan = self.fleet.do(user, command, again).plan
+            outcome = self.fleet.do(user, command, again, robot)
         except RceError:
             assert everything(self.state) == before
             return
         after = everything(self.state)
         assert {key: record for key, record in after.items() if self._owner(key) not in (user, "")} == others
-        self.delivery.add(plan)
+        self.delivery.add(outcome.plan + outcome.follows)
 
     @staticmethod
     def _owner(ref: Ref) -> str:

@@ -7,7 +7,7 @@ import gc
 from rce.client.declarations import Declarations
 from rce.client.dispatcher import EVENT_BACKLOG, Dispatcher
 from rce.errors import RceError
-from rce.protocol.messages import DropEvent, EnvironmentEvent, LimitEvent, NodeEvent
+from rce.protocol.messages import Connect, ConnectionEvent, DropEvent, EnvironmentEvent, LimitEvent, NodeEvent
 from tests.support.client_contract import STRING
 from tests.support.fake_platform import FakePlatform
 
@@ -25,6 +25,16 @@ async def test_status_frames_become_events_and_unknown_topics_are_ignored(fake: 
             assert await stream.get(10) == NodeEvent("brain", "n", -9, ["x"])
             assert await stream.get(10) == DropEvent("out", 3, "robot")
             assert await stream.get(10) == LimitEvent("too much")
+
+
+async def test_connection_that_is_gone_is_not_declared_again() -> None:
+    declarations = Declarations("a")
+    for command in (Connect("a/out", "b/in"), Connect("a/out", "b/more")):
+        declarations.record(command)
+    dispatcher = Dispatcher("a", declarations)
+    dispatcher.status_received(ConnectionEvent("b/in", "a/out", "gone"))
+    dispatcher.status_received(ConnectionEvent("a/out", "b/more", "waiting"))
+    assert [*dispatcher.declarations()] == [Connect("a/out", "b/more")]
 
 
 async def test_error_that_answers_no_command_is_an_event(fake: FakePlatform) -> None:

@@ -38,8 +38,8 @@ class Fleet:
         )
         return reconcile.joined(self.state, process, said, self.ids)
 
-    def do(self, user: str, command: m.Command, again: bool = False, guest: str = "") -> Outcome:
-        return execute(CommandContext(self.state, user, self.ids, self.policy, again, guest), command)
+    def do(self, user: str, command: m.Command, again: bool = False, robot: str = "") -> Outcome:
+        return execute(CommandContext(self.state, user, self.ids, self.policy, again, robot), command)
 
     def robot(self, name: str, endpoint: str = "west", session: str = "s", resume: str = "") -> tuple[Outcome, bool]:
         return reconcile.robot_arrived(self.state, Robot(name, endpoint, session), resume, self.ids, self.policy)

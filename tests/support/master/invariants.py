@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 
-from master.graph.commands import OPPOSITE, split_kind
+from master.graph.connections import OPPOSITE, split_kind
 from master.graph.records import user_of
 from master.graph.state import State, at
 from rce.protocol.names import parse_type
@@ -14,6 +14,7 @@ def check(state: State) -> None:
     for holds in (
         names_and_owners,
         connections_are_pairs,
+        who_waits_lacks_an_end,
         a_connection_is_up_if_both_sides_are_there,
         links_are_used_and_shared,
         machines_are_not_overfull,
@@ -45,6 +46,13 @@ def connections_are_pairs(state: State) -> None:
         if sends == "ServiceProvider":
             assert connection.sender not in providers
             providers.add(connection.sender)
+
+
+def who_waits_lacks_an_end(state: State) -> None:
+    for waiting in state.waiting:
+        assert waiting.key not in state.connections
+        assert waiting.sender not in state.interfaces or waiting.receiver not in state.interfaces
+        assert not waiting.by or waiting.by in state.robots
 
 
 def a_connection_is_up_if_both_sides_are_there(state: State) -> None:

@@ -9,7 +9,7 @@ import time
 from typing import Any, NamedTuple
 
 from master.graph.records import Package, Version
-from rce.api.roles import Scopes
+from rce.api.roles import Scopes, UserRole
 from rce.control.calls.robots import Login
 from rce.protocol import messages as m
 from tests.support.master.served import Served
@@ -149,19 +149,18 @@ class World:
 
     def __init__(self, served: Served) -> None:
         self.served = served
-        self.keys: dict[str, str] = {}  # id of a key of each user
+        self.keys: dict[str, str] = {}  # id of a key of each user, made with the actor's and within its role
         self.secret = ""
+        self._actor = ACTORS["user"]
+        self._own_key = ""
 
     async def begin(self, actor: Actor) -> None:
+        expires = time.time() + (-1 if actor.column == "expired" else 1000)
+        self.secret, key = await self.served.master.users.keys.add(actor.user, actor.role, "", expires, actor.scopes)
+        self._actor, self._own_key, self.keys = actor, key.id, {}
         for user in USERS:
             await self.served.master.users.change_password(user, GOOD)
             await self.restore(user)
-        soon = time.time() + 1000
-        self.secret, key = await self.served.master.users.keys.add(actor.user, actor.role, "", soon, actor.scopes)
-        if actor.column == "expired":
-            await self.served.master.users.keys.revoke(actor.user, key.id)
-            over = time.time() - 1
-            self.secret, _ = await self.served.master.users.keys.add(actor.user, actor.role, "", over)
 
     async def restore(self, user: str) -> None:
         """Create what a user lacks, and remove what a case created."""
@@ -169,7 +168,8 @@ class World:
         if user not in await master.users.names():
             await master.users.add(user, GOOD)
         if self.keys.get(user) not in {key.id for key in await master.users.keys.of(user)}:
-            self.keys[user] = (await master.users.keys.add(user, "robot"))[1].id
+            role: UserRole = "viewer" if self._actor.role == "viewer" else "robot"
+            self.keys[user] = (await master.users.keys.add(user, role, parent=self._own_key))[1].id
         for tag in ("r1", "r2"):
             if f"{user}/{tag}" not in state.robots:
                 secret, _ = await master.users.keys.add(user, "robot")

@@ -26,7 +26,7 @@ from rce.control.calls.endpoints import (
     Unbind,
 )
 from rce.control.calls.environments import KeepEnvironments, SetRelays, StartEnvironment, StopEnvironment
-from rce.control.calls.robots import DropRobot
+from rce.control.calls.robots import DropRobot, SendStatus
 
 
 class Refused(Exception):
@@ -74,6 +74,8 @@ class Endpoint:
                 self.parameters.pop(key, None)
             case DropRobot(robot):
                 self.drop_robot(robot)
+            case SendStatus():
+                pass
             case _:
                 raise AssertionError(f"{call} at an endpoint")
 
