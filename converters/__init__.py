@@ -3,9 +3,9 @@
 This package knows message definitions, their CDR layout and image files; it knows nothing of connections or endpoints.
 """
 
-from converters.codec import Codec
+from converters.codec import Codec, Recipe
 from converters.images import ImageFormat
 from converters.types import ServiceCodec, TypeRegistry
 from converters.wire import Wire
 
-__all__ = ["Codec", "ImageFormat", "ServiceCodec", "TypeRegistry", "Wire"]
+__all__ = ["Codec", "ImageFormat", "Recipe", "ServiceCodec", "TypeRegistry", "Wire"]

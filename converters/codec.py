@@ -10,21 +10,42 @@ and 46 µs for a scan of 1080 beams where this takes 36 µs.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NoReturn, cast
 
 import msgspec
 
-from converters import json_text
+from converters import json_text, original
+from converters.definition import STRINGS, Definition, Shape
 from converters.images import ImageFormat
 from converters.model import IMAGE, Message
 from converters.reader import Readers, image_reader
 from converters.scalars import FieldError
 from converters.wire import Buffer, Incoming, Outgoing, Wire
-from converters.writer import Writers, image_source
+from converters.writer import MAX_CDR, Writers, image_source
 from rce.errors import ConversionError
 
 LITTLE_ENDIAN = b"\x00\x01"
 HEADER = LITTLE_ENDIAN + b"\x00\x00"  # encapsulation header: plain CDR, XCDR version 1, no options
+# Bytes that are converted within a few milliseconds, by the finest parts that a type has many of.
+FAST_TEXT, FAST_NUMBERS, FAST_PARTS = 1 << 20, 1 << 17, 1 << 15
+BLOB_WEIGHT = 8  # bytes of a blob, which are copied only, that take as long as one byte of text
+
+
+class Recipe(msgspec.Struct, frozen=True):
+    """What another process needs to make the same codec.
+
+    Attributes:
+        name: Name of the type, `pkg/msg/Name`.
+        image_format: Format in which it produces images.
+        added: Definitions that are not common, by name.
+        original: It reads and writes JSON as the original's server did (see the module `original`).
+    """
+
+    name: str
+    image_format: ImageFormat
+    added: tuple[tuple[str, Definition], ...] = ()
+    original: bool = False
 
 
 class Codec:
@@ -40,10 +61,15 @@ class Codec:
 
     Attributes:
         name: Name of the type, `pkg/msg/Name`.
+        recipe: What another process needs to make the same codec.
     """
 
-    def __init__(self, message: Message, writers: Writers, readers: Readers, image_format: ImageFormat) -> None:
+    def __init__(self, message: Message, writers: Writers, readers: Readers, recipe: Recipe) -> None:
+        image_format = recipe.image_format
         self.name = message.name
+        self.recipe = recipe
+        self._message = message
+        self._fast_size, self._pictures = _fast_size(message, image_format)
         self._decoder = cast(
             "msgspec.json.Decoder[msgspec.Struct]",
             msgspec.json.Decoder(message.annotation),  # may be a union
@@ -56,21 +82,45 @@ class Codec:
         if message.name == IMAGE and image_format != "json":
             self._read = image_reader(self._read, image_format)
 
+    def encodes_fast(self, wire: Wire) -> bool:
+        """Return True if `encode` takes a few milliseconds at most."""
+        if wire.blobs and self._pictures:  # the pixels of a small file may be many
+            return False
+        size = sum(map(len, wire.blobs.values())) // BLOB_WEIGHT if wire.blobs else 0
+        return size + len(memoryview(wire.raw)) <= self._fast_size
+
+    def decodes_fast(self, cdr: Buffer) -> bool:
+        """Return True if `decode` takes a few milliseconds at most."""
+        return len(cdr) <= self._fast_size
+
     def encode(self, wire: Wire) -> bytes:
         """Convert a message to CDR with its encapsulation header.
 
         Raises:
             ConversionError: The message does not fit the type; `field` is the path of the field at fault.
         """
-        blobs = Incoming(wire.blobs)
-        parts: list[Buffer] = [HEADER]
         try:
-            message = self._decode_image(wire.raw, blobs) if wire.is_blob else json_text.decode(self._decoder, wire.raw)
-            self._write(message, parts, 0, blobs)
-            blobs.check_all_used()
+            try:
+                return self._encode(wire, self._decode_json)
+            except FieldError:
+                if not self.recipe.original or wire.is_blob:
+                    raise
+            return self._encode(wire, lambda raw: original.decode(self._message, raw))
         except FieldError as error:
             self._refuse(error)
+
+    def _encode(self, wire: Wire, decode: Callable[[Buffer | msgspec.Raw], msgspec.Struct]) -> bytes:
+        blobs = Incoming(wire.blobs)
+        parts: list[Buffer] = [HEADER]
+        message = self._decode_image(wire.raw, blobs) if wire.is_blob else decode(wire.raw)
+        size = self._write(message, parts, 0, blobs)
+        if size > MAX_CDR:
+            raise FieldError(f"the message is larger than {MAX_CDR} bytes in CDR")
+        blobs.check_all_used()
         return b"".join(parts)
+
+    def _decode_json(self, raw: Buffer | msgspec.Raw) -> msgspec.Struct:
+        return json_text.decode(self._decoder, raw)
 
     def decode(self, cdr: Buffer) -> Wire:
         """Convert CDR to JSON and blobs with new ids.
@@ -86,7 +136,8 @@ class Codec:
             message, _ = self._read(data[4:], 0, blobs)
         except FieldError as error:
             self._refuse(error)
-        return Wire(self._as_blob, self._encoder.encode(message), blobs)
+        text = self._encoder.encode(message)
+        return Wire(self._as_blob, original.with_bare_tokens(text) if self.recipe.original else text, blobs)
 
     def _decode_image(self, raw: Buffer | msgspec.Raw, blobs: Incoming) -> msgspec.Struct:
         """Decode a message that is a single blob."""
@@ -101,3 +152,21 @@ class Codec:
     def _refuse(self, error: FieldError) -> NoReturn:
         place = f"{self.name} {error.path}" if error.path else self.name
         raise ConversionError(f"{place}: {error.reason}", field=error.path) from error
+
+
+def _fast_size(message: Message, image_format: ImageFormat) -> tuple[int, bool]:
+    """Return the size up to which messages of a type are converted fast, and whether it has pictures."""
+    size, seen, rest = FAST_TEXT, set[str](), [message]
+    while rest:
+        each = rest.pop()
+        if each.name in seen:
+            continue
+        seen.add(each.name)
+        for member in each.members:
+            if member.message is not None:
+                rest.append(member.message)
+            if member.type.shape is not Shape.SINGLE and not member.type.is_bytes:
+                fine = member.message is not None or member.type.base in STRINGS
+                size = min(size, FAST_PARTS if fine else FAST_NUMBERS)
+    pictures = IMAGE in seen
+    return (FAST_PARTS if pictures and image_format != "json" else size), pictures

@@ -22,14 +22,14 @@ def decode(decoder: msgspec.json.Decoder[Model], raw: Buffer | msgspec.Raw) -> M
     try:
         return decoder.decode(raw)
     except msgspec.ValidationError as error:
-        _refuse(error)
+        refuse(error)
     except msgspec.DecodeError as error:
         data = bytes(raw)
         if b"NaN" not in data and b"Infinity" not in data:
-            _refuse(error)
+            refuse(error)
         return _decode_lenient(decoder, data)
     except (UnicodeDecodeError, RecursionError) as error:
-        _refuse(error)
+        refuse(error)
 
 
 def _decode_lenient(decoder: msgspec.json.Decoder[Model], data: bytes) -> Model:
@@ -37,7 +37,7 @@ def _decode_lenient(decoder: msgspec.json.Decoder[Model], data: bytes) -> Model:
     try:
         return decoder.decode(_TOKENS.sub(_quoted, data))
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        _refuse(error)
+        refuse(error)
 
 
 def _quoted(match: re.Match[bytes]) -> bytes:
@@ -45,7 +45,8 @@ def _quoted(match: re.Match[bytes]) -> bytes:
     return token if token.startswith(b'"') else b'"\\u0000' + token + b'"'
 
 
-def _refuse(error: Exception) -> NoReturn:
+def refuse(error: Exception) -> NoReturn:
+    """Raise FieldError for an error of a JSON decoder."""
     if isinstance(error, UnicodeDecodeError):
         raise FieldError("the JSON is not UTF-8") from None
     if isinstance(error, RecursionError):

@@ -15,26 +15,34 @@ from typing import TypeAlias
 
 import msgspec
 
+from converters import original as original_json
 from converters.definition import CODES, Shape
 from converters.images import ImageFormat, Picture, PictureFormat, write_picture
 from converters.layout import Item, Run, layout
-from converters.model import IMAGE, Member, Message
+from converters.model import DURATION, IMAGE, TIME, Member, Message
 from converters.scalars import FieldError, json_number
 from converters.wire import Outgoing
 
 Step: TypeAlias = Callable[[memoryview, int, list[object], Outgoing], int]
 Read: TypeAlias = Callable[[memoryview, int, Outgoing], tuple[object, int]]
 Build: TypeAlias = Callable[[Iterator[object]], object]
+Number: TypeAlias = Callable[[float], float | str]
 Element: TypeAlias = Callable[[memoryview, int], tuple[object, int]]
 
+_SHORT: dict[str, Callable[[int, int], object]] = {TIME: original_json.time, DURATION: original_json.duration}
 _LENGTH = struct.Struct("<I").unpack_from
 
 
 class Readers:
-    """Compiled readers of one set of messages, for one image format."""
+    """Compiled readers of one set of messages, for one image format.
 
-    def __init__(self, image_format: ImageFormat) -> None:
+    With `original` times, durations and non-finite floats are as the original's server wrote them.
+    """
+
+    def __init__(self, image_format: ImageFormat, *, original: bool = False) -> None:
         self._format = image_format
+        self._short = _SHORT if original else {}
+        self._number = original_json.number if original else json_number
         self._structs: dict[str, type[msgspec.Struct]] = {}
         self._nested: dict[str, Read] = {}
 
@@ -71,13 +79,16 @@ class Readers:
 
     def _step(self, step: Run | Item) -> Step:
         if isinstance(step, Run):
-            return _run(step)
+            return _run(step, self._number)
         member = step.member
         if member.message is None:
-            return _primitive(member)
+            return _primitive(member, self._number)
         return _nested(member, self.nested(member.message))
 
     def _builder(self, message: Message) -> Build:
+        if message.name in self._short:
+            short = self._short[message.name]
+            return lambda values: short(next(values), next(values))  # type: ignore[arg-type]
         new = self._struct(message)
         builders = [self._builder(m.inlined) if m.inlined else None for m in message.members]
         count = len(builders)
@@ -109,14 +120,14 @@ def image_reader(read: Read, image_format: PictureFormat) -> Read:
     return read_blob
 
 
-def _run(run: Run) -> Step:
+def _run(run: Run, number: Number) -> Step:
     mask, unpack, size = run.mask, run.struct.unpack_from, run.struct.size
     has_floats = any(leaf.code in "fd" for leaf in run.leaves)
 
     def step(data: memoryview, pos: int, values: list[object], blobs: Outgoing) -> int:
         pos += -pos & mask
         found = unpack(data, pos)
-        values += found if not has_floats or isfinite(sum(found)) else map(json_number, found)
+        values += found if not has_floats or isfinite(sum(found)) else map(number, found)
         return pos + size
 
     return step
@@ -147,10 +158,10 @@ def _counted(member: Member, smallest: int) -> Callable[[memoryview, int], tuple
     return counted
 
 
-def _primitive(member: Member) -> Step:
+def _primitive(member: Member, number: Number) -> Step:
     kind = member.type
     if kind.base in CODES:
-        return _bytes(member) if kind.is_bytes else _numbers(member)
+        return _bytes(member) if kind.is_bytes else _numbers(member, number)
     element: Element = _wide_text if kind.base == "wstring" else _text
     if kind.shape is not Shape.SINGLE:
         return _elements(member, 4, lambda data, pos, blobs: element(data, pos))
@@ -223,7 +234,7 @@ def _bytes(member: Member) -> Step:
     return step
 
 
-def _numbers(member: Member) -> Step:
+def _numbers(member: Member, number: Number) -> Step:
     code = CODES[member.type.base]
     size = struct.calcsize(code)
     counted = _counted(member, size)
@@ -235,7 +246,7 @@ def _numbers(member: Member) -> Step:
             return pos
         pos += -pos & (size - 1)
         found = _slice(data, pos, count * size).cast(code).tolist()  # type: ignore[call-overload]
-        values.append(found if code not in "fd" or isfinite(sum(found)) else list(map(json_number, found)))
+        values.append(found if code not in "fd" or isfinite(sum(found)) else list(map(number, found)))
         return pos + count * size
 
     return step

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from rosbags.typesys import Stores, get_typestore
 
-from converters.codec import Codec
+from converters.codec import Codec, Recipe
 from converters.definition import Definition, from_rosbags, parse_message, parse_service
 from converters.images import ImageFormat
 from converters.model import Lookup, Models
@@ -62,26 +62,34 @@ class TypeRegistry:
                 )
         self._added |= {name: new[name] for name in new.keys() - common_definitions().keys() - self._added.keys()}
 
-    def message(self, name: TypeName, image_format: ImageFormat = "png") -> Codec:
+    def message(self, name: TypeName, image_format: ImageFormat = "png", *, original: bool = False) -> Codec:
         """Return the codec of a message type.
 
         Args:
             name: Type.
             image_format: Format in which the codec produces images.
+            original: Read and write JSON as the original's server did.
 
         Raises:
             UnknownType: The type, or one that it contains, is not known.
         """
-        return self._codec(name.msg, image_format)
+        return self._codec(name.msg, image_format, original)
 
-    def service(self, name: TypeName, image_format: ImageFormat = "png") -> ServiceCodec:
+    def service(self, name: TypeName, image_format: ImageFormat = "png", *, original: bool = False) -> ServiceCodec:
         """Return the codecs of a service type; see `message`."""
-        request, response = (self._codec(name.srv + part, image_format) for part in ("_Request", "_Response"))
+        request, response = (self._codec(name.srv + part, image_format, original) for part in ("_Request", "_Response"))
         return ServiceCodec(request, response)
 
-    def _codec(self, name: str, image_format: ImageFormat) -> Codec:
+    @staticmethod
+    def codec_of(recipe: Recipe) -> Codec:
+        """Make the codec of a recipe."""
+        registry = TypeRegistry()
+        registry._added.update(recipe.added)
+        return registry._codec(recipe.name, recipe.image_format, recipe.original)
+
+    def _codec(self, name: str, image_format: ImageFormat, original: bool) -> Codec:
         codecs = _common_codecs() if name in common_definitions() else self._codecs
-        return codecs.get(name, image_format)
+        return codecs.get(name, image_format, original)
 
     def _definition(self, name: str) -> Definition:
         return _find(name, common_definitions() if name in common_definitions() else self._added)
@@ -91,17 +99,31 @@ class _CodecCache:
     """Codecs of one set of definitions, compiled on first use."""
 
     def __init__(self, lookup: Lookup) -> None:
+        self._lookup = lookup
         self._models = Models(lookup)
         self._writers = Writers()
-        self._readers: dict[ImageFormat, Readers] = {}
-        self._codecs: dict[tuple[str, ImageFormat], Codec] = {}
+        self._readers: dict[tuple[ImageFormat, bool], Readers] = {}
+        self._codecs: dict[tuple[str, ImageFormat, bool], Codec] = {}
 
-    def get(self, name: str, image_format: ImageFormat) -> Codec:
-        key = name, image_format
+    def get(self, name: str, image_format: ImageFormat, original: bool) -> Codec:
+        key = name, image_format, original
         if key not in self._codecs:
-            readers = self._readers.setdefault(image_format, Readers(image_format))
-            self._codecs[key] = Codec(self._models.message(name), self._writers, readers, image_format)
+            readers = self._readers.setdefault(key[1:], Readers(image_format, original=original))
+            recipe = Recipe(name, image_format, tuple(_added(name, self._lookup)), original)
+            self._codecs[key] = Codec(self._models.message(name), self._writers, readers, recipe)
         return self._codecs[key]
+
+
+def _added(name: str, lookup: Lookup) -> Iterator[tuple[str, Definition]]:
+    """Yield the definitions of a type, and of those that it contains, which are not common."""
+    found, rest = set[str](), [name]
+    while rest:
+        each = rest.pop()
+        if each not in found and each not in common_definitions():
+            found.add(each)
+            definition = lookup(each)
+            rest += (field.type.base for field in definition if field.type.nested)
+            yield each, definition
 
 
 def _find(name: str, definitions: Mapping[str, Definition]) -> Definition:
