@@ -13,6 +13,7 @@ from twisted.logger import Logger
 from twisted.python.failure import Failure
 
 from rce.control.client import client_endpoint
+from rce.control.connection import disable_nagle
 from rce.net.sockets import bind_unix_socket
 from rce.net.tls import Tls
 
@@ -100,6 +101,10 @@ class _Onward(Protocol):
     def __init__(self, client: _Client) -> None:
         self.lost = False
         self._client = client
+
+    def connectionMade(self) -> None:
+        """Send each call at once."""
+        disable_nagle(self.transport)
 
     def dataReceived(self, data: bytes) -> None:
         """Send data to the environment."""

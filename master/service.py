@@ -41,7 +41,7 @@ from rce.control.calls.joining import Hello, Welcome
 from rce.control.calls.robots import Definitions, DescribeType
 from rce.control.calls.watching import ReadMetrics
 from rce.control.connection import Control, Handlers
-from rce.errors import InvalidRequest, NotFound, RceError, Unauthorized, Unavailable, UnknownType
+from rce.errors import InvalidRequest, NotFound, RceError, Unauthorized, Unavailable, UnknownType, clipped
 from rce.process import metrics
 
 ASK_TIMEOUT = 5.0  # seconds
@@ -173,7 +173,9 @@ class Master:
 
     async def _report(self, process: Process, call: Report) -> Nothing:
         if call.error is not None:  # robots are told of drops of their own interfaces only
-            self._runner.tell(user_of(process.name), error=call.error)  # an environment reaches its own user only
+            self._runner.tell(
+                user_of(process.name), error=clipped(call.error)
+            )  # an environment reaches its own user only
         return Nothing()
 
     async def _fetch_package(self, process: Process, call: FetchPackage) -> DownloadTicket:

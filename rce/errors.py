@@ -13,6 +13,9 @@ from typing import ClassVar
 
 import msgspec
 
+MAX_MESSAGE_LENGTH = 8000  # characters of the message of another process's error
+MAX_CODE_LENGTH = 200  # of its other texts
+
 class_of_code: dict[str, type[RceError]] = {}
 
 
@@ -191,6 +194,18 @@ class InternalError(RceError):
     """A bug in RCE. The server's log has the traceback."""
 
     code = "internal"
+
+
+def clipped(info: ErrorInfo) -> ErrorInfo:
+    """Return an error of another process with texts of bounded length, since it is stored and sent to others."""
+    fields = info.fields if len(msgspec.msgpack.encode(info.fields)) <= MAX_MESSAGE_LENGTH else {}
+    return ErrorInfo(
+        info.code[:MAX_CODE_LENGTH],
+        info.message[:MAX_MESSAGE_LENGTH],
+        info.item[:MAX_CODE_LENGTH],
+        info.field[:MAX_CODE_LENGTH],
+        fields,
+    )
 
 
 def describe_os_error(error: OSError) -> str:

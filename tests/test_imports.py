@@ -32,6 +32,7 @@ WITH_EXTRA: dict[str, set[str]] = {
     "rce/control/client.py": {"twisted"},
     "rce/control/connection.py": {"twisted"},
     "rce/control/credential.py": {"twisted"},
+    "rce/control/decoder.py": {"twisted"},
     "rce/control/server.py": {"twisted"},
     "rce/control/tls.py": {"twisted"},
     "rce/process/exposition.py": {"prometheus_client"},

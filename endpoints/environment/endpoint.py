@@ -26,6 +26,7 @@ from endpoints.environment.settings import Settings
 from endpoints.environment.topics import PublisherInterface, SubscriberInterface
 from rce.control.calls.call import BatchResult, Call, Nothing
 from rce.control.calls.endpoints import (
+    MAX_TEXT,
     DropParameter,
     InterfaceSpec,
     LinkLost,
@@ -77,7 +78,7 @@ class Environment:
         self._parameters = Parameters()
         self._live_parameters = LiveParameters(ros)
         self._nodes = Nodes(settings.data_dir, packages, self._parameters, node_variables(settings), report)
-        self._switchboard = Switchboard(port, lambda link, reason: report(LinkLost(link, reason)))
+        self._switchboard = Switchboard(port, lambda link, reason: report(LinkLost(link, reason[:MAX_TEXT])))
         self._context = RosContext(ros, self._switchboard.hops, self._definitions, self._report_error)
         self._reported_drops: dict[str, int] = {}  # by interface id
 

@@ -10,6 +10,7 @@ from pathlib import Path
 MAX_FILE_SIZE = 1_000_000  # bytes after which a new file begins
 MAX_READ = 65_536  # bytes that one call of `since` reads
 MAX_LINE_LENGTH = 1000
+MAX_LAST = 300_000  # bytes that `last_lines` reads; a control message of an environment has 1 MiB
 
 
 class OutputLog:
@@ -50,8 +51,8 @@ class OutputLog:
         return f"{self._instance}-{self._written}"
 
     def last_lines(self, count: int) -> list[str]:
-        """Return the last `count` lines at most, each cut to MAX_LINE_LENGTH characters."""
-        most = count * MAX_LINE_LENGTH
+        """Return the last `count` lines at most, of the last MAX_LAST bytes, each cut to MAX_LINE_LENGTH characters."""
+        most = min(count * MAX_LINE_LENGTH, MAX_LAST)
         end = _read(self._path, max(0, self._size - most), most)
         if len(end) < most and self._older.exists():
             missing = most - len(end)

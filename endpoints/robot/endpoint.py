@@ -19,7 +19,7 @@ from endpoints.robot.interfaces import make_interface
 from endpoints.robot.session import RobotSession
 from endpoints.robot.types import UserTypes
 from rce.control.calls.call import BatchResult
-from rce.control.calls.endpoints import InterfaceSpec, LinkLost, Sync
+from rce.control.calls.endpoints import MAX_TEXT, InterfaceSpec, LinkLost, Sync
 from rce.control.calls.robots import (
     Definitions,
     DescribeType,
@@ -257,7 +257,7 @@ class RobotEndpoint:
                 self.switchboard.unbind(interface.spec.id)
 
     def _link_lost(self, link: str, reason: str) -> None:
-        self._start_task(self._report(LinkLost(link, reason)))
+        self._start_task(self._report(LinkLost(link, reason[:MAX_TEXT])))
 
     def _start_task(self, work: Coroutine[None, None, None]) -> None:
         task = asyncio.create_task(work)

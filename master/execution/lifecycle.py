@@ -17,7 +17,7 @@ from rce.control.calls.call import BatchResult, Nothing
 from rce.control.calls.endpoints import NodeDied, StartNode, Sync
 from rce.control.calls.environments import EnvironmentDied, LimitReached, StartEnvironment
 from rce.control.connection import Handlers
-from rce.errors import ErrorInfo, RceError, StartFailed
+from rce.errors import ErrorInfo, RceError, StartFailed, clipped
 from rce.protocol.messages import EnvironmentEvent, LimitEvent, NodeEvent
 
 RETRY_FIRST, RETRY_MOST = 0.5, 30.0  # seconds
@@ -34,6 +34,7 @@ class Lifecycle:
         self._state = runner.state
         self._readiness = runner.readiness
         self._retries: dict[str, float] = {}  # seconds to the next start of environments that keep dying
+        self._restarting: set[str] = set()  # nodes that ended, until they are started again
 
     def add_machine_handlers(self, handlers: Handlers) -> None:
         """Answer the reports of a task set."""
@@ -100,8 +101,8 @@ class Lifecycle:
     def _conclude(self, wanted: Ref, error: ErrorInfo | None, owner: str) -> None:
         if error is None:
             self._readiness.mark_ready(wanted)
-        elif not self._readiness.fail(wanted, RceError.from_info(error)):
-            self._runner.tell(user_of(owner), error=error)
+        elif not self._readiness.fail(wanted, RceError.from_info(clipped(error))):
+            self._runner.tell(user_of(owner), error=clipped(error))
 
     # --- environments that end ----------------------------------------------------------------------------------------
 
@@ -168,7 +169,7 @@ class Lifecycle:
     async def _node_died(self, process: Process, call: NodeDied) -> Nothing:
         node = self._state.nodes.get(f"{process.name}/{call.node}")
         environment = self._state.environments.get(process.name)
-        if node is None or environment is None:
+        if node is None or environment is None or node.key in self._restarting:
             return Nothing()
         tag = process.name.partition("/")[2]
         self._runner.tell(user_of(process.name), NodeEvent(tag, call.node, call.status, call.lines))
@@ -176,10 +177,12 @@ class Lifecycle:
             self._state.nodes.drop(node.key)  # it ended by itself or never worked: its tag is free
             self.apply([])
         else:
+            self._restarting.add(node.key)
             self._runner.later(RETRY_FIRST, lambda: self._restart_node(node.key))
         return Nothing()
 
     async def _restart_node(self, key: str) -> None:
+        self._restarting.discard(key)
         node = self._state.nodes.get(key)
         if node is None:
             return

@@ -19,6 +19,8 @@ from rce.api.views.live import EventType
 from rce.protocol import messages as m
 
 MAX_EVENTS = 10_000
+MAX_SIZE = 16 * 1024 * 1024  # characters of the texts of all kept events
+MAX_LINES = 4000  # characters of the output of a node in one event
 
 
 class Events:
@@ -28,6 +30,7 @@ class Events:
         self._life = secrets.token_hex(4)
         self._kept: dict[int, Event] = {}
         self._next = 1
+        self._size = 0
         self._news = asyncio.Event()
         for table in (state.robots, state.environments, state.connections):
             watchers: list[Any] = table.watchers
@@ -67,7 +70,7 @@ class Events:
                 )
             case m.NodeEvent(tag, node, code, lines):
                 text = f"ended with status {code}"
-                self._add("node.died", user, f"{user}/{tag}/{node}", text, status=code, lines=lines)
+                self._add("node.died", user, f"{user}/{tag}/{node}", text, status=code, lines=_newest(lines))
             case m.LimitEvent(reason):
                 self._add("limit.reached", user, user, reason)
 
@@ -90,11 +93,30 @@ class Events:
                 self._add("environment.gone", user, record.key)
 
     def _add(self, type: EventType, user: str, object: str, text: str = "", **more: Any) -> None:
-        self._kept[self._next] = self._event(self._next, type, user, object, text=text, **more)
-        self._kept.pop(self._next - MAX_EVENTS, None)
+        event = self._event(self._next, type, user, object, text=text[:MAX_LINES], **more)
+        self._kept[self._next] = event
+        self._size += _size(event)
+        while len(self._kept) > MAX_EVENTS or self._size > MAX_SIZE:
+            self._size -= _size(self._kept.pop(next(iter(self._kept))))
         self._next += 1
         news, self._news = self._news, asyncio.Event()
         news.set()
 
     def _event(self, number: int, type: EventType, user: str, object: str, **more: Any) -> Event:
         return Event(f"{self._life}-{number}", time.time(), type, user, object, **more)
+
+
+def _newest(lines: list[str]) -> list[str]:
+    """Return the last lines that fit into an event."""
+    kept: list[str] = []
+    room = MAX_LINES
+    for line in reversed(lines):
+        room -= len(line) + 1
+        if room < 0:
+            break
+        kept.append(line)
+    return kept[::-1]
+
+
+def _size(event: Event) -> int:
+    return len(event.text) + sum(len(line) + 1 for line in event.lines)

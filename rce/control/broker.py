@@ -1,8 +1,8 @@
-"""Perspective Broker with limits for unjoined peers and for the size of a message.
+"""Perspective Broker with limits for what peers send.
 
-Twisted's decoder limits each string and the length of each list, but neither the nesting depth of lists nor the total
-size of a message. It copies the rest of its buffer for each item, and never closes a silent connection. So any peer
-that reaches the port, which programs in an environment do through the relay, could exhaust memory and processor time.
+Any peer that reaches the port, which programs in an environment do through the relay, could otherwise exhaust memory
+and processor time. What an unjoined peer may send is limited in total; `rce.control.limits` has what a joined one may
+send. Received messages are handled in slices, so that a burst of one peer does not delay the others.
 """
 
 from __future__ import annotations
@@ -10,71 +10,148 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
+from twisted.internet.defer import Deferred
 from twisted.logger import Logger
 from twisted.python.failure import Failure
 from twisted.spread import pb
 
+from rce.control.connection import disable_nagle
+from rce.control.decoder import INCOMPLETE, Decoder
+from rce.control.limits import BYTES_PER_CALL, Budget
 from rce.process.logs import RateLimitedLogger
 
 # Limits for a peer that has not joined:
 MAX_UNJOINED_BYTES = 4 * 1024 * 1024  # the Hello of a Robot endpoint names all of its robots
 MAX_UNJOINED_ITEMS = 100  # strings, numbers and lists; each page of a Hello is one item
-UNJOINED_SLICE = 4096  # bytes that are decoded at a time
 JOIN_TIMEOUT = 20.0  # seconds
 # Limits for all peers:
-MAX_MESSAGE_BYTES = 256 * 1024 * 1024
-MAX_DEPTH = 32  # nested lists
+MAX_ITEMS = 300  # of a message: a call has 20 and its pages
+SLICE = 32  # messages that are handled before other connections get a turn
+
+_COMMANDS = frozenset({b"version", b"message", b"answer", b"error", b"decref"})  # of Perspective Broker, that we use
 
 log = Logger()
-unjoined_log = RateLimitedLogger(log)
+warnings = RateLimitedLogger(log)
 
 
 class Broker(pb.Broker):
-    """Broker of one connection. `rce.control.server` sets `joined` once it has admitted the peer."""
+    """Broker of one connection. `rce.control.server` calls `admit` once the peer has joined."""
 
     joined = False
 
     def connectionMade(self) -> None:
         """Start the timeout for joining."""
-        super().connectionMade()  # type: ignore[no-untyped-call]  # Twisted's, as are those below
-        self._size = 0  # bytes since the last complete message; before joining, since the start of the connection
-        self._items = 0
+        disable_nagle(self.transport)
+        self._decoder = Decoder(MAX_UNJOINED_BYTES, MAX_UNJOINED_ITEMS)
+        self._budget: Budget | None = None
         self._ended = False
+        self._paused: asyncio.TimerHandle | None = None
         self._timer = asyncio.get_running_loop().call_later(JOIN_TIMEOUT, self._join_timed_out)
+        super().connectionMade()  # type: ignore[no-untyped-call]  # Twisted's, as are those below
 
     def connectionLost(self, reason: Failure) -> None:  # type: ignore[override]  # Twisted always passes it
-        """Stop the timeout."""
+        """Stop the timers."""
+        self._ended = True
         self._timer.cancel()
+        if self._paused is not None:
+            self._paused.cancel()
         super().connectionLost(reason)  # type: ignore[no-untyped-call]
 
+    def admit(self, max_message: int, budget: Budget | None) -> None:
+        """Set the limits of a peer that has joined."""
+        self.joined = True
+        self._budget = budget
+        self._decoder.max_bytes, self._decoder.max_items = max_message, MAX_ITEMS
+
+    # --- receiving ----------------------------------------------------------------------------------------------------
+
     def dataReceived(self, data: bytes) -> None:
-        """Decode received bytes within the limits."""
-        while data and not self._ended:
-            count = len(data) if self.joined else UNJOINED_SLICE
-            self._decode(data[:count])
-            data = data[count:]
-
-    def _decode(self, data: bytes) -> None:
-        self._size += len(data)
-        if self._size > (MAX_MESSAGE_BYTES if self.joined else MAX_UNJOINED_BYTES):
-            self._refuse("a message is too large" if self.joined else "it sent too much before joining")
+        """Handle received bytes within the limits."""
+        if self._ended:
             return
+        self._decoder.feed(data)
+        if self._paused is None:
+            self._handle_messages()
+
+    def _handle_messages(self) -> None:
+        for _ in range(SLICE):
+            try:
+                message = self._decoder.next()
+                if message is INCOMPLETE:
+                    return
+                wait = self._count(message)
+                self.callExpressionReceived(message)  # type: ignore[no-untyped-call]
+            except Exception as error:  # noqa: BLE001  # Perspective Broker raises many types for malformed messages
+                self._refuse(f"malformed data: {str(error)[:100] or type(error).__name__}")
+                return
+            if self._ended:
+                return
+            if wait:
+                self._pause(wait)
+                return
+        self._pause(0.0)
+
+    def _count(self, message: object) -> float:
+        """Count a message; return the seconds to wait before the next one."""
+        decoder = self._decoder
+        if not self.joined:
+            decoder.max_bytes -= decoder.size
+            decoder.max_items -= decoder.items
+            return 0.0
+        if self._budget is None:
+            return 0.0
+        answer = isinstance(message, list) and message[:1] == [b"answer"]  # to a call of ours
+        return self._budget.use((0 if answer else 1) + decoder.size / BYTES_PER_CALL)
+
+    def _pause(self, seconds: float) -> None:
+        transport: Any = self.transport
+        transport.pauseProducing()
+        self._paused = asyncio.get_running_loop().call_later(seconds, self._resume)
+
+    def _resume(self) -> None:
+        self._paused = None
+        self._handle_messages()
+        if self._paused is None and not self._ended:
+            transport: Any = self.transport
+            transport.resumeProducing()
+
+    def expressionReceived(self, sexp: Any) -> None:
+        """Handle a message.
+
+        Raises:
+            pb.Error: It is none of those that control connections use.
+        """
+        if not isinstance(sexp, list) or not sexp or sexp[0] not in _COMMANDS:
+            raise pb.Error("it is neither a call nor an answer")
+        super().expressionReceived(sexp)  # type: ignore[no-untyped-call]
+
+    def proto_answer(self, requestID: int, netResult: Any) -> None:
+        """Pass the result of a call of ours on.
+
+        Raises:
+            pb.Error: It is none of a `CallReceiver`.
+        """
+        answer = self._end_call(requestID)
+        result: Any = None
         try:
-            super().dataReceived(data)  # type: ignore[no-untyped-call]
-        except Exception as error:  # noqa: BLE001  # the decoder raises many types for malformed data
-            self._refuse(f"malformed data: {str(error)[:100] or type(error).__name__}")
-            return
-        if len(self.listStack) > MAX_DEPTH:
-            self._refuse("lists are nested too deeply")
+            result = self.unserialize(netResult)  # type: ignore[no-untyped-call]
+        finally:
+            if isinstance(result, tuple):
+                answer.callback(result)
+            else:
+                answer.errback(Failure(pb.PBConnectionLost("the answer is malformed")))
+        if not isinstance(result, tuple):
+            raise pb.Error("the answer to a call is malformed")
 
-    def gotItem(self, item: Any) -> None:
-        """Process a decoded item; Banana calls this."""
-        self._items += 1
-        if not self.joined and self._items > MAX_UNJOINED_ITEMS:
-            raise pb.Error("too many items before joining")
-        if self.joined and not self.listStack:
-            self._size = 0  # a message is complete; the data at hand may have further ones
-        super().gotItem(item)  # type: ignore[no-untyped-call]
+    def proto_error(self, requestID: int, fail: Any) -> None:
+        """Fail a call of ours; errors of handlers are results, so this one is of Perspective Broker itself."""
+        self._end_call(requestID).errback(Failure(pb.Error("the call was not understood")))
+
+    def _end_call(self, request: int) -> Deferred[Any]:
+        waiting: dict[int, Deferred[Any]] = self.waitingForAnswers  # type: ignore[assignment]  # None without a connection
+        return waiting.pop(request)
+
+    # --- end ----------------------------------------------------------------------------------------------------------
 
     def _join_timed_out(self) -> None:
         if not self.joined:
@@ -84,10 +161,8 @@ class Broker(pb.Broker):
         if self._ended:
             return
         self._ended = True
-        self.listStack.clear()
         transport: Any = self.transport
         peer = transport.getPeer()
         address = f"{getattr(peer, 'host', 'local')}:{getattr(peer, 'port', 0)}"
-        warnings = log if self.joined else unjoined_log
         warnings.warn("closing the control connection from {address}: {reason}", address=address, reason=reason)
         transport.abortConnection()

@@ -17,7 +17,16 @@ from twisted.spread import pb
 
 from rce.control.calls.call import Call
 from rce.control.calls.joining import Hello, Welcome
-from rce.control.connection import CallReceiver, Control, Handlers, abort, decode_pages, encode_pages
+from rce.control.connection import (
+    CallReceiver,
+    Control,
+    Handlers,
+    abort,
+    decode_pages,
+    disable_nagle,
+    encode_pages,
+)
+from rce.control.limits import max_message
 from rce.errors import ErrorInfo, RceError, Unavailable
 from rce.net.tls import Tls
 
@@ -45,8 +54,9 @@ async def connect(
     try:
         async with asyncio.timeout(JOIN_TIMEOUT):
             broker = await client_endpoint(reactor, description, tls).connect(factory).asFuture(loop)
+            disable_nagle(broker.transport)
             root = await _get_root(factory, broker).asFuture(loop)
-            joined = root.callRemote("join", encode_pages(hello), CallReceiver(handlers))
+            joined = root.callRemote("join", encode_pages(hello), CallReceiver(handlers, max_message(hello.role)))
             good, pages, receiver = await joined.asFuture(loop)
     except BaseException as error:  # each transport has its own classes for this
         if broker is not None:
@@ -58,7 +68,7 @@ async def connect(
     if not good:
         factory.disconnect()
         raise RceError.from_info(decode_pages(pages, ErrorInfo))
-    return Control(receiver, description), decode_pages(pages, Welcome)
+    return Control(receiver, description, max_message(hello.role)), decode_pages(pages, Welcome)
 
 
 def client_endpoint(reactor: ReactorBase, description: str, tls: Tls | None) -> Any:

@@ -19,13 +19,26 @@ from msgspec import Struct
 from twisted.internet.defer import Deferred
 from twisted.logger import Logger
 from twisted.spread import pb
+from twisted.spread.pb import RemoteError
 
 from rce.control.calls.call import Call, Nothing, Ping, result_type
 from rce.control.calls.watching import Metrics, ReadMetrics
-from rce.errors import ErrorInfo, InternalError, InvalidRequest, Lost, RceError, Unavailable
+from rce.control.limits import MAX_MESSAGE
+from rce.errors import (
+    ErrorInfo,
+    InternalError,
+    InvalidRequest,
+    LimitExceeded,
+    Lost,
+    RceError,
+    TimedOut,
+    Unavailable,
+    clipped,
+)
 from rce.process import logs, metrics
 
 PAGE_SIZE = 500_000  # bytes
+OVERHEAD = 1000  # bytes of a message beside the encoded value
 PING_INTERVAL = 5.0  # seconds
 PING_TIMEOUT = 10.0
 
@@ -33,11 +46,21 @@ log = Logger()
 _call_seconds = metrics.Timing("rce_control_call_seconds", "Time to answer a call of another process", "call")
 R = TypeVar("R")
 Pages = list[bytes]
+MALFORMED = (msgspec.DecodeError, TypeError, RecursionError)  # raised by `decode_pages`
 
 
-def encode_pages(value: Struct) -> Pages:
-    """Encode a value as msgpack, split into pages that Perspective Broker accepts."""
+def encode_pages(value: Struct, max_size: int = MAX_MESSAGE) -> Pages:
+    """Encode a value as msgpack, split into pages that Perspective Broker accepts.
+
+    Raises:
+        LimitExceeded: It is larger than the peer accepts.
+    """
     data = msgspec.msgpack.encode(value)
+    if len(data) > max_size - OVERHEAD:
+        raise LimitExceeded(
+            f"{type(value).__name__} has {len(data)} bytes, more than the {max_size - OVERHEAD} that a process of this "
+            "role may send: ask for less at a time"
+        )
     return [data[start : start + PAGE_SIZE] for start in range(0, len(data), PAGE_SIZE)]
 
 
@@ -47,6 +70,7 @@ def decode_pages(pages: Pages, kind: type[R]) -> R:
     Raises:
         msgspec.DecodeError: The pages are not a `kind`.
         TypeError: The pages are not a list of bytes.
+        RecursionError: They are nested too deeply.
     """
     return msgspec.msgpack.decode(b"".join(pages), type=kind)
 
@@ -73,13 +97,16 @@ class Handlers:
 
         self.on(kind, handler)
 
-    async def answer(self, name: str, pages: Pages, request: str = "") -> tuple[bool, Pages]:
+    async def answer(
+        self, name: str, pages: Pages, request: str = "", max_size: int = MAX_MESSAGE
+    ) -> tuple[bool, Pages]:
         """Run the handler of a call.
 
         Args:
             name: The name of the call's type.
             pages: The call.
             request: Id of the robot's command or HTTP request that caused the call, for the log; empty for none.
+            max_size: Limit of the size of the answer.
 
         Returns:
             True and the result, or False and the ErrorInfo.
@@ -93,12 +120,12 @@ class Handlers:
             kind, handler = self._handlers[name]
             try:
                 call = decode_pages(pages, kind)
-            except (msgspec.DecodeError, TypeError) as error:
+            except MALFORMED as error:
                 raise InvalidRequest(f"{name}: {error}") from None
             result = await handler(call)
             if request and isinstance(result, Nothing):  # calls with a result only read, and there may be many of them
                 log.info("{call} is done in {seconds:.3f} s", call=name, seconds=time.perf_counter() - began)
-            return True, encode_pages(result)
+            return True, encode_pages(result, max_size)
         except RceError as error:
             if request:
                 log.info("{call} failed: {error}", call=name[:80], error=str(error), code=error.info.code)
@@ -127,15 +154,34 @@ async def _answer_ping(_: Ping) -> Nothing:
     return Nothing()
 
 
-class CallReceiver(pb.Referenceable):
-    """The only object that the peer can reach: it passes the peer's calls to `handlers`."""
+class Receiver(pb.Referenceable):
+    """An object that the peer can reach. A malformed call of its methods is the peer's fault, so it is not logged."""
 
-    def __init__(self, handlers: Handlers) -> None:
+    def remoteMessageReceived(self, broker: pb.Broker, message: str, args: Any, kw: Any) -> Any:
+        """Call a method.
+
+        Raises:
+            pb.Error: The method or the arguments do not exist.
+        """
+        try:
+            return super().remoteMessageReceived(broker, message, args, kw)  # type: ignore[no-untyped-call]
+        except Exception as error:  # noqa: BLE001  # Twisted raises many types, and would log them with tracebacks
+            raise pb.Error(f"malformed call: {type(error).__name__}") from None
+
+
+class CallReceiver(Receiver):
+    """The only object that a joined peer needs: it passes the peer's calls to `handlers`."""
+
+    def __init__(self, handlers: Handlers, max_size: int = MAX_MESSAGE) -> None:
+        """Create a receiver; `max_size` is the limit of the size of an answer."""
         self.handlers = handlers
+        self._max_size = max_size
 
     def remote_call(self, name: str, pages: Pages, request: str = "") -> Deferred[tuple[bool, Pages]]:
         """Answer a call of the peer; see `Handlers.answer`."""
-        return Deferred.fromFuture(asyncio.ensure_future(self.handlers.answer(name, pages, request)))
+        if not (isinstance(name, str) and isinstance(pages, list) and isinstance(request, str)):
+            raise TypeError("the arguments of a call have other types")
+        return Deferred.fromFuture(asyncio.ensure_future(self.handlers.answer(name, pages, request, self._max_size)))
 
 
 class Control:
@@ -146,34 +192,55 @@ class Control:
         lost: Done when the connection is gone.
     """
 
-    def __init__(self, receiver: pb.RemoteReference, address: str) -> None:
-        """Start to send pings over a joined connection; `receiver` is the peer's CallReceiver."""
+    def __init__(self, receiver: pb.RemoteReference, address: str, max_size: int = MAX_MESSAGE) -> None:
+        """Start to send pings over a joined connection.
+
+        Args:
+            receiver: The peer's CallReceiver.
+            address: The peer's address.
+            max_size: Limit of the size of a call.
+        """
         self.address = address
+        self._max_size = max_size
         self.lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._receiver = receiver
         self._pinger = asyncio.create_task(self._ping())
         receiver.notifyOnDisconnect(self._disconnected)
 
-    async def call(self, call: Call[R]) -> R:
+    async def call(self, call: Call[R], seconds: float = 0.0) -> R:
         """Call the peer and return its answer.
+
+        Args:
+            call: The call.
+            seconds: Time for the answer; 0 for that of the type of the call.
 
         Raises:
             Lost: The connection broke before the answer came.
+            TimedOut: The answer did not come in time.
+            LimitExceeded: The call is too large.
             RceError: The peer answered with this error.
         """
-        name = type(call).__name__
+        name, seconds = type(call).__name__, seconds or call.timeout
         try:
-            deferred = self._receiver.callRemote("call", name, encode_pages(call), logs.request_id.get())
-            good, pages = await deferred.asFuture(asyncio.get_running_loop())
+            async with asyncio.timeout(seconds):
+                good, pages = await self._call_remote(name, encode_pages(call, self._max_size))
+        except TimeoutError:
+            raise TimedOut(f"{self.address} did not answer {name} within {seconds:g} s") from None
         except (pb.DeadReferenceError, pb.PBConnectionLost):
             raise Lost(f"the control connection to {self.address} was lost during {name}") from None
+        except (pb.Error, RemoteError, ValueError) as wrong:
+            raise InvalidRequest(f"{self.address} did not understand {name}: {wrong}") from None
         try:
             if good:
                 return decode_pages(pages, result_type(type(call)))
-            error = RceError.from_info(decode_pages(pages, ErrorInfo))
-        except (msgspec.DecodeError, TypeError) as wrong:
+            error = RceError.from_info(clipped(decode_pages(pages, ErrorInfo)))
+        except MALFORMED as wrong:
             error = InvalidRequest(f"{self.address} answered {name} with something else: {wrong}")
         raise error
+
+    def _call_remote(self, name: str, pages: Pages) -> asyncio.Future[tuple[bool, Pages]]:
+        deferred: Deferred[tuple[bool, Pages]] = self._receiver.callRemote("call", name, pages, logs.request_id.get())
+        return deferred.asFuture(asyncio.get_running_loop())
 
     def close(self) -> None:
         """Close the connection at once."""
@@ -188,8 +255,8 @@ class Control:
         while True:
             await asyncio.sleep(PING_INTERVAL)
             try:
-                await asyncio.wait_for(self.call(Ping()), PING_TIMEOUT)
-            except (TimeoutError, Unavailable):
+                await self.call(Ping(), PING_TIMEOUT)
+            except (TimedOut, Unavailable):
                 log.warn(
                     "no answer from {address} for {seconds} s: closing the control connection",
                     address=self.address,
@@ -197,6 +264,12 @@ class Control:
                 )
                 self.close()
                 return
+
+
+def disable_nagle(transport: Any) -> None:
+    """Disable Nagle's algorithm on a Twisted transport, if that is TCP: each call is sent at once."""
+    if getattr(transport.getPeer(), "type", "") == "TCP":
+        transport.setTcpNoDelay(True)
 
 
 def abort(broker: pb.Broker) -> None:

@@ -6,18 +6,30 @@ import asyncio
 from collections.abc import Callable
 from typing import Any, Protocol
 
-import msgspec
 from twisted.internet import endpoints
 from twisted.internet.base import ReactorBase
 from twisted.internet.defer import Deferred
 from twisted.internet.interfaces import IListeningPort
+from twisted.logger import Logger
 from twisted.spread import pb
 
 from rce.control.broker import Broker
 from rce.control.calls.joining import Hello, Welcome
-from rce.control.connection import CallReceiver, Control, Handlers, Pages, decode_pages, encode_pages
-from rce.errors import InvalidRequest, RceError
+from rce.control.connection import (
+    MALFORMED,
+    CallReceiver,
+    Control,
+    Handlers,
+    Pages,
+    Receiver,
+    decode_pages,
+    encode_pages,
+)
+from rce.control.limits import JOIN, Budgets, max_message
+from rce.errors import InternalError, InvalidRequest, RceError
 from rce.net.tls import Tls
+
+log = Logger()
 
 
 class Joiner(Protocol):
@@ -38,15 +50,17 @@ class Joiner(Protocol):
         """
 
 
-class _Root(pb.Root):
-    """The object that an unjoined peer can reach; its only method is `join`."""
+class _Root(Receiver, pb.Root):
+    """The object that an unjoined peer can reach; its only method is `join`, which can be called once."""
 
-    def __init__(self, joiner: Joiner) -> None:
+    def __init__(self, joiner: Joiner, budgets: Budgets) -> None:
         self.joiner = joiner
+        self.budgets = budgets
         self.broker: Broker | None = None
+        self._called = False
 
     def rootObject(self, broker: Broker) -> _Root:
-        root = _Root(self.joiner)  # one for each connection, since `join` marks the connection of its caller
+        root = _Root(self.joiner, self.budgets)  # one for each connection, whose limits depend on who joins
         root.broker = broker
         return root
 
@@ -63,18 +77,38 @@ class _Root(pb.Root):
     async def _join(self, pages: Pages, receiver: pb.RemoteReference) -> tuple[bool, Pages, CallReceiver | None]:
         address = self._address()
         try:
-            try:
-                hello = decode_pages(pages, Hello)
-            except (msgspec.DecodeError, TypeError) as error:
-                raise InvalidRequest(f"join: {error}") from None
+            hello = self._hello(pages, receiver)
             welcome, handlers, joined = await self.joiner.join(hello, address)
         except RceError as error:
             return False, encode_pages(error.info), None
+        except Exception:  # noqa: BLE001  # the peer gets an InternalError, the log has the traceback
+            log.failure("unhandled exception while {address} joined", address=address)
+            return False, encode_pages(InternalError("internal error while joining: see the server's log").info), None
+        budget = self.budgets.of(hello)
+        if budget is not None:
+            await asyncio.sleep(budget.use(JOIN))
         if self.broker is not None:
-            self.broker.joined = True
+            self.broker.admit(max_message(hello.role), budget)
         # Only after the answer is on its way, so that the peer has our CallReceiver before our first call arrives.
         asyncio.get_running_loop().call_soon(lambda: joined(Control(receiver, address)))
         return True, encode_pages(welcome), CallReceiver(handlers)
+
+    def _hello(self, pages: Pages, receiver: object) -> Hello:
+        """Decode the arguments of `join`.
+
+        Raises:
+            InvalidRequest: They are malformed, or `join` was called before.
+        """
+        if self._called or not isinstance(receiver, pb.RemoteReference):
+            raise InvalidRequest("join: it is called once in a connection, with the receiver of calls")
+        self._called = True
+        try:
+            hello = decode_pages(pages, Hello)
+        except MALFORMED as error:
+            raise InvalidRequest(f"join: {error}") from None
+        if not (hello.name + hello.role + hello.version).isprintable():
+            raise InvalidRequest("join: the name, role or version has control characters")
+        return hello
 
 
 def _server_endpoint(reactor: ReactorBase, description: str) -> Any:  # zope declares its methods without self
@@ -98,7 +132,7 @@ async def listen(reactor: ReactorBase, description: str, joiner: Joiner, tls: Tl
         InvalidRequest: The description is malformed.
     """
     endpoint = _server_endpoint(reactor, description)
-    factory = pb.PBServerFactory(_Root(joiner))
+    factory = pb.PBServerFactory(_Root(joiner, Budgets()))
     factory.protocol = Broker
     port: IListeningPort = await endpoint.listen(_with_tls(tls, factory)).asFuture(asyncio.get_running_loop())
     return port

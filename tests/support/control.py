@@ -42,9 +42,9 @@ class Listener:
         self.port: int = port.getHost().port  # type: ignore[misc]  # zope declares it without self
         self.description = f"tcp:127.0.0.1:{self.port}"
 
-    async def pair(self, handlers: Handlers, tls: Tls | None = None) -> tuple[Control, Control]:
+    async def pair(self, handlers: Handlers, tls: Tls | None = None, hello: Hello = HELLO) -> tuple[Control, Control]:
         """Connect; return the connecting end, whose calls `handlers` answer, and the accepting end."""
-        client, _ = await connect(self.reactor, self.description, HELLO, handlers, tls)
+        client, _ = await connect(self.reactor, self.description, hello, handlers, tls)
         return client, await asyncio.wait_for(self.joiner.joined.get(), TIMEOUT)
 
 

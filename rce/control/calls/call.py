@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Generic, TypeVar, get_args
+from typing import ClassVar, Generic, TypeVar, get_args
 
 from msgspec import Struct
 
@@ -12,7 +12,13 @@ R = TypeVar("R")
 
 
 class Call(Struct, Generic[R], frozen=True):
-    """Call from one process to another; the fields are its arguments, `R` is the type of its result."""
+    """Call from one process to another; the fields are its arguments, `R` is the type of its result.
+
+    Attributes:
+        timeout: Seconds within which the answer must come.
+    """
+
+    timeout: ClassVar[float] = 60.0
 
 
 def result_type(call: type[Call[R]]) -> type[R]:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from msgspec import Struct
+from typing import Annotated
+
+from msgspec import Meta, Struct
 
 from rce.control.calls.call import BatchResult, Call, Nothing
 from rce.errors import ErrorInfo
 from rce.protocol.messages import ParameterValue, Qos
+
+MAX_TEXT = 1000  # characters
+ShortText = Annotated[str, Meta(max_length=MAX_TEXT)]  # in reports of environments, which others store and forward
 
 
 class InterfaceSpec(Struct, frozen=True):
@@ -145,23 +150,23 @@ class DropParameter(Call[Nothing], frozen=True):
 class NodeDied(Call[Nothing], frozen=True):
     """Report that a node of this environment ended by itself, `seconds` after its start."""
 
-    node: str
+    node: ShortText
     status: int
-    lines: list[str]
+    lines: Annotated[list[ShortText], Meta(max_length=50)]
     seconds: float = 0
 
 
 class LinkLost(Call[Nothing], frozen=True):
     """Report that a data link broke or did not open; the Master then gives both ends a new key."""
 
-    link: str
-    reason: str
+    link: ShortText
+    reason: ShortText
 
 
 class Report(Call[Nothing], frozen=True):
     """Report an error of an interface, or the number of its dropped messages, to its owner."""
 
-    owner: str
-    interface: str
+    owner: ShortText
+    interface: ShortText
     error: ErrorInfo | None = None
     drops: int = 0

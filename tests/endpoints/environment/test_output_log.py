@@ -3,7 +3,7 @@
 import asyncio
 from pathlib import Path
 
-from endpoints.environment.output_log import MAX_FILE_SIZE, MAX_LINE_LENGTH, OutputLog
+from endpoints.environment.output_log import MAX_FILE_SIZE, MAX_LAST, MAX_LINE_LENGTH, OutputLog
 
 
 def test_last_lines(tmp_path: Path) -> None:
@@ -27,6 +27,14 @@ def test_last_lines_include_older_file(tmp_path: Path) -> None:
     log.write(b"x" * (MAX_FILE_SIZE - 4) + b"\nold")
     log.write(b"\nnew\n")
     assert log.last_lines(2) == ["old", "new"]
+
+
+def test_last_lines_fit_into_one_control_message(tmp_path: Path) -> None:
+    log = OutputLog(tmp_path / "log")
+    log.write(b"x" * 99 + b"\n" + b"\xff" * 99 + b"\n" * 10_000)
+    for _ in range(10_000):
+        log.write(b"\xff" * 99 + b"\n")
+    assert len("".join(log.last_lines(10_000)).encode()) <= 3 * MAX_LAST
 
 
 def test_new_log_begins_new_file(tmp_path: Path) -> None:

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from master.execution.lifecycle import RETRY_FIRST, RETRY_MOST
-from rce.control.calls.call import Nothing
-from rce.control.calls.endpoints import AddRoute, Bind, NodeDied, StartNode, Sync
+from rce.control.calls.call import Call, Nothing
+from rce.control.calls.endpoints import AddRoute, Bind, LinkLost, NodeDied, Report, StartNode, Sync
 from rce.control.calls.environments import (
     EnvironmentDied,
     KeepEnvironments,
@@ -18,7 +18,7 @@ from rce.control.calls.environments import (
     StopEnvironment,
 )
 from rce.control.calls.robots import DescribeType, SendStatus
-from rce.errors import ErrorInfo, NotFound, StartFailed, Unauthorized, UnknownType
+from rce.errors import ErrorInfo, InvalidRequest, NotFound, StartFailed, Unauthorized, UnknownType
 from rce.protocol import messages as m
 from tests.support.master.desk import Desk
 from tests.support.master.peers import Furnished, Platform, execute, login, told
@@ -143,6 +143,55 @@ async def test_node_that_ran_is_restarted(furnished: Furnished) -> None:
     event = await told(furnished.west, m.NodeEvent)
     assert event == m.NodeEvent("brain", "n", -9, ["last words"])
     assert await furnished.brain.next(StartNode) == first
+
+
+def test_death_of_a_node_is_reported_once_until_it_is_started_again(desk: Desk) -> None:
+    """An endpoint that repeats the report fills neither the robots' queues nor the events."""
+    west, brain = desk.wired()
+    desk.do(m.AddNode("brain", "n", "p", "e"))
+    process = desk.state.processes["ann/brain"]
+
+    def die() -> None:
+        desk.hand.begin(desk.master._lifecycle._node_died(process, NodeDied("n", 1, ["x"], seconds=60)))
+
+    def reports() -> int:
+        return sum(isinstance(call.status, m.NodeEvent) for call in west.got(SendStatus))
+
+    die()
+    die()
+    assert reports() == 1
+    desk.turn(1.0)
+    assert len(brain.got(StartNode)) == 2
+    die()
+    assert reports() == 2
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        NodeDied("n", 1, ["x" * 1001]),
+        NodeDied("n", 1, ["x"] * 51),
+        NodeDied("n" * 1001, 1, []),
+        LinkLost("l", "x" * 1001),
+        Report("ann/brain", "x" * 1001),
+    ],
+)
+async def test_report_with_long_texts_is_refused(furnished: Furnished, call: Call[Nothing]) -> None:
+    with pytest.raises(InvalidRequest, match="length"):
+        await furnished.brain.call(call)
+
+
+async def test_texts_of_an_environments_errors_are_cut(furnished: Furnished) -> None:
+    error = ErrorInfo("x" * 10_000, "y" * 10_000, "z" * 10_000, "a" * 10_000, {"b": "c" * 10_000})
+    await furnished.brain.call(Report("ann/brain", "pose", error))
+    said = await told(furnished.west, ErrorInfo)
+    assert (len(said.code), len(said.message), len(said.item), len(said.field), said.fields) == (
+        200,
+        8000,
+        200,
+        200,
+        {},
+    )
 
 
 async def test_failed_restart_of_a_node_is_reported(furnished: Furnished) -> None:

@@ -167,3 +167,13 @@ def test_id_of_the_notice_leads_to_the_oldest_event(story: Story, monkeypatch: p
     story.happen("a", "b", "c")
     missed = story.next(story.follow("0badcafe-1")).result()
     assert story.objects(story.follow(missed.id), 2) == ["ann/b", "ann/c"]
+
+
+def test_text_of_kept_events_is_bounded(story: Story, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(events_module, "MAX_SIZE", 9000)
+    lines = [f"{number:<999}" for number in range(50)]
+    for _ in range(5):
+        story.hand.do(lambda: story.events.status_sent("ann", m.NodeEvent("brain", "n", 1, lines)))
+    kept = story.seen()
+    assert [event.lines for event in kept] == [lines[-4:]] * 2
+    assert story.next(story.follow(kept[0].id)).result() == kept[1]

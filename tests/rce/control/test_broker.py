@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
+from typing import Any
 
 import pytest
 from twisted.internet.base import ReactorBase
+from twisted.spread.banana import encode
 
-from rce.control import broker
-from rce.control.calls.watching import ReadLog
+from rce.control import broker, limits
+from rce.control.calls.call import Nothing, Ping
+from rce.control.calls.joining import Hello
+from rce.control.calls.watching import Log, ReadLog
 from rce.control.connection import Handlers
-from rce.errors import InvalidRequest, Lost
+from rce.errors import InvalidRequest, LimitExceeded, Lost
 from tests.support.control import TIMEOUT, Listener, closed, listening
+
+ENVIRONMENT = Hello("environment", "ann/brain", "token", "1")
 
 PB = b"\x02\x82pb"  # the protocol dialect that a client chooses first
 
@@ -62,11 +68,12 @@ async def test_unjoined_connection_is_closed_after_the_timeout(
 
 
 async def test_message_size_is_limited_after_joining(listener: Listener, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "MAX_MESSAGE", 1_000_000)
     client, server = await listener.pair(Handlers())
-    monkeypatch.setattr(broker, "MAX_MESSAGE_BYTES", 1_000_000)
     for _ in range(5):
         with pytest.raises(InvalidRequest, match="does not answer"):
             await client.call(ReadLog("n" * 300_000))
+    client._max_size = 2_000_000  # a sound process refuses to send more
     with pytest.raises(Lost):
         await client.call(ReadLog("n" * 1_100_000))
     await asyncio.wait_for(server.lost, TIMEOUT)
@@ -75,8 +82,112 @@ async def test_message_size_is_limited_after_joining(listener: Listener, monkeyp
 async def test_size_limit_applies_to_each_message_of_a_burst(
     listener: Listener, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(limits, "MAX_MESSAGE", 1_000_000)
     client, server = await listener.pair(Handlers())
-    monkeypatch.setattr(broker, "MAX_MESSAGE_BYTES", 1_000_000)
     calls = (client.call(ReadLog("n" * 300_000)) for _ in range(20))
     assert {type(each) for each in await asyncio.gather(*calls, return_exceptions=True)} == {InvalidRequest}
+    await closed(client, server)
+
+
+async def test_message_of_an_environment_has_one_mebibyte_at_most(listener: Listener) -> None:
+    async def read(call: ReadLog) -> Log:
+        return Log(["x" * call.lines])
+
+    handlers = Handlers()
+    handlers.on(ReadLog, read)
+    client, server = await listener.pair(handlers, hello=ENVIRONMENT)
+    for size, fits in ((1_040_000, True), (1_050_000, False)):
+        with pytest.raises(InvalidRequest if fits else LimitExceeded):
+            await client.call(ReadLog("n" * size))
+    assert await server.call(ReadLog("n", 1_000_000))
+    with pytest.raises(LimitExceeded, match="more than the 1047576 that a process of this role may send"):
+        await server.call(ReadLog("n", 1_050_000))
+    client._max_size = 2_000_000
+    with pytest.raises(Lost):
+        await client.call(ReadLog("n" * 1_050_000))
+    await asyncio.wait_for(server.lost, TIMEOUT)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        [b"message", 9, b"root", b"join", 1, [b"tuple"], [b"dictionary"]],
+        [b"message", 9, b"root", b"nothing", 1, [b"tuple"], [b"dictionary"]],
+        [b"message", 9, b"nobody", b"join", 1, [b"tuple"], [b"dictionary"]],
+        [b"message", 9, b"root", b"join", 1, [b"module", b"os"], [b"dictionary"]],
+        [b"message", 9, b"root", b"join", 1, [b"tuple", [b"unicode", b"\xff"]], [b"dictionary"]],
+        [b"message", 9, b"root", b"\xff", 1, [b"tuple"], [b"dictionary"]],
+        [b"cachemessage", 9, 1, b"join", 1, [b"tuple"], [b"dictionary"]],
+        [b"didNotUnderstand", b"x"],
+        [b"answer", 9, [b"tuple"]],
+        [b"error", 9, [b"tuple"]],
+        [b"decref", 9],
+        [b"message"],
+        [],
+        7,
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("joined", [False, True], ids=["unjoined", "joined"])
+async def test_malformed_call_is_not_logged_with_a_traceback(
+    listener: Listener, failures: list[object], message: Any, joined: bool
+) -> None:
+    """The port is open for everybody, so the log must not be."""
+    if joined:
+        client, server = await listener.pair(Handlers())
+        client._receiver.broker.sendEncoded(message)
+        client._receiver.broker.sendEncoded(message)
+        client._receiver.broker.transport.loseConnection()
+        await asyncio.wait_for(server.lost, TIMEOUT)
+    else:
+        await send_until_closed(listener.port, PB + encode(message) + encode(message) + b"\x80\xff")
+    assert not failures
+
+
+@pytest.mark.parametrize("answer", [7, [b"list"], [b"module", b"os"], [b"tuple"]], ids=str)
+async def test_answer_of_another_form_fails_the_call(listener: Listener, answer: Any) -> None:
+    client, server = await listener.pair(Handlers())
+    broker = client._receiver.broker
+    broker.proto_message = lambda number, *_: broker.sendEncoded([b"answer", number, answer])
+    with pytest.raises((Lost, InvalidRequest)):
+        await asyncio.wait_for(server.call(ReadLog("n")), TIMEOUT)
+    client.close()
+    await asyncio.wait_for(server.lost, TIMEOUT)
+
+
+async def test_calls_of_an_environment_wait_while_its_user_has_used_the_budget(
+    listener: Listener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(limits, "BURST", 20)
+    monkeypatch.setattr(limits, "CALLS_PER_SECOND", 1e-3)
+    other, other_end = await listener.pair(Handlers())
+    client, server = await listener.pair(Handlers(), hello=ENVIRONMENT)
+    calls = [asyncio.create_task(client.call(Ping())) for _ in range(500)]
+    await asyncio.gather(*calls[:10])
+    for _ in range(3):  # a round trip of another peer: whatever the environment has sent meanwhile, waits
+        assert await other.call(Ping()) == Nothing()
+    assert 10 <= sum(each.done() for each in calls) <= 20 + broker.SLICE
+    server.close()
+    await asyncio.wait_for(client.lost, TIMEOUT)
+    await asyncio.gather(*calls, return_exceptions=True)
+    await closed(other, other_end)
+
+
+async def test_burst_of_calls_is_answered_in_slices(listener: Listener) -> None:
+    """So another peer waits for one slice, not for the whole burst."""
+    other, other_end = await listener.pair(Handlers())
+    client, server = await listener.pair(Handlers())
+    calls = [asyncio.create_task(client.call(Ping())) for _ in range(2000)]
+    await asyncio.sleep(0)
+    await other.call(Ping())
+    assert sum(each.done() for each in calls) < 1000
+    await asyncio.gather(*calls)
+    await closed(client, server)
+    await closed(other, other_end)
+
+
+async def test_calls_are_sent_at_once(listener: Listener) -> None:
+    client, server = await listener.pair(Handlers())
+    for end in (client, server):
+        assert end._receiver.broker.transport.getTcpNoDelay()
     await closed(client, server)

@@ -11,7 +11,7 @@ from twisted.logger import Logger
 
 import rce
 from rce.control.calls.call import Nothing, Ping
-from rce.control.calls.endpoints import NodeDied, StopNode
+from rce.control.calls.endpoints import StopNode
 from rce.control.calls.watching import Log, ReadLog, ReadMetrics
 from rce.control.connection import Handlers
 from rce.errors import InternalError, InvalidRequest, NotFound, Unavailable
@@ -26,18 +26,18 @@ def answering(read: Callable[[ReadLog], Awaitable[Log]]) -> Handlers:
 
 
 async def test_large_calls_and_results_in_both_directions(reactor: ReactorBase) -> None:
-    received: list[NodeDied] = []
+    received: list[StopNode] = []
 
     async def read(call: ReadLog) -> Log:
         return Log(["x" * call.lines])
 
     handlers = Handlers()
-    handlers.do(NodeDied, received.append)
+    handlers.do(StopNode, received.append)
     async with listening(reactor, handlers) as listener:
         client, server = await listener.pair(answering(read))
         assert len((await server.call(ReadLog("n", 3_000_000))).lines[0]) == 3_000_000
-        await client.call(NodeDied("n", 1, ["y" * 2_000_000]))
-        assert len(received[0].lines[0]) == 2_000_000
+        await client.call(StopNode("y" * 2_000_000))
+        assert len(received[0].node) == 2_000_000
         await closed(client, server)
         with pytest.raises(Unavailable):
             await server.call(ReadLog("n"))

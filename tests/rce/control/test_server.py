@@ -105,3 +105,31 @@ async def test_unix_socket(reactor: ReactorBase, tmp_path: Path) -> None:
 async def test_malformed_description_is_refused(reactor: ReactorBase, description: str) -> None:
     with pytest.raises(InvalidRequest, match="is not a Twisted server endpoint"):
         await listen(reactor, description, OpenJoiner())
+
+
+async def test_process_joins_once_in_a_connection(reactor: ReactorBase) -> None:
+    async with listening(reactor) as listener:
+        client, server = await listener.pair(Handlers())
+        root = client._receiver.broker.remoteForName("root")
+        joined = root.callRemote("join", encode_pages(HELLO), CallReceiver(Handlers()))
+        good, answer, _ = await joined.asFuture(asyncio.get_running_loop())
+        assert not good
+        assert "once in a connection" in decode_pages(answer, ErrorInfo).message
+        assert listener.joiner.joined.empty()
+        client.close()
+        await asyncio.wait_for(server.lost, TIMEOUT)
+
+
+async def test_join_without_a_receiver_of_calls_is_refused(reactor: ReactorBase) -> None:
+    async with listening(reactor) as listener:
+        factory = pb.PBClientFactory()
+        loop = asyncio.get_running_loop()
+        await client_endpoint(reactor, listener.description, None).connect(factory).asFuture(loop)
+        root = await factory.getRootObject().asFuture(loop)
+        good, _, _ = await root.callRemote("join", encode_pages(HELLO), 7).asFuture(loop)
+        assert not good
+        lost = loop.create_future()
+        root.broker.notifyOnDisconnect(lambda: lost.set_result(None))
+        factory.disconnect()
+        await asyncio.wait_for(lost, TIMEOUT)
+        assert listener.joiner.joined.empty()

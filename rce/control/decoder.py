@@ -1,0 +1,151 @@
+"""Decoder of Banana, the encoding of Perspective Broker, with limits for each message.
+
+Twisted's decoder copies the rest of its buffer for each item, so its time is quadratic in the size of a message, and it
+limits neither the number of items and their nesting nor the total size.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from typing import Final
+
+from twisted.spread import banana
+
+MAX_DEPTH = 32  # nested lists
+MAX_PREFIX = 64  # bytes of a number
+INCOMPLETE: Final = object()
+_LIST, _INT, _STRING, _NEG, _FLOAT, _LONG, _LONG_NEG, _VOCAB = (
+    kind[0]
+    for kind in (
+        *(banana.LIST, banana.INT, banana.STRING, banana.NEG),
+        *(banana.FLOAT, banana.LONGINT, banana.LONGNEG, banana.VOCAB),
+    )
+)
+_TYPE_BYTE = re.compile(rb"[\x80-\xff]")
+_WORDS: dict[int, bytes] = banana.Banana.incomingVocabulary
+
+
+class MalformedMessage(Exception):
+    """The received bytes are no message, or one beyond the limits."""
+
+
+class Decoder:
+    """Incremental decoder; its time is linear in the number of received bytes.
+
+    Attributes:
+        max_bytes: Limit of the size of a message.
+        max_items: Limit of the number of lists, strings and numbers in a message.
+        size: Bytes of the last complete message.
+        items: Items of the last complete message.
+    """
+
+    def __init__(self, max_bytes: int, max_items: int) -> None:
+        self.max_bytes = max_bytes
+        self.max_items = max_items
+        self.size = self.items = 0
+        self._buffer = bytearray()
+        self._position = 0
+        self._taken = 0  # bytes of the present message that are decoded
+        self._count = 0  # items of the present message
+        self._open: list[tuple[int, list[object]]] = []  # unfinished lists, with their lengths
+        self._result: object = None
+
+    def feed(self, data: bytes) -> None:
+        """Add received bytes."""
+        del self._buffer[: self._position]
+        self._position = 0
+        self._buffer += data
+
+    def next(self) -> object:
+        """Return the next message, or INCOMPLETE.
+
+        Raises:
+            MalformedMessage: The bytes are malformed, or the message exceeds a limit.
+        """
+        while (item := self._item()) is not INCOMPLETE:
+            if self._finish(item):
+                message = self._result
+                self.size, self.items = self._taken, self._count
+                self._taken = self._count = 0
+                if self.size > self.max_bytes:
+                    raise MalformedMessage("a message is too large")
+                return message
+        if self._taken + len(self._buffer) - self._position > self.max_bytes:
+            raise MalformedMessage("a message is too large")
+        return INCOMPLETE
+
+    def _finish(self, item: object) -> bool:
+        """Add an item to the innermost list; return True if it completes a message, which is then `_result`."""
+        if isinstance(item, _List):
+            self._open.append((item.length, []))
+        elif self._open:
+            self._open[-1][1].append(item)
+        else:
+            self._result = item
+            return True
+        while len(self._open[-1][1]) == self._open[-1][0]:
+            self._result = self._open.pop()[1]
+            if not self._open:
+                return True
+            self._open[-1][1].append(self._result)
+        return False
+
+    def _item(self) -> object:
+        """Decode the next string or number, or the beginning of a list."""
+        buffer, start = self._buffer, self._position
+        found = _TYPE_BYTE.search(buffer, start, start + MAX_PREFIX + 1)
+        if found is None:
+            if len(buffer) - start > MAX_PREFIX:
+                raise MalformedMessage("a number is too long")
+            return INCOMPLETE
+        end = found.end()
+        kind = buffer[end - 1]
+        number = _number(buffer, start, end - 1)
+        body = number if kind == _STRING else 8 if kind == _FLOAT else 0
+        if body > banana.SIZE_LIMIT:
+            raise MalformedMessage("a string is too long")
+        if len(buffer) < end + body:
+            return INCOMPLETE
+        self._count += 1
+        if self._count > self.max_items:
+            raise MalformedMessage("a message has too many items")
+        self._position = end + body
+        self._taken += end + body - start
+        return self._value(kind, number, bytes(buffer[end : end + body]))
+
+    def _value(self, kind: int, number: int, body: bytes) -> object:
+        if kind == _STRING:
+            return body
+        if kind in (_INT, _LONG):
+            return number
+        if kind in (_NEG, _LONG_NEG):
+            return -number
+        if kind == _VOCAB and number in _WORDS:
+            return _WORDS[number]
+        if kind == _FLOAT:
+            return struct.unpack("!d", body)[0]
+        if kind != _LIST:
+            raise MalformedMessage("it is no message of Perspective Broker")
+        if number > self.max_items:
+            raise MalformedMessage("a message has too many items")
+        if len(self._open) >= MAX_DEPTH:
+            raise MalformedMessage("lists are nested too deeply")
+        return _List(number)
+
+
+class _List:
+    """Beginning of a list of this length."""
+
+    __slots__ = ("length",)
+
+    def __init__(self, length: int) -> None:
+        self.length = length
+
+
+def _number(buffer: bytearray, start: int, end: int) -> int:
+    """Decode a number, whose digits to the base 128 begin with the lowest."""
+    number = 0
+    for index in range(end - 1, start - 1, -1):
+        number = number << 7 | buffer[index]
+    return number

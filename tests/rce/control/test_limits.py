@@ -1,0 +1,25 @@
+"""Budget of calls of a user's environments."""
+
+from __future__ import annotations
+
+from rce.control.calls.joining import Hello
+from rce.control.limits import BURST, CALLS_PER_SECOND, Budget, Budgets
+
+
+def test_burst_is_free_and_more_waits() -> None:
+    now = 100.0
+    budget = Budget(lambda: now)
+    assert {budget.use(1) for _ in range(BURST)} == {0.0}
+    assert budget.use(CALLS_PER_SECOND) == 1.0
+    now += 1.0
+    assert budget.use(0) == 0.0
+    now += BURST / CALLS_PER_SECOND
+    assert budget.use(BURST) == 0.0
+
+
+def test_environments_of_a_user_share_a_budget() -> None:
+    budgets = Budgets()
+    brain, arm, other = (budgets.of(Hello("environment", name, "", "")) for name in ("ann/brain", "ann/arm", "bob/x"))
+    assert brain is arm
+    assert brain is not other
+    assert budgets.of(Hello("robot", "west", "", "")) is None
