@@ -2,7 +2,8 @@
 
 A container is connected to the platform by two directories only. One holds the socket of the relay to the Master
 (control_relay.py). The other, shared by the environments of one user, holds the sockets on which their endpoints accept
-data links. So nothing that an environment sends reaches another user's environments, the host or the network.
+data links. So nothing that an environment sends reaches another user's environments, the host or the network. Both are
+read-only for environments: the platform makes all sockets (data_socket.py).
 
 Containers carry labels, by which they are adopted after a restart of the task set. Their ends are reported by Docker's
 event stream; nothing is polled.
@@ -12,16 +13,17 @@ from __future__ import annotations
 
 import asyncio
 import os
-import shutil
 from collections.abc import Callable, Collection, Coroutine, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 from twisted.logger import Logger
 
 from containers.control_relay import ControlRelay
 from containers.data_relay import GATE, DataRelay
+from containers.data_socket import DataSocket
 from containers.docker import disks, shaping
 from containers.docker.daemon import RUN, Daemon, Found, describe
 from containers.docker.events import Event
@@ -41,12 +43,14 @@ from containers.limits import Size, limits
 from containers.logfile import LONGEST_LINE
 from containers.packages import package_directories, package_path
 from containers.settings import EGRESS_POOL, NAMESERVERS
+from containers.trash import Trash
 from rce.control.calls.environments import EnvironmentSpec
 from rce.control.calls.watching import EnvironmentUsage
 from rce.errors import NoCapacity, StartFailed, Unavailable
 from rce.process.host import host_identity
 
 log = Logger()
+MOST_REMAINS = 1000  # files that are looked at in the directory of a user's sockets
 
 
 @dataclass
@@ -56,7 +60,13 @@ class _Environment:
     run: str
     paths: EndpointPaths
     relay: ControlRelay
+    data_socket: DataSocket
     gpus: Sequence[str]
+
+    def close(self) -> None:
+        """Close the sockets to the platform."""
+        self.relay.close()
+        self.data_socket.close()
 
 
 class DockerEngine(Engine):
@@ -85,6 +95,7 @@ class DockerEngine(Engine):
         self._root = setup.directory / "environments"
         self._sockets = setup.directory / "sockets"
         self._packages = setup.directory / "packages"
+        self._trash = Trash(setup.directory / "trash")
         self._settings = {**setup.settings, "relay": f"{CONTROL}/{GATE}"}
         self._data_relay = relay or DataRelay()
         self._host = host or host_identity()
@@ -163,10 +174,9 @@ class DockerEngine(Engine):
         await self._networks.leave(name)
         environment = self._environments.get(name)
         if environment is not None:
-            environment.relay.close()
-            environment.paths.socket.unlink(missing_ok=True)
-        if (self._root / name).is_dir():
-            await asyncio.to_thread(shutil.rmtree, self._root / name)
+            environment.close()
+            await self._trash.discard(environment.paths.socket)
+        await self._trash.discard(self._root / name)
         self._environments.pop(name, None)
         self._sweep(name.partition("/")[0])
 
@@ -178,6 +188,7 @@ class DockerEngine(Engine):
         """
         for directory in (self._root, self._sockets):
             directory.mkdir(parents=True, exist_ok=True, mode=0o700)
+        self._trash.open()
         await self._daemon.connect(self._on_event, self._on_resumed)
         self._machine = await self._daemon.machine()
         await self._following.wait()  # before containers are listed, so that no end is missed
@@ -209,11 +220,11 @@ class DockerEngine(Engine):
         self._daemon.close()
         for task in self._background:
             task.cancel()
-        for environment in self._environments.values():
-            environment.relay.close()
-        for name in self._environments:
+        for name, environment in self._environments.items():
+            environment.close()
             self._data_relay.remove_environment(name)
         self._environments.clear()
+        await self._trash.close()
 
     # --- directories and sockets --------------------------------------------------------------------------------------
 
@@ -224,39 +235,39 @@ class DockerEngine(Engine):
         """Make the directories of an environment unless they exist, and open its sockets to the platform."""
         paths = self._paths(name, run)
         relay = ControlRelay(self._setup.reactor, self._setup.master, self._setup.tls)
-        environment = _Environment(run, paths, relay, gpus)
+        environment = _Environment(run, paths, relay, DataSocket(paths.socket), gpus)
         self._environments[name] = environment  # from now on `_sweep` keeps the directories of its user
-        paths.control.mkdir(parents=True, exist_ok=True)
-        sockets = paths.socket.parent
-        if not sockets.is_dir():
-            sockets.mkdir(mode=0o700)
-            if os.geteuid() == 0:
-                os.chown(sockets, environment_user(), environment_user())
+        for directory in (paths.control, paths.socket.parent):
+            directory.mkdir(parents=True, exist_ok=True)
+            directory.chmod(0o755)  # environments run as other users; they see it by a mount
+        environment.data_socket.offer(paths.control)
         await environment.relay.open(paths.control)
         await self._data_relay.add_environment(name, paths.socket, paths.control)
         return environment
 
     async def _remove_leftovers(self) -> None:
         """Remove the directories, sockets and disks of environments that no longer exist."""
-        await asyncio.to_thread(disks.sweep, self._root)
+        try:
+            await asyncio.to_thread(disks.sweep, self._root)
+        except StartFailed as error:
+            log.error("a disk of an environment that no longer exists was not removed: {error}", error=str(error))
         for path in [tag for user in _directories(self._root) for tag in _directories(user)]:
             if str(path.relative_to(self._root)) not in self._environments:
-                await asyncio.to_thread(shutil.rmtree, path)
+                self._trash.take(path)
         known = {environment.paths.socket for environment in self._environments.values()}
-        for path in self._sockets.glob("*/*.sock"):
-            if path not in known:
-                path.unlink()
         for user in {path.name for root in (self._root, self._sockets) for path in _directories(root)}:
             self._sweep(user)
+            for path in _some_files(self._sockets / user):
+                if path not in known:
+                    self._trash.take(path)
 
     def _sweep(self, user: str) -> None:
-        """Remove the directories of a user without environments, with files that an environment may have left there."""
+        """Remove the directories of a user without environments."""
         if any(name.partition("/")[0] == user for name in self._environments):
             return
-        with suppress(FileNotFoundError):
+        with suppress(OSError):
             (self._root / user).rmdir()
-        if (self._sockets / user).is_dir():
-            shutil.rmtree(self._sockets / user)
+        self._trash.take(self._sockets / user)
 
     # --- ends ---------------------------------------------------------------------------------------------------------
 
@@ -311,6 +322,15 @@ class DockerEngine(Engine):
         self._background.discard(task)
         if not task.cancelled() and (error := task.exception()):
             log.error("the state of environments was not read from Docker: {error}", error=str(error))
+
+
+def _some_files(directory: Path) -> list[Path]:
+    """Return files of a directory, but not all of a flood that an earlier version allowed environments to make."""
+    try:
+        with os.scandir(directory) as entries:
+            return [Path(entry.path) for entry in islice(entries, MOST_REMAINS)]
+    except OSError:
+        return []
 
 
 def _directories(parent: Path) -> list[Path]:

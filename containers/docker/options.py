@@ -11,6 +11,7 @@ import msgspec
 from docker.types import DeviceRequest, DriverConfig, LogConfig, Mount, Ulimit
 from msgspec import Struct
 
+from containers.data_socket import OFFER
 from containers.docker.disks import Disk
 from containers.docker.networks import Attachments
 from containers.limits import Limits
@@ -45,7 +46,8 @@ class EndpointPaths(Struct, frozen=True):
     control: Path
     """Directory with the socket that leads to the Master, read-only for the environment."""
     socket: Path
-    """Socket on which its endpoint accepts data links; all environments of its user see its directory at this path."""
+    """Socket on which its endpoint accepts data links; all environments of its user see its directory at this path,
+    read-only."""
 
 
 class ContainerOptions(Struct, frozen=True):
@@ -79,7 +81,7 @@ def container_options(
     sockets = str(paths.socket.parent)
     mounts = [
         Mount(CONTROL, str(paths.control), type="bind", read_only=True),
-        Mount(sockets, sockets, type="bind"),
+        Mount(sockets, sockets, type="bind", read_only=True),
         *(Mount(path, path, type="bind", read_only=True) for path in read_only),
     ]
     tmpfs = {"/tmp": f"size={TEMPORARY_SIZE},nr_inodes={INODES},mode=1777"}
@@ -141,6 +143,7 @@ def variables(spec: EnvironmentSpec, paths: EndpointPaths, host: str, settings: 
         "RCE_DATA_DIR": HOME,
         "RCE_HOST": host,
         "RCE_SOCKET": str(paths.socket),
+        "RCE_LISTENER": f"{CONTROL}/{OFFER}",
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         **_group_variables(spec.group),
         "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",

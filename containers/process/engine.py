@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -30,6 +29,7 @@ from containers.process.domains import Domains
 from containers.process.options import check_options
 from containers.process.tree import KILL_TIMEOUT, MARKER, Watch, describe_end, has_marker, kill_marked
 from containers.process.usage import used_below
+from containers.trash import Trash
 from rce.control.calls.environments import EnvironmentSpec
 from rce.control.calls.watching import EnvironmentUsage
 from rce.errors import StartFailed, TimedOut
@@ -99,6 +99,7 @@ class ProcessEngine(Engine):
         super().__init__(capacity, features, ended)
         self._root = root
         self._packages = packages
+        self._trash = Trash(root.with_name("trash"))
         self._settings = dict(settings)
         self._command = command or COMMAND
         self._domains = domains or Domains()
@@ -126,7 +127,7 @@ class ProcessEngine(Engine):
             await self._terminate(environment)
         for directory in _directories(self._root / name):
             await kill_marked(directory.name)
-            await asyncio.to_thread(shutil.rmtree, directory)
+            await self._trash.discard(directory)
         self._remove_empty(self._root / name)
         if environment is not None:
             del self._environments[name]
@@ -147,12 +148,13 @@ class ProcessEngine(Engine):
     async def recover(self) -> dict[str, RunningEnvironment]:
         """Adopt processes that run, and remove the directories and processes of all others."""
         self._root.mkdir(parents=True, exist_ok=True, mode=0o700)
+        self._trash.open()
         for parent in [tag for user in _directories(self._root) for tag in _directories(user)]:
             for directory in _directories(parent):
                 if not await self._adopt(directory):
                     log.info("removing the remains of {directory}", directory=str(directory))
                     await kill_marked(directory.name)
-                    await asyncio.to_thread(shutil.rmtree, directory)
+                    self._trash.take(directory)
             self._remove_empty(parent)
         await asyncio.to_thread(shared_memory.clean)  # of processes killed while no task set ran
         self._trimmer = asyncio.create_task(self._trim())
@@ -177,6 +179,7 @@ class ProcessEngine(Engine):
             name, environment = self._environments.popitem()
             self._relay.remove_environment(name)
             self._release(environment)
+        await self._trash.close()
 
     def _release(self, environment: _Environment) -> None:
         environment.watch.close()

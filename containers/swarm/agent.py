@@ -20,6 +20,7 @@ from twisted.logger import Logger
 
 from containers.control_relay import ControlRelay
 from containers.data_relay import GATE, DataRelay
+from containers.data_socket import DataSocket
 from containers.docker.daemon import RUN, describe
 from containers.docker.events import Event
 from containers.docker.networks import Networks
@@ -80,6 +81,7 @@ class _Served:
 
     name: str
     relay: ControlRelay
+    data_socket: DataSocket
 
 
 class Agent:
@@ -217,9 +219,11 @@ class Agent:
     async def _serve(self, task: Task) -> None:
         names = Names.of(self._labels, task.name, task.run)
         control, sockets = await self._docker.volume(names.control), await self._docker.volume(names.sockets)
-        relay = ControlRelay(self._reactor, self._settings.master, self._tls)
-        await self._data_relay.add_environment(task.name, sockets / names.paths.socket.name, control)
-        self._served[task.run] = _Served(task.name, relay)
+        path = sockets / names.paths.socket.name
+        relay, data_socket = ControlRelay(self._reactor, self._settings.master, self._tls), DataSocket(path)
+        await self._data_relay.add_environment(task.name, path, control)
+        self._served[task.run] = _Served(task.name, relay, data_socket)
+        data_socket.offer(control)
         (control / GATE).with_suffix(".address").write_text(self._data_relay.address)
         # Last, because an endpoint that has reached the Master announces the addresses of its data links.
         await relay.open(control)
@@ -229,6 +233,7 @@ class Agent:
         if served is None:
             return
         served.relay.close()
+        served.data_socket.remove()
         if all(other.name != served.name for other in self._served.values()):  # a new run may have this name
             self._data_relay.remove_environment(served.name)
 

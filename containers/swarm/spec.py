@@ -104,7 +104,7 @@ class Names(Struct, frozen=True):
     @property
     def sockets(self) -> str:
         """Volume in memory that is shared by the user's environments on one node."""
-        return f"rce-{self.owner}-sockets"
+        return f"rce-{self.owner}-links"
 
     @property
     def paths(self) -> EndpointPaths:
@@ -172,7 +172,7 @@ def environment_task(
     """
     owner = f"uid={USER},gid={USER},mode=0700,nosuid,nodev"
     home = f"size={HOME_SIZE},nr_inodes={INODES},{owner}"
-    sockets = f"size={SOCKETS_SIZE},nr_inodes={SOCKETS_INODES},noexec,{owner}"
+    sockets = f"size={SOCKETS_SIZE},nr_inodes={SOCKETS_INODES},noexec,nosuid,nodev,mode=0755"  # the agent writes
     requested = spec.options
     return {
         "ContainerSpec": {
@@ -194,7 +194,7 @@ def environment_task(
             ],
             "Mounts": [
                 _volume(names.control, CONTROL, labels, read_only=True),
-                _volume(names.sockets, SOCKETS, _platform(labels), sockets),
+                _volume(names.sockets, SOCKETS, _platform(labels), sockets, read_only=True),
                 _volume(names.home, HOME, labels, home),
                 *([_volume(names.packages, PACKAGES, labels, read_only=True)] if spec.packages else []),
                 _memory("/tmp", TEMPORARY_SIZE),

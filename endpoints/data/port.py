@@ -19,7 +19,13 @@ from endpoints.data.link import StreamLink
 from rce.errors import Unavailable
 from rce.net import relay_handshake
 from rce.net.relay_handshake import RelayRequest
-from rce.net.sockets import advertised_host, bind_unix_socket, parse_host_port, unix_socket_path
+from rce.net.sockets import (
+    advertised_host,
+    bind_unix_socket,
+    parse_host_port,
+    receive_socket,
+    unix_socket_path,
+)
 from rce.net.tls import PLAINTEXT_WARNING, Tls, is_exposed
 from rce.process.logs import RateLimitedLogger
 
@@ -142,7 +148,9 @@ class DataPort:
         self._gate = gate
         self._servers: list[asyncio.Server] = []
 
-    async def listen(self, socket: Path, host: str = "", tcp_port: int = 0, address: str = "") -> list[str]:
+    async def listen(
+        self, socket: Path, host: str = "", tcp_port: int = 0, address: str = "", *, offer: Path | None = None
+    ) -> list[str]:
         """Listen on a UNIX socket and, if `host` is given, over TCP.
 
         Args:
@@ -150,11 +158,16 @@ class DataPort:
             host: Local address for TCP.
             tcp_port: Port for TCP; 0 for any free one.
             address: Name or address by which others dial `host`, if that is different.
+            offer: UNIX socket at which the socket at `socket` is received instead of made, for an endpoint that
+                cannot write to the directory.
 
         Returns:
             The addresses at which other endpoints dial this one.
+
+        Raises:
+            OSError: A socket cannot be made, or is not received.
         """
-        await self.listen_unix(socket)
+        await self.listen_unix(socket, offer)
         addresses = [f"unix:{socket}"]
         if host:
             addresses.append(f"tcp:{advertised_host(host, address)}:{await self.listen_tcp(host, tcp_port)}")
@@ -171,12 +184,11 @@ class DataPort:
         bound_port: int = server.sockets[0].getsockname()[1]
         return bound_port
 
-    async def listen_unix(self, path: Path) -> None:
-        """Listen on a UNIX socket; an earlier one at the same path is replaced."""
+    async def listen_unix(self, path: Path, offer: Path | None = None) -> None:
+        """Listen on a UNIX socket, which replaces an earlier one at `path` or is received at `offer`."""
+        listener = await asyncio.to_thread(receive_socket, offer) if offer else bind_unix_socket(path)
         loop = asyncio.get_running_loop()
-        self._servers.append(
-            await loop.create_unix_server(lambda: _AcceptingHandshake(self.expected), sock=bind_unix_socket(path))
-        )
+        self._servers.append(await loop.create_unix_server(lambda: _AcceptingHandshake(self.expected), sock=listener))
 
     def expect(self, link: StreamLink, key: bytes) -> None:
         """Attach the next connection with `key` to `link`; the link fails when none comes in time."""

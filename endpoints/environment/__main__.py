@@ -51,7 +51,7 @@ class Endpoint:
         tls = load_tls(self._settings.tls)
         port = DataPort(self._settings.relay, tls)
         socket = self._settings.socket or self._settings.data_dir.absolute() / "data.sock"
-        self._addresses = await port.listen(socket, self._settings.listen)
+        self._addresses = await port.listen(socket, self._settings.listen, offer=self._settings.listener)
         ros = RosThread(asyncio.get_running_loop())
         await ros.start()
         output = OutputLog(self._settings.data_dir / "environment.log")

@@ -24,6 +24,12 @@ class Settings(Struct, frozen=True):
     socket: Annotated[
         Path | None, Meta(description="UNIX socket for data links; its path must be the same for dialling endpoints")
     ] = None
+    listener: Annotated[
+        Path | None,
+        Meta(
+            description="UNIX socket at which the endpoint receives `socket`, already bound; empty: it makes it itself"
+        ),
+    ] = None
     relay: Annotated[
         Path | None, Meta(description="UNIX socket through which data links reach other machines; empty: the network")
     ] = None

@@ -6,6 +6,7 @@ import asyncio
 import os
 import socket
 import stat
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +17,7 @@ SOCKET_BUFFER = 1024 * 1024  # bytes; with four times as much, small messages wa
 # Seconds until a peer that vanished is noticed: USER_TIMEOUT while unacknowledged data is in flight, else KEEPALIVE.
 KEEPALIVE = {socket.TCP_KEEPIDLE: 10, socket.TCP_KEEPINTVL: 5, socket.TCP_KEEPCNT: 2}
 USER_TIMEOUT = 20
+RECEIVE_TIMEOUT, RECEIVE_INTERVAL = 30.0, 0.1  # seconds, for `receive_socket`
 
 
 def tune(transport: asyncio.BaseTransport) -> None:
@@ -101,3 +103,41 @@ def unix_socket_path(path: Path) -> Iterator[str]:
         yield f"/proc/self/fd/{handle}"
     finally:
         os.close(handle)
+
+
+def send_socket(connection: socket.socket, passed: socket.socket) -> None:
+    """Pass a socket to the process at the other end of a UNIX connection.
+
+    Raises:
+        OSError: It cannot be sent.
+    """
+    socket.send_fds(connection, [b"\0"], [passed.fileno()])
+
+
+def receive_socket(path: Path, timeout: float = RECEIVE_TIMEOUT) -> socket.socket:
+    """Receive the socket that a process passes to whoever connects to `path`. Blocks.
+
+    That process may be restarting, so connecting is tried again until the time is over.
+
+    Raises:
+        OSError: No socket was passed in time.
+    """
+    until = time.monotonic() + timeout
+    while True:
+        try:
+            return _receive_socket(path, timeout)
+        except OSError as error:
+            if time.monotonic() > until:
+                raise OSError(f"no socket was received from {path}: {error}") from None
+        time.sleep(RECEIVE_INTERVAL)
+
+
+def _receive_socket(path: Path, timeout: float) -> socket.socket:
+    with socket.socket(socket.AF_UNIX) as connection:
+        connection.settimeout(timeout)
+        with unix_socket_path(path) as short:
+            connection.connect(short)
+        _, passed, _, _ = socket.recv_fds(connection, 1, 1)
+    if not passed:
+        raise ConnectionResetError("the connection was closed")
+    return socket.socket(fileno=passed[0])

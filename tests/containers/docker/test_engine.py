@@ -26,6 +26,7 @@ from rce.protocol.slots import MB, PIDS
 from tests.support.containers.container_contract import ContainerEngineContract, start_confined
 from tests.support.containers.container_world import COMMAND
 from tests.support.containers.docker_world import DockerWorld
+from tests.support.containers.trees import cleared, nest
 
 
 @pytest.fixture
@@ -48,7 +49,7 @@ async def test_container_is_confined(world: DockerWorld, engine: DockerEngine) -
     binds = {mount["Destination"]: (mount["Source"], mount["RW"]) for mount in seen["Mounts"]}
     assert binds == {
         "/run/rce": (str(world.directory / "environments" / "ann" / "map" / spec().run), False),
-        str(world.directory / "sockets" / "ann"): (str(world.directory / "sockets" / "ann"), True),
+        str(world.directory / "sockets" / "ann"): (str(world.directory / "sockets" / "ann"), False),
     }
 
 
@@ -101,6 +102,35 @@ async def test_leftovers_of_a_killed_task_set_are_removed(world: DockerWorld, en
         }
         assert world.remains() == {"ann/a", "ann/b"}
         assert not list((world.directory / "sockets" / "ann").iterdir())
+
+
+async def test_environment_gets_no_writable_directory_of_the_host(world: DockerWorld, engine: DockerEngine) -> None:
+    await engine.start(spec())
+    assert [mount["Destination"] for mount in world.inspect("ann/map")["Mounts"] if mount["RW"]] == []
+
+
+async def test_floods_of_files_and_directories_stop_neither_recovery_nor_a_start(
+    world: DockerWorld, engine: DockerEngine
+) -> None:
+    """Earlier versions let environments write to the directory of their sockets."""
+    with cleared(world.directory):
+        await engine.start(spec("ann/a", 1))
+        await engine.close()
+        for user in ("ann", "eve"):
+            sockets = world.directory / "sockets" / user
+            sockets.mkdir(exist_ok=True)
+            nest(sockets / f"{spec(run=9).run}.sock", 3000)
+            for number in range(1500):
+                (sockets / str(number)).touch()
+        async with opened(world.engine(Endings())) as again:
+            assert list(again.running()) == ["ann/a"]
+            assert not (world.directory / "sockets" / "eve").exists()
+            own = world.directory / "sockets" / "ann" / f"{spec(run=1).run}.sock"
+            own.mkdir()
+            await again.stop("ann/a")
+            await again.start(spec("ann/b", 2))
+            await again.start(spec("eve/c", 3))
+            assert again.running().keys() == {"ann/b", "eve/c"}
 
 
 async def test_end_during_adoption_is_reported(

@@ -27,7 +27,7 @@ async def test_container_of_a_task_is_confined(world: SwarmWorld, engine: SwarmE
     assert seen["Config"]["User"] == "10000:10000"
     assert {mount["Destination"]: mount["RW"] for mount in seen["Mounts"]} == {
         "/run/rce": False,
-        "/run/rce-user": True,
+        "/run/rce-user": False,
         "/home/rce": True,
         "/tmp": True,
         "/dev/shm": True,
