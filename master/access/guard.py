@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-import sqlalchemy as sa
 from twisted.logger import Logger
 
 from master.access.users import Users
@@ -17,6 +16,7 @@ from master.graph import reconcile
 from master.graph.effects import Plan, Send
 from master.graph.records import Ref
 from master.graph.state import State
+from master.storage.store import FAILURES
 from rce.api.roles import ASSIGNABLE_ROLES, Principal, UserRole
 from rce.api.views import KeyView
 from rce.control.calls.services import InvalidateAuthentication
@@ -72,14 +72,17 @@ class Guard:
             await asyncio.sleep(REFRESH)
             try:
                 await self.check_all()
-            except sa.exc.SQLAlchemyError as error:
+            except FAILURES as error:
                 log.warn("credentials could not be checked: {error}", error=str(error))
 
     async def check_all(self) -> None:
         """Close what is open by invalid credentials, and store when keys were used."""
         await self._users.keys.note_use()
+        await self._cut_invalid("the credentials are not valid any more")
+
+    async def _cut_invalid(self, reason: str) -> None:
         standing = await self._users.standing()
-        self.cut(lambda principal: not standing.holds(principal), "the credentials are not valid any more")
+        self.cut(lambda principal: not standing.holds(principal), reason)
 
     def _invalidate_caches(self, user: str) -> None:
         """Tell services, which cache authentications for a while."""
@@ -89,22 +92,24 @@ class Guard:
     # --- changes of credentials ---------------------------------------------------------------------------------------
 
     async def revoke_key(self, user: str, key: str) -> None:
-        """Revoke a key and close what is open by it.
+        """Revoke a key with those that were made with it, and close what is open by them.
 
         Raises:
             NotFound: The user has no such key.
         """
-        await self._users.keys.revoke(user, key)
-        self.cut(lambda principal: principal.key == key, "the API key was revoked")
-        self._invalidate_caches(user)
+        users = await self._users.keys.revoke(user, key)
+        await self._cut_invalid("the API key was revoked")
+        for each in users:
+            self._invalidate_caches(each)
 
-    async def rotate_key(self, user: str, key: str) -> tuple[str, KeyView]:
+    async def rotate_key(self, user: str, key: str, by: str = "") -> tuple[str, KeyView]:
         """Rotate a key and close what is open by its old secret; grants that were given with the key stay.
 
         Raises:
             NotFound: The user has no such key.
+            Forbidden: It was not made with the key `by`.
         """
-        fresh = await self._users.keys.rotate(user, key)
+        fresh = await self._users.keys.rotate(user, key, by)
         self.cut(lambda principal: principal.key == key and not principal.lent, "the API key has a new secret")
         self._invalidate_caches(user)
         return fresh
@@ -134,6 +139,7 @@ class Guard:
             return principal.user == user and (by_password or principal.role not in ASSIGNABLE_ROLES[role])
 
         self.cut(invalid, f"the user's role is {role} now")
+        await self._cut_invalid("the API key was revoked")  # keys of others that were made with one of these
         self._invalidate_caches(user)
 
     async def remove_user(self, user: str) -> None:
@@ -145,5 +151,6 @@ class Guard:
         """
         await self._users.remove(user)
         self.cut(lambda principal: principal.user == user, "the user was removed")
+        await self._cut_invalid("the API key was revoked")  # keys of others that were made with one of this user
         self._invalidate_caches(user)
         self._apply(reconcile.user_gone(self._state, user))

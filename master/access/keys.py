@@ -14,7 +14,7 @@ import sqlalchemy as sa
 
 from master.access.grants import KEY_PREFIX, digest
 from master.storage import tables as db
-from master.storage.store import Store
+from master.storage.store import FAILURES, Store
 from rce.api.roles import ASSIGNABLE_ROLES, UNRESTRICTED, Principal, Scopes, UserRole
 from rce.api.views import KeyView
 from rce.errors import Forbidden, InvalidRequest, LimitExceeded, NotFound, Unauthorized
@@ -37,21 +37,26 @@ class Keys:
         label: str = "",
         expires: float | None = None,
         scopes: Scopes = UNRESTRICTED,
+        parent: str = "",
     ) -> tuple[str, KeyView]:
         """Create a key and return its secret, which is not stored, and its view.
 
+        `parent` is the id of the key with which it is made: the new one ends with it, and expires no later.
+
         Raises:
             NotFound: There is no such user.
-            Forbidden: The user's role is below the key's.
+            Forbidden: The user's role is below the key's, or it would outlive its parent.
             InvalidRequest: The scopes do not fit the role.
             LimitExceeded: The user has too many keys.
+            Unauthorized: The parent was revoked.
         """
         _check_scopes(role, scopes)
         secret = _new_secret()
-        key = KeyView(secrets.token_hex(8), user, role, label, time.time(), expires, None, scopes)
+        key = KeyView(secrets.token_hex(8), user, role, label, time.time(), expires, None, scopes, parent)
         row = msgspec.structs.asdict(key) | {"digest": digest(secret), "scopes": _text(scopes)}
 
-        def put(connection: sa.Connection) -> None:
+        def put(connection: sa.Connection) -> KeyView:
+            until = _expiry_within(connection, parent, expires)
             own = connection.scalar(sa.select(db.users.c.role).where(db.users.c.name == user))
             if own is None:
                 raise NotFound(f"there is no user {user[:80]}", field="user")
@@ -59,10 +64,10 @@ class Keys:
                 raise Forbidden(f"a key of {user} may not be of the role {role}: the user's is {own}", field="role")
             if len(list(connection.execute(_of(user)))) >= MAX_KEYS:
                 raise LimitExceeded(f"{user} has {MAX_KEYS} API keys: revoke some", field="user", limit=MAX_KEYS)
-            connection.execute(db.api_keys.insert(), row)
+            connection.execute(db.api_keys.insert(), row | {"expires": until, "parent": parent or None})
+            return msgspec.structs.replace(key, expires=until)
 
-        await self._store.run(put)
-        return secret, key
+        return secret, await self._store.run(put)
 
     async def of(self, user: str) -> list[KeyView]:
         """Return the keys of a user, oldest first."""
@@ -84,32 +89,52 @@ class Keys:
         query = sa.select(db.api_keys).where(_is(user, key_id))
         row = await self._store.run(lambda connection: connection.execute(query).first())
         if row is None:
-            raise NotFound(f"there is no API key {key_id[:80]!r}", field="key")
+            raise _unknown(key_id)
         return self._view(row)
 
-    async def rotate(self, user: str, key_id: str) -> tuple[str, KeyView]:
-        """Replace the secret of a key; the old one is invalid at once.
+    async def rotate(self, user: str, key_id: str, by: str = "") -> tuple[str, KeyView]:
+        """Replace the secret of a key; the old one is invalid at once, and keys that were made with it stay.
+
+        `by` is the id of the key with which this is done, empty for a password. Since the new secret must not outlive
+        it, a key rotates only itself and keys that were made with it.
 
         Raises:
             NotFound: The user has no such key.
+            Forbidden: It was not made with the key `by`.
         """
         secret = _new_secret()
         statement = db.api_keys.update().where(_is(user, key_id)).values(digest=digest(secret))
-        changed = await self._store.run(lambda connection: connection.execute(statement).rowcount)
-        if not changed:
-            raise NotFound(f"there is no API key {key_id[:80]!r}", field="key")
+
+        def put(connection: sa.Connection) -> None:
+            if connection.execute(sa.select(db.api_keys.c.id).where(_is(user, key_id))).first() is None:
+                raise _unknown(key_id)
+            if by and key_id not in _made_with(connection, by):
+                raise Forbidden(
+                    "a key rotates itself and the keys that were made with it; rotate this one with your password",
+                    field="key",
+                )
+            connection.execute(statement)
+
+        await self._store.run(put)
         return secret, await self.get(user, key_id)
 
-    async def revoke(self, user: str, key_id: str) -> None:
-        """Revoke a key.
+    async def revoke(self, user: str, key_id: str) -> set[str]:
+        """Revoke a key and all keys that were made with it, and return their users.
 
         Raises:
             NotFound: The user has no such key.
         """
-        statement = db.api_keys.delete().where(_is(user, key_id))
-        if not await self._store.run(lambda connection: connection.execute(statement).rowcount):
-            raise NotFound(f"there is no API key {key_id[:80]!r}", field="key")
-        self._used.pop(key_id, None)
+
+        def drop(connection: sa.Connection) -> dict[str, str]:
+            gone = _made_with(connection, key_id)
+            if not connection.execute(db.api_keys.delete().where(_is(user, key_id))).rowcount:
+                raise _unknown(key_id)
+            return gone
+
+        gone = await self._store.run(drop)
+        for each in gone:
+            self._used.pop(each, None)
+        return set(gone.values())
 
     async def check(self, name: str, secret: str) -> Principal:
         """Authenticate by an API key; the name of the user may be empty.
@@ -141,13 +166,15 @@ class Keys:
         rows = [{"key": key, "at": when} for key, when in used.items()]
         try:
             await self._store.run(lambda connection: connection.execute(statement, rows))
-        except sa.exc.SQLAlchemyError:
+        except FAILURES:
             self._used = used | self._used  # stored by the next call
             raise
 
     def _view(self, row: Any) -> KeyView:
         used = self._used.get(row.id, row.used)
-        return KeyView(row.id, row.user, row.role, row.label, row.created, row.expires, used, _scopes(row))
+        return KeyView(
+            *(row.id, row.user, row.role, row.label, row.created, row.expires, used, _scopes(row), row.parent or "")
+        )
 
 
 def _new_secret() -> str:
@@ -160,6 +187,35 @@ def _of(user: str) -> sa.Select[Any]:
 
 def _is(user: str, key_id: str) -> sa.ColumnElement[bool]:
     return sa.and_(db.api_keys.c.user == user, db.api_keys.c.id == key_id)
+
+
+def _unknown(key_id: str) -> NotFound:
+    return NotFound(f"there is no API key {key_id[:80]!r}", field="key")
+
+
+def _made_with(connection: sa.Connection, key_id: str) -> dict[str, str]:
+    """Return a key and all that were made with it, directly or not, by their ids with their users."""
+    keys = db.api_keys
+    found = sa.select(keys.c.id, keys.c.user).where(keys.c.id == key_id).cte("made", recursive=True)
+    found = found.union_all(sa.select(keys.c.id, keys.c.user).join(found, keys.c.parent == found.c.id))
+    return {row.id: row.user for row in connection.execute(sa.select(found))}
+
+
+def _expiry_within(connection: sa.Connection, parent: str, expires: float | None) -> float | None:
+    """Return when a key expires that is made with the key `parent`, empty for none."""
+    if not parent:
+        return expires
+    row = connection.execute(sa.select(db.api_keys.c.expires).where(db.api_keys.c.id == parent)).first()
+    if row is None:
+        raise Unauthorized("the API key was revoked")
+    if row.expires is not None and expires is not None and expires > row.expires:
+        until = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(row.expires))
+        raise Forbidden(
+            f"expires: a key that is made with a key ends with it, here at {until}; ask for an earlier time, or make "
+            "the key with your password",
+            field="expires",
+        )
+    return row.expires if expires is None else expires
 
 
 def _text(scopes: Scopes) -> str | None:

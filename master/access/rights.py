@@ -7,8 +7,8 @@ NotFound, in the same words whether they exist or not.
 from __future__ import annotations
 
 from master.graph.state import State
+from rce.api.roles import ASSIGNABLE_ROLES, Scopes, UserRole
 from rce.api.roles import Principal as Principal
-from rce.api.roles import Scopes
 from rce.errors import Forbidden, NotFound
 from rce.protocol import messages as m
 from rce.protocol.names import split_interface
@@ -119,6 +119,19 @@ def may(principal: Principal, operation: str, owner: str, *, robot: str = "", en
     except (Forbidden, NotFound):
         return False
     return True
+
+
+def check_credential(principal: Principal, role: UserRole, scopes: Scopes) -> None:
+    """Check that a credential of this role and these scopes permits no more than the caller's own.
+
+    Raises:
+        Forbidden: It permits more.
+    """
+    if role not in ASSIGNABLE_ROLES[principal.role] or not scopes.within(principal.scopes):
+        raise Forbidden(
+            f"{_subject(principal)} cannot make, rotate or revoke a key of the role {role} that may do more than it",
+            field="role",
+        )
 
 
 def _check_tie(scopes: Scopes, operation: str, robot: str, environment: str) -> None:

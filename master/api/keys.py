@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import time
 
-from master.access.rights import EVERYBODY
+from master.access.rights import EVERYBODY, check_credential
 from master.api.principals import authorize, authorize_list, page_of_views, principal_of
 from master.api.request import Answer, Call, ListQuery, OwnerQuery
 from master.api.router import Api, Route
 from master.service import Master
-from rce.api.roles import ASSIGNABLE_ROLES, UserRole
 from rce.api.views import CreatedKey, KeyView, NewKey, Page
-from rce.errors import Forbidden, InvalidRequest
+from rce.errors import InvalidRequest
 
 KEY = "/keys/{key}"
 
@@ -61,22 +60,11 @@ class KeysApi:
         wanted = call.body(NewKey)
         if wanted.expires is not None and wanted.expires < time.time():
             raise InvalidRequest("expires: this time has passed; it is in seconds since 1970", field="expires")
-        role = await self._role(call, owner, wanted.role)
-        secret, key = await self._keys.add(owner, role, wanted.label, wanted.expires, wanted.scopes)
+        principal = principal_of(call)
+        role = wanted.role or (principal.role if owner == call.user else (await self._master.users.get(owner)).role)
+        check_credential(principal, role, wanted.scopes)
+        secret, key = await self._keys.add(owner, role, wanted.label, wanted.expires, wanted.scopes, principal.key)
         return Answer(CreatedKey(secret, key), 201)
-
-    async def _role(self, call: Call, owner: str, wanted: UserRole | None) -> UserRole:
-        """Return the role of a new key, which may do no more than the credentials with which it is created.
-
-        Raises:
-            Forbidden: It could do more.
-        """
-        own = principal_of(call).role
-        if owner != call.user:
-            return wanted or (await self._master.users.get(owner)).role
-        if wanted is not None and wanted not in ASSIGNABLE_ROLES[own]:
-            raise Forbidden(f"the role {own} cannot make a key of the role {wanted}", field="role")
-        return wanted or own
 
     async def _revoke(self, call: Call) -> Answer:
         principal, key = principal_of(call), call.path["key"]
@@ -85,10 +73,23 @@ class KeysApi:
         signs_out = own and query.user in ("", principal.user)  # which every key may
         owner = authorize(call, "whoami" if signs_out else "key.revoke", query.user)
         call.audit.operation = "key.revoke"
+        if not signs_out:
+            await self._check_target(call, owner)
         await self._master.guard.revoke_key(owner, key)
         return Answer(status=204)
 
     async def _rotate(self, call: Call) -> Answer:
         owner = authorize(call, "key.rotate", call.query(OwnerQuery).user)
-        secret, key = await self._master.guard.rotate_key(owner, call.path["key"])
+        await self._check_target(call, owner)
+        secret, key = await self._master.guard.rotate_key(owner, call.path["key"], principal_of(call).key)
         return Answer(CreatedKey(secret, key))
+
+    async def _check_target(self, call: Call, owner: str) -> None:
+        """Check that the key in the path may do no more than the caller.
+
+        Raises:
+            NotFound: The owner has no such key.
+            Forbidden: It may do more.
+        """
+        target = await self._keys.get(owner, call.path["key"])
+        check_credential(principal_of(call), target.role, target.scopes)

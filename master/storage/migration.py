@@ -8,7 +8,7 @@ import sqlalchemy as sa
 
 from rce.errors import InvalidRequest
 
-HEAD = "0002"  # the newest revision
+HEAD = "0003"  # the newest revision
 SCRIPTS = Path(__file__).with_name("migrations")
 
 

@@ -34,6 +34,9 @@ api_keys = sa.Table(
     sa.Column("expires", sa.Float),
     sa.Column("used", sa.Float),
     sa.Column("scopes", sa.Text),  # JSON; null: not narrowed
+    sa.Column(
+        "parent", sa.String(32), sa.ForeignKey("api_keys.id", ondelete="CASCADE"), index=True
+    ),  # the key with which it was made; null: made with a password
 )
 # Limits of users who do not have those of the platform; the running Master stores the platform's at user "".
 limits = sa.Table(
@@ -72,6 +75,16 @@ tokens = sa.Table(
     sa.Column("process", sa.String(600), nullable=False),
     sa.Column("role", sa.String(16), nullable=False),
     sa.Column("used", sa.Boolean, nullable=False),
+    sa.Column(
+        "key", sa.String(32), sa.ForeignKey("api_keys.id", ondelete="CASCADE"), index=True
+    ),  # with which a machine was invited; null: with a password
+)
+# Certificates that these machines got before they were removed are refused.
+removed_machines = sa.Table(
+    "removed_machines",
+    tables,
+    sa.Column("name", sa.String(64), primary_key=True),
+    sa.Column("time", sa.Float, nullable=False),
 )
 # Rows are added, and removed when they are too old; none is changed.
 audit = sa.Table(

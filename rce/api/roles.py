@@ -35,6 +35,13 @@ class Scopes(Struct, frozen=True, omit_defaults=True, forbid_unknown_fields=True
         """True if the key is restricted to a robot or to environments."""
         return bool(self.robot or self.environments)
 
+    def within(self, other: Scopes) -> bool:
+        """Return whether these scopes permit no more than the other ones."""
+        environments = not other.environments or (
+            bool(self.environments) and {*self.environments} <= {*other.environments}
+        )
+        return other.robot in ("", self.robot) and environments and self.metrics >= other.metrics
+
 
 UNRESTRICTED = Scopes()
 

@@ -301,6 +301,7 @@ async def test_pages_of_administrators(browser: Any, platform: RealPlatform) -> 
         dialog = page.get_by_role("dialog")
         await dialog.get_by_label("Label").fill("vacuum cleaner")
         await dialog.get_by_label("Only robotID").fill("vacuum")
+        await dialog.get_by_label("Your password").fill("admin")
         await dialog.get_by_role("button", name="Create").click()
         key = await dialog.locator(".secret").inner_text()
         await dialog.get_by_role("button", name="Close").click()

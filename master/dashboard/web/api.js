@@ -65,10 +65,10 @@ export class Api {
   }
 }
 
-/** Create an API key for this page, with user and password. */
-export function signIn(user, password, wanted) {
+/** Return a `post` that authenticates with user and password. */
+export function withPassword(user, password) {
   const pair = new TextEncoder().encode(`${user}:${password}`);
-  return call("POST", "/keys", `Basic ${btoa(String.fromCharCode(...pair))}`, { body: wanted });
+  return (path, body, query) => call("POST", path, `Basic ${btoa(String.fromCharCode(...pair))}`, { body, query });
 }
 
 async function call(method, path, authorization, options) {

@@ -1,5 +1,6 @@
 // Page of API keys: create, rotate and revoke; a secret is shown once.
 
+import { withPassword } from "./api.js";
 import { attempt, h, show, table, time } from "./dom.js";
 import { ask, confirm, tell } from "./forms.js";
 import { newPassword } from "./users.js";
@@ -14,6 +15,9 @@ export function keysPage(main, app) {
   keys.load();
   return () => {};
 }
+
+// What is made with the key of this page would end with it.
+const PASSWORD = { name: "password", label: "Your password", type: "password", required: true };
 
 /** Show the keys of one user in `list`; `who` is the query that names the user. */
 export function keysOf(app, list, who) {
@@ -41,9 +45,11 @@ export function keysOf(app, list, who) {
     const button = event.target.closest("[data-do]");
     const id = button?.dataset.of;
     if (button?.dataset.do === "revoke") {
-      confirm("Revoke this key?", "What uses it is cut off at once.", "Revoke", async () => { await api.remove(`/keys/${id}`, who); load(); });
+      confirm("Revoke this key?", "What uses it, or a key that was made with it, is cut off at once.", "Revoke", async () => { await api.remove(`/keys/${id}`, who); load(); });
     } else if (button) {
-      confirm("Rotate this key?", "The old secret is void at once.", "Rotate", async () => secret(await api.post(`/keys/${id}/rotate`, undefined, who), "New secret"));
+      ask("Rotate this key?", [PASSWORD], async ({ password }) => {
+        secret(await withPassword(me.user, password)(`/keys/${id}/rotate`, undefined, who), "New secret");
+      }, { button: "Rotate", text: "The old secret is void at once." });
     }
   };
   const add = () => ask("New key", [
@@ -52,9 +58,10 @@ export function keysOf(app, list, who) {
     { name: "robot", label: "Only robotID", help: "optional, for the role robot" },
     { name: "environments", label: "Only environments", help: "optional, names with blanks between" },
     { name: "days", label: "Expires after", help: "days; empty: never", type: "number", min: 1 },
-  ], async ({ label, role, robot, environments, days }) => {
+    PASSWORD,
+  ], async ({ label, role, robot, environments, days, password }) => {
     const scopes = { ...(robot && { robot }), ...(environments && { environments: environments.split(/[\s,]+/) }) };
-    const made = await api.post("/keys", { label: label ?? "", role, scopes, ...(days && { expires: Date.now() / 1000 + days * 86_400 }) }, who);
+    const made = await withPassword(me.user, password)("/keys", { label: label ?? "", role, scopes, ...(days && { expires: Date.now() / 1000 + days * 86_400 }) }, who);
     secret(made, `Key ${label ?? ""} of ${owner}`);
     load();
   });

@@ -1,6 +1,6 @@
 // Frame of the dashboard: sign-in, the bar at the top, and the current page.
 
-import { Api, signIn } from "./api.js";
+import { Api, withPassword } from "./api.js";
 import { auditPage } from "./audit.js";
 import { attempt, h, show } from "./dom.js";
 import { environmentPage } from "./environment.js";
@@ -101,7 +101,7 @@ function signInPage(message = "") {
     error.textContent = "";
     const { user, password } = Object.fromEntries(new FormData(form));
     try {
-      const made = await signIn(user, password, { label: "dashboard", expires: Date.now() / 1000 + HOURS * 3600 });
+      const made = await withPassword(user, password)("/keys", { label: "dashboard", expires: Date.now() / 1000 + HOURS * 3600 });
       sessionStorage.setItem(KEY, made.secret);
       await start();
     } catch (problem) {

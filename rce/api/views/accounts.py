@@ -30,7 +30,8 @@ class Whoami(Struct, frozen=True):
 class KeyView(Struct, frozen=True):
     """API key without its secret.
 
-    `used` is the time of its last use, to a few seconds. Without `expires` the key is permanent.
+    `used` is the time of its last use, to a few seconds. Without `expires` the key is permanent. `parent` is the key
+    with which it was made and with which it ends; empty if it was made with a password.
     """
 
     id: str
@@ -41,10 +42,14 @@ class KeyView(Struct, frozen=True):
     expires: float | None = None
     used: float | None = None
     scopes: Scopes = UNRESTRICTED
+    parent: str = ""
 
 
 class NewKey(Struct, frozen=True, forbid_unknown_fields=True):
-    """API key to create. Without a role it gets that of the credentials with which it is created."""
+    """API key to create. Without a role it gets that of the credentials with which it is created.
+
+    A key that is made with another key ends with that one; without `expires` it expires when that one does.
+    """
 
     role: UserRole | None = None
     label: Label = ""

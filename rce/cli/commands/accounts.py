@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import os
+import sys
 import time
 from datetime import datetime
 from typing import Any, get_args
 
 from rce.api import views
+from rce.api.client import ApiClient
 from rce.api.roles import Scopes, UserRole
 from rce.cli import output
 from rce.cli.arguments import JSON, OF_USER, OF_USER_OR_ALL, argument
@@ -110,12 +113,25 @@ def _key_list(session: ConsoleSession, args: argparse.Namespace) -> None:
 def _key_create(session: ConsoleSession, args: argparse.Namespace) -> None:
     expires = time.time() + args.days * DAY if args.days else None
     body = views.NewKey(args.role, args.label, expires, Scopes(args.robot, args.environment, args.metrics))
-    made = session.api.post(views.CreatedKey, "keys", body=body, user=args.of)
+    made = _api_by_password(session).post(views.CreatedKey, "keys", body=body, user=args.of)
     print(output.to_json(made) if args.json else made.secret)
 
 
 def _key_rotate(session: ConsoleSession, args: argparse.Namespace) -> None:
-    print(session.api.post(views.CreatedKey, "keys", args.key, "rotate", user=args.of).secret)
+    print(_api_by_password(session).post(views.CreatedKey, "keys", args.key, "rotate", user=args.of).secret)
+
+
+def _api_by_password(session: ConsoleSession) -> ApiClient:
+    """Return a client with the user's password, since what is made with a key ends with that key.
+
+    The password comes from RCE_PASSWORD or a terminal; without one it is the client of the session.
+    """
+    if session.access.password is not None:
+        return session.api
+    password = os.environ.get("RCE_PASSWORD") or (
+        read_password(f"Password of {session.user}: ") if sys.stdin.isatty() else ""
+    )
+    return ApiClient(session.access.url, user=session.user, password=password) if password else session.api
 
 
 def _key_revoke(session: ConsoleSession, args: argparse.Namespace) -> None:
@@ -200,7 +216,8 @@ COMMANDS = (
     Command("key list", "List API keys.", _key_list, (OF_USER_OR_ALL, JSON), ("key list", "key list --of ada --json")),
     Command(
         "key create",
-        "Create an API key and print it; it is not shown again.",
+        "Create an API key and print it; it is not shown again. Asks for your password (or takes RCE_PASSWORD); with "
+        "an empty one, the key ends with the key that you are signed in with.",
         _key_create,
         (
             argument("--role", choices=ROLES, help="its permissions (default: %(default)s)", default="robot"),
@@ -223,7 +240,8 @@ COMMANDS = (
     ),
     Command(
         "key rotate",
-        "Replace the secret of a key and print the new one; the old one becomes invalid.",
+        "Replace the secret of a key and print the new one; the old one becomes invalid. Asks for your password (or "
+        "takes RCE_PASSWORD), except for keys that were made with the key that you are signed in with.",
         _key_rotate,
         (KEY, OF_USER),
         ("key rotate 6f…",),

@@ -153,3 +153,45 @@ async def test_last_use_is_kept_when_it_cannot_be_stored(
             await users.keys.note_use()
     await users.keys.note_use()
     assert (await Users(store).keys.get("ann", key.id)).used is not None
+
+
+async def test_key_that_a_key_makes_ends_with_it(users: Users, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 1000.0
+    monkeypatch.setattr(time, "time", lambda: now)
+    _, parent = await users.keys.add("ann", "user", expires=2000)
+    for wanted, expires in ((None, 2000), (1500, 1500), (2000, 2000)):
+        _, child = await users.keys.add("ann", expires=wanted, parent=parent.id)
+        assert (child.expires, child.parent) == (expires, parent.id)
+        assert child in await users.keys.of("ann")
+    with pytest.raises(Forbidden) as raised:
+        await users.keys.add("ann", expires=2001, parent=parent.id)
+    assert raised.value.field == "expires"
+    _, forever = await users.keys.add("ann", "user")
+    assert (await users.keys.add("ann", expires=9e9, parent=forever.id))[1].expires == 9e9
+
+
+async def test_revoked_key_takes_along_the_keys_that_were_made_with_it(users: Users) -> None:
+    await users.add("bob", "x")
+    _, parent = await users.keys.add("ann", "user")
+    _, child = await users.keys.add("ann", "user", parent=parent.id)
+    grandchild, _ = await users.keys.add("bob", parent=child.id)
+    _, other = await users.keys.add("ann")
+    assert await users.keys.revoke("ann", parent.id) == {"ann", "bob"}
+    assert [key.id for key in await users.keys.all()] == [other.id]
+    with pytest.raises(Unauthorized):
+        await users.keys.check("", grandchild)
+    with pytest.raises(Unauthorized):  # a request that was under way
+        await users.keys.add("ann", parent=parent.id)
+
+
+async def test_key_rotates_itself_and_what_was_made_with_it(users: Users) -> None:
+    _, parent = await users.keys.add("ann", "user")
+    _, child = await users.keys.add("ann", "user", parent=parent.id)
+    _, grandchild = await users.keys.add("ann", parent=child.id)
+    for target, by in ((parent, parent), (child, parent), (grandchild, parent), (grandchild, child)):
+        await users.keys.rotate("ann", target.id, by.id)
+    _, other = await users.keys.add("ann")
+    for target, by in ((parent, child), (other, parent), (parent, other)):
+        with pytest.raises(Forbidden, match="with your password"):
+            await users.keys.rotate("ann", target.id, by.id)
+    await users.keys.rotate("ann", other.id)

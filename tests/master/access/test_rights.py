@@ -6,7 +6,18 @@ from typing import get_args
 
 import pytest
 
-from master.access.rights import COLUMNS, COMMANDS, EVERYBODY, NOBODY, RIGHTS, Principal, check, check_command, may
+from master.access.rights import (
+    COLUMNS,
+    COMMANDS,
+    EVERYBODY,
+    NOBODY,
+    RIGHTS,
+    Principal,
+    check,
+    check_command,
+    check_credential,
+    may,
+)
 from master.graph.commands import CommandContext, execute
 from master.graph.records import Environment, EnvironmentOptions, Robot
 from master.graph.state import State
@@ -140,3 +151,13 @@ def test_scopes_of_robot_and_environments_are_independent() -> None:
 def test_viewer_may_give_no_commands(command: m.Command) -> None:
     with pytest.raises(Forbidden):
         check_command(Principal("ann", "viewer"), furnished(hidden=True), "ann", command)
+
+
+@pytest.mark.parametrize("own", get_args(UserRole))
+@pytest.mark.parametrize("other", get_args(UserRole))
+def test_credential_may_do_no_more_than_the_callers(own: UserRole, other: UserRole) -> None:
+    if other in ASSIGNABLE_ROLES[own]:
+        check_credential(Principal("ann", own), other, Scopes())
+    else:
+        with pytest.raises(Forbidden):
+            check_credential(Principal("ann", own), other, Scopes())

@@ -87,3 +87,36 @@ async def test_temporary_key_of_a_service_does_not_revoke_the_key_that_lent_it(s
     assert (await ask_by_key(served, lent.key, "GET", "/whoami")).body["key"] == name
     assert (await ask_by_key(served, lent.key, "DELETE", f"/keys/{name}")).status == 403
     assert (await served.ask("GET", f"/keys/{name}")).status == 200
+
+
+@pytest.mark.parametrize(
+    ("caller", "target", "scopes"),
+    [("viewer", "admin", {}), ("viewer", "robot", {}), ("user", "operator", {}), ("user", "admin", {"metrics": True})],
+)
+async def test_key_touches_no_key_that_may_do_more(served: Served, caller: str, target: str, scopes: Any) -> None:
+    name, secret = await make_key(served, "root", role=target, scopes=scopes)
+    _, weak = await make_key(served, "root", role=caller)
+    for method, path in (("POST", f"/keys/{name}/rotate"), ("DELETE", f"/keys/{name}")):
+        assert (await ask_by_key(served, weak, method, path)).status == 403
+    assert (await ask_by_key(served, secret, "GET", "/whoami")).status == 200
+
+
+async def test_expiring_key_cannot_make_a_lasting_one(served: Served) -> None:
+    soon = time.time() + 100
+    _, secret = await make_key(served, role="user", expires=soon)
+    lasting, _ = await make_key(served, role="user")
+    later = await ask_by_key(served, secret, "POST", "/keys", {"expires": soon + 1})
+    assert (later.status, later.body["field"]) == (403, "expires")
+    assert (await ask_by_key(served, secret, "POST", "/keys", {})).body["key"]["expires"] == soon
+    assert (await ask_by_key(served, secret, "POST", f"/keys/{lasting}/rotate")).status == 403
+    assert (await served.ask("POST", f"/keys/{lasting}/rotate")).status == 200
+
+
+async def test_signing_out_ends_the_keys_that_were_made_with_the_key(served: Served) -> None:
+    name, secret = await make_key(served, "root")
+    child = (await ask_by_key(served, secret, "POST", "/keys?user=ann", {"role": "robot"})).body
+    assert child["key"]["parent"] == name
+    await served.call_master("west", Login("ann", "r1", child["secret"]))
+    assert (await ask_by_key(served, secret, "DELETE", f"/keys/{name}")).status == 204
+    await served.wait_for_call("west", DropRobot("ann/r1", "the API key was revoked"))
+    assert (await ask_by_key(served, child["secret"], "GET", "/whoami")).status == 401

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from importlib import import_module
+from typing import Any
 
 import pytest
 import sqlalchemy as sa
@@ -58,8 +60,15 @@ def test_revisions_make_the_tables_of_this_version(url: str) -> None:
     engine = sa.create_engine(url)
     upgrade(engine)
     with engine.connect() as connection:
-        assert compare_metadata(MigrationContext.configure(connection), db.tables) == []
+        context = MigrationContext.configure(connection, opts={"include_object": _is_compared})
+        assert compare_metadata(context, db.tables) == []
     engine.dispose()
+
+
+def _is_compared(item: Any, name: str | None, kind: str, reflected: bool, other: object) -> bool:
+    """Leave out the references of columns that a revision added: SQLAlchemy reads them incompletely from SQLite."""
+    added = {("api_keys", "parent"), ("tokens", "key")}
+    return kind != "foreign_key_constraint" or added.isdisjoint((item.table.name, each.name) for each in item.columns)
 
 
 async def test_missing_columns_and_tables_are_added(url: str) -> None:
@@ -84,6 +93,24 @@ def test_shorter_text_columns_are_widened(url: str) -> None:
     with engine.begin() as connection:
         connection.execute(db.records.insert(), {"kind": "Robot", "key": "k" * 1600, "value": "{}"})
     engine.dispose()
+
+
+async def test_key_of_an_earlier_version_takes_along_what_is_made_with_it(url: str) -> None:
+    engine = sa.create_engine(url)
+    import_module("master.storage.migrations.versions.0001_tables").tables.create_all(engine)
+    engine.dispose()
+    execute(
+        url,
+        "INSERT INTO users (name, password, role, created) VALUES ('ann', '', 'user', 0)",
+        """INSERT INTO api_keys (digest, id, "user", role, label, created) VALUES ('d', 'old', 'ann', 'user', '', 0)""",
+    )
+    store = Store(url)
+    await store.open()
+    keys = Users(store).keys
+    await keys.add("ann", parent="old")
+    await store.run(lambda connection: connection.execute(sa.text("DELETE FROM api_keys WHERE id = 'old'")))
+    assert await keys.all() == []
+    await store.close()
 
 
 async def test_records_of_version_0_1_are_rewritten(url: str) -> None:

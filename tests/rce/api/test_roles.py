@@ -21,3 +21,21 @@ def test_only_robot_and_environments_tie_a_key() -> None:
     assert not Scopes(metrics=True).tied
     assert Scopes(robot="r2d2").tied
     assert Scopes(environments=["brain"]).tied
+
+
+@pytest.mark.parametrize(
+    ("own", "other", "within"),
+    [
+        (Scopes(), Scopes(), True),
+        (Scopes("r1"), Scopes(), True),
+        (Scopes(), Scopes("r1"), False),
+        (Scopes("r1"), Scopes("r2"), False),
+        (Scopes(environments=["a"]), Scopes(environments=["a", "b"]), True),
+        (Scopes(environments=["a", "c"]), Scopes(environments=["a", "b"]), False),
+        (Scopes(), Scopes(environments=["a"]), False),
+        (Scopes(metrics=True), Scopes(), True),
+        (Scopes(), Scopes(metrics=True), False),
+    ],
+)
+def test_scopes_are_compared(own: Scopes, other: Scopes, within: bool) -> None:
+    assert own.within(other) is within

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+import sys
 import time
 from datetime import datetime
 from typing import Any
 
 import pytest
 
+from rce.api.client import ApiClient
 from rce.api.roles import Scopes
 from rce.api.views import AuditView, CreatedKey, KeyView, UsageView, UserView
 from rce.cli.commands import accounts
+from rce.cli.contexts import Access
 from rce.cli.execute import FAILURE, SUCCESS
-from tests.support.console import Console, Request
+from tests.support.console import Console, Request, Terminal
 
 KEY = KeyView("6f", "ann", "robot", "r2d2", 1e9, scopes=Scopes("r2", ["brain"]))
 NOW = 1_900_000_000.0
@@ -156,6 +159,26 @@ def test_created_key_in_json_has_its_id(capsys: pytest.CaptureFixture[str]) -> N
 def test_rotated_key_prints_the_new_secret(capsys: pytest.CaptureFixture[str]) -> None:
     assert Console(CreatedKey("rce_new", KEY)).request("key rotate 6f").line == "POST keys/6f/rotate"
     assert capsys.readouterr().out == "rce_new\n"
+
+
+@pytest.mark.parametrize("words", ["create", "rotate 6f"])
+@pytest.mark.parametrize(("answer", "used"), [("typed", ["typed"]), ("", [])])
+def test_keys_are_made_with_the_password_if_there_is_one(
+    words: str, answer: str, used: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    console, passwords = Console(CreatedKey("rce_s", KEY)), list[str]()
+    console.session.__dict__["access"] = Access("http://127.0.0.1:1/", "ann", None, "rce_session")
+
+    def client(url: str, *, user: str, password: str) -> ApiClient:
+        assert (url, user) == ("http://127.0.0.1:1/", "ann")
+        passwords.append(password)
+        return console.session.api
+
+    monkeypatch.setattr(accounts, "ApiClient", client)
+    monkeypatch.setattr(sys, "stdin", Terminal())
+    monkeypatch.setattr(accounts, "read_password", lambda prompt: answer)
+    console.request(f"key {words}")
+    assert passwords == used
 
 
 def test_keys_are_listed_with_what_they_are_tied_to(capsys: pytest.CaptureFixture[str]) -> None:
