@@ -25,7 +25,7 @@ from aiohttp import web
 
 from rce.net.tls import CERTIFICATE, KEY, Tls, public_tls_context
 from rce.web.requests import header, raw_path
-from rce.web.server import Endpoint, listen, serve_handler
+from rce.web.server import Endpoint, listen, logged_in, serve_handler
 
 NAME = "rce"  # the only repository; images in it are requested by digest
 USER = "agent"
@@ -154,6 +154,7 @@ class ImageRegistry:
     async def _answer(self, request: web.BaseRequest) -> web.StreamResponse:
         if not hmac.compare_digest(_password(request), self.secret.encode()):
             return _json_answer(b'{"errors":[]}', 401, CHALLENGE)
+        logged_in()
         path = raw_path(request)
         if path == "/v2/":
             return _json_answer(b"{}")

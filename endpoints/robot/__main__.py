@@ -96,7 +96,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     server = await listen(
         endpoint, options.ws_host, options.ws_port, public_tls_context(options.certificate, options.private_key)
     )
-    ws_port = server.sockets[0].getsockname()[1]
+    ws_port = server.port
     url = robot_url(options, ws_port)
     incarnation = secrets.token_hex(16)
 

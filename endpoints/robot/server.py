@@ -17,7 +17,9 @@ from endpoints.robot.endpoint import LoginResult, RobotEndpoint
 from endpoints.robot.frame_receiver import FrameReceiver
 from endpoints.robot.handshake import parse_login, refusal_status, wants_close_code
 from endpoints.robot.session import Piece, RobotSession
-from rce.errors import RceError, port_unavailable
+from rce.errors import RceError
+from rce.net.listener import Listener, bind
+from rce.net.pending_logins import PendingLogin
 from rce.net.sockets import tune
 from rce.protocol.blobs import BinaryFrame, Buffer
 
@@ -28,6 +30,7 @@ from autobahn.websocket.compress import PerMessageDeflateOffer, PerMessageDeflat
 from autobahn.websocket.types import ConnectionDeny, ConnectionRequest  # noqa: E402
 
 HIGH_WATER = 256 * 1024  # bytes; while the transport holds more, messages wait in the outbox, where they take turns
+HANDSHAKE_TIMEOUT = 30.0  # seconds for the opening handshake, with the login
 MAX_REQUEST = 64 * 1024  # bytes of the opening HTTP request
 CHUNK = 64 * 1024  # bytes; smaller fragments of a message are joined as they come
 SLICE = 0.0005  # seconds for which the frames of one robot may be processed at a stretch
@@ -65,9 +68,10 @@ protocol.create_xor_masker = _Unmasker  # type: ignore[attr-defined, assignment]
 class RobotSocket(WebSocketServerProtocol):
     """WebSocket of one robot."""
 
-    def __init__(self, endpoint: RobotEndpoint) -> None:
+    def __init__(self, endpoint: RobotEndpoint, pending: PendingLogin) -> None:
         super().__init__()
         self._endpoint = endpoint
+        self._pending = pending
         self._login: LoginResult | None = None
         self._session: RobotSession | None = None
         self._denied: ConnectionDeny | None = None  # refusal to be sent as a close code
@@ -79,6 +83,11 @@ class RobotSocket(WebSocketServerProtocol):
         self._silent_ticks = 0
         self._unsent = 0  # bytes in the write buffer at the last tick
         self._pending_pong: bytes | None = None  # payload of a ping that came while the write buffer was full
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Count the connection no longer."""
+        self._pending.end()
+        super().connection_lost(exc)
 
     # --- handshake ----------------------------------------------------------------------------------------------------
 
@@ -111,6 +120,7 @@ class RobotSocket(WebSocketServerProtocol):
             self._close(REFUSED + self._denied.code, str(self._denied.reason))
             return
         assert self._login is not None
+        self._pending.end()
         session = self._session = self._login.session
         self._receiver = FrameReceiver(session, self._endpoint.limits, self._endpoint.data, self.end)
         self._timer = asyncio.get_running_loop().call_later(TICK, self._tick)
@@ -309,13 +319,14 @@ class _Factory(WebSocketServerFactory):
         super().__init__(server="RCE", loop=loop)
         self._endpoint = endpoint
 
-    def __call__(self) -> RobotSocket:
-        socket = RobotSocket(self._endpoint)
+    def make(self, pending: PendingLogin) -> RobotSocket:
+        """Return the protocol of a new connection."""
+        socket = RobotSocket(self._endpoint, pending)
         socket.factory = self  # type: ignore[attr-defined]  # as the base class does
         return socket
 
 
-async def listen(endpoint: RobotEndpoint, host: str, port: int, tls: Any) -> asyncio.Server:
+async def listen(endpoint: RobotEndpoint, host: str, port: int, tls: Any) -> Listener:
     """Serve robots at `host:port`.
 
     Args:
@@ -334,12 +345,9 @@ async def listen(endpoint: RobotEndpoint, host: str, port: int, tls: Any) -> asy
         maxMessagePayloadSize=endpoint.limits.message,
         maxFramePayloadSize=endpoint.limits.message,
         allowNullOrigin=True,  # the origin of a page from a file; setProtocolOptions would reset it
-        openHandshakeTimeout=30,
+        openHandshakeTimeout=HANDSHAKE_TIMEOUT,
         closeHandshakeTimeout=1,  # a connection that was cut off is gone by then
         failByDrop=False,  # tell the robot which rule it broke
         utf8validateIncoming=False,  # the decoders validate it, so the robot gets an error and keeps its socket
     )
-    try:
-        return await loop.create_server(factory, host, port, ssl=tls)
-    except OSError as error:
-        raise port_unavailable(host, port, error) from None
+    return Listener(bind(host, port), factory.make, tls)

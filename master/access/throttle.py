@@ -7,7 +7,6 @@ cannot be guessed, and a robot with a valid key must always get in.
 
 from __future__ import annotations
 
-import ipaddress
 import math
 import time
 from collections import OrderedDict
@@ -16,6 +15,7 @@ from collections.abc import Callable
 from msgspec import Struct
 
 from rce.errors import TooManyAttempts
+from rce.net.pending_logins import network
 from rce.protocol.names import MAX_TAG
 
 FREE_BY_USER = 5  # wrong passwords before the first wait
@@ -114,16 +114,3 @@ def _place(user: str, address: str) -> tuple[str, str]:
     """Return the network that counts as one address, and a name for the user at it."""
     place = network(address)
     return place, f"{user[:MAX_TAG]} {place}"
-
-
-def network(address: str) -> str:
-    """Return what counts as one address: for IPv6 a /64. Empty for this machine, which may be a proxy."""
-    try:
-        ip = ipaddress.ip_address(address.partition("%")[0])
-    except ValueError:
-        return ""
-    if isinstance(ip, ipaddress.IPv6Address):
-        if ip.ipv4_mapped is None:
-            return "" if ip.is_loopback else str(ipaddress.ip_network((ip, 64), strict=False))
-        ip = ip.ipv4_mapped
-    return "" if ip.is_loopback else str(ip)

@@ -14,6 +14,7 @@ from master.api.request import Answer, Call, Handler
 from rce.api.roles import Principal
 from rce.errors import Forbidden, RceError, Unauthorized
 from rce.web.requests import header, peer_address
+from rce.web.server import logged_in
 
 HASH = re.compile(r"[0-9a-f]{64}", re.ASCII)
 READ_METHODS = ("GET", "HEAD")
@@ -35,10 +36,12 @@ class Authenticator:
         """
         user, secret = credentials(request)
         try:
-            return await self._users.check(user, secret, peer_address(request))
+            principal = await self._users.check(user, secret, peer_address(request))
         except RceError as error:
             self._audit.note(None, "login", user, user, _origin(request), error)
             raise
+        logged_in()
+        return principal
 
     async def audited(self, call: Call, handler: Handler) -> Answer:
         """Return the handler's answer, and record the call if it may have changed something or was forbidden."""

@@ -7,8 +7,6 @@ nothing of it by then.
 
 from __future__ import annotations
 
-import asyncio
-
 from aiohttp import web
 from twisted.logger import Logger
 
@@ -21,11 +19,10 @@ from master.redirect import ServiceRedirects
 from master.storage.depot import UPLOAD_PATH, Depot, Upload
 from rce.errors import Unavailable, describe_os_error
 from rce.web.problems import problem_response
-from rce.web.requests import accept_body, declared_length, raw_path, read_body
-from rce.web.server import Endpoint, listen, serve_handler
+from rce.web.requests import accept_body, body_pieces, declared_length, raw_path, read_body
+from rce.web.server import Endpoint, listen, logged_in, serve_handler
 
 MAX_BODY = 65_536  # bytes, except of uploads
-UPLOAD_IDLE = 60.0  # seconds without a byte after which an upload is broken off
 OUTSIDE_PREFIX = ("healthz", "readyz", "metrics")  # of the API, as monitoring expects them
 
 log = Logger()
@@ -59,6 +56,7 @@ class Site:
         """Answer a request."""
         upload = self._begin_upload(request)
         if upload is not None:
+            logged_in()
             try:
                 await _receive(request, upload)
                 return await self._api.handle(request, b"", upload)
@@ -116,15 +114,8 @@ async def _receive(request: web.BaseRequest, upload: Upload) -> None:
     """Write the body to disk as it comes.
 
     Raises:
-        web.HTTPRequestTimeout: Nothing came for some time.
+        web.HTTPException: It came too slowly, or is malformed or compressed.
     """
     await accept_body(request)
-    while True:
-        try:
-            async with asyncio.timeout(UPLOAD_IDLE):
-                data = await request.content.readany()
-        except TimeoutError:
-            raise web.HTTPRequestTimeout from None
-        if not data:
-            return
-        upload.write(data)
+    async for piece in body_pieces(request):
+        upload.write(piece)

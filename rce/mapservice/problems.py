@@ -13,6 +13,7 @@ from rce.errors import InternalError, InvalidRequest, NotFound, RceError
 from rce.mapservice.auditing import FAILED
 from rce.mapservice.record_store import DiskFull
 from rce.web.problems import HttpError, problem_response
+from rce.web.requests import check_encoding
 
 WRONG_TYPE, WRONG_VERSION, TOO_LARGE = 415, 412, 413
 
@@ -25,6 +26,7 @@ async def problems(request: web.Request, handler: Handler) -> web.StreamResponse
     """Answer every error with a problem."""
     try:
         check_headers(request)
+        check_encoding(request)  # before an upload is announced
         return await handler(request)
     except ConnectionError:
         raise  # the client disconnected
@@ -42,7 +44,7 @@ def _told(error: Exception, request: web.Request) -> RceError:
         case web.HTTPNotFound():
             return NotFound(f"there is nothing at {request.path}")
         case web.HTTPException():
-            headers = {"Allow": error.headers["Allow"]} if "Allow" in error.headers else {}
+            headers = {name: error.headers[name] for name in ("Allow", "Accept-Encoding") if name in error.headers}
             return HttpError(error.text or error.reason, status=error.status, headers=headers)
     return unexpected(error, f"{request.method} {request.path}")
 

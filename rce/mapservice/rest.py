@@ -10,7 +10,7 @@ from email.utils import formatdate
 from typing import Any
 
 import msgspec
-from aiohttp import ClientError, web
+from aiohttp import web
 from twisted.logger import Logger
 
 from rce.api.map_jobs import PREFIX, JobRequest, Upload
@@ -21,12 +21,13 @@ from rce.mapservice.jobs import Jobs
 from rce.mapservice.problems import TOO_LARGE, WRONG_TYPE, WRONG_VERSION, decode
 from rce.mapservice.uploads import Uploads
 from rce.web.problems import HttpError
+from rce.web.requests import body_pieces, read_accepted_body
+from rce.web.server import logged_in
 
 TUS = "1.0.0"
 EXTENSIONS = "creation,creation-with-upload,expiration,termination"
 CHUNK_TYPE = "application/offset+octet-stream"
 MAX_REQUEST = 64 * 1024  # bytes of a JSON body
-IDLE_TIMEOUT = 60.0  # seconds without data until an upload is aborted
 HEARTBEAT = 15.0  # seconds without an event until a comment is sent
 TYPES = {
     ".pgm": "image/x-portable-graymap",
@@ -46,6 +47,7 @@ class Rest:
     async def _client(self, request: web.Request) -> Client:
         operation = "job.read" if request.method in ("GET", "HEAD") else "job.submit"
         client = await self._authenticator.authenticate(request.headers, request.query, operation, request.remote or "")
+        logged_in()
         request[CLIENT] = client
         return client
 
@@ -112,7 +114,7 @@ class Rest:
     async def submit(self, request: web.Request) -> web.Response:
         """Inspect the recording and queue a job."""
         client = await self._client(request)
-        body = await request.read()
+        body = await read_accepted_body(request)
         if len(body) > MAX_REQUEST:
             raise HttpError(f"the request has more than {MAX_REQUEST} bytes", status=TOO_LARGE)
         wanted = decode(body, JobRequest)
@@ -230,14 +232,10 @@ def _metadata(text: str) -> dict[str, str]:
 
 async def _pieces(request: web.Request) -> AsyncIterator[bytes]:
     """Yield the body as it comes; end normally if the client disconnects, so that the received part is kept."""
-    while True:
-        try:
-            async with asyncio.timeout(IDLE_TIMEOUT):
-                piece = await request.content.readany()
-        except TimeoutError:
-            raise TimedOut(f"no data for {IDLE_TIMEOUT:g} s: continue at the offset that HEAD returns") from None
-        except (ClientError, ConnectionError):
-            return
-        if not piece:
-            return
-        yield piece
+    try:
+        async for piece in body_pieces(request):
+            yield piece
+    except web.HTTPRequestTimeout:
+        raise TimedOut("the data came too slowly: continue at the offset that HEAD returns") from None
+    except ConnectionError:
+        return

@@ -23,7 +23,7 @@ from rce.mapservice.problems import problems
 from rce.mapservice.rest import Rest
 from rce.mapservice.soap import Soap
 from rce.mapservice.uploads import UploadLimits, Uploads
-from rce.web.server import Endpoint, listen
+from rce.web.server import Endpoint, listen, serve_application
 
 READ_BUFFER = 1024 * 1024  # bytes of an upload that are buffered in memory
 MAX_BODY = 9 * 1024 * 1024  # bytes of a body that is not streamed: SOAP with a recording
@@ -65,13 +65,7 @@ class MapService:
         openapi.add(application, openapi.routes(rest), rest.check_expectation)
         Soap(self.authenticator, self.uploads, self.jobs).add(application)
         health.add(application, self.authenticator)
-        self._runner = web.AppRunner(
-            application,
-            handle_signals=False,
-            access_log=None,
-            shutdown_timeout=SHUTDOWN_TIMEOUT,
-            read_bufsize=READ_BUFFER,
-        )
+        self._runner = serve_application(application, shutdown_timeout=SHUTDOWN_TIMEOUT, read_bufsize=READ_BUFFER)
         self._sweeper: asyncio.Task[None] | None = None
 
     async def start(self, host: str, port: int, tls: ssl.SSLContext | None = None) -> int:

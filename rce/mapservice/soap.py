@@ -19,6 +19,8 @@ from rce.mapservice.envelope import NAMESPACE, Envelopes, Request, add_texts, an
 from rce.mapservice.jobs import Jobs
 from rce.mapservice.problems import convert, unexpected
 from rce.mapservice.uploads import Uploads
+from rce.web.requests import read_accepted_body
+from rce.web.server import logged_in
 
 MAX_INLINE = 6 * 1024 * 1024  # bytes of a recording in a request; libxml2 accepts 10 MB of base64
 MAX_RESULTS = 64 * 1024 * 1024  # bytes of the result files in an answer
@@ -60,6 +62,8 @@ class Soap:
                 raise
             except web.HTTPRequestEntityTooLarge:
                 raise LimitExceeded("the request is too large: upload the recording and submit its id") from None
+            except web.HTTPException as error:
+                raise InvalidRequest(error.text or error.reason) from None
             except Exception as error:  # noqa: BLE001  # the client gets an InternalError; the traceback goes to the log
                 raise unexpected(error, "SOAP") from None
         except RceError as error:  # SOAP 1.1 requires status 500 for every fault
@@ -68,7 +72,7 @@ class Soap:
         return web.Response(body=body, content_type=XML, charset="utf-8")
 
     async def _perform(self, request: web.Request) -> bytes:
-        parsed = self._envelopes.read(await request.read())
+        parsed = self._envelopes.read(await read_accepted_body(request))
         reads = etree.QName(parsed.body).localname.startswith(("Get", "List"))
         client = await self._client(request, parsed, "job.read" if reads else "job.submit")
         operation = self._operations.get(str(parsed.body.tag))
@@ -82,6 +86,7 @@ class Soap:
         query = {"userID": parsed.user, _kind(parsed.secret): parsed.secret} if parsed.secret else request.query
         headers = {} if parsed.secret else request.headers
         client = await self._authenticator.authenticate(headers, query, operation, request.remote or "")
+        logged_in()
         request[CLIENT] = client
         request[ACTION] = AUDITED.get(etree.QName(parsed.body).localname, "")
         return client

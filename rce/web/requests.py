@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import re
+from collections.abc import AsyncIterator
 
 from aiohttp import HttpVersion11, web
 
-BODY_TIMEOUT = 60.0  # seconds for a body that is read at once
+BODY_TIMEOUT = 60.0  # seconds for a body, and without any byte of it
+MIN_RATE = 1024  # bytes of a body that extend its time by a second
 _HOST = re.compile(r"\[?(?P<name>.*?)\]?(:\d+)?", re.DOTALL)
 
 
@@ -46,6 +48,18 @@ def declared_length(request: web.BaseRequest) -> int | None:
     return None if "Transfer-Encoding" in request.headers else request.content_length or 0
 
 
+def check_encoding(request: web.BaseRequest) -> None:
+    """Refuse compressed bodies: their size is not known in advance.
+
+    Raises:
+        web.HTTPUnsupportedMediaType: The body is compressed.
+    """
+    encoding = header(request, "Content-Encoding") or "identity"
+    if encoding.strip().lower() != "identity":
+        reason = f"the body must come as it is, not with Content-Encoding: {encoding[:80]}"
+        raise web.HTTPUnsupportedMediaType(text=reason, headers={"Accept-Encoding": "identity"})
+
+
 async def accept_body(request: web.BaseRequest) -> None:
     """Tell a client that asked first (`Expect: 100-continue`) to send its body."""
     if request.version >= HttpVersion11 and (header(request, "Expect") or "").lower() == "100-continue":
@@ -54,10 +68,10 @@ async def accept_body(request: web.BaseRequest) -> None:
 
 
 async def read_body(request: web.BaseRequest) -> bytes:
-    """Ask for the body if the client waits for that, and return all of it; the caller has checked its length.
+    """Ask for the body if the client waits for that, and return all of it.
 
     Raises:
-        web.HTTPRequestTimeout: It did not come in time.
+        web.HTTPException: As `read_accepted_body`.
     """
     await accept_body(request)
     return await read_accepted_body(request)
@@ -67,10 +81,38 @@ async def read_accepted_body(request: web.BaseRequest) -> bytes:
     """Return the whole body, for which the client has been asked: routes of a web.Application do that themselves.
 
     Raises:
-        web.HTTPRequestTimeout: It did not come in time.
+        web.HTTPException: As `body_pieces`, or the body is larger than the server takes.
     """
-    try:
-        async with asyncio.timeout(BODY_TIMEOUT):
-            return await request.read()
-    except TimeoutError:
-        raise web.HTTPRequestTimeout from None
+    body = bytearray()
+    async for piece in body_pieces(request):
+        body += piece
+        if len(body) > request.client_max_size:
+            raise web.HTTPRequestEntityTooLarge(request.client_max_size)
+    return bytes(body)
+
+
+async def body_pieces(request: web.BaseRequest) -> AsyncIterator[bytes]:
+    """Yield the body as it comes.
+
+    Raises:
+        web.HTTPUnsupportedMediaType: It is compressed.
+        web.HTTPRequestTimeout: Nothing came for BODY_TIMEOUT, or the whole comes too slowly.
+        web.HTTPBadRequest: It is malformed.
+        ConnectionError: The client disconnected.
+    """
+    check_encoding(request)
+    loop = asyncio.get_running_loop()
+    left = BODY_TIMEOUT
+    while True:
+        began = loop.time()
+        try:
+            async with asyncio.timeout(min(left, BODY_TIMEOUT)):
+                piece = await request.content.readany()
+        except TimeoutError:
+            raise web.HTTPRequestTimeout(text="the body came too slowly") from None
+        except web.RequestPayloadError:
+            raise web.HTTPBadRequest(text="the body is malformed") from None
+        if not piece:
+            return
+        left += len(piece) / MIN_RATE - (loop.time() - began)
+        yield piece

@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextvars
 import logging
 import re
 import socket
 import ssl
 from collections.abc import Awaitable, Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
-from rce.errors import InvalidRequest, port_unavailable
+from rce.errors import InvalidRequest
+from rce.net.listener import BACKLOG, Listener, bind
+from rce.net.pending_logins import PendingLogin
 from rce.net.tls import public_tls_context
 
 IDLE_TIMEOUT = 60.0  # seconds that a connection may take for the head of its first or next request
 MAX_LINE = 16_384  # bytes of the request line, and of one header
 SHUTDOWN_TIMEOUT = 1.0  # seconds for which requests in progress may go on while the server stops
+UNREAD_TIMEOUT = 60.0  # seconds for which a client may read nothing of a response
 LINGERING_TIME = 2.0  # seconds for which the rest of a refused body is read, so that the client gets the answer
-BACKLOG = 128
 LIMITS: dict[str, Any] = {
     "access_log": None,
     "keepalive_timeout": IDLE_TIMEOUT,
@@ -32,6 +36,8 @@ OPTIONS = {"tcp": {"port", "interface", "backlog"}}
 OPTIONS["ssl"] = OPTIONS["tcp"] | {"privateKey", "certKey"}
 
 Handler = Callable[[web.BaseRequest], Awaitable[web.StreamResponse]]
+
+_pending: contextvars.ContextVar[PendingLogin | None] = contextvars.ContextVar("pending", default=None)
 
 
 class Endpoint(NamedTuple):
@@ -101,9 +107,10 @@ def serve_handler(handler: Handler) -> web.ServerRunner:
     return web.ServerRunner(server, shutdown_timeout=SHUTDOWN_TIMEOUT)
 
 
-def serve_application(application: web.Application) -> web.AppRunner:
-    """Return a runner of an application with the same limits."""
-    return web.AppRunner(application, handle_signals=False, shutdown_timeout=SHUTDOWN_TIMEOUT, **LIMITS)
+def serve_application(application: web.Application, **options: Any) -> web.AppRunner:
+    """Return a runner of an application with the same limits; `options` are those of `web.AppRunner`."""
+    options = {"shutdown_timeout": SHUTDOWN_TIMEOUT} | LIMITS | options
+    return web.AppRunner(application, handle_signals=False, **options)
 
 
 async def listen(runner: web.BaseRunner, endpoint: Endpoint) -> tuple[str, int]:
@@ -112,28 +119,94 @@ async def listen(runner: web.BaseRunner, endpoint: Endpoint) -> tuple[str, int]:
     Raises:
         Unavailable: The port is in use or cannot be bound.
     """
-    listener = _bind(endpoint)
+    listening = bind(endpoint.host, endpoint.port, endpoint.backlog)
+    host, port = listening.getsockname()[:2]
     try:
         await runner.setup()
-        await web.SockSite(runner, listener, ssl_context=endpoint.tls, backlog=endpoint.backlog).start()
+        await _Site(runner, listening, endpoint).start()
     except BaseException:
-        listener.close()
+        listening.close()
         raise
-    host, port = listener.getsockname()[:2]
     return host, port
 
 
-def _bind(endpoint: Endpoint) -> socket.socket:
-    family = socket.AF_INET6 if ":" in endpoint.host else socket.AF_INET
-    try:
-        return socket.create_server(
-            (endpoint.host, endpoint.port),
-            family=family,
-            backlog=endpoint.backlog,
-            dualstack_ipv6=endpoint.host == "::",  # as Twisted: all addresses, those of IPv4 too
-        )
-    except OSError as error:
-        raise port_unavailable(endpoint.host, endpoint.port, error) from None
+def logged_in() -> None:
+    """Note that the client of the current request has logged in, so that its connection no longer counts as pending."""
+    pending = _pending.get()
+    if pending is not None:
+        pending.end()
+
+
+class _Site(web.BaseSite):
+    """Site whose connections count for their addresses until their clients log in."""
+
+    def __init__(self, runner: web.BaseRunner, listening: socket.socket, endpoint: Endpoint) -> None:
+        super().__init__(runner)
+        self._listening = listening
+        self._endpoint = endpoint
+
+    @property
+    def name(self) -> str:
+        return f"{self._endpoint.scheme}://{self._endpoint.host}:{self._endpoint.port}"
+
+    async def start(self) -> None:
+        await super().start()
+        make = self._runner.server
+        assert make is not None
+        self._listener = Listener(self._listening, lambda pending: _Connection(make(), pending), self._endpoint.tls)
+
+    async def stop(self) -> None:
+        self._listener.close()
+        await super().stop()
+
+
+class _Connection(asyncio.Protocol):
+    """Passes everything on to aiohttp; closes a connection whose client does not read its responses."""
+
+    def __init__(self, handler: asyncio.Protocol, pending: PendingLogin) -> None:
+        self._handler = handler
+        self._pending = pending
+        self._transport: asyncio.Transport
+        self._unread: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast(asyncio.Transport, transport)  # uvloop's is no subclass of it
+        context = contextvars.copy_context()  # that of all requests of this connection
+        context.run(_pending.set, self._pending)
+        context.run(self._handler.connection_made, transport)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._pending.end()
+        self._stop_watching()
+        self._handler.connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        self._handler.data_received(data)
+
+    def eof_received(self) -> bool | None:
+        return self._handler.eof_received()
+
+    def pause_writing(self) -> None:
+        self._handler.pause_writing()
+        self._watch()
+
+    def resume_writing(self) -> None:
+        self._stop_watching()
+        self._handler.resume_writing()
+
+    def _watch(self) -> None:
+        size = self._transport.get_write_buffer_size()
+        self._unread = asyncio.get_running_loop().call_later(UNREAD_TIMEOUT, self._check, size)
+
+    def _stop_watching(self) -> None:
+        if self._unread is not None:
+            self._unread.cancel()
+
+    def _check(self, before: int) -> None:
+        if self._transport.get_write_buffer_size() < before:
+            self._watch()
+        else:
+            self._transport.abort()
 
 
 def _is_defect(record: logging.LogRecord) -> bool:

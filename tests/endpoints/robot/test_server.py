@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import ssl
 from collections.abc import AsyncIterator
@@ -11,8 +12,10 @@ from typing import Any
 
 import pytest
 from websockets.asyncio.client import connect
+from websockets.exceptions import WebSocketException
 
 from endpoints.robot import server
+from rce.net import pending_logins
 from rce.net.certificates import Authority
 from rce.net.tls import CA, CERTIFICATE, KEY, public_tls_context
 from tests.support.certificates import certify
@@ -122,12 +125,47 @@ async def test_robot_that_answers_pings_stays_connected(platform: Platform) -> N
     await robot.expect_silence()
 
 
+async def test_dripping_handshake_is_cut_off(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "HANDSHAKE_TIMEOUT", 0.2)
+    listener = await server.listen(platform.endpoint, "127.0.0.1", 0, None)
+    reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
+
+    async def drip() -> None:
+        writer.write(b"GET / HTTP/1.1\r\n")
+        while True:
+            writer.write(b"X: y\r\n")
+            await asyncio.sleep(0.02)
+
+    dripping = asyncio.create_task(drip())
+    with contextlib.suppress(ConnectionResetError):
+        assert await asyncio.wait_for(reader.read(), 20) == b""
+    dripping.cancel()
+    writer.close()
+    listener.close()
+
+
+async def test_sockets_without_login_are_bounded(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pending_logins, "MAX_PENDING", 2)
+    monkeypatch.setattr(pending_logins, "network", lambda address: address)
+    robots = [await platform.robot(name) for name in ("a", "b", "c")]
+    silent = [await asyncio.open_connection("127.0.0.1", platform.port) for _ in range(2)]
+    await eventually(lambda: len(platform.server.pending) == 2)
+    with pytest.raises((ConnectionError, WebSocketException)):
+        await platform.robot("d")
+    for _, writer in silent:
+        writer.close()
+    await eventually(lambda: len(platform.server.pending) == 0)
+    robots.append(await platform.robot("d"))
+    for robot in robots:
+        await robot.expect_silence()
+
+
 async def test_wss(platform: Platform, tmp_path: Path) -> None:
     own = certify(tmp_path / "own", Authority.make("rce"), ["localhost"])
     secure = await server.listen(
         platform.endpoint, "127.0.0.1", 0, public_tls_context(str(own / CERTIFICATE), str(own / KEY))
     )
-    port = secure.sockets[0].getsockname()[1]
+    port = secure.port
     trust = ssl.create_default_context(cafile=str(own / CA))
     url = f"wss://localhost:{port}/?userID={USER}&robotID=a&password={PASSWORD}"
     async with connect(url, ssl=trust, max_size=None, host="127.0.0.1", server_hostname="localhost") as socket:

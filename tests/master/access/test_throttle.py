@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from master.access import throttle as module
-from master.access.throttle import FORGET_AFTER, FREE_BY_ADDRESS, FREE_BY_USER, MAX_WAIT, Throttle, network
+from master.access.throttle import FORGET_AFTER, FREE_BY_ADDRESS, FREE_BY_USER, MAX_WAIT, Throttle
 from rce.errors import TooManyAttempts
 
 
@@ -88,20 +88,6 @@ def test_loopback_is_not_counted_as_an_address(throttle: Throttle) -> None:
     for number in range(FREE_BY_ADDRESS + 5):
         guess(throttle, 1, f"u{number}", "127.0.0.1")
     assert wait(throttle, "ann", "127.0.0.1") == 0
-
-
-@pytest.mark.parametrize(
-    ("address", "counts_as"),
-    [
-        ("10.1.2.3", "10.1.2.3"),
-        ("2001:db8:1:2:3:4:5:6", "2001:db8:1:2::/64"),
-        ("::ffff:10.1.2.3", "10.1.2.3"),
-        ("fe80::1%eth0", "fe80::/64"),
-        *((own, "") for own in ("127.0.0.1", "::1", "::ffff:127.0.0.1", "", "unix")),
-    ],
-)
-def test_ipv6_networks_count_as_one_address(address: str, counts_as: str) -> None:
-    assert network(address) == counts_as
 
 
 def test_memory_is_bounded(throttle: Throttle, monkeypatch: pytest.MonkeyPatch) -> None:

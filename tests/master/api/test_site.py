@@ -12,10 +12,10 @@ import pytest
 from twisted.logger import LogEvent
 
 from master import dashboard
-from master.api import site
 from master.api.site import MAX_BODY
 from master.storage.depot import Upload
 from rce.api import http as client
+from rce.web import requests
 from tests.support.master.package_platform import PackagePlatform, announce, packed
 
 
@@ -89,7 +89,7 @@ async def test_interrupted_upload_leaves_nothing(platform: PackagePlatform) -> N
 async def test_upload_that_pauses_too_long_is_broken_off(
     platform: PackagePlatform, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(site, "UPLOAD_IDLE", 0.05)
+    monkeypatch.setattr(requests, "BODY_TIMEOUT", 0.05)
     token = await announce(platform, b"x" * 5000)
     reader, writer = await asyncio.open_connection("127.0.0.1", platform.port)
     writer.write(head("PUT", "/api/v1/uploads", token, length=5000) + b"x" * 100)

@@ -7,6 +7,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
+from twisted.logger import LogEvent
 
 from rce.control.calls.services import Authenticate, InvalidateAuthentication
 from rce.control.connection import encode_pages
@@ -14,6 +15,7 @@ from rce.errors import Unavailable
 from rce.mapservice.server import MapService
 from rce.mapservice.uploads import Uploads
 from rce.process.metrics import collect_families
+from rce.web import requests, server
 from tests.support.map_service import LIMITS, LOG, FakeRunner, Service
 
 
@@ -25,6 +27,65 @@ async def test_malformed_request_line_is_not_logged(service: Service, caplog: py
     assert b" 400 " in await asyncio.wait_for(reader.readline(), 20)
     writer.close()
     assert "rce_ann" not in caplog.text
+
+
+async def raw(service: Service, request: bytes) -> bytes:
+    """Send bytes and return all that comes until the service closes the connection."""
+    url = urlsplit(service.url)
+    reader, writer = await asyncio.open_connection(url.hostname, url.port)
+    writer.write(request)
+    try:
+        return await asyncio.wait_for(reader.read(), 20)
+    except ConnectionResetError:
+        return b""
+    finally:
+        writer.close()
+
+
+@pytest.mark.parametrize("request_line", [b"GET x", b"GET http://[", b"GET *", b"CONNECT [", b"GET x:y", b"GET ?q"])
+async def test_malformed_target_is_refused(service: Service, request_line: bytes) -> None:
+    answer = await raw(service, request_line + b" HTTP/1.1\r\nHost: x\r\n\r\n")
+    assert b" 400 " in answer
+    assert b"Traceback" not in answer
+
+
+async def test_silent_connection_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(server.LIMITS, "keepalive_timeout", 0.1)
+    service = Service(tmp_path)
+    await service.start()
+    assert await raw(service, b"") == b""
+    assert await raw(service, b"GET / HTTP/1.1\r\nHost") == b""
+    await service.stop()
+
+
+@pytest.mark.parametrize("path", ["/jobs", "/uploads?filename=a.log", "/soap"])
+async def test_silent_body_is_refused_in_time(service: Service, path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(requests, "BODY_TIMEOUT", 0.1)
+    headers = "Authorization: Bearer rce_ann\r\nContent-Type: application/offset+octet-stream\r\nContent-Length: 9"
+    answer = await raw(service, f"POST /map-service{path} HTTP/1.1\r\nHost: x\r\n{headers}\r\n\r\n".encode())
+    assert b"came too slowly" in answer
+
+
+@pytest.mark.parametrize("path", ["/jobs", "/uploads?filename=a.log", "/soap"])
+@pytest.mark.parametrize("encoding", ["gzip", "deflate", "br", "zstd", "nonsense"])
+async def test_compressed_body_is_refused(service: Service, path: str, encoding: str) -> None:
+    headers = {"Content-Encoding": encoding, "Content-Type": "application/offset+octet-stream"}
+    answer = await service.request("POST", path, data=b"abc", headers=headers)
+    assert answer.status == 415
+    assert answer.headers["Accept-Encoding"] == "identity"
+    assert service.service.uploads.of("ann") == []
+
+
+@pytest.mark.parametrize("path", ["/jobs", "/uploads?filename=a.log", "/soap"])
+async def test_malformed_chunked_body_is_refused(service: Service, path: str, failures: list[LogEvent]) -> None:
+    headers = (
+        "Authorization: Bearer rce_ann\r\nUpload-Length: 9\r\nContent-Type: application/offset+octet-stream\r\n"
+        "Transfer-Encoding: chunked"
+    )
+    body = "1\r\na\r\nzz\r\n"
+    answer = await raw(service, f"POST /map-service{path} HTTP/1.1\r\nHost: x\r\n{headers}\r\n\r\n{body}".encode())
+    assert b" 400 " in answer or (path == "/soap" and b"soap:Client" in answer)
+    assert not failures
 
 
 async def test_metrics_of_uploads_and_jobs(service: Service) -> None:

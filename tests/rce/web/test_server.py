@@ -12,6 +12,7 @@ import pytest
 from aiohttp import web
 
 from rce.errors import InvalidRequest, Unavailable
+from rce.net import pending_logins
 from rce.net.certificates import Authority
 from rce.net.tls import CERTIFICATE, KEY
 from rce.web import server
@@ -109,6 +110,89 @@ async def test_connection_without_a_request_is_closed(monkeypatch: pytest.Monkey
         writer.write(b"GET / HTTP/1.1\r\nHost")
         assert await asyncio.wait_for(reader.read(), 20) == b""
         writer.close()
+
+
+async def test_dripping_head_of_a_request_is_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(server.LIMITS, "keepalive_timeout", 0.2)
+    async with serving(hello) as port:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+
+        async def drip() -> None:
+            writer.write(b"GET / HTTP/1.1\r\n")
+            while True:
+                writer.write(b"X: y\r\n")
+                await asyncio.sleep(0.02)
+
+        dripping = asyncio.create_task(drip())
+        with contextlib.suppress(ConnectionResetError):
+            assert await asyncio.wait_for(reader.read(), 20) == b""
+        dripping.cancel()
+        writer.close()
+
+
+async def test_client_that_does_not_read_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "UNREAD_TIMEOUT", 0.1)
+    ended = asyncio.Event()
+
+    async def large(request: web.BaseRequest) -> web.StreamResponse:
+        response = web.StreamResponse()
+        await response.prepare(request)
+        try:
+            while True:
+                await response.write(bytes(1_000_000))
+        finally:
+            ended.set()
+
+    async with serving(large) as port:
+        _, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.transport.pause_reading()  # type: ignore[attr-defined]  # a ReadTransport too
+        writer.write(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n")
+        await asyncio.wait_for(ended.wait(), 20)
+        writer.transport.abort()
+
+
+async def test_client_that_reads_slowly_gets_the_whole_response(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "UNREAD_TIMEOUT", 0.5)
+
+    async def large(request: web.BaseRequest) -> web.Response:
+        return web.Response(body=bytes(20_000_000))
+
+    async with serving(large) as port:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=1000)
+        writer.write(b"GET / HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n")
+        received = 0
+        while piece := await asyncio.wait_for(reader.read(1_000_000), 20):
+            received += len(piece)
+            await asyncio.sleep(0.001)
+        assert received > 20_000_000
+        writer.close()
+
+
+async def test_connection_counts_for_its_address_until_login(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pending_logins, "MAX_PENDING", 2)
+    monkeypatch.setattr(pending_logins, "network", lambda address: address)
+
+    async def answer(request: web.BaseRequest) -> web.Response:
+        if request.path == "/login":
+            server.logged_in()
+        return web.Response(text="done")
+
+    async def ask(path: str) -> bytes:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        writers.append(writer)
+        writer.write(f"GET {path} HTTP/1.1\r\nHost: x\r\n\r\n".encode())
+        try:
+            return await asyncio.wait_for(reader.readuntil(b"done"), 20)
+        except (asyncio.IncompleteReadError, ConnectionResetError):
+            return b""
+
+    writers: list[asyncio.StreamWriter] = []
+    async with serving(answer) as port:
+        for path in ("/login", "/login", "/login", "/", "/"):
+            assert await ask(path)
+        assert not await ask("/login")
+        for writer in writers:
+            writer.close()
 
 
 class WaitingHandler:

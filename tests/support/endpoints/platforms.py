@@ -52,7 +52,7 @@ class Platform(RobotClients):
         description = f"tcp:127.0.0.1:{self._control.getHost().port}"  # type: ignore[misc]
         joined = asyncio.Event()
         self.server = await server.listen(self.endpoint, "127.0.0.1", 0, None)
-        port: int = self.server.sockets[0].getsockname()[1]
+        port = self.server.port
         credential = ["token"]
 
         def hello() -> Hello:
