@@ -178,6 +178,15 @@ class Unavailable(RceError):
     code = "unavailable"
 
 
+class DiskFull(Unavailable):
+    """Something cannot be stored. Make room on the disk and retry."""
+
+    @classmethod
+    def at(cls, where: str) -> DiskFull:
+        """Return the error with what the operating system or the database said."""
+        return cls(f"disk full ({where}): an administrator must make room; then retry")
+
+
 class Lost(Unavailable):
     """The connection broke before the answer came: the call may or may not have been executed."""
 
@@ -213,6 +222,11 @@ def describe_os_error(error: OSError) -> str:
     text = os.strerror(error.errno) if error.errno else error.strerror or str(error)
     text = text[:1].lower() + text[1:]
     return f"{os.fsdecode(error.filename)}: {text}" if isinstance(error.filename, str | bytes | os.PathLike) else text
+
+
+def disk_full(error: OSError) -> DiskFull | None:
+    """Return the error for users if an error of the operating system means that a disk or a quota is full."""
+    return DiskFull.at(describe_os_error(error)) if error.errno in (errno.ENOSPC, errno.EDQUOT) else None
 
 
 def port_unavailable(host: str, port: int | str, error: OSError) -> Unavailable:

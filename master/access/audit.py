@@ -18,7 +18,7 @@ from msgspec import Struct
 from twisted.logger import Logger
 
 from master.storage import tables as db
-from master.storage.store import Store
+from master.storage.store import FAILURES, Store
 from rce.api.roles import Principal
 from rce.api.views import AuditView
 from rce.errors import RceError
@@ -135,7 +135,7 @@ class Audit:
             entries, self._waiting = self._waiting, []
             try:
                 await self._store.run(partial(_insert, entries))
-            except sa.exc.SQLAlchemyError as error:
+            except FAILURES as error:
                 self._waiting = entries + self._waiting
                 log.error("the audit log waits for the database: {error}", error=str(error))
                 return
@@ -179,7 +179,7 @@ class Audit:
         while True:
             try:
                 await self.forget(days)
-            except sa.exc.SQLAlchemyError as error:
+            except FAILURES as error:
                 log.warn("old entries of the audit log stay: {error}", error=str(error))
             await asyncio.sleep(DAY)
 

@@ -12,7 +12,7 @@ from twisted.logger import Logger
 
 from master.graph.limits import Policy, with_changes
 from master.storage import tables as db
-from master.storage.store import Store
+from master.storage.store import FAILURES, Store
 
 PLATFORM = ""  # as user: the limits of everybody without own ones
 REFRESH = 3.0  # seconds until changes by other processes (`rce user limits`) are seen
@@ -40,7 +40,7 @@ class UserLimits:
             await asyncio.sleep(REFRESH)
             try:
                 await self._load()
-            except sa.exc.SQLAlchemyError as error:
+            except FAILURES as error:
                 log.warn("the limits of users could not be loaded: {error}", error=str(error))
 
     def of(self, user: str) -> Policy:

@@ -17,11 +17,13 @@ from master.graph.records import Process, Ref
 from rce.control.calls.call import Nothing
 from rce.control.calls.robots import Execute
 from rce.control.connection import Handlers
-from rce.errors import NotFound, RceError
+from rce.errors import LimitExceeded, NotFound, RceError, TimedOut
 from rce.process import metrics
 from rce.protocol.messages import Command, DestroyContainer
 
 START_TIMEOUT = 60.0  # seconds until everything that a command asked for must be ready
+COMMAND_TIMEOUT = 240.0  # seconds for a command as a whole: one that starts an environment may wait for both
+MAX_COMMANDS = 5000  # of one user that are in progress
 
 _commands = metrics.Timing("rce_command_seconds", "Time until a command was complete", "command")
 
@@ -57,7 +59,8 @@ class CommandExecutor:
     async def execute(self, user: str, command: Command, repeated: bool = False, robot: str = "") -> None:
         """Execute a command of `user`; return when it is complete and stored.
 
-        A command that does not become ready is taken back. `robot` is the robotID of the robot that gave it.
+        A command that does not become ready or cannot be stored is taken back, except a removal. `robot` is the robotID
+        of the robot that gave it.
 
         Raises:
             RceError: The reason why it was refused or did not become ready.
@@ -67,7 +70,11 @@ class CommandExecutor:
         outcome = execute(context, command)
         saved = self._runner.save(by_command=True)
         await self._complete(outcome)
-        await saved
+        try:
+            await saved
+        except RceError:  # what is refused must not exist; it would be stored with the next change
+            self._lifecycle.apply(undo(self._state, outcome))
+            raise
         _commands.labels(type(command).__name__).observe_since(began)
         if isinstance(command, DestroyContainer):
             self._lifecycle.resettle()
@@ -81,17 +88,20 @@ class CommandExecutor:
             running = self._runner.run(outcome.plan)
             if outcome.follows:
                 self._lifecycle.apply(outcome.follows)
-            answers = await running
-            self._lifecycle.handle(answers)
-            raise_first_error(answers)
-            for awaited, future in waiting.items():
-                await self._readiness.wait(awaited, START_TIMEOUT, future)
-        except RceError:
+            async with asyncio.timeout(COMMAND_TIMEOUT):
+                answers = await asyncio.shield(running)  # if it takes longer, its calls keep their order
+                self._lifecycle.handle(answers)
+                raise_first_error(answers)
+                for awaited, future in waiting.items():
+                    await self._readiness.wait(awaited, START_TIMEOUT, future)
+        except (RceError, TimeoutError) as error:
             if pending and all(map(_is_resolved, pending)):
                 return  # a later command removed it while this one was under way
             for future in waiting.values():
                 future.cancel()
             self._lifecycle.apply(undo(self._state, outcome))
+            if isinstance(error, TimeoutError):
+                raise TimedOut(f"the command was not complete within {COMMAND_TIMEOUT:g} s") from None
             raise
 
 

@@ -73,7 +73,13 @@ class RobotSessions:
             raise_first_error(await running)
         except RceError as error:  # the session stands: if it were refused now, the robot could not resume it
             self._runner.tell(owner, error=error.info)
-        await saved
+        try:
+            await saved
+        except BaseException:  # as a full disk: nobody has the token of a new session, so its name must be free again
+            present = self._state.robots.get(robot.name)
+            if not resumed and present is not None and present.session == robot.session:
+                self._lifecycle.apply(reconcile.robot_left(self._state, robot.name))
+            raise
         return LoggedIn(token, resumed)
 
     async def _leave(self, process: Process, call: SessionExpired) -> Nothing:

@@ -190,7 +190,7 @@ def robot_arrived(
             check_robots(state, user, policy)
         state.robots.put(robot)
         return Outcome([]), False
-    if not resume or resume != present.session:
+    if not resume or resume not in (present.session, present.previous):
         raise AlreadyExists(
             f"robotID {tag} is in use: by another socket, or until its grace time ends; a session token resumes it",
             field="robotID",
@@ -198,7 +198,7 @@ def robot_arrived(
     socket_moved(state, name, True)
     moved = present.endpoint != robot.endpoint
     plan = _leave_endpoint(state, present) if moved else []
-    state.robots.put(robot)
+    state.robots.put(replace(robot, previous=resume))
     if moved:
         plan += [
             [Send(robot.endpoint, Bind(interface_spec(each)), interface_ref(each))]

@@ -101,6 +101,7 @@ class Robot(Struct, frozen=True):
     session: str  # SHA-256 of the token that resumes the session
     principal: Principal | None = None
     address: str = ""  # from which the socket was opened
+    previous: str = ""  # SHA-256 of the token before, valid until the new one is used: the robot may not have got it
 
     @property
     def by(self) -> Principal:
@@ -150,7 +151,7 @@ class Qos(Struct, frozen=True, omit_defaults=True):
     reliability: Literal["auto", "reliable", "best_effort"] = "auto"
     durability: Literal["auto", "volatile", "transient_local"] = "auto"
     history: Literal["keep_last", "keep_all"] = "keep_last"
-    depth: int = 10
+    depth: int = 0
 
 
 class Interface(Struct, frozen=True):

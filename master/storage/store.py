@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import sqlite3
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -24,12 +25,13 @@ from twisted.logger import Logger
 from master.graph.state import State
 from master.storage.migration import upgrade
 from master.storage.tables import records
-from rce.errors import InvalidRequest
+from rce.errors import DiskFull, InvalidRequest
 from rce.process import metrics
 
 log = Logger()
 _transactions = metrics.Timing("rce_database_seconds", "Time of a transaction, with waiting for the one before")
 PATIENCE = 5.0  # seconds
+FAILURES = (sa.exc.SQLAlchemyError, DiskFull)  # what a database raises that does not work
 R = TypeVar("R")
 
 
@@ -49,6 +51,8 @@ class Store:
             sa.event.listen(self._engine, "connect", _tune_sqlite)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="store")
         self._waiting: dict[tuple[str, str], str | None] = {}
+        self._batch: asyncio.Future[None] | None = None  # resolves when what waits now is stored
+        self._under_way: asyncio.Future[None] | None = None  # the batch that is being written
         self._flush: asyncio.Task[None] | None = None
         self._check: asyncio.Future[Any] | None = None
 
@@ -73,6 +77,7 @@ class Store:
 
         Raises:
             InvalidRequest: The database cannot hold a value, as PostgreSQL text with NUL.
+            DiskFull: There is no room for what it writes.
         """
 
         def transact() -> R:
@@ -84,6 +89,10 @@ class Store:
             return await self._do(transact)
         except sa.exc.DataError as error:
             raise InvalidRequest(f"the database cannot hold this: {error.orig}") from None
+        except sa.exc.OperationalError as error:
+            if _is_full(error):
+                raise DiskFull.at(f"database: {error.orig}") from None
+            raise
         finally:
             _transactions.labels().observe_since(began)
 
@@ -98,25 +107,39 @@ class Store:
             table.load(msgspec.json.decode(value, type=table.kind))
 
     async def save(self, state: State) -> None:
-        """Write what changed in `state`; return when it is stored."""
+        """Write what changed in `state`; return when it is stored, whatever changes meanwhile.
+
+        Raises:
+            DiskFull: There is no room; it is written again with the next change.
+        """
         for table in state.tables():
             for key in table.changed:
                 record = table.get(key)
                 value = None if record is None else msgspec.json.encode(record).decode()
                 self._waiting[table.kind.__name__, key] = value
             table.changed.clear()
+        if self._waiting and self._batch is None:
+            self._batch = asyncio.get_running_loop().create_future()
+        stored = self._batch or self._under_way
         if self._flush is None or self._flush.done():
             self._flush = asyncio.create_task(self._write())
-        await asyncio.shield(self._flush)
+        if stored is not None:
+            await asyncio.shield(stored)
 
     async def _write(self) -> None:
-        while self._waiting:
+        """Write batches, until there is none that somebody waits for."""
+        while (batch := self._batch) is not None:
+            self._batch, self._under_way = None, batch
             rows, self._waiting = self._waiting, {}
             try:
                 await self.run(partial(_put, rows=rows))
-            except BaseException:
+            except Exception as error:  # noqa: BLE001  # who waits for the batch gets it
                 self._waiting = rows | self._waiting  # written by the next try, unless changed again
-                raise
+                batch.set_exception(error)
+                batch.exception()  # it is no defect if nobody waits any more
+            else:
+                batch.set_result(None)
+            self._under_way = None
 
     async def missing(self) -> list[str]:
         """Return a sentence if the database does not work, else nothing."""
@@ -124,16 +147,18 @@ class Store:
             self._check = asyncio.ensure_future(self.run(lambda db: db.execute(sa.select(1)).scalar()))
         try:
             await asyncio.wait_for(asyncio.shield(self._check), PATIENCE)
-        except (TimeoutError, sa.exc.SQLAlchemyError) as error:
+        except (TimeoutError, *FAILURES) as error:
             log.warn("the database does not answer: {error}", error=str(error) or f"for {PATIENCE:g} s")
             return ["the database does not answer: what changes is not stored"]
         return []
 
     async def close(self) -> None:
-        """Finish the write under way and close the database, which it does also if that write fails."""
+        """Write what waits and close the database, which it does also if that write fails."""
         try:
             if self._flush is not None:
                 await self._flush
+            if self._waiting:
+                await self.run(partial(_put, rows=self._waiting))
         finally:
             await self._do(self._engine.dispose)
             self._thread.shutdown()
@@ -147,6 +172,12 @@ def _put(connection: sa.Connection, rows: dict[tuple[str, str], str | None]) -> 
     fresh = [{"kind": kind, "key": key, "value": value} for (kind, key), value in rows.items() if value is not None]
     if fresh:
         connection.execute(records.insert(), fresh)
+
+
+def _is_full(error: sa.exc.OperationalError) -> bool:
+    """Return whether a database has no room: SQLite, and the disk of a PostgreSQL server."""
+    code = getattr(error.orig, "sqlite_errorcode", None)
+    return code == sqlite3.SQLITE_FULL or getattr(error.orig, "sqlstate", "") == "53100"
 
 
 def _make_private(file: Path) -> None:

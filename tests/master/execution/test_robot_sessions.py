@@ -10,7 +10,7 @@ from master.access.users import digest
 from rce.control.calls.call import Nothing
 from rce.control.calls.endpoints import AddRoute, Bind, LinkLost, OpenLink, RemoveRoute, Report, Sync
 from rce.control.calls.robots import DropRobot, Login, SendStatus, SessionExpired
-from rce.errors import AlreadyExists, ErrorInfo, InvalidRequest, NotFound, Unauthorized
+from rce.errors import AlreadyExists, ErrorInfo, InvalidRequest, NotFound, Unauthorized, Unavailable
 from rce.protocol import messages as m
 from tests.support.master.peers import Furnished, Platform, execute, login, told
 
@@ -56,6 +56,36 @@ async def test_login_succeeds_although_a_binding_fails(furnished: Furnished) -> 
     answer = await login(east, "ann/r1", furnished.session.token)
     assert answer.resumed
     assert (await told(east, ErrorInfo)).message == "unknown type"
+
+
+async def test_login_that_a_full_disk_refuses_leaves_the_name_free(platform: Platform) -> None:
+    west = await platform.endpoint()
+    await platform.fill_disk()
+    with pytest.raises(Unavailable, match="disk full"):
+        await west.call(Login("ann", "r1", digest("secret"), address=f"tcp4:{'x' * 8000}:1"))
+    assert len(platform.master.state.robots) == 0
+    await platform.fill_disk(False)
+    assert not (await west.call(Login("ann", "r1", digest("secret")))).resumed
+
+
+async def test_command_that_a_full_disk_refuses_is_taken_back(furnished: Furnished) -> None:
+    platform, wanted = furnished.platform, m.SetParameter("brain", "text", "x" * 100_000)
+    await platform.fill_disk()
+    with pytest.raises(Unavailable, match="disk full"):
+        await execute(furnished.west, "ann/r1", wanted)
+    assert not [*platform.master.state.parameters]
+    await platform.fill_disk(False)
+    await execute(furnished.west, "ann/r1", wanted)
+
+
+async def test_robot_whose_answer_to_a_resumption_was_lost_resumes_again(furnished: Furnished) -> None:
+    token = furnished.session.token
+    assert (await login(furnished.west, "ann/r1", token)).resumed  # the robot does not get this
+    again = await login(furnished.west, "ann/r1", token)
+    assert again.resumed
+    await login(furnished.west, "ann/r1", again.token)
+    with pytest.raises(AlreadyExists):
+        await login(furnished.west, "ann/r1", token)
 
 
 async def test_robots_of_a_lost_endpoint_are_removed(platform: Platform) -> None:

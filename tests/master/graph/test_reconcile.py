@@ -99,8 +99,17 @@ def test_robot_resumes_at_its_endpoint() -> None:
     fleet = wired()
     outcome, resumed = fleet.robot("ann/r1", session="t", resume="s")
     assert (outcome.plan, resumed) == ([], True)
-    with pytest.raises(AlreadyExists):
-        fleet.robot("ann/r1", session="u", resume="s")  # each token is valid once
+
+
+def test_token_is_valid_until_the_next_one_is_used() -> None:
+    """The answer with the next one may be lost."""
+    fleet = wired()
+    for session, resume in (("t", "s"), ("u", "s"), ("v", "u")):
+        assert fleet.robot("ann/r1", session=session, resume=resume)[1]
+    for used in ("s", "t"):
+        with pytest.raises(AlreadyExists):
+            fleet.robot("ann/r1", session="w", resume=used)
+    assert fleet.robot("ann/r1", session="w", resume="v")[1]
 
 
 def test_robot_that_is_away_is_removed_or_resumes() -> None:

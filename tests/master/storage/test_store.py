@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import threading
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -12,12 +13,12 @@ import pytest
 import sqlalchemy as sa
 
 from master.graph import packages
-from master.graph.records import Connection, Environment, EnvironmentOptions, Parameter, Version
+from master.graph.records import Connection, Environment, EnvironmentOptions, Parameter, Version, Waiting
 from master.graph.state import State
 from master.storage import store as store_module
 from master.storage import tables as db
 from master.storage.store import Store
-from rce.errors import InvalidRequest
+from rce.errors import DiskFull, InvalidRequest
 from rce.protocol import messages as m
 from tests.support.master.fleet import everything, wired
 
@@ -56,6 +57,7 @@ def full() -> State:
     fleet.do("bob", m.CreateContainer("other", options))
     packages.add(fleet.state, "ann", "own", Version("0" * 64, 7, ["p", "q"], 1.5))
     packages.share(fleet.state, "ann", "own", ["bob"])
+    fleet.state.waiting.put(Waiting("ann/r1/x", "ann/r2/x", "ann/r1"))
     return fleet.state
 
 
@@ -111,6 +113,82 @@ async def test_changes_during_a_write_are_written_together(store: Store, monkeyp
     saves += [save("a/2"), save("a/3")]
     await asyncio.gather(*saves)
     assert written == [{"a/1"}, {"a/2", "a/3"}]
+
+
+async def test_change_is_acknowledged_while_others_go_on(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each write brings another change: who waits for the first must not wait for all of them."""
+    state = State()
+    put, written = store_module._put, 0
+    more: list[asyncio.Future[None]] = []
+    loop = asyncio.get_running_loop()
+
+    def change() -> None:
+        state.environments.put(Environment(f"a/{len(more)}", EnvironmentOptions(), "r", "m"))
+        more.append(asyncio.ensure_future(store.save(state)))
+
+    def endless(connection: sa.Connection, rows: dict[tuple[str, str], str | None]) -> None:
+        nonlocal written
+        written += 1
+        if written < 100:
+            done = threading.Event()
+            loop.call_soon_threadsafe(lambda: (change(), loop.call_soon(done.set)))
+            done.wait(10)
+        put(connection, rows)
+
+    monkeypatch.setattr(store_module, "_put", endless)
+    change()
+    await more[0]
+    assert written <= 2
+    written = 100
+    await asyncio.gather(*more)
+
+
+async def test_save_without_a_change_waits_for_the_write_under_way(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go, put = threading.Event(), store_module._put
+
+    def held(connection: sa.Connection, rows: dict[tuple[str, str], str | None]) -> None:
+        go.wait(10)
+        put(connection, rows)
+
+    monkeypatch.setattr(store_module, "_put", held)
+    state = full()
+    first, second = (asyncio.ensure_future(store.save(state)) for _ in range(2))
+    await asyncio.wait([first, second], timeout=0.01)
+    assert not second.done()
+    go.set()
+    await asyncio.gather(first, second)
+
+
+async def test_failed_write_does_not_fail_the_next(store: Store, url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    state, put, failures = full(), store_module._put, iter([OSError("disk is full")])
+
+    def first_fails(connection: sa.Connection, rows: dict[tuple[str, str], str | None]) -> None:
+        for failure in failures:
+            raise failure
+        put(connection, rows)
+
+    monkeypatch.setattr(store_module, "_put", first_fails)
+    first = asyncio.ensure_future(store.save(state))
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)  # its write has begun
+    state.environments.put(Environment("a/late", EnvironmentOptions(), "r", "m"))
+    await store.save(state)
+    assert isinstance(first.exception(), OSError)
+    assert everything(await loaded(url)) == everything(state)
+
+
+async def test_full_database_is_reported_as_a_full_disk(tmp_path: Path) -> None:
+    store = Store(f"sqlite:///{tmp_path / 'master.db'}")
+    await store.open()
+    await store.run(lambda db: db.execute(sa.text("PRAGMA max_page_count = 1")))
+    state = State()
+    state.environments.put(Environment("a/e", EnvironmentOptions(image="x" * 1_000_000), "r", "m"))
+    with pytest.raises(DiskFull, match=r"disk full \(database: database or disk is full\)"):
+        await store.save(state)
+    with pytest.raises(DiskFull):
+        await store.close()
 
 
 async def test_failed_write_is_repeated_with_the_next(store: Store, url: str, monkeypatch: pytest.MonkeyPatch) -> None:

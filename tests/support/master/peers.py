@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any, TypeVar
 
 import argon2
+import sqlalchemy as sa
 from twisted.internet.base import ReactorBase
 
 import rce
@@ -122,6 +123,11 @@ class Platform:
         self.controls.clear()
         await self.master.stop()
         await self.store.close()
+
+    async def fill_disk(self, full: bool = True) -> None:
+        """Leave the database no room to grow, or give it room again."""
+        limit = sa.text(f"PRAGMA max_page_count = {1 if full else 1 << 30}")  # 1: the pages that it has
+        await self.store.run(lambda connection: connection.execute(limit))
 
     async def until(self, true: Callable[[], bool]) -> None:
         async def poll() -> None:
