@@ -31,15 +31,24 @@ def read(path: Path, kind: type[S]) -> S:
     Raises:
         InvalidRequest: The file cannot be read, is malformed, or does not match the struct.
     """
+    return decode(path, load(path), kind)
+
+
+def load(path: Path) -> Any:
+    """Return the content of a file; raise InvalidRequest if it cannot be read or is malformed."""
     try:
         text = path.read_text(encoding="utf-8")
-        content: Any = yaml.load(text, _Loader) if path.suffix in (".yaml", ".yml") else json.loads(text)
+        return yaml.load(text, _Loader) if path.suffix in (".yaml", ".yml") else json.loads(text)
     except OSError as error:
         raise InvalidRequest(describe_os_error(error)) from None
     except json.JSONDecodeError as error:
         raise InvalidRequest(f"{path} is not JSON (a YAML file must be named .yaml): {error}") from None
     except (ValueError, RecursionError, yaml.YAMLError) as error:
         raise InvalidRequest(f"{path}: {error}") from None
+
+
+def decode(path: Path, content: Any, kind: type[S]) -> S:
+    """Decode the content of a file as a `kind`; raise InvalidRequest, with the file and the place, if it is none."""
     try:
         return msgspec.convert(content, kind, dec_hook=path_hook)
     except msgspec.ValidationError as error:

@@ -30,8 +30,10 @@ from rce.control.calls.endpoints import (
 )
 from rce.control.calls.watching import CountTraffic, FollowMessages, Traffic
 from rce.control.connection import Handlers
-from rce.errors import ErrorInfo, NotFound, RceError, Unavailable
+from rce.errors import ErrorInfo, NotFound, RceError, TimedOut, Unavailable
 from rce.process.metrics import Family, gauge_family
+
+SYNC_PATIENCE = 5.0  # seconds for which the answer to a Sync waits for interfaces
 
 log = Logger()
 MakeInterface = Callable[[InterfaceSpec], Awaitable[Interface]]
@@ -50,7 +52,9 @@ class Switchboard:
         self._listeners: dict[bytes, dict[Interface, str]] = {}
         self._port = port
         self._link_lost = link_lost
-        self._dialling: set[asyncio.Task[None]] = set()
+        self._tasks: set[asyncio.Task[None]] = set()  # dialling links, and creating interfaces
+        self._binding: dict[str, asyncio.Task[None]] = {}  # by id: interfaces that a Sync creates
+        self._restoring: dict[tuple[str, str], asyncio.Task[None]] = {}  # routes that wait for their link, after a Sync
         self._throttles: WeakValueDictionary[str, Throttle] = WeakValueDictionary()
 
     def add_to(self, handlers: Handlers, make: MakeInterface) -> None:
@@ -68,24 +72,37 @@ class Switchboard:
 
     async def bind(self, spec: InterfaceSpec, make: MakeInterface) -> None:
         """Create the interface of `spec`; one with the same id and another spec is replaced."""
+        self._stop_binding(spec.id)
+        await self._bind(spec, make)
+
+    async def _bind(self, spec: InterfaceSpec, make: MakeInterface) -> None:
         key = bytes.fromhex(spec.id)
         present = self.interfaces.get(key)
         if present is not None and present.spec == spec:
             return
         interface = await make(spec)
-        self.unbind(spec.id)
+        self._remove(key)
         self.interfaces[key] = interface
 
     def unbind(self, id: str) -> None:
         """Remove an interface with its routes, if it exists."""
-        interface = self.interfaces.get(bytes.fromhex(id))
+        self._stop_binding(id)
+        self._remove(bytes.fromhex(id))
+
+    def _remove(self, id: bytes) -> None:
+        interface = self.interfaces.get(id)
         if interface is None:
             return
         for peer in list(interface.peers):
             self._remove_peer(interface, peer)
-        del self.interfaces[interface.id]
+        del self.interfaces[id]
         self._totals.add_removed(interface.traffic.snapshot(interface.dropped))
         interface.close()
+
+    def _stop_binding(self, id: str) -> None:
+        task = self._binding.pop(id, None)
+        if task is not None:
+            task.cancel()
 
     # routes
 
@@ -98,6 +115,10 @@ class Switchboard:
             NotFound: The link or the interface does not exist.
             Unavailable: The link did not open, or was closed meanwhile.
         """
+        self._stop_restoring((route.interface, route.peer))
+        await self._add_route(route)
+
+    async def _add_route(self, route: Route) -> None:
         link = self.links.get(route.link)
         if link is None:
             raise NotFound(f"link {route.link} does not exist at this endpoint")
@@ -106,7 +127,7 @@ class Switchboard:
             raise Unavailable(f"link {route.link} was closed before the route was added")
         interface = self.interfaces.get(bytes.fromhex(route.interface))
         if interface is None:
-            raise NotFound(f"interface {route.interface} is not bound at this endpoint")
+            raise NotFound(f"interface {route.name or route.interface} was not added: correct it and add it again")
         peer = bytes.fromhex(route.peer)
         before = interface.peers.get(peer)
         if before is link:
@@ -124,6 +145,7 @@ class Switchboard:
 
     def remove_route(self, interface: str, peer: str) -> None:
         """Remove a route, if it exists."""
+        self._stop_restoring((interface, peer))
         found = self.interfaces.get(bytes.fromhex(interface))
         if found is not None:
             self._remove_peer(found, bytes.fromhex(peer))
@@ -178,31 +200,78 @@ class Switchboard:
         ]
 
     async def sync(self, call: Sync, make: MakeInterface) -> dict[str, ErrorInfo]:
-        """Reconcile interfaces, links and routes with those of the call; return the errors of interfaces, by id."""
-        failed: dict[str, ErrorInfo] = {}
+        """Reconcile interfaces, links and routes with those of the call; return the errors of interfaces, by id.
+
+        Links open in the background, and so do routes over them, because one user's link may take long. An interface
+        that takes longer than SYNC_PATIENCE is reported with an error, and is created in the background too.
+        """
         for id in {interface.spec.id for interface in self.interfaces.values()} - {i.id for i in call.interfaces}:
             self.unbind(id)
         for name in set(self.links) - {link.name for link in call.links}:
             self.close_link(name)
         for link in call.links:
             self.open_link(link)
-        for spec in call.interfaces:
-            try:
-                await self.bind(spec, make)
-            except RceError as error:
-                failed[spec.id] = error.info
         wanted = {(route.interface, route.peer) for route in call.routes}
         for interface in self.interfaces.values():
             for peer in [peer for peer in interface.peers if (interface.spec.id, peer.hex()) not in wanted]:
                 self._remove_peer(interface, peer)
-        await asyncio.gather(*map(self._restore, call.routes))  # concurrently: a link may take long to open
-        return failed
+        for id in list(self._binding):
+            self._stop_binding(id)
+        for key in list(self._restoring):
+            self._stop_restoring(key)
+        failed: dict[str, ErrorInfo] = {}
+        for spec in call.interfaces:
+            self._binding[spec.id] = self._keep(asyncio.create_task(self._bind_or_fail(spec, make, failed)))
+        binding = dict(self._binding)
+        routes = [self._restore(route, binding.get(route.interface)) for route in call.routes]
+        at_once = [task for task, route in zip(routes, call.routes, strict=True) if self._is_open(route.link)]
+        if binding:
+            await asyncio.wait([*binding.values(), *at_once], timeout=SYNC_PATIENCE)
+        for spec in call.interfaces:
+            if not binding[spec.id].done():
+                failed[spec.id] = TimedOut(f"interface {spec.tag} still waits for the definition of {spec.type}").info
+        return dict(failed)
 
-    async def _restore(self, route: Route) -> None:
+    def _is_open(self, link: str) -> bool:
+        return link in self.links and self.links[link].opened.done()
+
+    async def _bind_or_fail(self, spec: InterfaceSpec, make: MakeInterface, failed: dict[str, ErrorInfo]) -> None:
         try:
-            await self.add_route(route)
-        except RceError as error:  # the failure of the link or of the interface is reported by itself
-            log.info("route not restored: {error}", error=str(error))
+            await self._bind(spec, make)
+        except RceError as error:
+            log.info("interface {interface} was not restored: {error}", interface=spec.tag, error=str(error))
+            failed[spec.id] = error.info
+        finally:
+            if self._binding.get(spec.id) is asyncio.current_task():
+                del self._binding[spec.id]
+
+    def _restore(self, route: Route, binding: asyncio.Task[None] | None) -> asyncio.Task[None]:
+        """Add a route as soon as its interface is bound and its link is open, unless it changes before."""
+
+        async def restore() -> None:
+            if binding is not None:
+                await asyncio.wait([binding])
+            try:
+                await self._add_route(route)
+            except RceError as error:  # the failure of the link or of the interface is reported by itself
+                log.info("route not restored: {error}", error=str(error))
+
+        key = (route.interface, route.peer)
+        task = self._keep(asyncio.create_task(restore()))
+        self._restoring[key] = task
+        task.add_done_callback(lambda done: self._restoring.pop(key) if self._restoring.get(key) is done else None)
+        return task
+
+    def _stop_restoring(self, key: tuple[str, str]) -> None:
+        task = self._restoring.pop(key, None)
+        if task is not None:
+            task.cancel()
+
+    def _keep(self, task: asyncio.Task[None]) -> asyncio.Task[None]:
+        """Hold a task until it ends."""
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
 
     # links
 
@@ -221,8 +290,7 @@ class Switchboard:
         key = bytes.fromhex(spec.key)
         if spec.dial:
             task = asyncio.create_task(self._port.dial(link, key, spec.dial))
-            self._dialling.add(task)
-            task.add_done_callback(self._dialling.discard)
+            self._keep(task)
             link.opened.add_done_callback(lambda _: task.cancel() if link.broken else None)  # closed while dialling
         else:
             self._port.expect(link, key)

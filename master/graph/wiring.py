@@ -33,8 +33,8 @@ def activate(state: State, connection: Connection, ids: Ids) -> Plan:
     return [
         [
             *opening(state, link),
-            Send(receiving, AddRoute(Route(receiver.id, sender.id, link.name)), interface_ref(receiver)),
-            Send(sending, AddRoute(Route(sender.id, receiver.id, link.name)), interface_ref(sender)),
+            Send(receiving, AddRoute(_route(receiver, sender, link)), interface_ref(receiver)),
+            Send(sending, AddRoute(_route(sender, receiver, link)), interface_ref(sender)),
             MarkReady(ref(connection)),
         ]
     ]
@@ -167,6 +167,10 @@ def _link(state: State, one: Process, other: Process, alone_for: str, ids: Ids) 
     )
     state.links.put(link)
     return link
+
+
+def _route(interface: Interface, peer: Interface, link: Link) -> Route:
+    return Route(interface.id, peer.id, link.name, interface.key.partition("/")[2])
 
 
 def interface_ref(interface: Interface) -> Ref:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
+from urllib.parse import urlsplit
+
 from master.execution.readiness import Readiness
 from master.graph.groups import of_user
 from master.graph.placement import free_gpus, free_slots
@@ -22,6 +26,9 @@ from rce.api.views import (
 )
 from rce.api.views.resources import EnvironmentState
 from rce.protocol.names import is_guest
+
+ROLES = ("container", "robot", "service")
+_HOST = re.compile(r"(?:tcp|relay):(.+):\d+(?:/|$)")
 
 
 class Presenter:
@@ -136,7 +143,15 @@ class Presenter:
             len(environments),
             len(self.state.robots.by(at(name))) if record.role == "robot" else 0,
             Usage(sum(each.cores for each in measured), sum(each.memory for each in measured)) if measured else None,
+            sorted(self._addresses(record)),
         )
+
+    def _addresses(self, record: Process) -> set[str]:
+        """Return the hosts by which the processes of a machine are reached."""
+        same = [
+            each for role in ROLES for each in self.state.processes.by(role) if record.host and each.host == record.host
+        ]
+        return {host for each in same or [record] for host in _hosts(each)}
 
     def groups(self, user: str) -> list[GroupView]:
         """Return the network groups of a user."""
@@ -145,6 +160,15 @@ class Presenter:
             subnet = self.state.environments[next(iter(members))].subnet
             found.append(GroupView(user, group, subnet, {_parts(name)[1]: ip for name, ip in members.items()}))
         return found
+
+
+def _hosts(record: Process) -> Iterator[str]:
+    """Yield the hosts in the endpoint descriptions and the URL of a process."""
+    for each in record.addresses:
+        if match := _HOST.match(each):
+            yield match[1]
+    if host := urlsplit(record.url).hostname:
+        yield host
 
 
 def _parts(name: str) -> tuple[str, str]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from rce.cli import table
 from rce.cli.command import UsageError, parser
-from rce.cli.original import translate
+from rce.cli.original import help_of, translate
 from rce.cli.session import ConsoleSession
 from rce.errors import RceError, describe_os_error
 
@@ -44,7 +44,7 @@ def print_help(words: Sequence[str], in_console: bool) -> int:
     if command is not None:
         print(parser(command, prog, in_console).format_help(), end="")
         return SUCCESS
-    if table.commands_of(words[0], in_console):
+    if table.commands_of(words[0], in_console) or (in_console and help_of(words[0])):
         return _run_group([*words, "--help"], prog, in_console)
     program = None if in_console else table.PROGRAMS.get(words[0])
     return program.run(["--help"]) if program is not None else _unknown(words[0], in_console)
@@ -70,7 +70,13 @@ def _run_group(words: Sequence[str], prog: str, in_console: bool) -> int:
     """Print the commands of a first word; the second word is not one of them."""
     word, *rest = words
     if not table.commands_of(word, in_console):
-        return _unknown(word, in_console)
+        original = help_of(word)
+        if not original:
+            return _unknown(word, in_console)
+        if rest and rest[0] in ("-h", "--help", "help"):
+            print(original)
+            return SUCCESS
+        return _fail(original, USAGE_ERROR)
     text = table.group_help(word, prog, in_console)
     if not rest or rest[0] in ("-h", "--help", "help"):
         print(text)

@@ -7,6 +7,7 @@ arguments. A line in another form is left unchanged.
 from __future__ import annotations
 
 import getopt
+import json
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -73,7 +74,7 @@ SPELLINGS = (
         "parameter add",
         "ctag/c= name/n= value/v=",
         "ctag name value",
-        lambda o: ["param", "set", o["ctag"], o["name"], o["value"]],
+        lambda o: ["param", "set", o["ctag"], o["name"], json.dumps(o["value"])],  # always a string
     ),
     Spelling("parameter remove", "ctag/c= name/n=", "ctag name", lambda o: ["param", "delete", o["ctag"], o["name"]]),
     Spelling(
@@ -107,6 +108,22 @@ def translate(words: Sequence[str]) -> list[str]:
             if options is not None and all(name in options for name in spelling.required.split()):
                 return spelling.translate(options)
     return list(words)
+
+
+def help_of(word: str) -> str:
+    """Return the forms of the original's commands that begin with a word; empty if there are none."""
+    lines = [f"  {spelling.words} {_usage(spelling)}" for spelling in SPELLINGS if spelling.words.split()[0] == word]
+    return "\n".join([f"`{word}` as in the original's console:", *lines]) if lines else ""
+
+
+def _usage(spelling: Spelling) -> str:
+    needed = spelling.required.split()
+    words = []
+    for option in spelling.options.split():
+        name, _, short = option.partition("/")
+        text = f"-{short[0]}, --{name}{' ' + name.upper() if short.endswith('=') else ''}"
+        words.append(text if name in needed else f"[{text}]")
+    return " ".join(words)
 
 
 def _parse(specification: str, words: Sequence[str]) -> Options | None:

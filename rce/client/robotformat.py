@@ -1,10 +1,12 @@
 """Robot files: the JSON format of the original's `rce-ros`, or the same as YAML.
 
-The keys of the entries are the argument names of the original's Python client. Unknown keys are errors.
+The keys of the entries are the argument names of the original's Python client. Unknown keys of entries are errors,
+those at the top are ignored with a warning.
 """
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Literal
 
@@ -23,6 +25,8 @@ from rce.protocol.messages import (
     Qos,
     SetParameter,
 )
+
+log = logging.getLogger("rce.client")
 
 
 class ContainerEntry(ContainerData, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -101,7 +105,7 @@ class ConnectionEntry(Struct, frozen=True, forbid_unknown_fields=True):
         return Connect(self.tagA, self.tagB)
 
 
-class RobotFile(Struct, frozen=True, forbid_unknown_fields=True):
+class RobotFile(Struct, frozen=True):
     """Content of a robot file: the robot, its credentials (a password in clear or an API key) and what it sets up."""
 
     url: str
@@ -119,7 +123,13 @@ class RobotFile(Struct, frozen=True, forbid_unknown_fields=True):
 def read(path: Path) -> RobotFile:
     """Read a robot file: YAML if its name ends in `.yaml` or `.yml`, else JSON.
 
+    Unknown keys at the top are logged: files of the original may have notes of their users there.
+
     Raises:
         InvalidRequest: The file cannot be read or is malformed; the message names the place.
     """
-    return structfile.read(path, RobotFile)
+    content = structfile.load(path)
+    file = structfile.decode(path, content, RobotFile)
+    if unknown := set(content) - set(RobotFile.__struct_fields__):
+        log.warning("%s: ignored unknown keys: %s", path, ", ".join(sorted(unknown)))
+    return file

@@ -32,6 +32,7 @@ class MachineView(Struct, frozen=True):
     environments: int
     robots: int
     usage: Usage | None = None  # sum over its environments
+    addresses: list[str] = []  # hosts at which others reach it
 
 
 class NewInvitation(Struct, frozen=True, forbid_unknown_fields=True):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import ipaddress
 import time
 from typing import get_args
 
@@ -13,6 +14,7 @@ from rce.cli.arguments import JSON, OF_USER, OF_USER_OR_ALL, argument
 from rce.cli.command import Command
 from rce.cli.commands.environments import ENVIRONMENTS
 from rce.cli.session import ConsoleSession, user_query
+from rce.errors import NotFound
 
 MACHINE = argument("machine", completion="machine", metavar="NAME")
 
@@ -55,7 +57,7 @@ def _machine_show(session: ConsoleSession, args: argparse.Namespace) -> None:
 
 def _machine_stats(session: ConsoleSession, args: argparse.Namespace) -> None:
     found = (
-        iter([session.api.get(views.MachineView, "machines", args.machine)])
+        (session.api.get(views.MachineView, "machines", name) for name in _names(session, args.machine))
         if args.machine
         else session.api.items(views.MachineView, "machines", role="container")
     )
@@ -63,8 +65,29 @@ def _machine_stats(session: ConsoleSession, args: argparse.Namespace) -> None:
 
 
 def _machine_environments(session: ConsoleSession, args: argparse.Namespace) -> None:
-    found = session.api.items(views.EnvironmentView, "environments", user="*", machine=args.machine)
+    found = (
+        environment
+        for name in _names(session, args.machine)
+        for environment in session.api.items(views.EnvironmentView, "environments", user="*", machine=name)
+    )
     output.print_table(found, ENVIRONMENTS, args.json)
+
+
+def _names(session: ConsoleSession, machine: str) -> list[str]:
+    """Return the names of the task sets at an IP address, by which the original named machines; a name as it is.
+
+    Raises:
+        NotFound: No task set has the address.
+    """
+    try:
+        address = str(ipaddress.ip_address(machine))
+    except ValueError:
+        return [machine]
+    sets = session.api.items(views.MachineView, "machines", role="container")
+    names = [each.name for each in sets if address in each.addresses]
+    if not names:
+        raise NotFound(f"no task set has the address {machine}; `machine list` shows the names of all machines")
+    return names
 
 
 def _machine_add(session: ConsoleSession, args: argparse.Namespace) -> None:

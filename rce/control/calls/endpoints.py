@@ -36,6 +36,7 @@ class Route(Struct, frozen=True):
     interface: str
     peer: str
     link: str
+    name: str = ""  # of the interface for its user, `endpoint/interface`
 
 
 class LinkSpec(Struct, frozen=True):
@@ -78,6 +79,7 @@ class Sync(Call[BatchResult], frozen=True):
     Errors are keyed by interface id, `node:TAG`, `parameter:KEY` and `link:NAME`.
     """
 
+    timeout = 120.0  # nodes are stopped and started
     interfaces: list[InterfaceSpec] = []
     links: list[LinkSpec] = []
     routes: list[Route] = []
@@ -89,6 +91,7 @@ class Sync(Call[BatchResult], frozen=True):
 class Bind(Call[Nothing], frozen=True):
     """Create an interface."""
 
+    timeout = 90.0  # its type may be known to an environment that starts
     interface: InterfaceSpec
 
 

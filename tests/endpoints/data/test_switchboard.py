@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator
 import pytest
 from twisted.logger import LogEvent
 
+from endpoints.data import switchboard
 from endpoints.data.frames import Message
 from endpoints.data.hops import HopRecorder
 from endpoints.data.interface import Interface
@@ -111,6 +112,8 @@ async def test_routes_are_idempotent_and_need_link_and_interface(board: Board) -
         await board.add_route(Route(spec(0).id, spec(1).id, "other"))
     with pytest.raises(NotFound, match="interface"):
         await board.add_route(Route(spec(7).id, spec(1).id, "l"))
+    with pytest.raises(NotFound, match="interface r1/pose was not added"):
+        await board.add_route(Route(spec(7).id, spec(1).id, "l", "r1/pose"))
     for _ in range(2):
         board.remove_route(spec(0).id, spec(1).id)
     assert a.events[-1] == "stopped"
@@ -177,6 +180,69 @@ async def test_sync_reconciles_interfaces_links_and_routes(board: Board) -> None
     await board.sync(Sync(), board.make)
     assert not board.interfaces
     assert not board.links
+
+
+async def test_sync_is_answered_before_links_open(board: Board) -> None:
+    """A link of one user that never opens would block the calls about everybody's interfaces."""
+    routes = [Route(spec(0).id, spec(1).id, "l"), Route(spec(0).id, spec(2).id, "slow")]
+    call = Sync([spec(0), spec(1)], [LinkSpec("l", ""), LinkSpec("slow", "00" * 16)], routes)
+    assert await asyncio.wait_for(board.sync(call, board.make), 10) == {}
+    assert [peer.hex() for peer in board.at(0).peers] == [spec(1).id]
+    board.links["slow"].opened.set_result(None)
+    while len(board.at(0).peers) < 2:
+        await asyncio.sleep(0)
+
+
+async def test_route_that_is_removed_while_its_link_opens_is_not_added(board: Board) -> None:
+    route = Route(spec(0).id, spec(1).id, "slow")
+    call = Sync([spec(0)], [LinkSpec("slow", "00" * 16)], [route])
+    for end in (lambda: board.remove_route(route.interface, route.peer), lambda: board.unbind(spec(0).id)):
+        await board.sync(call, board.make)
+        end()
+        if not board.links["slow"].opened.done():
+            board.links["slow"].opened.set_result(None)
+        for _ in range(5):
+            await asyncio.sleep(0)
+        assert not any(each.peers for each in board.interfaces.values())
+
+
+async def test_sync_does_not_wait_for_a_slow_interface(board: Board, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The definition of its type may come from an environment that does not answer."""
+    monkeypatch.setattr(switchboard, "SYNC_PATIENCE", 0.01)
+    answered = asyncio.Event()
+
+    async def make(spec: InterfaceSpec) -> Interface:
+        if spec.tag == "i0":
+            await answered.wait()
+        return await board.make(spec)
+
+    failed = await board.sync(Sync([spec(0), spec(1)]), make)
+    assert list(failed) == [spec(0).id]
+    assert "still waits for the definition of a/B" in failed[spec(0).id].message
+    assert board.at(1)
+    answered.set()
+    while len(board.interfaces) < 2:
+        await asyncio.sleep(0)
+
+
+async def test_slow_interface_that_is_removed_meanwhile_is_not_created(
+    board: Board, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(switchboard, "SYNC_PATIENCE", 0.0)
+    answered = asyncio.Event()
+
+    async def make(spec: InterfaceSpec) -> Interface:
+        await answered.wait()
+        return await board.make(spec)
+
+    await board.sync(Sync([spec(0), spec(1)]), make)
+    board.unbind(spec(0).id)
+    assert list(await board.sync(Sync([spec(2)]), make)) == [spec(2).id]
+    answered.set()
+    while not board.interfaces:
+        await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    assert [each.spec for each in board.interfaces.values()] == [spec(2)]
 
 
 async def test_defective_interface_does_not_affect_others(board: Board, failures: list[LogEvent]) -> None:

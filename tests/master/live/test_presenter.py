@@ -155,6 +155,13 @@ def test_machine_shows_what_its_environments_use(gallery: Gallery) -> None:
     assert (view.environments, view.robots, view.usage) == (2, 0, Usage(0.75, 1500))
 
 
+def test_machine_has_the_addresses_of_all_its_processes(gallery: Gallery) -> None:
+    gallery.fleet.join("here", "container", host="h", addresses=["relay:10.0.0.7:4000", "unix:/x"])
+    gallery.fleet.join("there", "robot", host="h", url="ws://robots.example:9010/")
+    view = gallery.presenter.process(gallery.state.processes["here"])
+    assert view.addresses == ["10.0.0.7", "robots.example"]
+
+
 def test_machine_is_away_during_its_grace_period_and_gone_after_it(gallery: Gallery) -> None:
     machine = gallery.state.processes["m1"]
     reconcile.left(gallery.state, "m1")

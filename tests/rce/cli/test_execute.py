@@ -81,6 +81,19 @@ def test_help_in_the_console_shows_usage_without_rce(capsys: pytest.CaptureFixtu
     assert capsys.readouterr().out.startswith("usage: env create ")
 
 
+@pytest.mark.parametrize("line", ["container -h", "container --help", "help container"])
+def test_help_of_a_command_of_the_original_lists_its_forms(line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    words = line.split()
+    status = print_help(words[1:], in_console=True) if words[0] == "help" else run(words, ConsoleSession())
+    assert status == SUCCESS
+    assert "container -t, --stop STOP" in capsys.readouterr().out
+
+
+def test_incomplete_command_of_the_original_is_answered_with_its_forms(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["container", "start"], ConsoleSession()) == USAGE_ERROR
+    assert "container start -n, --name NAME" in capsys.readouterr().err
+
+
 def test_error_of_the_platform_is_printed_after_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert Console(NotFound("there is no environment 'a'")).run("env delete a") == FAILURE
     assert capsys.readouterr().err == "env: there is no environment 'a'\n"

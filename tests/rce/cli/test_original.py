@@ -8,7 +8,7 @@ import pytest
 
 from rce.cli import table
 from rce.cli.command import Command, parser
-from rce.cli.original import translate
+from rce.cli.original import help_of, translate
 
 TRANSLATIONS = {
     "user add -u ann -p Secret1!": "user add ann --password=Secret1!",
@@ -28,7 +28,7 @@ TRANSLATIONS = {
     "container -u ann": "env list --of ann",
     "node start -c c1 -n n1 -p demo -e talker -a '--rate 5'": "node start c1 n1 demo talker '--args=--rate 5'",
     "node stop -c c1 -n n1": "node stop c1 n1",
-    "parameter add -c c1 -n rate -v 5": "param set c1 rate 5",
+    "parameter add -c c1 -n rate -v 5": "param set c1 rate '\"5\"'",
     "parameter remove --ctag c1 --name rate": "param delete c1 rate",
     "interface add -e c1 -i i1 -t PublisherInterface -c std_msgs/String -a /say": (
         "interface add c1/i1 PublisherInterface std_msgs/String /say"
@@ -57,3 +57,10 @@ def test_line_of_the_original_becomes_a_valid_line(line: str) -> None:
 def test_examples_of_this_console_are_not_translated(command: Command) -> None:
     for example in command.examples:
         assert translate(shlex.split(example)) == shlex.split(example)
+
+
+def test_help_lists_the_forms_of_the_original() -> None:
+    text = help_of("container")
+    assert "container start -n, --name NAME [-g, --group GROUP]" in text
+    assert "container -l, --list" in text
+    assert help_of("nothing") == ""

@@ -32,7 +32,7 @@ def test_json_and_yaml_are_equivalent(tmp_path: Path, suffix: str) -> None:
         ({"nodes": [{"cTag": "c1", "nTag": "n", "exe": "x"}]}, r"nodes\[0\]: .*`pkg`"),
         ({"interfaces": [{"eTag": "a", "iTag": "i", "iType": "Publisher", "iCls": "a/B"}]}, r"interfaces\[0\].iType"),
         ({"parameters": [{"cTag": "c", "name": "x", "value": None}]}, r"parameters\[0\].value"),
-        ({"conections": []}, "unknown field `conections`"),
+        ({"connections": [{"tagA": "a/x", "tagB": "a/y", "tagC": ""}]}, "unknown field `tagC`"),
     ],
 )
 def test_error_names_file_and_place(tmp_path: Path, change: dict[str, Any], where: str) -> None:
@@ -55,3 +55,10 @@ def test_syntax_error_names_the_line(tmp_path: Path, name: str, text: str) -> No
 def test_error_names_a_missing_file(tmp_path: Path) -> None:
     with pytest.raises(InvalidRequest, match=r"nothing\.json"):
         read(tmp_path / "nothing.json")
+
+
+def test_unknown_key_at_the_top_is_ignored_with_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "robot.json"
+    path.write_text(json.dumps(robot_file() | {"conections": []}))
+    assert read(path).robotID == "a"
+    assert "ignored unknown keys: conections" in caplog.text

@@ -39,6 +39,20 @@ def test_statistics_of_one_machine(capsys: pytest.CaptureFixture[str]) -> None:
     assert cells == ["machine-1", "joined", "3", "10", "1", "2", "3", "1.25", "1", "GiB"]
 
 
+def test_machine_is_named_by_its_address_as_in_the_original() -> None:
+    console = Console([machine("m1"), machine("m2", addresses=["10.0.0.7"])], machine("m2"))
+    assert console.run("machine --stats 10.0.0.7") == 0
+    assert [each.line for each in console.api.requests] == ["GET machines", "GET machines/m2"]
+    console = Console([machine("m2", addresses=["10.0.0.7"])], [environment()])
+    assert console.run("machine -c 10.0.0.7") == 0
+    assert console.api.requests[1] == Request("GET environments", {"user": "*", "machine": "m2"})
+
+
+def test_unknown_address_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert Console([machine("m1")]).run("machine -s 10.0.0.8") == 1
+    assert "no task set has the address 10.0.0.8" in capsys.readouterr().err
+
+
 def test_statistics_of_an_unwatched_machine_have_no_usage(capsys: pytest.CaptureFixture[str]) -> None:
     Console([machine()]).request("machine stats")
     assert capsys.readouterr().out.splitlines()[1].split()[-2:] == ["-", "-"]
