@@ -52,7 +52,7 @@ def decode(message: Message, raw: Buffer | msgspec.Raw) -> msgspec.Struct:
     """Decode JSON with the conversions of the original; raises FieldError with the path of the field at fault."""
     try:
         value = json.loads(bytes(raw))
-        return msgspec.convert(_converted(message, value), message.annotation)  # type: ignore[call-overload, no-any-return]
+        return msgspec.convert(_converted(message, value), message.annotation)  # type: ignore[no-any-return]
     except (ValueError, RecursionError) as error:
         json_text.refuse(error)
 
