@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TypeVar
 
 from twisted.logger import Logger
@@ -43,6 +44,7 @@ from rce.control.calls.watching import ReadMetrics
 from rce.control.connection import Control, Handlers
 from rce.errors import InvalidRequest, NotFound, RceError, Unauthorized, Unavailable, UnknownType, clipped
 from rce.process import metrics
+from rce.protocol.messages import DropEvent
 
 ASK_TIMEOUT = 5.0  # seconds
 
@@ -97,6 +99,7 @@ class Master:
     async def start(self) -> None:
         """Load what an earlier Master stored, and wait for its processes to join again."""
         await self._store.load(self.state)
+        await self.join_tokens.keep_environments({environment.name for environment in self.state.environments})
         await self.limits.open()
         self._runner.keep(asyncio.create_task(self.limits.follow()))
         self._runner.keep(asyncio.create_task(self.guard.follow()))
@@ -127,6 +130,7 @@ class Master:
         credential = await self.join_tokens.admit(hello.name, hello.role, hello.token)
         environment = self.state.environments.get(hello.name)
         if hello.role == "environment" and environment is None:
+            await self.join_tokens.forget(hello.name)
             raise Unauthorized(f"environment {hello.name} was removed")
         process = Process(
             hello.name,
@@ -164,18 +168,25 @@ class Master:
 
     async def _describe_type(self, call: DescribeType) -> Definitions:
         """Ask the user's environments, including those that are starting."""
-        for environment in self.state.environments.by(call.user):
-            try:
-                return await self.ask(environment, call)
-            except RceError as error:
-                log.debug("{name} does not know {type}: {error}", name=environment.name, type=call.type, error=error)
+        with suppress(TimeoutError):
+            async with asyncio.timeout(START_TIMEOUT + ASK_TIMEOUT):
+                for environment in self.state.environments.by(call.user):
+                    try:
+                        return await self.ask(environment, call)
+                    except RceError as error:
+                        name = environment.name
+                        log.debug("{name} does not know {type}: {error}", name=name, type=call.type, error=error)
         raise UnknownType(f"type {call.type} is known neither here nor in an environment of {call.user}")
 
     async def _report(self, process: Process, call: Report) -> Nothing:
-        if call.error is not None:  # robots are told of drops of their own interfaces only
-            self._runner.tell(
-                user_of(process.name), error=clipped(call.error)
-            )  # an environment reaches its own user only
+        if call.error is not None:  # an environment reaches its own user only
+            self._runner.tell(user_of(process.name), error=clipped(call.error))
+        if call.drops:
+            tag = process.name.partition("/")[2]
+            self._runner.tell_connected(
+                f"{process.name}/{call.interface}",
+                DropEvent(f"{tag}/{call.interface}", call.drops, f"in environment {tag}"),
+            )
         return Nothing()
 
     async def _fetch_package(self, process: Process, call: FetchPackage) -> DownloadTicket:
@@ -191,11 +202,11 @@ class Master:
 
     # --- questions to processes ---------------------------------------------------------------------------------------
 
-    async def ask(self, environment: Environment, call: Call[R]) -> R:
+    async def ask(self, environment: Environment, call: Call[R], seconds: float = ASK_TIMEOUT) -> R:
         """Make a call at an environment, once it is ready.
 
         Raises:
-            TimedOut: It did not become ready.
+            TimedOut: It did not become ready, or did not answer within `seconds` then.
             Unavailable: It is away.
             RceError: It refused the call.
         """
@@ -203,7 +214,7 @@ class Master:
         control = self._runner.dispatcher.controls.get(environment.name)
         if control is None:
             raise Unavailable(f"environment {environment.name} is away at present")
-        return await control.call(call)
+        return await control.call(call, seconds)
 
     def own_metrics(self) -> list[metrics.Family]:
         """Return the Master's own metrics."""

@@ -6,6 +6,7 @@ Tokens are random, so that the database has their SHA-256: a slow hash would add
 from __future__ import annotations
 
 import secrets
+from collections.abc import Collection
 
 import sqlalchemy as sa
 
@@ -93,11 +94,27 @@ class JoinTokens:
         query = sa.select(db.credentials.c.process).where(db.credentials.c.role != "environment")
         return await self._store.run(lambda connection: sorted(connection.scalars(query)))
 
-    async def forget(self, process: str) -> None:
-        """Revoke the credential and the tokens of a process."""
+    async def forget(self, *processes: str) -> bool:
+        """Revoke the credentials and the tokens of processes; return whether there were any."""
+        return await self._store.run(lambda connection: _drop(connection, processes))
+
+    async def keep_environments(self, names: Collection[str]) -> None:
+        """Revoke the credentials and the tokens of all environments but these."""
 
         def drop(connection: sa.Connection) -> None:
-            connection.execute(db.credentials.delete().where(db.credentials.c.process == process))
-            connection.execute(db.tokens.delete().where(db.tokens.c.process == process))
+            known: set[str] = set()
+            for table in (db.credentials, db.tokens):
+                known |= {*connection.scalars(sa.select(table.c.process).where(table.c.role == "environment"))}
+            _drop(connection, known.difference(names))
 
         await self._store.run(drop)
+
+
+def _drop(connection: sa.Connection, processes: Collection[str]) -> bool:
+    rows = [{"name": each} for each in processes]
+    dropped = [
+        connection.execute(table.delete().where(table.c.process == sa.bindparam("name")), rows).rowcount
+        for table in (db.credentials, db.tokens)
+        if rows
+    ]
+    return any(dropped)

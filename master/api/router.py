@@ -24,7 +24,7 @@ from master.storage.depot import Upload
 from rce.errors import InternalError, InvalidRequest, NotFound, RceError
 from rce.process import logs
 from rce.web.problems import MethodNotAllowed, UnsupportedMediaType, problem_response
-from rce.web.requests import header, raw_path, raw_query
+from rce.web.requests import check_same_site, header, raw_path, raw_query
 
 PREFIX = "/api/v1"
 JSON = "application/json"
@@ -129,6 +129,7 @@ class Api:
                 return web.Response(status=status, body=content, content_type=JSON, headers=headers)
 
     async def _answer(self, request: web.BaseRequest, content: bytes, upload: Upload | None) -> Answer:
+        check_same_site(request)
         route, variables = self._find(request)
         principal = None if route.public else await self._authenticator.authenticate(request)
         if route.body is not None:
@@ -185,7 +186,7 @@ def _parameters(request: web.BaseRequest) -> dict[str, str]:
 
 
 def _check_media_type(request: web.BaseRequest) -> None:
-    """Refuse forms, which another site can have a browser send with the password that it knows; JSON it cannot."""
-    kind = (header(request, "Content-Type") or JSON).partition(";")[0].strip().lower()
+    """Refuse bodies without a type and forms, which a page of another site can have a browser send; JSON it cannot."""
+    kind = (header(request, "Content-Type") or "").partition(";")[0].strip().lower()
     if kind != JSON:
-        raise UnsupportedMediaType(f"the body must be {JSON}, not {kind[:80]}")
+        raise UnsupportedMediaType(f"the body must have Content-Type: {JSON}, not {kind[:80] or 'none'}")

@@ -15,7 +15,7 @@ from master.execution.dispatcher import Dispatcher, Turn
 from master.execution.readiness import Readiness
 from master.graph import packages
 from master.graph.effects import MarkReady, Plan, Send
-from master.graph.records import ref
+from master.graph.records import Robot, ref, user_of
 from master.graph.state import State
 from master.storage.depot import Depot
 from master.storage.store import Store
@@ -145,11 +145,17 @@ class EffectRunner:
             self.remove_unused_archives()
         for table in state.tables():
             for gone in table.removed():
+                if gone.kind == "environment":
+                    self.keep(asyncio.create_task(self._revoke_tokens(gone.key)))
                 if by_command:
                     self.readiness.release(gone)
                 else:
                     self.readiness.fail(gone, NotFound(f"{gone} was removed before it came up"))
         return self.keep(asyncio.create_task(self._store.save(state)))
+
+    async def _revoke_tokens(self, environment: str) -> None:
+        if environment not in self.state.environments:  # else it was made again, and its start revokes them
+            await self._tokens.forget(environment)
 
     def remove_unused_archives(self) -> None:
         """Remove the archives that no package and no environment needs any more."""
@@ -164,8 +170,21 @@ class EffectRunner:
             for observer in self.status_observers:
                 observer(user, status)
         for robot in self.state.robots.by(user):
-            if robot.endpoint in self.state.joined:
-                self.run([[Send(robot.endpoint, SendStatus(robot.name, status, error), ref(robot))]])
+            self._tell(robot, status, error)
+
+    def tell_connected(self, interface: str, status: StatusData) -> None:
+        """Send a status to the robots to which an interface is connected; to all of its user's if there is none."""
+        ends = {end for each in self.state.connections.by(interface) for end in (each.sender, each.receiver)}
+        owners = {found.owner for end in ends if (found := self.state.interfaces.get(end)) is not None}
+        robots = [found for owner in sorted(owners) if (found := self.state.robots.get(owner)) is not None]
+        if not robots:
+            self.tell(user_of(interface), status)
+        for robot in robots:
+            self._tell(robot, status, None)
+
+    def _tell(self, robot: Robot, status: StatusData | None, error: ErrorInfo | None) -> None:
+        if robot.endpoint in self.state.joined:
+            self.run([[Send(robot.endpoint, SendStatus(robot.name, status, error), ref(robot))]])
 
     # --- background tasks ---------------------------------------------------------------------------------------------
 

@@ -72,7 +72,7 @@ tokens = sa.Table(
     "tokens",
     tables,
     sa.Column("digest", sa.String(64), primary_key=True),
-    sa.Column("process", sa.String(600), nullable=False),
+    sa.Column("process", sa.String(600), index=True, nullable=False),
     sa.Column("role", sa.String(16), nullable=False),
     sa.Column("used", sa.Boolean, nullable=False),
     sa.Column(

@@ -13,7 +13,7 @@ from rce.errors import InternalError, InvalidRequest, NotFound, RceError
 from rce.mapservice.auditing import FAILED
 from rce.mapservice.record_store import DiskFull
 from rce.web.problems import HttpError, problem_response
-from rce.web.requests import check_encoding
+from rce.web.requests import check_encoding, check_same_site
 
 WRONG_TYPE, WRONG_VERSION, TOO_LARGE = 415, 412, 413
 
@@ -26,6 +26,7 @@ async def problems(request: web.Request, handler: Handler) -> web.StreamResponse
     """Answer every error with a problem."""
     try:
         check_headers(request)
+        check_same_site(request)
         check_encoding(request)  # before an upload is announced
         return await handler(request)
     except ConnectionError:

@@ -33,7 +33,7 @@ STATUS = {
     "timed_out": 504,
 }
 """HTTP status of each error code; any other code is the client's fault (400)."""
-CHALLENGE = 'Basic realm="rce"'
+CHALLENGE = 'Bearer realm="rce"'  # Basic would have browsers ask for a password, and send it whatever site asks
 
 
 class HttpError(InvalidRequest):

@@ -8,8 +8,11 @@ from collections.abc import AsyncIterator
 
 from aiohttp import HttpVersion11, web
 
+from rce.errors import Forbidden
+
 BODY_TIMEOUT = 60.0  # seconds for a body, and without any byte of it
 MIN_RATE = 1024  # bytes of a body that extend its time by a second
+READ_METHODS = ("GET", "HEAD", "OPTIONS")
 _HOST = re.compile(r"\[?(?P<name>.*?)\]?(:\d+)?", re.DOTALL)
 
 
@@ -46,6 +49,25 @@ def peer_address(request: web.BaseRequest) -> str:
 def declared_length(request: web.BaseRequest) -> int | None:
     """Return the number of bytes of the body; None for a chunked one, whose end is not known."""
     return None if "Transfer-Encoding" in request.headers else request.content_length or 0
+
+
+def check_same_site(request: web.BaseRequest) -> None:
+    """Refuse changes that a page of another site has a browser ask for.
+
+    Programs send neither of the two headers. Browsers send `Sec-Fetch-Site` over https and to localhost, and `Origin`
+    with every change.
+
+    Raises:
+        Forbidden: The page is of another site.
+    """
+    if request.method in READ_METHODS:
+        return
+    site, origin = header(request, "Sec-Fetch-Site"), header(request, "Origin")
+    if site is None and origin is not None:
+        host = (header(request, "Host") or "").lower()
+        site = "same-origin" if origin.lower().partition("://")[2] == host else "cross-site"
+    if site not in (None, "same-origin", "none"):
+        raise Forbidden(f"this request comes from a page of another site ({(origin or site)[:80]})", field="Origin")
 
 
 def check_encoding(request: web.BaseRequest) -> None:

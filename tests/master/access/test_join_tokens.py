@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import pytest
+import sqlalchemy as sa
 
 import rce
 from master.access.grants import digest
 from master.access.join_tokens import JoinTokens
 from master.graph.records import Role
+from master.storage import tables as db
 from master.storage.store import Store
 from rce.control.calls.joining import Hello
 from rce.errors import InvalidRequest, Unauthorized
@@ -66,6 +70,34 @@ async def test_forgotten_process_cannot_join(processes: JoinTokens) -> None:
     for secret in (credential, "t", "unused"):
         with pytest.raises(Unauthorized):
             await processes.admit("west", "robot", secret)
+
+
+async def test_tokens_of_environments_that_are_gone_are_revoked(processes: JoinTokens, store: Store) -> None:
+    roles: dict[str, Role] = {"west": "robot", "ann/brain": "environment", "ann/old": "environment"}
+    for name, role in roles.items():
+        await processes.allow(name, role, f"token of {name}")
+        await processes.admit(name, role, f"token of {name}")
+        await processes.allow(name, role, f"another of {name}")
+    await processes.keep_environments({"ann/brain", "ann/other"})
+    assert await rows(store) == {"west": 3, "ann/brain": 3}
+    await processes.keep_environments([])
+    assert await rows(store) == {"west": 3}
+
+
+async def rows(store: Store) -> Counter[str]:
+    """Return how many rows each process has."""
+
+    def count(connection: sa.Connection) -> Counter[str]:
+        tables = (db.tokens, db.credentials)
+        return Counter(name for table in tables for name in connection.scalars(sa.select(table.c.process)))
+
+    return await store.run(count)
+
+
+async def test_forgetting_tells_whether_there_was_anything(processes: JoinTokens) -> None:
+    await processes.allow("west", "robot", "t")
+    assert await processes.forget("east", "west")
+    assert not await processes.forget("east", "west")
 
 
 async def test_names_are_of_processes_that_have_joined(processes: JoinTokens) -> None:

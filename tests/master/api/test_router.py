@@ -136,6 +136,7 @@ async def test_ambiguous_query_is_refused(routes: Routes, query: str, field: str
     [
         ("application/json", 200),
         ("Application/JSON; charset=utf-8", 200),
+        ("", 415),
         ("text/plain", 415),
         ("application/x-www-form-urlencoded", 415),
         ("multipart/form-data; boundary=x", 415),
@@ -144,8 +145,16 @@ async def test_ambiguous_query_is_refused(routes: Routes, query: str, field: str
 async def test_forms_are_refused(routes: Routes, kind: str, status: int) -> None:
     routes.add("POST", "/things", body=Greeting)
     routes.add("POST", "/others")
-    assert (await routes.ask("POST", f"{PREFIX}/things", b"{}", {"Content-Type": kind})).status == status
-    assert (await routes.ask("POST", f"{PREFIX}/others", b"{}", {"Content-Type": kind})).status == 200  # takes no body
+    headers = {"Content-Type": kind} if kind else {}
+    assert (await routes.ask("POST", f"{PREFIX}/things", b"{}", headers)).status == status
+    assert (await routes.ask("POST", f"{PREFIX}/others", b"{}", headers)).status == 200  # takes no body
+
+
+async def test_page_of_another_site_changes_nothing(routes: Routes) -> None:
+    for method in ("GET", "POST", "PUT", "PATCH", "DELETE"):
+        routes.add(method, "/things")
+        answer = await routes.ask(method, f"{PREFIX}/things", b"", {"Sec-Fetch-Site": "cross-site"})
+        assert answer.status == (200 if method == "GET" else 403)
 
 
 # --- answers ----------------------------------------------------------------------------------------------------------

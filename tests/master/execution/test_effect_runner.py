@@ -9,7 +9,7 @@ import pytest
 
 from master.execution.effect_runner import Answer, EffectRunner, raise_first_error
 from master.graph.effects import MarkReady, Plan, Send
-from master.graph.records import Ref
+from master.graph.records import Environment, EnvironmentOptions, Ref
 from master.graph.state import State
 from rce.control.calls.call import Call, Nothing
 from rce.control.calls.endpoints import CloseLink, StopNode, Sync, Unbind
@@ -229,6 +229,22 @@ def test_start_at_a_machine_that_is_away_keeps_the_token_of_the_earlier_life(des
     spec = EnvironmentSpec("ann/brain", "1" * 32, "", ContainerData())
     desk.run([Send("nobody", StartEnvironment(spec), Ref("environment", "ann/brain"))])
     assert desk.tokens.issued == []
+
+
+@pytest.mark.parametrize("made_again", [False, True])
+def test_removed_environment_loses_its_tokens(desk: Desk, made_again: bool) -> None:
+    environments = desk.runner.state.environments
+
+    def remove() -> None:
+        environment = Environment("ann/brain", EnvironmentOptions(), "1", "")
+        environments.put(environment)
+        environments.drop("ann/brain")
+        desk.runner.save()
+        if made_again:
+            environments.put(environment)
+
+    desk.hand.do(remove)
+    assert desk.tokens.issued == ([] if made_again else [("forget", "ann/brain")])
 
 
 def test_close_cancels_running_plans(desk: Desk, hand: HandTurnedLoop) -> None:

@@ -47,6 +47,6 @@ def test_problem_has_the_code_and_the_particulars() -> None:
 
 
 def test_headers_that_belong_to_a_status() -> None:
-    assert problem_response(Unauthorized("x")).headers["WWW-Authenticate"] == 'Basic realm="rce"'
+    assert problem_response(Unauthorized("x")).headers["WWW-Authenticate"] == 'Bearer realm="rce"'
     assert problem_response(TooManyAttempts("x", retry_after=7)).headers["Retry-After"] == "7"
     assert problem_response(MethodNotAllowed("x", headers={"Allow": "GET"})).headers["Allow"] == "GET"

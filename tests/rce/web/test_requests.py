@@ -12,8 +12,9 @@ from aiohttp import web
 from aiohttp.test_utils import make_mocked_request
 from multidict import CIMultiDict
 
+from rce.errors import Forbidden
 from rce.web import requests
-from rce.web.requests import declared_length, header, host_name, raw_path, raw_query, read_body
+from rce.web.requests import check_same_site, declared_length, header, host_name, raw_path, raw_query, read_body
 from rce.web.server import Endpoint, listen, serve_handler
 
 
@@ -24,6 +25,32 @@ def request(path: str = "/", **headers: str) -> web.BaseRequest:
 def test_target_is_not_decoded() -> None:
     found = request("//a%20b/%ff?x=%2F&y")
     assert (raw_path(found), raw_query(found)) == ("//a%20b/%ff", "x=%2F&y")
+
+
+@pytest.mark.parametrize(
+    ("headers", "allowed"),
+    [
+        ({}, True),
+        ({"Sec_Fetch_Site": "same-origin", "Origin": "https://behind.a.proxy"}, True),
+        ({"Sec_Fetch_Site": "none"}, True),
+        ({"Sec_Fetch_Site": "same-site"}, False),
+        ({"Sec_Fetch_Site": "cross-site", "Origin": "http://cloud:9000"}, False),
+        ({"Origin": "http://cloud:9000"}, True),
+        ({"Origin": "https://CLOUD:9000"}, True),
+        ({"Origin": "http://cloud:9001"}, False),
+        ({"Origin": "http://evil"}, False),
+        ({"Origin": "null"}, False),
+        ({"Origin": ""}, False),
+    ],
+)
+def test_pages_of_other_sites_only_read(headers: dict[str, str], allowed: bool) -> None:
+    check_same_site(request(Host="cloud:9000", **headers))
+    change = request(Host="cloud:9000", **headers).clone(method="POST")
+    if allowed:
+        check_same_site(change)
+    else:
+        with pytest.raises(Forbidden):
+            check_same_site(change)
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,8 @@ def upgrade() -> None:
             reference = "VARCHAR(32) REFERENCES api_keys (id) ON DELETE CASCADE"  # SQLite adds no constraint later
             op.execute(f"ALTER TABLE {table} ADD COLUMN {column} {reference}")
             op.create_index(f"ix_{table}_{column}", table, [column])
+    if "ix_tokens_process" not in {each["name"] for each in inspector.get_indexes("tokens")}:
+        op.create_index("ix_tokens_process", "tokens", ["process"])
     if "removed_machines" not in inspector.get_table_names():
         op.create_table(
             "removed_machines",
