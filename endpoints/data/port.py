@@ -31,7 +31,8 @@ from rce.process.logs import RateLimitedLogger
 
 MAGIC = b"RCE1"
 GREETING_SIZE = relay_handshake.GREETING_SIZE
-OPEN_TIMEOUT = 10.0
+OPEN_TIMEOUT = 10.0  # seconds for one address
+DIAL_TIMEOUT = 25.0  # seconds for all addresses of a link
 EXPECT_TIMEOUT = 30.0  # longer, because the other side may have to try several addresses
 
 log = Logger()
@@ -204,14 +205,25 @@ class DataPort:
 
     async def dial(self, link: StreamLink, key: bytes, addresses: list[str]) -> None:
         """Open `link` at the first address that works; otherwise fail it with the reason of each address."""
-        reasons = []
+        reasons: list[str] = []
+        try:
+            async with asyncio.timeout(DIAL_TIMEOUT):
+                if await self._dial_each(link, key, addresses, reasons):
+                    return
+        except TimeoutError:
+            reasons.append(f"no link within {DIAL_TIMEOUT:g} s")
+        link.fail("; ".join(reasons) or "the other side has no address")
+
+    async def _dial_each(self, link: StreamLink, key: bytes, addresses: list[str], reasons: list[str]) -> bool:
+        """Try addresses in turn; return True for success. The reasons of failures are appended to `reasons`."""
         for address in addresses:
             try:
                 await self._dial_one(link, key, address)
-                return
             except (OSError, TimeoutError, ValueError, Unavailable) as error:
                 reasons.append(f"{address}: {str(error) or 'no answer'}")
-        link.fail("; ".join(reasons) or "the other side has no address")
+            else:
+                return True
+        return False
 
     async def _dial_one(self, link: StreamLink, key: bytes, address: str) -> None:
         kind, _, rest = address.partition(":")

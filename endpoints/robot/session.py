@@ -273,7 +273,9 @@ class RobotSession:
     async def _issue(self, item: str, command: m.Command) -> asyncio.Task[None]:
         log.info("robot {robot}: {command}", robot=self.name, command=type(command).__name__)
         answer = await self._master.issue(Execute.of(self.name, command))
-        return asyncio.create_task(self._finish(item, command, answer))
+        finish = asyncio.create_task(self._finish(item, command, answer))
+        finish.add_done_callback(_retrieve)
+        return finish
 
     async def _finish(self, item: str, command: m.Command, answer: asyncio.Task[Nothing]) -> None:
         """Await the answer to a command; after a lost connection, repeat the command at the Master that joins next."""
@@ -287,6 +289,12 @@ class RobotSession:
                 answer = await self._master.issue(Execute.of(self.name, command, again=True))
             except RceError as error:
                 raise error.with_item(item) from None
+
+
+def _retrieve(finished: asyncio.Task[None]) -> None:
+    """Retrieve the error of a command: nobody waits for it if the session has ended meanwhile."""
+    if not finished.cancelled():
+        finished.exception()
 
 
 def _piece(message: m.Status | m.Failure) -> Piece:

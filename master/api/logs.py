@@ -12,7 +12,7 @@ from master.api.principals import authorize, principal_of
 from master.api.request import Answer, Call, OwnerQuery
 from master.api.router import Api, Route
 from master.api.streams import EventStreams, ServerSentEvent
-from master.service import Master
+from master.service import ASK_TIMEOUT, Master
 from rce.api.views import LogLines
 from rce.control.calls.watching import Log, ReadLog
 from rce.errors import NotFound
@@ -64,7 +64,7 @@ class LogsApi:
         environment = self._master.state.environments.get(name)
         if environment is None:
             raise NotFound(f"there is no environment {name.partition('/')[2][:80]!r}", field="environment")
-        return await self._master.ask(environment, question)
+        return await self._master.ask(environment, question, ASK_TIMEOUT + question.wait)
 
     async def _follow(self, name: str, node: str, log: Log) -> AsyncIterator[ServerSentEvent]:
         while True:

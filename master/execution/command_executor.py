@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections import Counter
 
 from master.access import guests
 from master.access.audit import Audit, Origin
@@ -38,6 +39,7 @@ class CommandExecutor:
         self._lifecycle = lifecycle
         self._limits = limits
         self._audit = audit
+        self._in_progress: Counter[str] = Counter()  # commands by user
 
     def add_handlers(self, handlers: Handlers, process: Process) -> None:
         """Answer the commands that a Robot endpoint passes on."""
@@ -65,6 +67,17 @@ class CommandExecutor:
         Raises:
             RceError: The reason why it was refused or did not become ready.
         """
+        if self._in_progress[user] >= MAX_COMMANDS:
+            raise LimitExceeded(f"{MAX_COMMANDS} commands of {user} are in progress: wait until some complete")
+        self._in_progress[user] += 1
+        try:
+            await self._execute(user, command, repeated, robot)
+        finally:
+            self._in_progress[user] -= 1
+            if not self._in_progress[user]:
+                del self._in_progress[user]
+
+    async def _execute(self, user: str, command: Command, repeated: bool, robot: str) -> None:
         began = time.perf_counter()
         context = CommandContext(self._state, user, new_id, self._limits.of(user), repeated, robot)
         outcome = execute(context, command)

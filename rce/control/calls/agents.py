@@ -39,6 +39,7 @@ class PullImage(Call[Nothing], frozen=True):
     Raises StartFailed.
     """
 
+    timeout = 3600.0
     tag: str
     source: str  # REPOSITORY@DIGEST
     user: str
@@ -61,4 +62,5 @@ class RemovedRun(Struct, frozen=True):
 class RemoveRun(Call[RemovedRun], frozen=True):
     """Stop the container of an environment and remove everything that belongs to it; answered when it is gone."""
 
+    timeout = 120.0
     run: str

@@ -39,18 +39,21 @@ class EnvironmentSpec(Struct, frozen=True):
 class StartEnvironment(Call[Nothing], frozen=True):
     """Start an environment; answered when its process or container runs. Its endpoint then joins the Master."""
 
+    timeout = 180.0  # users' packages are fetched, and images pulled
     environment: EnvironmentSpec
 
 
 class StopEnvironment(Call[Nothing], frozen=True):
     """Stop an environment and remove everything that belongs to it; answered when it is gone."""
 
+    timeout = 120.0
     name: str
 
 
 class KeepEnvironments(Call[Nothing], frozen=True):
     """Keep only the environments with these runs; stop and remove all others."""
 
+    timeout = 300.0  # all environments of the machine may have to be stopped
     runs: list[str]
 
 

@@ -59,6 +59,7 @@ class Execute(Call[Nothing], frozen=True):
     exists already.
     """
 
+    timeout = 300.0  # longer than the Master takes for any command
     robot: str
     kind: str
     item: Raw
@@ -96,6 +97,7 @@ class DescribeType(Call[Definitions], frozen=True):
     Raises UnknownType.
     """
 
+    timeout = 75.0  # an environment may have to start
     user: str
     type: str
     service: bool

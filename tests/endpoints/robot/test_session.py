@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
-import pytest
+import asyncio
+import gc
+from typing import Any, cast
 
+import pytest
+from msgspec import Raw
+
+from endpoints.robot.session import RobotSession
+from rce.control.client import ControlClient
+from rce.errors import NotFound
+from rce.protocol import messages as m
 from tests.support.endpoints.platforms import Platform, pair
 from tests.support.endpoints.raw_robot import USER, dm, status
+from tests.support.master.hand_turned import HandTurnedLoop
 
 
 async def test_success_is_not_acknowledged_without_features(platform: Platform) -> None:
@@ -95,3 +105,23 @@ async def test_commands_in_progress_are_limited(platform: Platform) -> None:
     assert (answer["id"], answer["error"]["code"]) == (2, "limit_exceeded")
     await a.send({"type": "CN", "id": 3, "data": {}})
     assert (await a.receive())["id"] == 3
+
+
+def test_errors_of_commands_are_retrieved_when_the_session_ends_before_them(hand: HandTurnedLoop) -> None:
+    """The fixture fails if one is not."""
+    answers: list[asyncio.Future[Any]] = []
+
+    class Master:
+        async def issue(self, call: Any) -> asyncio.Future[Any]:
+            answers.append(hand.create_future())
+            return answers[-1]
+
+    session = hand.do(lambda: RobotSession(f"{USER}/a", cast(ControlClient, Master())))
+    items = b'[{"containerTag": "c", "nodeTag": "n"}, {"containerTag": "c", "nodeTag": "o"}]'
+    frame = m.Frame("CN", Raw(b'{"removeNodes": ' + items + b"}"))
+    hand.do(lambda: session.command(frame))
+    assert len(answers) == 2
+    hand.do(lambda: session.end("the robot left"))
+    hand.do(lambda: answers[1].set_exception(NotFound("there is no such node")))
+    gc.collect()
+    hand.settle()

@@ -4,14 +4,27 @@ from __future__ import annotations
 
 import pytest
 
-from master.execution.command_executor import START_TIMEOUT
+from master.execution import command_executor
+from master.execution.command_executor import COMMAND_TIMEOUT, START_TIMEOUT
 from master.graph import reconcile
 from master.graph.records import Parameter, Robot
+from master.service import ASK_TIMEOUT
 from rce.api.roles import Principal, Scopes
 from rce.control.calls.endpoints import AddRoute, Bind, OpenLink, PutParameter, StartNode, StopNode, Unbind
 from rce.control.calls.environments import StartEnvironment, StopEnvironment
-from rce.control.calls.robots import Execute
-from rce.errors import AlreadyExists, Forbidden, InvalidRequest, NotFound, RceError, StartFailed, TimedOut, Unavailable
+from rce.control.calls.robots import DescribeType, Execute
+from rce.errors import (
+    AlreadyExists,
+    Forbidden,
+    InvalidRequest,
+    LimitExceeded,
+    NotFound,
+    RceError,
+    StartFailed,
+    TimedOut,
+    Unavailable,
+    UnknownType,
+)
 from rce.protocol import messages as m
 from tests.support.master.desk import Desk, Peer
 from tests.support.master.fleet import interface
@@ -168,3 +181,64 @@ def test_command_beyond_the_rights_of_the_robots_key_is_refused(desk: Desk, brai
     desk.state.robots.put(Robot("ann/r2", "west", "s", tied))
     assert isinstance(by_robot(desk, m.SetParameter("brain", "rate", 1), "ann/r2"), Forbidden | NotFound)
     assert values(desk) == {}
+
+
+# --- deadlines --------------------------------------------------------------------------------------------------------
+
+
+def test_command_ends_when_its_process_answers_pings_only(desk: Desk, brain: Peer) -> None:
+    brain.held.add(StartNode)
+    task = desk.do(m.AddNode("brain", "n", "p", "e"))
+    desk.turn(StartNode.timeout - 1)
+    assert not task.done()
+    desk.turn(1)
+    assert isinstance(task.exception(), TimedOut)
+    assert len(desk.state.nodes) == 0
+    assert brain.got(StopNode), "it may have started the node"
+
+
+def test_commands_that_pile_up_at_one_thing_end_together(desk: Desk, brain: Peer) -> None:
+    brain.held |= {StartNode, StopNode}
+    tasks = [desk.do(m.AddNode("brain", "n", "p", "e"))]
+    for _ in range(20):
+        tasks += [desk.do(m.RemoveNode("brain", "n")), desk.do(m.AddNode("brain", "n", "p", "e"))]
+    desk.turn(COMMAND_TIMEOUT)
+    assert all(task.done() for task in tasks)
+    assert {type(task.exception()) for task in tasks} <= {TimedOut, type(None)}
+    for _ in range(100):
+        desk.turn(StartNode.timeout)
+    assert len(brain.got(StartNode)) == 21, "each call was made in its turn"
+
+
+def test_removal_of_an_environment_does_not_wait_for_ever_behind_its_start(desk: Desk) -> None:
+    m1 = desk.machine("m1")
+    m1.held.add(StartEnvironment)
+    desk.do(m.CreateContainer("brain"))
+    removal = desk.do(m.DestroyContainer("brain"))
+    desk.turn(StartEnvironment.timeout)
+    assert removal.result() is None
+    assert m1.got(StopEnvironment)
+
+
+def test_more_commands_than_a_user_may_have_in_progress_are_refused(
+    desk: Desk, brain: Peer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command_executor, "MAX_COMMANDS", 3)
+    brain.held.add(StartNode)
+    tasks = [desk.do(m.AddNode("brain", f"n{number}", "p", "e")) for number in range(4)]
+    assert [task.done() for task in tasks] == [False, False, False, True]
+    assert isinstance(tasks[3].exception(), LimitExceeded)
+    brain.release()
+    assert desk.do(m.SetParameter("brain", "rate", 1)).result() is None
+    desk.turn(StartNode.timeout)
+    assert [type(task.exception()) for task in tasks[:3]] == [type(None), TimedOut, TimedOut]
+
+
+def test_question_to_an_environment_that_does_not_answer_ends(desk: Desk, brain: Peer) -> None:
+    brain.held.add(DescribeType)
+    call = DescribeType("ann", "my_msgs/msg/A", False)
+    asked = desk.hand.begin(desk.master.ask(desk.state.environments["ann/brain"], call))
+    described = desk.hand.begin(desk.master._describe_type(call))
+    desk.turn(ASK_TIMEOUT)
+    assert isinstance(asked.exception(), TimedOut)
+    assert isinstance(described.exception(), UnknownType)

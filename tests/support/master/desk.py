@@ -14,7 +14,7 @@ from rce.control.calls.call import BatchResult, Call, Nothing
 from rce.control.calls.endpoints import Sync
 from rce.control.calls.joining import Hello
 from rce.control.connection import Control
-from rce.errors import RceError
+from rce.errors import RceError, TimedOut
 from rce.protocol import messages as m
 from tests.support.master.fleet import interface
 from tests.support.master.hand_turned import HandTurnedLoop
@@ -54,19 +54,24 @@ class Peer:
         )
         desk.hand.do(lambda: desk.master.process_tracker.joined(process, hello, cast(Control, self)))
 
-    async def call(self, call: Call[Any]) -> object:
+    async def call(self, call: Call[Any], seconds: float = 0.0) -> object:
         self.arrived.append(call)
         refusal = self.refuse.get(type(call))
         if type(call) in self.held:
             self._waiting.append(asyncio.get_running_loop().create_future())
-            await self._waiting[-1]
+            try:
+                async with asyncio.timeout(seconds or call.timeout):  # as Control does
+                    await self._waiting[-1]
+            except TimeoutError:
+                raise TimedOut(f"memory did not answer {type(call).__name__}") from None
         if refusal is not None:
             raise refusal
         return BatchResult() if isinstance(call, Sync) else Nothing()
 
     def release(self) -> None:
         """Answer the oldest held call."""
-        answer = self._waiting.pop(0)
+        while (answer := self._waiting.pop(0)).done():
+            pass  # it took too long
         self._desk.hand.do(lambda: answer.set_result(None))
 
     def close(self) -> None:

@@ -65,7 +65,7 @@ class Peer:
         self._served = served
         self._hello = hello
 
-    async def call(self, call: Call[Any]) -> Any:
+    async def call(self, call: Call[Any], seconds: float = 0.0) -> Any:
         await asyncio.sleep(0)
         self.calls.append(call)
         if type(call) in self.refuse:
