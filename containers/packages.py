@@ -18,7 +18,7 @@ from weakref import WeakValueDictionary
 from twisted.logger import Logger
 
 from containers.engine import RUN
-from rce.errors import InvalidRequest, StartFailed, Unavailable
+from rce.errors import InvalidRequest, StartFailed, Unavailable, disk_full
 from rce.packages import archive
 
 log = Logger()
@@ -56,6 +56,7 @@ class PackageCache:
         self._fetch = fetch
         self._kept = kept
         self._sizes: dict[str, int] = {}
+        self._shrinking = asyncio.Lock()
         self._locks: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
 
     def open(self) -> None:
@@ -77,11 +78,13 @@ class PackageCache:
             raise InvalidRequest(f"run {run[:80]!r} is not 32 hex digits", field="run")
         if not digests:
             return
-        (self._uses / run).write_text("\n".join(digests))  # first, so that `release` removes none of them meanwhile
         try:
+            (self._uses / run).write_text("\n".join(digests))  # first, so that `release` removes none of them meanwhile
             for digest in digests:
                 await self._provide(digest)
-        except (OSError, Unavailable) as error:
+        except OSError as error:
+            raise StartFailed(f"packages could not be stored: {disk_full(error) or error}") from None
+        except Unavailable as error:
             raise StartFailed(f"packages could not be fetched: {error}") from None
 
     async def release(self, running: Collection[str]) -> None:
@@ -89,7 +92,8 @@ class PackageCache:
         for path in self._uses.iterdir():
             if path.name not in running:
                 path.unlink(missing_ok=True)
-        await self._shrink()
+        async with self._shrinking:
+            await self._shrink()
 
     async def _provide(self, digest: str) -> None:
         lock = self._locks.get(digest)
@@ -111,9 +115,12 @@ class PackageCache:
                 await asyncio.to_thread(_remove, work)
             log.info("fetched package {digest}", digest=digest)
 
+    def _used(self) -> set[str]:
+        return {digest for path in self._uses.iterdir() for digest in path.read_text().split()}
+
     async def _shrink(self) -> None:
         """Remove the least recently used packages until the unused ones fit the size limit."""
-        used = {digest for path in self._uses.iterdir() for digest in path.read_text().split()}
+        used = self._used()
         idle = [path for path in self._root.iterdir() if archive.DIGEST.fullmatch(path.name) and path.name not in used]
         idle.sort(key=lambda path: path.stat().st_mtime, reverse=True)
         total = 0
@@ -121,8 +128,10 @@ class PackageCache:
             if path.name not in self._sizes:
                 self._sizes[path.name] = await asyncio.to_thread(_size, path)
             total += self._sizes[path.name]
-            if total > self._kept and path.name not in self._locks:
+            # It may have been provided again meanwhile; from here to the renaming nothing else runs.
+            if total > self._kept and path.name not in self._locks and path.name not in self._used():
                 doomed = path.rename(self._incoming / path.name)
+                del self._sizes[path.name]
                 await asyncio.to_thread(_remove, doomed)
                 log.info("removed unused package {digest}", digest=path.name)
 

@@ -7,6 +7,8 @@ import secrets
 from contextlib import suppress
 from pathlib import Path
 
+from rce.errors import describe_os_error
+
 MAX_FILE_SIZE = 1_000_000  # bytes after which a new file begins
 MAX_READ = 65_536  # bytes that one call of `since` reads
 MAX_LINE_LENGTH = 1000
@@ -25,6 +27,8 @@ class OutputLog:
         self._older = path.with_name(path.name + ".1")
         self._instance = secrets.token_hex(4)
         self._written = 0  # bytes written to this instance
+        self._lost = 0  # bytes that could not be written, until there is room for a note of them
+        self._reason = ""
         self._changed = asyncio.Event()
         self._closed = False
         self._begin_file()
@@ -32,18 +36,37 @@ class OutputLog:
     def _begin_file(self) -> None:
         if self._path.exists():
             self._path.rename(self._older)
-        self._file = self._path.open("wb", buffering=0)
+        try:
+            self._file = self._path.open("wb", buffering=0)
+        except OSError:
+            if self._older.exists():
+                self._older.rename(self._path)
+            raise
         self._size = 0
 
     def write(self, output: bytes) -> None:
-        """Append output."""
-        if self._size >= MAX_FILE_SIZE:
-            self._file.close()
-            self._begin_file()
-        self._file.write(output)
-        self._size += len(output)
-        self._written += len(output)
+        """Append output. What cannot be written, as on a full disk, is counted, and noted when there is room again."""
+        rest = memoryview(output)
+        try:
+            if self._size >= MAX_FILE_SIZE:
+                full = self._file
+                self._begin_file()
+                full.close()
+            note = f"\n[{self._lost} bytes of output are missing: {self._reason}]\n".encode()
+            if self._lost and self._append(note) == len(note):
+                self._lost = 0
+            while rest:
+                rest = rest[self._append(rest) :]
+        except OSError as error:
+            self._lost += len(rest)
+            self._reason = describe_os_error(error)
         self._changed.set()
+
+    def _append(self, part: bytes | memoryview) -> int:
+        count = self._file.write(part)
+        self._size += count
+        self._written += count
+        return count
 
     @property
     def end(self) -> str:
@@ -71,9 +94,9 @@ class OutputLog:
         if start >= here:
             found = _read(self._path, min(start, self._written) - here, MAX_READ)
         else:  # the older file ends where the current one begins; earlier bytes are gone
-            size = self._older.stat().st_size
+            size = self._older.stat().st_size if self._older.exists() else 0
             start = max(start, here - size)
-            found = _read(self._older, start - here + size, MAX_READ)
+            found = _read(self._older, start - here + size, MAX_READ) if size else b""
             if len(found) < MAX_READ:
                 found += _read(self._path, 0, MAX_READ - len(found))
         if not self._closed or len(found) == MAX_READ:

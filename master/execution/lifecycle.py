@@ -34,6 +34,7 @@ class Lifecycle:
         self._state = runner.state
         self._readiness = runner.readiness
         self._retries: dict[str, float] = {}  # seconds to the next start of environments that keep dying
+        self._state.environments.watchers.append(self._environment_changed)
         self._restarting: set[str] = set()  # nodes that ended, until they are started again
 
     def add_machine_handlers(self, handlers: Handlers) -> None:
@@ -157,6 +158,10 @@ class Lifecycle:
         self._retries[key] = pause
         return pause
 
+    def _environment_changed(self, before: Environment | None, after: Environment | None) -> None:
+        if before is not None and after is None:
+            self._retries.pop(before.name, None)
+
     async def _limit_reached(self, call: LimitReached) -> Nothing:
         environment = self._state.environments.get(call.name)
         if environment is not None and environment.run == call.run:
@@ -171,6 +176,8 @@ class Lifecycle:
         environment = self._state.environments.get(process.name)
         if node is None or environment is None or node.key in self._restarting:
             return Nothing()
+        if process.incarnation != environment.run:
+            return Nothing()  # a report of an earlier life: the next one has its own node of this tag
         tag = process.name.partition("/")[2]
         self._runner.tell(user_of(process.name), NodeEvent(tag, call.node, call.status, call.lines))
         if call.status == 0 or environment.options.restart == "no" or call.seconds < STEADY:

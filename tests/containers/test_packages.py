@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import hashlib
 import io
 import os
+import threading
 from pathlib import Path
 
 import pytest
 
+from containers import packages
 from containers.packages import PackageCache, package_directories, package_path
 from rce.errors import InvalidRequest, NotFound, RceError, StartFailed, Unavailable
 from rce.packages import archive
@@ -112,11 +115,34 @@ async def test_least_recently_used_package_is_removed_first(master: Master, root
     assert present(root) == {digests[0], digests[2]}
 
 
-@pytest.mark.parametrize("error", [Unavailable("away"), NotFound("gone"), OSError("disk full")])
+async def test_package_that_is_provided_while_space_is_made_stays(
+    cache: PackageCache, master: Master, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    digest = master.add(b"text")
+    await cache.provide(RUN, [digest])
+    measuring, go = threading.Event(), threading.Event()
+
+    def measure(directory: Path) -> int:
+        measuring.set()
+        go.wait(10)
+        return 1
+
+    monkeypatch.setattr(packages, "_size", measure)
+    releasing = asyncio.create_task(cache.release([]))
+    await asyncio.to_thread(measuring.wait, 10)
+    await cache.provide(OTHER, [digest])
+    go.set()
+    await releasing
+    assert (root / digest / "p" / "talk").read_bytes() == b"text"
+
+
+@pytest.mark.parametrize(
+    "error", [Unavailable("away"), NotFound("gone"), OSError(errno.ENOSPC, "No space left on device", "archive")]
+)
 async def test_failed_fetch_leaves_nothing(cache: PackageCache, master: Master, root: Path, error: Exception) -> None:
     digest = master.add(b"content")
     master.refuse = error
-    with pytest.raises((StartFailed, NotFound), match=r"away|gone|disk full") as raised:
+    with pytest.raises((StartFailed, NotFound), match=r"away|gone|disk full \(archive") as raised:
         await cache.provide(RUN, [digest])
     # Unavailable would make the Master retry as if it could not reach this machine.
     assert not isinstance(raised.value, Unavailable)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
 import signal
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -65,6 +66,17 @@ async def test_status_and_output_of_process_that_ends(start: Start, ended: list[
     assert await asyncio.wait_for(process.over, 10) == 3
     assert (ended, process.stopping) == ([3], False)
     assert process.output.last_lines(10) == [str(tmp_path), "variable", "error"]
+
+
+async def test_node_whose_output_cannot_be_stored_is_not_blocked(
+    start: Start, ended: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(self: OutputLog, part: bytes) -> int:
+        raise OSError(errno.ENOSPC, "no space")
+
+    monkeypatch.setattr(OutputLog, "_append", fail)
+    process = await start("sh", "-c", "head -c 1000000 /dev/zero; exit 3")  # more than a pipe holds
+    assert await asyncio.wait_for(process.over, 10) == 3
 
 
 @pytest.mark.parametrize("command", ["/nowhere/node", "/etc/passwd"])

@@ -1,7 +1,15 @@
 """Logs of output."""
 
 import asyncio
+import errno
+import os
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
+
+import pytest
 
 from endpoints.environment.output_log import MAX_FILE_SIZE, MAX_LAST, MAX_LINE_LENGTH, OutputLog
 
@@ -20,6 +28,51 @@ def test_size_is_bounded_and_newest_output_is_kept(tmp_path: Path) -> None:
         log.write(f"{number:<99999}\n".encode())
     assert sum(path.stat().st_size for path in tmp_path.iterdir()) <= 2 * (MAX_FILE_SIZE + 100_000)
     assert (tmp_path / "log").read_text().endswith(f"{39:<99999}\n")
+
+
+@pytest.fixture
+def full_disk() -> Iterator[Path]:
+    """A file system that holds one MAX_FILE_SIZE and a half."""
+    if os.geteuid():
+        pytest.skip("mounting needs root")
+    with tempfile.TemporaryDirectory() as name:
+        mount = ["mount", "-t", "tmpfs", "-o", f"size={MAX_FILE_SIZE * 3 // 2},mode=700", "rce-test", name]
+        if subprocess.run(mount, check=False, capture_output=True).returncode:
+            pytest.skip("this machine cannot mount a tmpfs")
+        try:
+            yield Path(name)
+        finally:
+            subprocess.run(["umount", "-l", name], check=True)
+
+
+def test_output_that_a_full_disk_refuses_is_counted(full_disk: Path) -> None:
+    log = OutputLog(full_disk / "log")
+    filler = full_disk / "filler"
+    with suppress(OSError), filler.open("wb", buffering=0) as file:
+        while True:
+            file.write(bytes(4096))
+    assert log.last_lines(10) == []
+    log.write(b"lost\n")
+    log.write(b"also\n")
+    filler.unlink()
+    log.write(b"kept\n")
+    assert log.last_lines(2) == ["[10 bytes of output are missing: no space left on device]", "kept"]
+
+
+def test_log_that_cannot_begin_a_new_file_goes_on_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "no space")
+
+    log = OutputLog(tmp_path / "log")
+    log.write(b"x" * (MAX_FILE_SIZE - 4) + b"\nold\n")
+    _, position = log.since("")
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", fail)
+        log.write(b"lost\n")
+    assert log.last_lines(1) == ["old"]
+    assert log.since(position)[0] == ["x" * MAX_LINE_LENGTH]
+    log.write(b"new\n")
+    assert log.last_lines(3) == ["", "[5 bytes of output are missing: no space left on device]", "new"]
 
 
 def test_last_lines_include_older_file(tmp_path: Path) -> None:

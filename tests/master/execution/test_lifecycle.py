@@ -6,6 +6,7 @@ import asyncio
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from master.execution.lifecycle import RETRY_FIRST, RETRY_MOST
 from rce.control.calls.call import Call, Nothing
@@ -164,6 +165,25 @@ def test_death_of_a_node_is_reported_once_until_it_is_started_again(desk: Desk) 
     assert len(brain.got(StartNode)) == 2
     die()
     assert reports() == 2
+
+
+def test_end_of_a_node_of_an_earlier_life_does_not_remove_that_of_the_next(desk: Desk) -> None:
+    west, _ = desk.wired()
+    desk.do(m.AddNode("brain", "n", "p", "e"))
+    late = replace(desk.state.processes["ann/brain"], incarnation="earlier")
+    desk.hand.begin(desk.master._lifecycle._node_died(late, NodeDied("n", 0, ["x"])))
+    assert "ann/brain/n" in desk.state.nodes
+    assert not any(isinstance(call.status, m.NodeEvent) for call in west.got(SendStatus))
+
+
+def test_pauses_of_removed_environments_are_forgotten(desk: Desk) -> None:
+    desk.machine("m1")
+    desk.made("brain")
+    killed = EnvironmentDied("ann/brain", desk.run("brain"), "killed")
+    desk.hand.do(lambda: desk.master._lifecycle._died(killed))
+    assert [*desk.master._lifecycle._retries] == ["ann/brain"]
+    desk.do(m.DestroyContainer("brain"))
+    assert desk.master._lifecycle._retries == {}
 
 
 @pytest.mark.parametrize(
