@@ -15,7 +15,7 @@ import msgspec
 from converters.scalars import FieldError
 from converters.wire import Buffer
 
-MAX_PIXEL_BYTES = 300_000_000  # 100 megapixels in colour; a small file can hold very many white pixels
+MAX_PIXEL_BYTES = 1 << 26  # the largest message; 22 megapixels in colour. A small file can hold very many white pixels
 MAX_SCANS = 64  # of a progressive JPEG; each costs a pass over all pixels but only a few bytes
 MAX_CHUNKS = 100_000
 
@@ -135,7 +135,7 @@ def _jpeg_segments(view: memoryview) -> Iterator[tuple[int, int, int]]:
 def _check_size(width: int, height: int, pixel: int) -> None:
     if width * height * pixel > MAX_PIXEL_BYTES:
         raise FieldError(
-            f"the image of {width} x {height} is too large: the limit is {MAX_PIXEL_BYTES} bytes of pixels"
+            f"the image of {width} x {height} is too large: a message has at most {MAX_PIXEL_BYTES} bytes of pixels"
         )
 
 

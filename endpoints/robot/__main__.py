@@ -128,6 +128,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
         await stay_joined(endpoint.master, credential)
     finally:
         server.close()
+        endpoint.workers.close()
         await port.close()
 
 

@@ -18,6 +18,7 @@ from endpoints.robot.handshake import LoginRequest
 from endpoints.robot.interfaces import make_interface
 from endpoints.robot.session import RobotSession
 from endpoints.robot.types import UserTypes
+from endpoints.robot.workers import Workers
 from rce.control.calls.call import BatchResult
 from rce.control.calls.endpoints import MAX_TEXT, InterfaceSpec, LinkLost, Sync
 from rce.control.calls.robots import (
@@ -37,7 +38,7 @@ from rce.net.budget import MB, Budget
 from rce.process import logs
 from rce.process.metrics import Family, gauge_family
 from rce.protocol.blobs import Buffer
-from rce.protocol.messages import DataMessage
+from rce.protocol.messages import DataMessage, DropEvent
 
 EXPIRY_RETRY = 1.0  # seconds
 LOGIN_WAIT = 5.0  # seconds for the Master to come back; shorter than robots wait, so that they get the reason
@@ -68,6 +69,7 @@ class RobotEndpoint:
     Attributes:
         master: Connection to the Master, set before robots are served.
         sessions: Sessions by the names of their robots.
+        workers: Processes that convert large messages; to be closed at the end.
     """
 
     master: ControlClient
@@ -77,6 +79,7 @@ class RobotEndpoint:
         self.grace = options.grace
         self._timeout = options.service_timeout
         self.switchboard = Switchboard(port, self._link_lost)
+        self.workers = Workers()
         self.sessions: dict[str, RobotSession] = {}
         self._queues = options.queues
         self._budget = Budget(options.queues)
@@ -93,7 +96,7 @@ class RobotEndpoint:
         self.switchboard.add_to(handlers, self._make_interface)
         handlers.do(SendStatus, self._send_status)
         handlers.do(DropRobot, self._drop_robot)
-        handlers.serve_metrics("robot", self.switchboard.families, self._families)
+        handlers.serve_metrics("robot", self.switchboard.families, self.workers.families, self._families)
         return handlers
 
     def _families(self) -> list[Family]:
@@ -156,7 +159,7 @@ class RobotEndpoint:
         old = self.sessions.pop(name, None)
         if old is not None:
             old.end("the session has ended")
-        session = self.sessions[name] = RobotSession(name, self.master, self._session_budget(name))
+        session = self.sessions[name] = RobotSession(name, self.master, self._session_budget(name), self.limits.message)
         self._start_grace(session)
         return session
 
@@ -212,8 +215,8 @@ class RobotEndpoint:
                 session.end("")
             return
 
-    def data(self, session: RobotSession, message: DataMessage, blobs: dict[str, Buffer]) -> None:
-        """Pass a data message of a robot to its interface.
+    def data(self, session: RobotSession, message: DataMessage, blobs: dict[str, Buffer]) -> asyncio.Task[None] | None:
+        """Pass a data message of a robot to its interface; return a task if its conversion takes longer.
 
         Raises:
             NotFound: The robot has no such interface.
@@ -221,7 +224,7 @@ class RobotEndpoint:
         interface = session.interfaces.get(message.iTag)
         if interface is None:
             raise NotFound(f"this robot has no interface {message.iTag[:80]!r}: add it first", field="iTag")
-        interface.from_robot(message, blobs)
+        return interface.from_robot(message, blobs)
 
     # --- the Master's calls -------------------------------------------------------------------------------------------
 
@@ -236,7 +239,7 @@ class RobotEndpoint:
         user = spec.owner.partition("/")[0]
         types = self._types.setdefault(user, UserTypes(partial(self._describe_type, user)))
         registry = await types.registry_for(spec)
-        return make_interface(spec, self.switchboard.hops, session, registry, self._timeout)
+        return make_interface(spec, self.switchboard.hops, session, self.workers, registry, self._timeout)
 
     async def _describe_type(self, user: str, name: str, service: bool) -> Definitions:
         return await self.master.call(DescribeType(user, name, service))
@@ -244,7 +247,9 @@ class RobotEndpoint:
     def _send_status(self, call: SendStatus) -> None:
         session = self.sessions.get(call.robot)
         if session is not None:
-            if call.status is not None:
+            if isinstance(call.status, DropEvent):  # with those of the robot's own interfaces, and to every robot
+                session.dropped(call.status.iTag, call.status.count, call.status.where)
+            elif call.status is not None:
                 session.status(call.status)
             if call.error is not None and "events" in session.features:
                 session.error(RceError.from_info(call.error))

@@ -17,7 +17,10 @@ from rce.protocol.blobs import Buffer
 
 BAD_WINDOW = 60.0  # seconds
 
-Handle = Callable[[RobotSession, m.DataMessage, dict[str, Buffer]], None]
+MAX_CONVERSIONS = 16  # messages of one robot that are not converted yet, above which no more are read
+MAX_CONVERTED = 32 * 1024 * 1024  # bytes of these
+
+Handle = Callable[[RobotSession, m.DataMessage, dict[str, Buffer]], asyncio.Task[None] | None]
 
 
 class ServerLimits(Struct, frozen=True):
@@ -39,7 +42,7 @@ class FrameReceiver:
         Args:
             session: The robot's session, which executes its commands.
             limits: Limits of what the robot may send.
-            handle: Handles a data message of the robot; errors raised are sent to the robot.
+            handle: Handles a data message of the robot, or returns a task that does; errors are sent to the robot.
             end: Called with a reason to close the socket.
         """
         self._session = session
@@ -52,6 +55,8 @@ class FrameReceiver:
             limits=AssemblyLimits(limits.blobs, limits.blob_memory, limits.message, limits.blob_age),
         )
         self._bad: deque[float] = deque()  # times of the bad messages within BAD_WINDOW
+        self._conversions: dict[asyncio.Task[None], int] = {}  # with the bytes of their messages
+        self._room: asyncio.Future[None] | None = None  # set while no more messages are read because of them
 
     def text(self, payload: bytes) -> None:
         """Handle a text message, which is a frame."""
@@ -93,9 +98,37 @@ class FrameReceiver:
     def _data(self, frame: m.Frame, blobs: dict[str, Buffer]) -> None:
         message = m.decode_as(m.DataMessage, frame.data, "data")
         try:
-            self._handle(self._session, message, blobs)
+            conversion = self._handle(self._session, message, blobs)
         except RceError as error:
-            raise error.with_fields(iTag=message.iTag[:255], msgID=message.msgID[:255]) from None
+            raise _of_message(error, message) from None
+        if conversion is None:
+            self._acknowledge(frame)
+            return
+        self._conversions[conversion] = len(memoryview(frame.data)) + sum(map(len, blobs.values()))
+        conversion.add_done_callback(lambda done: self._converted(done, frame, message))
+        if self._room is None and not self._has_room():
+            self._room = asyncio.get_running_loop().create_future()
+            self._session.pause_reading(self._room)
+
+    def _converted(self, conversion: asyncio.Task[None], frame: m.Frame, message: m.DataMessage) -> None:
+        del self._conversions[conversion]
+        if self._room is not None and self._has_room():
+            self._room.set_result(None)
+            self._room = None
+        if conversion.cancelled():
+            return
+        error = conversion.exception()
+        if error is None:
+            self._acknowledge(frame)
+        elif isinstance(error, RceError):
+            self._reject(_of_message(error, message), frame)
+        else:
+            raise error
+
+    def _has_room(self) -> bool:
+        return len(self._conversions) < MAX_CONVERSIONS and sum(self._conversions.values()) < MAX_CONVERTED
+
+    def _acknowledge(self, frame: m.Frame) -> None:
         if frame.id is not UNSET and "ack" in self._session.features:
             self._session.status(m.Ack(), frame.id)
 
@@ -111,3 +144,7 @@ class FrameReceiver:
             self._bad.popleft()
         if len(self._bad) > limit:
             self._end(f"more than {limit} bad messages within a minute; the last: {error}")
+
+
+def _of_message(error: RceError, message: m.DataMessage) -> RceError:
+    return error.with_fields(iTag=message.iTag[:255], msgID=message.msgID[:255])

@@ -7,44 +7,47 @@ a service of the robot. A Converter converts between JSON and CDR, a Forwarder p
 from __future__ import annotations
 
 import asyncio
-import itertools
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from time import perf_counter
-from typing import Literal, Protocol, cast
+from typing import Literal, cast
 
 import msgspec
 from msgspec import UNSET
 
-from converters.types import TypeRegistry
-from converters.wire import Wire
+from converters import Recipe, TypeRegistry, Wire
 from endpoints.data.frames import Message
 from endpoints.data.hops import HopRecorder
 from endpoints.data.interface import Interface, error_of
 from endpoints.data.link import Link
+from endpoints.robot.conversion import Codec, FromRobot, Outgoing, ToRobot
 from endpoints.robot.session import Piece, RobotSession
+from endpoints.robot.workers import Workers
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import InvalidRequest, LimitExceeded, NotConnected, RceError, TimedOut
 from rce.net.budget import OVERHEAD
-from rce.protocol.blobs import Buffer, binary_frames
+from rce.protocol.blobs import ID_SIZE, Buffer, binary_frames
 from rce.protocol.messages import MAX_MSG_ID, DataMessage
 from rce.protocol.names import parse_type
 
 MAX_PENDING = 1000  # unanswered service calls of one interface
 
-
-class Codec(Protocol):
-    """Conversion between the robot's representation of a message and CDR."""
-
-    def encode(self, wire: Wire) -> Buffer:
-        """Convert a message of the robot to CDR; raise ConversionError if it does not fit its type."""
-
-    def decode(self, cdr: Buffer) -> Wire:
-        """Convert CDR to a message for the robot."""
+Codecs = Callable[[], Codec]
+"""Returns the codec for the present features of the robot."""
 
 
 class PassThroughCodec:
     """Codec of Forwarders, for which the blob of a message is its CDR."""
+
+    recipe = Recipe("", "json")  # for no worker
+
+    def encodes_fast(self, wire: Wire) -> bool:
+        """Return True: nothing is converted."""
+        return True
+
+    def decodes_fast(self, cdr: Buffer) -> bool:
+        """Return True: nothing is converted."""
+        return True
 
     def encode(self, wire: Wire) -> Buffer:
         """Return the blob of a message; raise InvalidRequest if it is not exactly one blob."""
@@ -65,16 +68,19 @@ class RobotInterface(Interface):
 
     way = "from the robot"  # on which messages may be dropped
 
-    def __init__(self, spec: InterfaceSpec, hops: HopRecorder, session: RobotSession) -> None:
+    def __init__(self, spec: InterfaceSpec, hops: HopRecorder, session: RobotSession, workers: Workers) -> None:
         super().__init__(spec, hops, session.budget)
         self.session = session
+        user = session.name.partition("/")[0]
+        self._from_robot = FromRobot(workers, user)
+        self._to_robot = ToRobot(workers, user, self._converted, self.undelivered)
         self._type = parse_type(spec.type)
         quoted = msgspec.json.encode({"iTag": spec.tag, "type": spec.type})[:-1]
         self._head = b'{"type":"DM","data":' + quoted + b',"msgID":'
         session.interfaces[spec.tag] = self
 
-    def from_robot(self, message: DataMessage, blobs: dict[str, Buffer]) -> None:
-        """Handle a data message of the robot; errors raised are sent to the robot."""
+    def from_robot(self, message: DataMessage, blobs: dict[str, Buffer]) -> asyncio.Task[None] | None:
+        """Handle a data message of the robot; return a task if that takes longer. Errors are sent to the robot."""
         raise NotImplementedError
 
     def started(self) -> None:
@@ -87,6 +93,7 @@ class RobotInterface(Interface):
 
     def close(self) -> None:
         """Drop the waiting messages and remove the interface from its session."""
+        self._to_robot.close()
         self.session.outbox.discard(self.id)
         if self.session.interfaces.get(self.spec.tag) is self:  # its tag may belong to a newer interface already
             del self.session.interfaces[self.spec.tag]
@@ -111,32 +118,77 @@ class RobotInterface(Interface):
         The message is converted when it leaves the queue, so a dropped message costs no conversion.
         """
         size = len(message.payload) + OVERHEAD
-        dropped = self.session.outbox.put(self.id, self._pieces(codec, msg_id, message), keep, size, self)
+        outgoing = Outgoing(codec, self._head + msgspec.json.encode(msg_id), message, keep)
+        if self._to_robot.empty and codec.decodes_fast(message.payload):
+            dropped = self.session.outbox.put(self.id, self._pieces(outgoing), keep, size, self)
+        else:
+            dropped = self._to_robot.put(outgoing, size, self)
         if dropped:
             self.dropped += dropped
             self.report_drops()
 
-    def _pieces(self, codec: Codec, msg_id: str, message: Message) -> Iterator[Piece]:
+    def backlog(self) -> int:
+        """Return the number of messages that wait for the robot."""
+        return self._to_robot.backlog() + self.session.outbox.backlog(self.id)
+
+    def _pieces(self, outgoing: Outgoing) -> Iterator[Piece]:
         try:
-            wire = codec.decode(message.payload)
+            frame, blobs = outgoing.convert()
+            self._check_size(frame, blobs)
         except RceError as error:
-            yield self.session.error_piece(error.with_item(self.spec.tag))
+            self.undelivered(outgoing, error)
             return
-        key = b',"msg*":' if wire.is_blob else b',"msg":'
-        text = b"".join((self._head, msgspec.json.encode(msg_id), key, cast(bytes, wire.raw), b"}}"))
+        yield from self._frames(outgoing.message, frame, blobs)
+
+    def _converted(self, outgoing: Outgoing, frame: Buffer, blobs: Mapping[str, Buffer]) -> None:
+        """Queue a message that a worker has converted."""
+        try:
+            self._check_size(frame, blobs)
+        except LimitExceeded as error:
+            self.undelivered(outgoing, error)
+            self._to_robot.proceed()
+            return
+        size = len(frame) + sum(map(len, blobs.values())) + OVERHEAD
+        pieces = self._begun(self._frames(outgoing.message, frame, blobs))
+        dropped = self.session.outbox.put(self.id, pieces, outgoing.keep, size, self)
+        if dropped:
+            self.evicted(dropped)
+
+    def _begun(self, pieces: Iterator[Piece]) -> Iterator[Piece]:
+        self._to_robot.proceed()
+        yield from pieces
+
+    def _check_size(self, frame: Buffer, blobs: Mapping[str, Buffer]) -> None:
+        """Raise LimitExceeded if a robot cannot receive a message; with `parts` its blobs may have any size."""
+        largest = len(frame)
+        if blobs and not self.session.parts:
+            largest = max(largest, ID_SIZE + max(map(len, blobs.values())))
+        if largest > self.session.limit:
+            raise LimitExceeded(
+                f"interface {self.spec.tag}: a message has {largest} bytes for robot {self.spec.owner}, which takes "
+                f"{self.session.limit}: send less at a time",
+                bytes=self.session.limit,
+            )
+
+    def _frames(self, message: Message, frame: Buffer, blobs: Mapping[str, Buffer]) -> Iterator[Piece]:
         parts = self.session.parts
-        frames = binary_frames(wire.blobs, parts)
+        frames = binary_frames(blobs, parts)
         if parts:
-            yield [text]
-            yield from ([frame] for frame in frames)
+            yield [frame]
+            yield from ([each] for each in frames)
         else:  # in one piece: old clients expect the blobs right after their frame
-            yield [text, *frames]
+            yield [frame, *frames]
         self.hops.delivered(self.id, message)
+
+    def undelivered(self, outgoing: Outgoing, error: RceError) -> None:
+        """Handle a message that cannot be sent to the robot."""
+        self.session.error(error.with_item(self.spec.tag))
 
     def evicted(self, count: int) -> None:
         """Count and report messages that were dropped from a queue because a larger budget was exceeded."""
         super().evicted(count)
         self.report_drops()
+        self._to_robot.proceed()  # the message of which it waits may be among them
 
     def report_drops(self) -> None:
         """Report to the robot the messages that were dropped."""
@@ -148,17 +200,33 @@ class Publisher(RobotInterface):
 
     way = "to the robot"
 
-    def __init__(self, spec: InterfaceSpec, hops: HopRecorder, session: RobotSession, codec: Codec) -> None:
-        super().__init__(spec, hops, session)
+    def __init__(
+        self, spec: InterfaceSpec, hops: HopRecorder, session: RobotSession, workers: Workers, codec: Codecs
+    ) -> None:
+        super().__init__(spec, hops, session, workers)
         self._codec = codec
 
     def receive(self, message: Message, link: Link) -> None:
         """Queue a message for the robot; with `keep_all`, pause the link while the queue is full."""
-        self.to_robot(self._codec, message.msg_id, message, self.keep)
-        if self.keep is None and (room := self.session.outbox.wait_for_room(self.id)) is not None:
-            link.pause(room)
+        self.to_robot(self._codec(), message.msg_id, message, self.keep)
+        if self.keep is None:
+            room = self._to_robot.wait_for_room() or self.session.outbox.wait_for_room(self.id)
+            if room is not None:
+                link.pause(room)
 
-    def from_robot(self, message: DataMessage, blobs: dict[str, Buffer]) -> None:
+    def undelivered(self, outgoing: Outgoing, error: RceError) -> None:
+        """Count a message that is too large for the robot, and tell its sender."""
+        if not isinstance(error, LimitExceeded):
+            super().undelivered(outgoing, error)
+            return
+        message = outgoing.message
+        self.dropped += 1
+        if message.source in self.peers:
+            self.traffic.of(message.source).drops += 1
+        self.report_drops()
+        self.fail(message, error)
+
+    def from_robot(self, message: DataMessage, blobs: dict[str, Buffer]) -> asyncio.Task[None] | None:
         """Reject the message: this interface only sends to the robot."""
         raise InvalidRequest(
             f"interface {self.spec.tag} is a {self.spec.kind}: the robot receives from it and cannot send to it",
@@ -169,20 +237,30 @@ class Publisher(RobotInterface):
 class Subscriber(RobotInterface):
     """Receives messages of a topic from the robot."""
 
-    def __init__(self, spec: InterfaceSpec, hops: HopRecorder, session: RobotSession, codec: Codec) -> None:
-        super().__init__(spec, hops, session)
+    def __init__(
+        self, spec: InterfaceSpec, hops: HopRecorder, session: RobotSession, workers: Workers, codec: Codecs
+    ) -> None:
+        super().__init__(spec, hops, session, workers)
         self._codec = codec
 
     def receive(self, message: Message, link: Link) -> None:
-        """Ignore the message: this interface only receives from the robot."""
+        """Report the error of a message that did not reach its receiver; this interface receives nothing else."""
+        if message.error:
+            self.session.error(error_of(message).with_fields(iTag=self.spec.tag, msgID=message.msg_id))
 
-    def from_robot(self, message: DataMessage, blobs: dict[str, Buffer]) -> None:
+    def from_robot(self, message: DataMessage, blobs: dict[str, Buffer]) -> asyncio.Task[None] | None:
         """Convert a message and send it to all peers; with `keep_all`, pause the robot while a link is full."""
         since = perf_counter()
-        payload = self._codec.encode(self.wire(message, blobs))
+        wire, codec = self.wire(message, blobs), self._codec()
+        if not self.peers and not codec.encodes_fast(wire):
+            self._send(message.msgID, b"", since)  # nobody gets it, so it is not converted
+            return None
+        return self._from_robot.convert(codec, wire, lambda cdr: self._send(message.msgID, cdr, since))
+
+    def _send(self, msg_id: str, payload: Buffer, since: float) -> None:
         before = self.dropped
         try:
-            self.send(Message(self.id, message.msgID, payload, entered_at=since))
+            self.send(Message(self.id, msg_id, payload, entered_at=since))
         except NotConnected:
             if self.session.features:
                 raise
@@ -201,11 +279,12 @@ class ServiceInterface(RobotInterface):
         spec: InterfaceSpec,
         hops: HopRecorder,
         session: RobotSession,
-        request: Codec,
-        response: Codec,
+        workers: Workers,
+        request: Codecs,
+        response: Codecs,
         timeout: float,
     ) -> None:
-        super().__init__(spec, hops, session)
+        super().__init__(spec, hops, session, workers)
         self._request = request
         self._response = response
         self._timeout = timeout
@@ -221,7 +300,7 @@ class ServiceInterface(RobotInterface):
 
     def check_room(self) -> None:
         """Raise LimitExceeded if too many bytes wait for the robot to take another message."""
-        if self.budget.full and self.session.outbox.backlog(self.id):
+        if self.budget.full and self.backlog():
             raise LimitExceeded(
                 f"interface {self.spec.tag}: too many bytes wait for robot {self.spec.owner} already: "
                 "send fewer or smaller messages at a time"
@@ -267,9 +346,9 @@ class ServiceClient(ServiceInterface):
         except LimitExceeded as error:
             self.fail(message, error)
             return
-        self.to_robot(self._request, name, message, None)
+        self.to_robot(self._request(), name, message, None)
 
-    def from_robot(self, message: DataMessage, blobs: dict[str, Buffer]) -> None:
+    def from_robot(self, message: DataMessage, blobs: dict[str, Buffer]) -> asyncio.Task[None] | None:
         """Send the robot's response, or its error, to the interface that made the call."""
         since = perf_counter()
         request = self._pop_call(message.msgID)
@@ -281,13 +360,33 @@ class ServiceClient(ServiceInterface):
             )
         if message.error:
             self.fail(request, RceError(f"{self.spec.owner}/{self.spec.tag}: {message.error}"))
-            return
+            return None
+
+        def answer(cdr: Buffer) -> None:
+            self.request(Message(self.id, request.msg_id, cdr, destination=request.source, entered_at=since))
+
         try:
-            payload = self._response.encode(self.wire(message, blobs))
+            task = self._from_robot.convert(self._response(), self.wire(message, blobs), answer)
         except RceError as error:
             self.fail(request, error)
             raise
-        self.request(Message(self.id, request.msg_id, payload, destination=request.source, entered_at=since))
+        if task is not None:
+            task.add_done_callback(lambda done: self._fail_with(request, done))
+        return task
+
+    def _fail_with(self, request: Message, done: asyncio.Task[None]) -> None:
+        """Fail a call whose answer could not be converted."""
+        if not done.cancelled() and isinstance(error := done.exception(), RceError):
+            self.fail(request, error)
+
+    def undelivered(self, outgoing: Outgoing, error: RceError) -> None:
+        """Answer the call with the error."""
+        for name, (request, _) in self._waiting.items():
+            if request.source == outgoing.message.source and request.msg_id == outgoing.message.msg_id:
+                self._pop_call(name)
+                self.fail(request, error)
+                break
+        super().undelivered(outgoing, error)
 
     def timed_out(self, call: Message) -> None:
         """Answer the call with an error."""
@@ -300,20 +399,31 @@ class ServiceClient(ServiceInterface):
 class ServiceProvider(ServiceInterface):
     """Passes service calls from the robot to the cloud, which answers them."""
 
-    def from_robot(self, message: DataMessage, blobs: dict[str, Buffer]) -> None:
+    def from_robot(self, message: DataMessage, blobs: dict[str, Buffer]) -> asyncio.Task[None] | None:
         """Send a request of the robot to the service."""
-        if message.msgID in self._waiting:
+        self._check_new(message.msgID)
+        since = perf_counter()
+        wire, codec = self.wire(message, blobs), self._request()
+        if not self.peers and not codec.encodes_fast(wire):
+            self._call(message.msgID, b"", since)  # nobody gets it, so it is not converted
+            return None
+        return self._from_robot.convert(codec, wire, lambda cdr: self._call(message.msgID, cdr, since))
+
+    def _check_new(self, msg_id: str) -> None:
+        if msg_id in self._waiting:
             raise InvalidRequest(
                 f"interface {self.spec.tag} has an unanswered call with this msgID: use a new one", field="msgID"
             )
-        since = perf_counter()
-        payload = self._request.encode(self.wire(message, blobs))
+
+    def _call(self, msg_id: str, payload: Buffer, since: float) -> None:
+        self._check_new(msg_id)  # again: another may have come while this one was converted
+        request = Message(self.id, msg_id, payload, entered_at=since)
         # Before the request leaves: a peer in this process may answer at once.
-        self._add_call(message.msgID, Message(self.id, message.msgID, b""))
+        self._add_call(msg_id, Message(self.id, msg_id, b""))
         try:
-            self.request(Message(self.id, message.msgID, payload, entered_at=since))
+            self.request(request)
         except RceError:
-            self._pop_call(message.msgID)
+            self._pop_call(msg_id)
             raise
 
     def receive(self, message: Message, link: Link) -> None:
@@ -327,7 +437,11 @@ class ServiceProvider(ServiceInterface):
         except RceError as error:
             self._fail(message, error)
             return
-        self.to_robot(self._response, message.msg_id, message, None)
+        self.to_robot(self._response(), message.msg_id, message, None)
+
+    def undelivered(self, outgoing: Outgoing, error: RceError) -> None:
+        """Send an error to the robot."""
+        self._fail(outgoing.message, error.with_item(self.spec.tag))
 
     def timed_out(self, call: Message) -> None:
         """Send an error to the robot."""
@@ -342,7 +456,12 @@ class ServiceProvider(ServiceInterface):
 
 
 def make_interface(
-    spec: InterfaceSpec, hops: HopRecorder, session: RobotSession, types: TypeRegistry, timeout: float
+    spec: InterfaceSpec,
+    hops: HopRecorder,
+    session: RobotSession,
+    workers: Workers,
+    types: TypeRegistry,
+    timeout: float,
 ) -> RobotInterface:
     """Create an interface of the kind that `spec` names.
 
@@ -350,6 +469,7 @@ def make_interface(
         spec: The interface.
         hops: Recorder of the endpoint's hops.
         session: Session of the robot.
+        workers: Workers for messages whose conversion takes long.
         types: Types that the robot's user has.
         timeout: Seconds until a service call fails.
 
@@ -361,8 +481,21 @@ def make_interface(
     name = parse_type(spec.type)
     if prefix in ("Publisher", "Subscriber"):
         image = cast(Literal["png", "jpeg", "json"], spec.format)
-        codec: Codec = PassThroughCodec() if forward else types.message(name, image)
-        return (Publisher if prefix == "Publisher" else Subscriber)(spec, hops, session, codec)
-    request, response = itertools.repeat(PassThroughCodec(), 2) if forward else types.service(name)
+        codec = _codecs(session, forward, lambda original: types.message(name, image, original=original))
+        return (Publisher if prefix == "Publisher" else Subscriber)(spec, hops, session, workers, codec)
+    request = _codecs(session, forward, lambda original: types.service(name, original=original).request)
+    response = _codecs(session, forward, lambda original: types.service(name, original=original).response)
     kind = ServiceClient if prefix == "ServiceClient" else ServiceProvider
-    return kind(spec, hops, session, request, response, timeout)
+    return kind(spec, hops, session, workers, request, response, timeout)
+
+
+def _codecs(session: RobotSession, forward: bool, choose: Callable[[bool], Codec]) -> Codecs:
+    """Return the codec of an interface as a function, because the features of a session may change when it resumes.
+
+    A robot without features is a client of the original and gets its JSON.
+    """
+    if forward:
+        codec = PassThroughCodec()
+        return lambda: codec
+    choose(not session.features)  # raises UnknownType
+    return lambda: choose(not session.features)

@@ -36,6 +36,7 @@ CHUNK = 64 * 1024  # bytes; smaller fragments of a message are joined as they co
 SLICE = 0.0005  # seconds for which the frames of one robot may be processed at a stretch
 TICK = 10.0  # seconds; a robot that is silent for one tick is pinged, after two its socket is closed
 NORMAL = 1000  # close code of a normal closure (RFC 6455, section 7.4.1)
+TEXT, BINARY = b"\x81", b"\x82"  # first bytes of final frames
 REFUSED = 4000  # plus the HTTP status: close code of a refusal after the handshake
 
 log = Logger()
@@ -230,15 +231,17 @@ class RobotSocket(WebSocketServerProtocol):
             if self.state != self.STATE_OPEN:
                 return False
             if isinstance(frame, BinaryFrame):
-                self._send_binary(frame)
+                self._send_large(frame, BINARY)
+            elif len(frame) > CHUNK:
+                self._send_large(BinaryFrame(b"", memoryview(frame)), TEXT)
             else:
-                self.sendMessage(frame)
+                self.sendMessage(bytes(frame))
         return not self._full
 
-    def _send_binary(self, frame: BinaryFrame) -> None:
+    def _send_large(self, frame: BinaryFrame, kind: bytes) -> None:
         """Send one final, unmasked frame (RFC 6455, section 5.2); `sendMessage` would copy it twice."""
         if self._perMessageCompress is not None:
-            self.sendMessage(frame.join(), True)
+            self.sendMessage(frame.join(), kind == BINARY)
             return
         size = len(frame.head) + len(frame.data)
         if size < 126:
@@ -247,7 +250,7 @@ class RobotSocket(WebSocketServerProtocol):
             length = b"\x7e" + size.to_bytes(2)
         else:
             length = b"\x7f" + size.to_bytes(8)
-        self.transport.writelines((b"\x82" + length + frame.head, frame.data))
+        self.transport.writelines((kind + length + frame.head, frame.data))
 
     def pause_reading(self, until: asyncio.Future[None]) -> None:
         """Stop reading from the robot until the future is done."""

@@ -27,14 +27,15 @@ from rce.process.metrics import errors
 from rce.protocol import messages as m
 from rce.protocol.blobs import BinaryFrame, Buffer
 
-Piece = Sequence[bytes | BinaryFrame]
-"""WebSocket messages that are written together: text as bytes, binary messages as BinaryFrame."""
+Piece = Sequence[Buffer | BinaryFrame]
+"""WebSocket messages that are written together: text as a buffer, binary messages as BinaryFrame."""
 
 CONTROL = b""  # source of statuses and errors in the outbox
 MAX_COMMANDS = 1000  # of one robot that are in progress
 MAX_COMMAND_SIZE = 4 * 1024 * 1024  # bytes of all these commands
 YIELD_EVERY = 20  # commands after which other tasks of the loop get a turn
 MAX_TRIES = 3
+MAX_MESSAGE = 64 * 1024 * 1024  # bytes
 MAX_SHOWN = 20  # interfaces in a summary of dropped messages
 MAX_STATUSES = 10_000  # statuses and errors that may wait for a robot before its socket is closed
 
@@ -63,8 +64,8 @@ class SessionInterface(Protocol):
     def connected(self) -> bool:
         """True if the interface has a peer."""
 
-    def from_robot(self, message: m.DataMessage, blobs: dict[str, Buffer]) -> None:
-        """Handle a data message of the robot; errors raised are sent to the robot."""
+    def from_robot(self, message: m.DataMessage, blobs: dict[str, Buffer]) -> asyncio.Task[None] | None:
+        """Handle a data message of the robot; return a task if that takes longer. Errors are sent to the robot."""
 
 
 class RobotSession:
@@ -79,9 +80,12 @@ class RobotSession:
         connection: Id of the connection, which marks log lines about its commands.
         outbox: Messages to the robot.
         budget: Bytes that messages from and to the robot may hold while they wait.
+        limit: Bytes of the largest WebSocket message that the robot takes.
     """
 
-    def __init__(self, name: str, master: ControlClient, budget: Budget | None = None) -> None:
+    def __init__(
+        self, name: str, master: ControlClient, budget: Budget | None = None, limit: int = MAX_MESSAGE
+    ) -> None:
         """Create a session without a socket; `budget` is unlimited by default."""
         self.name = name
         self.features: frozenset[str] = frozenset()
@@ -90,6 +94,7 @@ class RobotSession:
         self.token = ""
         self.connection = ""
         self.budget = budget
+        self.limit = limit
         self.outbox: Outbox[Piece] = Outbox(self._write)
         self.outbox.pause()
         self._master = master

@@ -5,10 +5,17 @@ from __future__ import annotations
 import asyncio
 import json
 import struct
+import time
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 
+from endpoints.robot.frame_receiver import MAX_CONVERSIONS
 from rce.net.budget import INTERFACE
 from rce.protocol.blobs import PART
 from tests.support.endpoints.platforms import Platform, pair
@@ -27,6 +34,27 @@ async def test_blob_and_frame_come_in_any_order(platform: Platform, blob_first: 
     got = await b.receive()
     assert got["type"] == "DM", got
     await a.expect_silence()
+
+
+HEADER = "std_msgs/Header"
+
+
+async def test_robot_without_features_reads_and_writes_json_as_with_the_original(platform: Platform) -> None:
+    old, new = await platform.robot("old"), await platform.robot("new", "events")
+    await new.receive()
+    for robot, name in ((old, "old"), (new, "new")):
+        await robot.add("out", "SubscriberConverter", HEADER, of=name)
+        await robot.add("in", "PublisherConverter", HEADER, of=name)
+    await old.connect("old/out", "new/in")
+    await old.connect("new/out", "old/in")
+    for robot in (old, new):
+        await robot.receive_all(2)
+    await new.data("out", {"stamp": {"sec": 1384510830, "nanosec": 5000}}, HEADER)
+    assert (await old.receive())["data"]["msg"]["stamp"] == "2013-11-15T10:20:30.000005"
+    await old.data("out", {"stamp": {"sec": "7", "nanosec": 1.5}}, HEADER)
+    assert (await new.receive())["data"]["msg"]["stamp"] == {"sec": 7, "nanosec": 1}
+    await new.data("out", {"stamp": {"sec": "7"}}, HEADER)
+    assert "sec" in (await new.receive())["error"]["field"]
 
 
 def image(content: str) -> Json:
@@ -231,3 +259,149 @@ async def test_failed_service_calls_are_reported(make_platform: Any) -> None:
     await provider.send({"type": "CX", "data": {"disconnect": [{"tagA": "caller/ask", "tagB": "server/serve"}]}})
     frames = await caller.receive_all(2)
     assert {frame["type"] for frame in frames} == {"ER", "ST"}
+
+
+IMAGE = "sensor_msgs/Image"
+
+
+def png(side: int) -> bytes:
+    """Return a picture that is small as a file and takes long to convert."""
+    written, data = cv2.imencode(".png", np.zeros((side, side), np.uint8))
+    assert written
+    return data.tobytes()
+
+
+async def send_picture(robot: Robot, tag: str, data: bytes, msg_id: str = "n") -> None:
+    name = uuid.uuid4().hex
+    frame = {"type": "DM", "data": {"iTag": tag, "type": IMAGE, "msgID": msg_id, "msg*": name}}
+    await robot.send(frame, name.encode() + data)
+
+
+@contextmanager
+def longest_turn() -> Iterator[list[float]]:
+    """Measure the processor time of the event loop's longest turn, in seconds."""
+    longest = [0.0]
+    run = asyncio.Handle._run
+
+    def measured(handle: asyncio.Handle) -> None:
+        begin = time.thread_time()
+        run(handle)
+        longest[0] = max(longest[0], time.thread_time() - begin)
+
+    asyncio.Handle._run = measured  # type: ignore[method-assign]
+    try:
+        yield longest
+    finally:
+        asyncio.Handle._run = run  # type: ignore[method-assign]
+
+
+async def test_pictures_do_not_stop_the_event_loop_and_stay_in_order(platform: Platform) -> None:
+    a, b = await pair(platform, IMAGE)
+    with longest_turn() as longest:
+        for side in (4000, 8, 2000):
+            await send_picture(a, "out", png(side), str(side))
+        frames = []
+        for _ in range(3):
+            frames.append(json.loads(await asyncio.wait_for(b.socket.recv(), 60)))
+            await b.socket.recv()
+    assert [frame["data"]["msgID"] for frame in frames] == ["4000", "8", "2000"]
+    assert longest[0] < 0.03, "decoding or encoding 16 megapixels takes several times as long"
+
+
+@pytest.mark.parametrize("features", ["", "ack"])
+async def test_picture_for_nobody_is_not_converted(
+    platform: Platform, monkeypatch: pytest.MonkeyPatch, features: str
+) -> None:
+    monkeypatch.setattr(platform.endpoint.workers, "encode", None)
+    a = await platform.robot("a", features)
+    if features:
+        await a.receive()
+    await a.add("out", "SubscriberConverter", IMAGE)
+    await eventually(lambda: "out" in platform.endpoint.sessions[f"{USER}/a"].interfaces)
+    await send_picture(a, "out", png(8))
+    if features:
+        assert (await a.receive())["error"]["code"] == "not_connected"
+    await a.expect_silence()
+
+
+async def test_picture_that_cannot_be_converted_is_reported_with_its_id(platform: Platform) -> None:
+    a, _ = await pair(platform, IMAGE, "ack")
+    name = uuid.uuid4().hex
+    frame = {"type": "DM", "id": 3, "data": {"iTag": "out", "type": IMAGE, "msgID": "n", "msg*": name}}
+    await a.send(frame, name.encode() + b"no picture")
+    answer = await a.receive()
+    assert (answer["id"], answer["error"]["code"], answer["error"]["fields"]["msgID"]) == (3, "conversion", "n")
+    name = uuid.uuid4().hex
+    frame["data"]["msg*"] = name  # type: ignore[index]
+    await a.send(frame, name.encode() + png(8))
+    assert await a.receive() == {"type": "ST", "id": 3, "data": {"topic": "ack"}}
+
+
+async def test_reading_pauses_while_many_pictures_are_converted(
+    platform: Platform, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    a, b = await pair(platform, IMAGE)
+    begun, go = 0, asyncio.Event()
+    encode = platform.endpoint.workers.encode
+
+    async def slow(*arguments: Any) -> Any:
+        nonlocal begun
+        begun += 1
+        await go.wait()
+        return await encode(*arguments)
+
+    monkeypatch.setattr(platform.endpoint.workers, "encode", slow)
+    for number in range(MAX_CONVERSIONS + 5):
+        await send_picture(a, "out", png(8), str(number))
+    session = platform.endpoint.sessions[f"{USER}/a"]
+    await eventually(lambda: begun == MAX_CONVERSIONS)
+    assert session.socket._paused_until is not None  # type: ignore[union-attr]
+    go.set()
+    numbers = []
+    for _ in range(MAX_CONVERSIONS + 5):
+        numbers.append((await b.receive())["data"]["msgID"])
+        await b.receive()
+    assert numbers == [str(number) for number in range(MAX_CONVERSIONS + 5)]
+
+
+@pytest.mark.parametrize("size", [3000, 200_000])
+async def test_message_too_large_for_its_receiver_is_reported_and_the_next_is_delivered(
+    platform: Platform, size: int
+) -> None:
+    """Short messages are converted in place and long ones by a worker."""
+    a, b = await pair(platform, "std_msgs/Float64MultiArray", "events")
+    platform.endpoint.sessions[f"{USER}/b"].limit = size
+    kind = "std_msgs/Float64MultiArray"
+    await a.data("out", {"data": [1 / 3] * (size // 10)}, kind, "large")
+    await a.data("out", {"data": [1]}, kind, "small")
+    answer = await a.receive()
+    assert (answer["type"], answer["error"]["code"]) == ("ER", "limit_exceeded")
+    assert (answer["error"]["fields"]["iTag"], answer["error"]["fields"]["msgID"]) == ("out", "large")
+    frames = await b.receive_all(2)
+    assert frames[0]["data"]["msgID"] == "small"
+    assert frames[1]["data"] == {"topic": "drops", "iTag": "in", "count": 1, "where": "on the way to the robot"}
+
+
+async def test_large_blob_is_delivered_in_parts_where_granted(platform: Platform) -> None:
+    a, b = await forwarders(platform, "parts")
+    platform.endpoint.sessions[f"{USER}/b"].limit = 1000
+    await a.send(image(ID), ID.encode() + struct.pack("!II", 0, 2000) + bytes(2000))
+    assert (await b.receive())["data"]["iTag"] == "in"
+    assert len(await b.receive()) == 40 + 2000
+
+
+async def test_service_message_too_large_for_its_receiver_fails_the_call(platform: Platform) -> None:
+    caller, provider = await service(platform, "ack")
+    kind = "std_srvs/SetBool"
+    sessions = platform.endpoint.sessions
+    sessions[f"{USER}/server"].limit = 10
+    await caller.data("ask", {"data": True}, kind, "request")
+    answer = await caller.receive()
+    assert (answer["error"]["code"], answer["error"]["fields"]["msgID"]) == ("limit_exceeded", "request")
+    await provider.receive()
+    sessions[f"{USER}/server"].limit, sessions[f"{USER}/caller"].limit = 1000, 10
+    await caller.data("ask", {"data": True}, kind, "response")
+    name = (await provider.receive())["data"]["msgID"]
+    await provider.data("serve", {"success": True}, kind, name)
+    answer = await caller.receive()
+    assert (answer["error"]["code"], answer["error"]["fields"]["msgID"]) == ("limit_exceeded", "response")

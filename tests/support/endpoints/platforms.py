@@ -79,6 +79,7 @@ class Platform(RobotClients):
     async def stop(self) -> None:
         await self.close()
         self.server.close()
+        self.endpoint.workers.close()
         for session in list(self.endpoint.sessions.values()):
             session.end("the test has ended")
         for timer in list(self.endpoint._grace_timers.values()):

@@ -1,0 +1,152 @@
+"""Process that converts messages for a Robot endpoint: `python -P -m endpoints.robot.worker DESCRIPTOR`.
+
+It converts what it reads from its socket, one request at a time, until the endpoint closes the other end. Pictures and
+JSON of strangers are decoded here: a decoder that crashes, or takes all memory, costs one message.
+
+A request and its answer are each a head as msgpack, followed by buffers:
+
+    number of buffers 4 | size 8 of the head and each buffer | head | buffers   (big-endian)
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import socket
+import struct
+import sys
+from collections.abc import Sequence
+from functools import lru_cache
+
+import cv2
+import msgspec
+from msgspec import Struct
+
+from converters import Codec, Recipe, TypeRegistry, Wire
+from endpoints.memory import keep_large_blocks, uninitialized
+from rce.errors import ErrorInfo, LimitExceeded, RceError
+from rce.protocol.blobs import Buffer
+
+MAX_MEMORY = 2 << 30  # bytes of data of one worker
+NICENESS = 10  # small messages, which the endpoint converts itself, come first
+MAX_CODECS = 1000
+COUNT, SIZE = struct.Struct("!I"), struct.Struct("!Q")
+
+
+class Encode(Struct, frozen=True, tag=True):
+    """Request to convert JSON and blobs to CDR; its buffers are the JSON and the blobs."""
+
+    recipe: Recipe
+    is_blob: bool
+    blobs: list[str]  # their ids
+
+
+class Decode(Struct, frozen=True, tag=True):
+    """Request to convert CDR to a text frame and blobs; its buffer is the CDR."""
+
+    recipe: Recipe
+    start: bytes  # of the text frame
+
+
+class Converted(Struct, frozen=True, tag=True):
+    """Answer: CDR in one buffer, or a text frame and blobs in several."""
+
+    blobs: list[str] = []  # their ids
+
+
+class Failed(Struct, frozen=True, tag=True):
+    """Answer: the message cannot be converted."""
+
+    error: ErrorInfo
+
+
+Request = Encode | Decode
+Answer = Converted | Failed
+
+
+def send(sock: socket.socket, head: Request | Answer, buffers: Sequence[Buffer]) -> None:
+    """Write a request or an answer."""
+    encoded = msgspec.msgpack.encode(head)
+    sizes = [SIZE.pack(len(each)) for each in (encoded, *buffers)]
+    sock.sendall(b"".join((COUNT.pack(len(buffers)), *sizes, encoded)))
+    for each in buffers:
+        sock.sendall(each)
+
+
+def receive(sock: socket.socket) -> tuple[bytearray, list[bytearray]]:
+    """Read the head and the buffers of a request or an answer.
+
+    Raises:
+        EOFError: The other end has closed the socket.
+    """
+    (count,) = COUNT.unpack(_read(sock, COUNT.size))
+    sizes = [size for (size,) in SIZE.iter_unpack(_read(sock, SIZE.size * (count + 1)))]
+    head, *buffers = (_read(sock, size) for size in sizes)
+    return head, buffers
+
+
+def _read(sock: socket.socket, size: int) -> bytearray:
+    buffer = uninitialized(size)
+    view = memoryview(buffer)
+    while view:
+        count = sock.recv_into(view, 0, socket.MSG_WAITALL)
+        if not count:
+            raise EOFError
+        view = view[count:]
+    return buffer
+
+
+def data_frame(start: bytes, wire: Wire) -> bytes:
+    """Return the text frame of a data message, given what comes before its content."""
+    return b"".join((start, b',"msg*":' if wire.is_blob else b',"msg":', wire.raw, b"}}"))
+
+
+@lru_cache(MAX_CODECS)
+def _codec(recipe: Recipe) -> Codec:
+    return TypeRegistry.codec_of(recipe)
+
+
+def convert(request: Request, buffers: Sequence[Buffer]) -> tuple[Answer, list[Buffer]]:
+    """Return the answer to a request and its buffers."""
+    try:
+        codec = _codec(request.recipe)
+        if isinstance(request, Encode):
+            raw, *blobs = buffers
+            return Converted(), [codec.encode(Wire(request.is_blob, raw, dict(zip(request.blobs, blobs, strict=True))))]
+        wire = codec.decode(buffers[0])
+        return Converted(list(wire.blobs)), [data_frame(request.start, wire), *wire.blobs.values()]
+    except RceError as refused:
+        return Failed(refused.info), []
+    except MemoryError:
+        error = LimitExceeded("the conversion of this message takes too much memory: send less at a time")
+        return Failed(error.info), []
+
+
+def serve(sock: socket.socket) -> None:
+    """Answer requests until the other end closes the socket."""
+    decoder: msgspec.msgpack.Decoder[Request] = msgspec.msgpack.Decoder(Request)
+    while True:
+        try:
+            head, buffers = receive(sock)
+            answer, results = convert(decoder.decode(head), buffers)
+            del buffers
+            send(sock, answer, results)
+            del results
+        except (EOFError, ConnectionError):
+            return
+
+
+def main() -> None:
+    """Run the program."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the endpoint, which closes the socket
+    resource.setrlimit(resource.RLIMIT_DATA, (MAX_MEMORY, MAX_MEMORY))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    os.nice(NICENESS)
+    cv2.setNumThreads(1)
+    keep_large_blocks()
+    serve(socket.socket(fileno=int(sys.argv[1])))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,192 @@
+"""Processes that convert large messages, so that the event loop, and with it everybody else's messages, need not wait.
+
+Each user has a queue, and the users take turns. One user never has all processes: others begin at once.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import socket
+import struct
+import subprocess
+import sys
+from collections import Counter, OrderedDict, deque
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import msgspec
+from twisted.logger import Logger
+
+from converters import Recipe, Wire
+from endpoints.robot import worker
+from endpoints.robot.worker import Answer, Decode, Encode, Failed, Request
+from rce.errors import LimitExceeded, RceError
+from rce.process.metrics import Family, gauge_family
+from rce.protocol.blobs import Buffer
+
+MAX_SECONDS = 60  # of one conversion
+SOCKET_BUFFER = 1 << 20  # bytes
+PROGRAM = ("-P", "-m", worker.__name__)
+
+log = Logger()
+
+
+class Worker:
+    """One process, which starts with its first request and again after it has failed. `call` is used in a thread."""
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+        self._socket: socket.socket | None = None
+
+    def call(self, request: Request, buffers: Sequence[Buffer]) -> tuple[Answer, list[bytearray]]:
+        """Return the answer to a request and its buffers.
+
+        Raises:
+            LimitExceeded: It took too long, or the process died of it.
+        """
+        sock = self._socket or self._start()
+        try:
+            worker.send(sock, request, buffers)
+            head, results = worker.receive(sock)
+            return msgspec.msgpack.decode(head, type=Answer), results
+        except (OSError, EOFError, msgspec.DecodeError) as error:
+            self.stop()
+            reason = f"took more than {MAX_SECONDS} s" if isinstance(error, BlockingIOError) else "ended the converter"
+            raise LimitExceeded(f"the conversion of this message {reason}: send less at a time") from None
+
+    def _start(self) -> socket.socket:
+        ours, theirs = socket.socketpair()
+        with theirs:
+            for option in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):
+                ours.setsockopt(socket.SOL_SOCKET, option, struct.pack("ll", MAX_SECONDS, 0))
+            for end in (ours, theirs):
+                end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BUFFER)
+            self._process = subprocess.Popen(
+                [sys.executable, *PROGRAM, str(theirs.fileno())],
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+            )
+        self._socket = ours
+        return ours
+
+    def kill(self) -> None:
+        """Kill the process, so that `call` fails."""
+        if self._process is not None:
+            self._process.kill()
+
+    def stop(self) -> None:
+        """Kill the process, if there is one, and wait for its end."""
+        if self._socket is not None and self._process is not None:
+            self._socket.close()
+            self._process.kill()
+            status = self._process.wait()
+            if status not in (0, -signal.SIGKILL):
+                log.warn("a converter of messages ended with status {status}", status=status)
+            self._process = self._socket = None
+
+
+@dataclass(slots=True)
+class _Job:
+    request: Request
+    buffers: Sequence[Buffer]
+    done: asyncio.Future[tuple[Answer, list[bytearray]]]
+
+
+class Workers:
+    """A few workers, shared by all users."""
+
+    def __init__(self, count: int = 0) -> None:
+        """Make workers, which start when they are needed; by default as many as there are processors, from 2 to 4."""
+        self._count = count or max(2, min(4, os.cpu_count() or 2))
+        self._threads = ThreadPoolExecutor(self._count, "worker")
+        self._idle = [Worker() for _ in range(self._count)]
+        self._all = list(self._idle)
+        self._waiting: OrderedDict[str, deque[_Job]] = OrderedDict()  # by user, whose turn is next first
+        self._running: Counter[str] = Counter()  # by user
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    async def encode(self, user: str, recipe: Recipe, wire: Wire) -> Buffer:
+        """Convert a message to CDR.
+
+        Raises:
+            ConversionError: The message does not fit its type.
+            LimitExceeded: The conversion takes too much time or memory.
+        """
+        _, (cdr,) = await self._run(
+            user,
+            Encode(recipe, wire.is_blob, list(wire.blobs)),
+            [memoryview(wire.raw), *wire.blobs.values()],
+        )
+        return cdr
+
+    async def decode(self, user: str, recipe: Recipe, cdr: Buffer, start: bytes) -> tuple[Buffer, dict[str, Buffer]]:
+        """Convert CDR to the text frame that begins with `start`, and its blobs; raises the errors of `encode`."""
+        converted, (text, *blobs) = await self._run(user, Decode(recipe, start), [cdr])
+        return text, dict(zip(converted.blobs, blobs, strict=True))
+
+    async def _run(
+        self, user: str, request: Request, buffers: Sequence[Buffer]
+    ) -> tuple[worker.Converted, list[bytearray]]:
+        done = asyncio.get_running_loop().create_future()
+        self._waiting.setdefault(user, deque()).append(_Job(request, buffers, done))
+        self._pump()
+        answer, results = await done
+        if isinstance(answer, Failed):
+            raise RceError.from_info(answer.error)
+        return answer, results
+
+    def _pump(self) -> None:
+        """Start jobs on idle workers, one of each user in turn."""
+        share = max(1, self._count - 1)
+        while self._idle and (user := next((u for u in self._waiting if self._running[u] < share), None)) is not None:
+            queue = self._waiting.pop(user)
+            job = queue.popleft()
+            if queue:
+                self._waiting[user] = queue  # behind the others
+            if job.done.cancelled():
+                continue
+            self._running[user] += 1
+            task = asyncio.create_task(self._execute(user, self._idle.pop(), job))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+
+    async def _execute(self, user: str, by: Worker, job: _Job) -> None:
+        loop = asyncio.get_running_loop()
+        try:
+            result = await loop.run_in_executor(self._threads, by.call, job.request, job.buffers)
+            if not job.done.done():
+                job.done.set_result(result)
+        except Exception as error:  # noqa: BLE001  # whatever it is belongs to the one who waits
+            if not job.done.done():
+                job.done.set_exception(error)
+        finally:
+            self._idle.append(by)
+            self._running[user] -= 1
+            if not self._running[user]:
+                del self._running[user]
+            self._pump()
+
+    def families(self) -> list[Family]:
+        """Return the metrics."""
+        numbers: dict[tuple[str, ...], float] = {
+            ("running",): self._running.total(),
+            ("waiting",): sum(map(len, self._waiting.values())),
+        }
+        return [gauge_family("rce_conversions", "Conversions of large messages", ["state"], numbers)]
+
+    def close(self) -> None:
+        """End the processes; conversions that run or wait fail."""
+        for queue in self._waiting.values():
+            for job in queue:
+                job.done.cancel()
+        self._waiting.clear()
+        for each in self._all:
+            if each in self._idle:
+                each.stop()
+            else:
+                each.kill()  # its thread does the rest
+        self._threads.shutdown(wait=False)
