@@ -15,6 +15,7 @@ from endpoints.data.traffic import InterfaceCounter
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import ErrorInfo, LimitExceeded, NotConnected, RceError
 from rce.net.budget import INTERFACE, MB, Budget
+from rce.protocol.messages.commands import DEEP, SHALLOW
 
 MAX_REQUESTS = 1000  # service messages of one interface that may wait for a link
 
@@ -30,12 +31,17 @@ class Interface(ABC):
         peers: Link to each peer, by the id of the peer's interface.
         dropped: Number of messages dropped so far, in both directions.
         budget: Bytes that the interface's messages may hold while they wait.
+        qos: Quality of service, with the default depth for the type.
+        keep: Number of messages to one peer that may wait: the newest `depth` of a topic; None for all.
     """
 
     def __init__(self, spec: InterfaceSpec, hops: HopRecorder, within: Budget | None = None) -> None:
         """Create an interface without peers; its budget is a part of `within`."""
         self.spec = spec
         self.budget = Budget(INTERFACE, within, spare=1)
+        self.qos = spec.qos.for_type(spec.type)
+        depth = self.qos.depth or (SHALLOW if self.qos.reliability == "best_effort" else DEEP)
+        self.keep = None if self.qos.history == "keep_all" else depth
         self.id = bytes.fromhex(spec.id)
         self.hops = hops
         self.peers: dict[bytes, Link] = {}
@@ -65,11 +71,6 @@ class Interface(ABC):
 
     def close(self) -> None:
         """Release what the interface holds; it has no peers any more."""
-
-    @property
-    def keep(self) -> int | None:
-        """Number of messages to one peer that may wait: the newest `depth` of a topic; None for all."""
-        return None if self.spec.qos.history == "keep_all" else self.spec.qos.depth
 
     def send(self, message: Message) -> None:
         """Send a message to every peer, or to `message.destination`.

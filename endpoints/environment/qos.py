@@ -8,6 +8,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from rce.protocol.messages import Qos
+from rce.protocol.messages.commands import DEEP, SHALLOW
 
 RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
 TRANSIENT_LOCAL, VOLATILE = DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE
@@ -36,11 +37,13 @@ def for_publisher(qos: Qos, subscriptions: Sequence[TopicEndpointInfo]) -> QoSPr
 
 def _profile(qos: Qos, reliability: ReliabilityPolicy, durability: DurabilityPolicy) -> QoSProfile:
     keep_all = qos.history == "keep_all"
+    reliability = _reliability.get(qos.reliability, reliability)
+    durability = _durability.get(qos.durability, durability)
     return QoSProfile(
         history=HistoryPolicy.KEEP_ALL if keep_all else HistoryPolicy.KEEP_LAST,
-        depth=0 if keep_all else qos.depth,
-        reliability=_reliability.get(qos.reliability, reliability),
-        durability=_durability.get(qos.durability, durability),
+        depth=0 if keep_all else qos.depth or (DEEP if (reliability, durability) == (RELIABLE, VOLATILE) else SHALLOW),
+        reliability=reliability,
+        durability=durability,
     )
 
 

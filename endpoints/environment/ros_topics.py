@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,6 +21,7 @@ from endpoints.data.frames import Buffer
 from endpoints.environment.qos import describe, for_publisher, for_subscription, is_latched, mismatch
 from endpoints.environment.ros import RosThread
 from rce.protocol.messages import Qos
+from rce.protocol.messages.commands import DEEP
 
 MAX_BATCH = 16  # messages taken of one entity before others have their turn
 LARGE = 256 * 1024  # bytes; publishing 10 MB takes 4 ms and more, so each such message is a turn of its own
@@ -26,6 +29,7 @@ LARGE = 256 * 1024  # bytes; publishing 10 MB takes 4 ms and more, so each such 
 # replies to these messages would be lost.
 SETTLING_TIME = 0.1  # seconds
 WINDOW = 32  # with keep_all: unacknowledged messages at which publishing waits
+BURST = 0.1  # seconds in which a burst may fill half of the history of DDS
 
 _NO_TIME = Duration()
 
@@ -80,14 +84,17 @@ class _TopicEnd:
     def _check(self, pairs: list[tuple[QoSProfile, QoSProfile]]) -> None:
         """Report pairs of publisher and subscription with incompatible QoS, each reason once."""
         for offered, requested in pairs:
-            reason = mismatch(offered, requested)
-            if reason and reason not in self._reported:
-                self._reported.add(reason)
-                self._topic.report(
+            if reason := mismatch(offered, requested):
+                self._report_once(
                     f"topic {self._topic.name}: the publisher is {describe(offered)}, "
                     f"the subscription {describe(requested)}: {reason}. "
                     "Leave the qos of the interface at auto, or set it to a matching one"
                 )
+
+    def _report_once(self, reason: str) -> None:
+        if reason not in self._reported:
+            self._reported.add(reason)
+            self._topic.report(reason)
 
     def _without_own(self, infos: list[TopicEndpointInfo]) -> list[TopicEndpointInfo]:
         return [info for info in infos if bytes(info.endpoint_gid[:12]) != self._ros.prefix]
@@ -109,6 +116,7 @@ class RawPublisher(_TopicEnd):
         self.waiting: deque[Buffer] = deque()
         self._published = published
         self._unacknowledged = 0
+        self._window_began = 0.0  # monotonic time since which these are counted
         self._matched = self._settled = False  # there is a subscription; and it has been there for SETTLING_TIME
         self._last: Buffer | None = None  # of the published messages
         self._subscribed: dict[bytes, bool] = {}  # subscriptions by gid; True if they got the last message
@@ -153,6 +161,11 @@ class RawPublisher(_TopicEnd):
         self._settled = self._matched
         self.flush()
 
+    @property
+    def has_subscription(self) -> bool:
+        """True if a node subscribes to the topic."""
+        return self._matched
+
     def _late(self) -> bool:
         """Return True if there are subscriptions, of which none got the last message."""
         return bool(self._subscribed) and not any(self._subscribed.values())
@@ -163,7 +176,7 @@ class RawPublisher(_TopicEnd):
             self.flush()
 
     def flush(self) -> None:
-        """Publish what waits, once there are subscriptions and, with `keep_all`, they have acknowledged enough."""
+        """Publish what waits, once there are subscriptions and they have acknowledged enough."""
         if not self._settled:
             return
         for _ in range(MAX_BATCH):
@@ -186,11 +199,25 @@ class RawPublisher(_TopicEnd):
         self._published()
 
     def _must_wait(self) -> bool:
-        if self._topic.qos.history != "keep_all" or self._unacknowledged < WINDOW:
+        """Return True while nodes have to acknowledge messages first.
+
+        With `keep_all`, that takes as long as they need. Otherwise DDS overwrites the oldest messages of a burst,
+        perhaps before nodes have got them: after half of its history, publishing waits for a moment.
+        """
+        if self._unacknowledged < self._window:
             return False
-        if self._publisher.wait_for_all_acked(_NO_TIME):
-            self._unacknowledged = 0
+        now = time.monotonic()
+        over = self._topic.qos.history != "keep_all" and now - self._window_began > BURST
+        if over or self._publisher.wait_for_all_acked(_NO_TIME):
+            self._unacknowledged, self._window_began = 0, now
         return self._unacknowledged > 0
+
+    @property
+    def _window(self) -> float:
+        """Number of messages after which nodes have to acknowledge them."""
+        if self._topic.qos.history == "keep_all":
+            return WINDOW
+        return self._profile.depth // 2 if self._profile.depth >= DEEP else math.inf
 
     def destroy(self) -> None:
         """Destroy the publisher and drop what waits."""
@@ -209,9 +236,21 @@ class RawSubscription(_TopicEnd):
 
     subscriptions = 1
 
-    def __init__(self, ros: RosThread, topic: Topic, taken: Callable[[bytes, bytes], bool]) -> None:
+    def __init__(
+        self, ros: RosThread, topic: Topic, taken: Callable[[bytes, bytes], bool], lost: Callable[[int], None]
+    ) -> None:
+        """Create a paused subscription.
+
+        Args:
+            ros: The ROS thread.
+            topic: The topic.
+            taken: Called with a message and the gid of its publisher; returns False to pause.
+            lost: Called with the number of messages that the middleware dropped.
+        """
         super().__init__(ros, topic)
-        self._taken = taken  # called with a message and the gid of its publisher; returns False to pause
+        self._taken = taken
+        self._lost = lost
+        self._counted: set[bytes] = set()  # publishers of which a message was taken since `start`
         self._active = False
         self._started = False
         self._seen: dict[bytes, int] = {}  # last sequence number of each publisher
@@ -242,6 +281,7 @@ class RawSubscription(_TopicEnd):
         publishers = self._publishers()
         gids = {bytes(info.endpoint_gid) for info in publishers}
         self._seen = {gid: number for gid, number in self._seen.items() if gid in gids}
+        self._counted &= gids
         profile = for_subscription(self._topic.qos, publishers)
         if publishers and profile != self._profile:
             # Set before _drain: the messages taken there do not come again, and must be kept if they are latched.
@@ -258,6 +298,7 @@ class RawSubscription(_TopicEnd):
         """
         while self._started and not self.latched and self._next() is not None:
             pass
+        self._counted.clear()
         self._started = self._active = True
 
     def resume(self) -> None:
@@ -311,6 +352,9 @@ class RawSubscription(_TopicEnd):
         number = info["publication_sequence_number"]
         if gid[:12] == self._ros.prefix or self._seen.get(gid, -1) >= number:
             return b"", gid
+        if self._active and gid in self._counted and (missed := number - self._seen[gid] - 1):
+            self._lost(missed)
+        self._counted.add(gid)
         self._seen[gid] = number
         return bytes(payload), gid
 

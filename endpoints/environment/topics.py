@@ -16,6 +16,7 @@ from endpoints.environment.ros_types import message_class
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import ConversionError, InvalidRequest, LimitExceeded
 from rce.net.budget import INTERFACE
+from rce.protocol.messages.commands import SHALLOW
 
 HIGH_WATER = 8  # unpublished messages at which the sender has to wait, with keep_all
 MAX_UNHANDLED = 8  # messages taken from ROS that the loop has not handled yet
@@ -31,7 +32,7 @@ class _TopicInterface(RosInterface):
         return Topic(
             message_class(self.spec.type, self._context.definitions),
             self.spec.addr,
-            self.spec.qos,
+            self.qos,
             lambda reason: self._report_from_ros(InvalidRequest, reason),
         )
 
@@ -39,7 +40,8 @@ class _TopicInterface(RosInterface):
 class PublisherInterface(_TopicInterface):
     """Publishes the messages of its peers.
 
-    While there is no subscription, the newest `depth` messages wait for nodes that are still starting. Nodes that start
+    While there is no subscription, the newest `depth` messages wait for nodes that are still starting; without a depth,
+    these are few, and others are no loss, since no node would have received them. Nodes that start
     later get the last message (see `RawPublisher`), as from the latched publishers of the original. With `keep_all`
     none is dropped: the sender has to wait.
     """
@@ -64,6 +66,8 @@ class PublisherInterface(_TopicInterface):
         self._largest = max(self._largest, len(payload)) if len(waiting) > 1 else len(payload)
         if self.keep is not None:
             self._drop_oldest(waiting, self.keep)
+            if not self.qos.depth and len(waiting) > SHALLOW and not self._publisher.has_subscription:
+                waiting.popleft()
         elif len(waiting) >= HIGH_WATER or self._too_large(waiting):
             if self._room is None:
                 self._room = asyncio.get_running_loop().create_future()
@@ -123,12 +127,12 @@ class SubscriberInterface(_TopicInterface):
         self._handled = 0  # counted by the loop
         self._latched: dict[bytes, deque[bytes]] = {}  # by publisher
         self._latched_size = 0
-        self._latched_depth = spec.qos.depth if spec.qos.durability == "transient_local" else 1
+        self._latched_depth = (spec.qos.depth or SHALLOW) if spec.qos.durability == "transient_local" else 1
 
     async def open(self) -> None:
         """Create the ROS entity."""
         topic = self._topic()
-        self._subscription = await self._create(lambda: RawSubscription(self._ros, topic, self._take))
+        self._subscription = await self._create(lambda: RawSubscription(self._ros, topic, self._take, self._lost))
         if self._subscription.had_publishers:
             # Messages that they publish before they discover the subscription would be lost after the status is true.
             await asyncio.sleep(SETTLING_TIME)
@@ -161,6 +165,10 @@ class SubscriberInterface(_TopicInterface):
         more = self._taken - self._handled < MAX_UNHANDLED
         self._ros.deliver(lambda: self._handle(payload, publisher, more, since))
         return more
+
+    def _lost(self, count: int) -> None:
+        """Count messages that the middleware dropped; called in the ROS thread."""
+        self._ros.deliver(lambda: self.evicted(count))
 
     def _handle(self, payload: bytes, publisher: bytes, more: bool, since: float) -> None:
         self._handled += 1

@@ -176,7 +176,7 @@ class EffectRunner:
         """Send a status to the robots to which an interface is connected; to all of its user's if there is none."""
         ends = {end for each in self.state.connections.by(interface) for end in (each.sender, each.receiver)}
         owners = {found.owner for end in ends if (found := self.state.interfaces.get(end)) is not None}
-        robots = [found for owner in sorted(owners) if (found := self.state.robots.get(owner)) is not None]
+        robots = [robot for owner in sorted(owners) if (robot := self.state.robots.get(owner)) is not None]
         if not robots:
             self.tell(user_of(interface), status)
         for robot in robots:

@@ -158,7 +158,7 @@ class Environment:
         type_name: str,
         *,
         callback: Callable[[Any], Awaitable[None] | None] | None = None,
-        depth: int = 10,
+        depth: int = 0,
         qos: Qos | None = None,
         raw: bool = False,
         format: Format = "png",
@@ -169,7 +169,8 @@ class Environment:
             topic: ROS topic.
             type_name: ROS message type.
             callback: Function or coroutine function to call with each message; see `Robot.subscriber`.
-            depth: Unread messages to keep; when there are more, the oldest is dropped.
+            depth: Unread messages to keep; when there are more, the oldest is dropped. 0: 1000, of images and point
+                clouds 10.
             qos: Quality of service of the ROS subscription, and history and depth of the queue at the platform.
             raw: Receive serialized ROS messages (CDR) as bytes instead of dicts.
             format: Encoding in which `sensor_msgs/Image` messages arrive: PNG or JPEG bytes, or dicts (`json`).

@@ -230,7 +230,7 @@ class Robot(Operations):
         *,
         to: str = "",
         callback: Callable[[Any], Awaitable[None] | None] | None = None,
-        depth: int = 10,
+        depth: int = 0,
         raw: bool = False,
         format: Format = "png",
         qos: Qos | None = None,
@@ -244,7 +244,8 @@ class Robot(Operations):
                 topic, or one of another robot that sends. Without it the interface is not connected yet.
             callback: Function or coroutine function to call with each message, one after the other. Without it,
                 messages are read from the subscriber.
-            depth: Unread messages to keep; when there are more, the oldest is dropped.
+            depth: Unread messages to keep; when there are more, the oldest is dropped. 0: 1000, of images and point
+                clouds 10.
             raw: Receive serialized ROS messages (CDR) as bytes instead of dicts.
             format: Encoding in which `sensor_msgs/Image` messages arrive: PNG or JPEG bytes, or dicts (`json`).
             qos: History and depth of the queue at the platform.

@@ -14,6 +14,7 @@ from rce.client.interface import CONNECT_TIMEOUT, Interface, Owner
 from rce.client.stream import Stream
 from rce.client.values import decode_message, encode_message
 from rce.errors import RceError
+from rce.protocol.messages.commands import DEEP, SHALLOW, is_large
 
 TOPIC_ID = "nil"  # msgID of topic messages, as the original's clients send it
 
@@ -105,7 +106,7 @@ class Subscriber(Interface):
 
     def __init__(self, owner: Owner, tag: str, type_name: str, depth: int) -> None:
         super().__init__(owner, tag, type_name)
-        self.stream: Stream[Any] = Stream(depth)
+        self.stream: Stream[Any] = Stream(depth or (SHALLOW if is_large(type_name) else DEEP))
         self._task: asyncio.Task[None] | None = None
 
     @property

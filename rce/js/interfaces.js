@@ -109,11 +109,13 @@ export class Publisher extends Interface {
   }
 }
 
+const LARGE = /^sensor_msgs\/(msg\/)?(Image|CompressedImage|PointCloud2?)$/;
+
 /** Receives messages: `for await`, `get`, or a callback. Keeps the newest `depth` unread messages. */
 export class Subscriber extends Interface {
-  constructor(robot, tag, typeName, { depth = 10, callback = null } = {}) {
+  constructor(robot, tag, typeName, { depth = 0, callback = null } = {}) {
     super(robot, tag, typeName);
-    this.stream = new Stream(depth);
+    this.stream = new Stream(depth || (LARGE.test(typeName) ? 10 : 1000));
     this.callback = callback;
   }
 

@@ -68,6 +68,7 @@ export interface Qos {
   reliability?: "auto" | "reliable" | "best_effort";
   durability?: "auto" | "volatile" | "transient_local";
   history?: "keep_last" | "keep_all";
+  /** Messages that may wait; by default 1000, of images and point clouds 10, and no more than 16 MB. */
   depth?: number;
 }
 
@@ -195,7 +196,7 @@ export interface InterfaceOptions {
   qos?: Qos;
 }
 export interface SubscriberOptions<T = any> extends InterfaceOptions {
-  /** Unread messages to keep, 10 by default. */
+  /** Unread messages to keep: by default 1000, of images and point clouds 10. */
   depth?: number;
   /** Function to call with each message. */
   callback?: (message: T) => void;

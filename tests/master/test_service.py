@@ -88,7 +88,6 @@ async def test_type_that_only_another_users_environment_has_is_unknown(furnished
 
 async def test_error_of_an_environment_reaches_the_robots_of_its_user(furnished: Furnished) -> None:
     await login(furnished.west, "bob/r1")
-    await furnished.brain.call(Report("ann/brain", "pose", drops=3))
     await furnished.brain.call(Report("ann/brain", "pose", ErrorInfo("invalid_request", "no such type")))
     assert (await told(furnished.west, ErrorInfo)).message == "no such type"
     sent = [(call.robot, call.error) for call in furnished.west.arrived if isinstance(call, SendStatus)]
@@ -107,6 +106,14 @@ async def test_environment_that_is_away_is_unavailable(furnished: Furnished) -> 
 
 async def test_metrics_of_a_process_that_is_away_are_unavailable(platform: Platform) -> None:
     with pytest.raises(Unavailable):
+async def test_drops_of_an_environment_reach_the_robots_of_its_user(furnished: Furnished) -> None:
+    await login(furnished.west, "bob/r1")
+    await furnished.brain.call(Report("ann/brain", "pose", drops=3))
+    assert await told(furnished.west, m.DropEvent) == m.DropEvent("brain/pose", 3, "in environment brain")
+    sent = [call.robot for call in furnished.west.arrived if isinstance(call, SendStatus)]
+    assert sent[1:] == ["ann/r1"]
+
+
         await platform.master.metrics_of("west")
 
 

@@ -158,7 +158,7 @@ COMMANDS = (
             argument("address", nargs="?", default="", metavar="ADDRESS", help="topic or service in the environment"),
             argument("--reliability", choices=("auto", "reliable", "best_effort"), default="auto"),
             argument("--durability", choices=("auto", "volatile", "transient_local"), default="auto"),
-            argument("--depth", type=int, default=10, help="queue length in messages (default: %(default)s)"),
+            argument("--depth", type=int, default=0, help="messages that wait (default: 1000; images, clouds: 10)"),
             argument("--format", choices=("png", "jpeg", "json"), default="png", help="encoding of images"),
             OF_USER,
         ),

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Raw, Struct
+from msgspec.structs import replace
 
 from rce.errors import InvalidRequest
 
@@ -108,19 +109,31 @@ ALIASES: dict[str, InterfaceType] = {  # sent by C++ clients older than 2013
     "ServiceConverter": "ServiceClientConverter",
     "ServiceForwarder": "ServiceClientForwarder",
 }
+DEEP, SHALLOW = 1000, 10  # messages that wait by default
+LARGE = {f"sensor_msgs/{name}" for name in ("Image", "CompressedImage", "PointCloud", "PointCloud2")}
+
+
+def is_large(type_name: str) -> bool:
+    """Return True for types of which the newest messages matter: images and point clouds."""
+    return type_name.replace("/msg/", "/") in LARGE
 
 
 class Qos(Struct, frozen=True, omit_defaults=True):
     """Quality of service of an environment's topic interface, with the names of ROS 2.
 
     With `auto`, a setting follows the existing publishers or subscribers of the topic; without any, it is reliable or
-    volatile. With `keep_all`, the sender waits and no messages are dropped.
+    volatile. With `keep_all`, the sender waits and no messages are dropped. With a `depth` of 0, `DEEP` messages wait,
+    but only `SHALLOW` ones if they are images or point clouds, best_effort, or kept for late nodes.
     """
 
     reliability: Literal["auto", "reliable", "best_effort"] = "auto"
     durability: Literal["auto", "volatile", "transient_local"] = "auto"
     history: Literal["keep_last", "keep_all"] = "keep_last"
-    depth: Annotated[int, Meta(ge=1, le=10_000)] = 10
+    depth: Annotated[int, Meta(ge=0, le=10_000)] = 0
+
+    def for_type(self, type_name: str) -> Qos:
+        """Return the same for messages of a type: without a depth, only the newest of large ones wait."""
+        return self if self.depth or not is_large(type_name) else replace(self, depth=SHALLOW)
 
 
 class AddInterface(Struct, frozen=True):

@@ -58,7 +58,11 @@ class NodeEvent(Struct, frozen=True, tag_field="topic", tag="node"):
 
 
 class DropEvent(Struct, frozen=True, tag_field="topic", tag="drops"):
-    """Number of messages of the robot's interface that were dropped since it was added, because a queue was full."""
+    """Number of messages of an interface that were dropped since it was added, because a queue was full.
+
+    `iTag` is an interface of the robot, or with `containerTag/` before it one of an environment to which the robot is
+    connected.
+    """
 
     iTag: str
     count: int

@@ -113,7 +113,14 @@ async def test_drops_are_counted_for_all_peers_behind_their_link(links: tuple[Fa
 
 
 @pytest.mark.parametrize(
-    ("qos", "keep"), [(Qos(depth=3), 3), (Qos(history="keep_all"), None), (Qos(history="keep_all", depth=3), None)]
+    ("qos", "keep"),
+    [
+        (Qos(), 1000),
+        (Qos("best_effort"), 10),
+        (Qos(depth=3), 3),
+        (Qos(history="keep_all"), None),
+        (Qos(history="keep_all", depth=3), None),
+    ],
 )
 async def test_newest_messages_wait_unless_all_are_kept(
     links: tuple[FakeLink, FakeLink], qos: Qos, keep: int | None
@@ -168,3 +175,11 @@ async def test_error_for_peer_that_is_gone_is_left_out(links: tuple[FakeLink, Fa
 @pytest.mark.parametrize("payload", [b"", b"\xff\x00", b"\x01"])
 async def test_malformed_error_is_an_error_too(payload: bytes) -> None:
     assert "malformed" in str(error_of(message("call", payload)))
+
+
+@pytest.mark.parametrize("name", ["sensor_msgs/Image", "sensor_msgs/msg/Image", "sensor_msgs/PointCloud2"])
+async def test_few_of_large_messages_wait_by_default(name: str) -> None:
+    def keep(qos: Qos) -> int | None:
+        return Plain(InterfaceSpec(ID, "u/r", "tag", "PublisherConverter", name, qos=qos), HopRecorder()).keep
+
+    assert (keep(Qos()), keep(Qos(depth=500)), keep(Qos(history="keep_all"))) == (10, 500, None)

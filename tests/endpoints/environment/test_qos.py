@@ -14,6 +14,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from endpoints.environment.qos import describe, for_publisher, for_subscription, is_latched, mismatch
 from rce.protocol.messages import Qos
+from rce.protocol.messages.commands import DEEP, SHALLOW
 
 RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
 LATCHED, VOLATILE = DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE
@@ -66,6 +67,9 @@ def test_given_qos_takes_precedence() -> None:
 def test_history_and_depth_are_those_of_interface(choose: Choose) -> None:
     newest = choose(Qos(depth=7), [])
     assert (newest.history, newest.depth) == (HistoryPolicy.KEEP_LAST, 7)
+    assert choose(Qos(), []).depth == DEEP
+    assert choose(Qos("best_effort"), []).depth == SHALLOW
+    assert choose(Qos(durability="transient_local"), []).depth == SHALLOW, "as many as a late node gets"
     assert choose(Qos(history="keep_all", depth=7), []).history == HistoryPolicy.KEEP_ALL
 
 

@@ -46,7 +46,7 @@ async def test_messages_left_in_middleware_do_not_wake_thread(monkeypatch: pytes
 
     try:
         report: Callable[[str], None] = print
-        subscription = await ros.run(lambda: RawSubscription(ros, Topic(String, "/said", Qos(), report), take))
+        subscription = await ros.run(lambda: RawSubscription(ros, Topic(String, "/said", Qos(), report), take, print))
         while not publisher.get_subscription_count():  # noqa: ASYNC110  # rclpy has an event for executors only
             await asyncio.sleep(0.01)
         ros.post(subscription.start)

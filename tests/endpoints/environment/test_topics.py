@@ -21,7 +21,7 @@ from endpoints.data.frames import Message
 from endpoints.data.hops import HopRecorder
 from endpoints.data.link import Link
 from endpoints.environment.topics import PublisherInterface, SubscriberInterface
-from rce.control.calls.endpoints import InterfaceSpec, NodeSpec, StartNode, StopNode, Unbind
+from rce.control.calls.endpoints import InterfaceSpec, NodeSpec, Report, StartNode, StopNode, Unbind
 from rce.errors import InvalidRequest, LimitExceeded, RceError, UnknownType
 from rce.net.budget import INTERFACE
 from rce.protocol.messages import Qos
@@ -169,6 +169,35 @@ async def test_keep_all_drops_nothing(master: FakeMaster) -> None:
         there.publish(cdr(str(number)))
     assert [text(await back.next()) for _ in range(500)] == [str(number) for number in range(500)]
     await master.call(StopNode("keep"))
+
+
+@pytest.mark.parametrize(("count", "size"), [(3000, 100), (100, 100_000)])
+async def test_messages_of_a_burst_are_all_there_or_counted(master: FakeMaster, count: int, size: int) -> None:
+    name = f"burst{size}"
+    bound = [
+        await master.bind(kind, "std_msgs/String", f"/{name}/{topic}")
+        for kind, topic in (("PublisherInterface", "there"), ("SubscriberInterface", "back"))
+    ]
+    there, back = [await master.connect(each) for each in bound]
+    await master.call(StartNode(NodeSpec(name, "probe", "echo.py", "deep", namespace=name)))
+    there.publish(cdr("ready"))
+    assert text(await back.next()) == "ready"
+    for number in range(count):
+        there.publish(cdr(f"{number} {'x' * size}"))
+        if number % 50 == 0:
+            await asyncio.sleep(0)
+    received: list[int] = []
+    while not received or received[-1] < count - 1:
+        received.append(int(text(await back.next()).split()[0]))
+    assert received == sorted(set(received))
+    drops = dict.fromkeys((each.tag for each in bound), 0)
+    while len(received) + there.dropped + sum(drops.values()) < count:
+        async with asyncio.timeout(5):
+            report = await master.reports.get()
+        assert isinstance(report, Report)
+        drops[report.interface] = report.drops
+    assert len(received) >= min(count, 1000), "as many as wait by default"
+    await master.call(StopNode(name))
 
 
 async def test_large_messages(master: FakeMaster) -> None:
