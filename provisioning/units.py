@@ -67,6 +67,14 @@ WITH_NETWORKS = """\
 CapabilityBoundingSet=CAP_NET_ADMIN
 AmbientCapabilities=CAP_NET_ADMIN
 """
+# A service that takes too much is restarted, and nothing else of the machine is killed. The shares exceed 100 %, as the
+# services are not large at the same time.
+MEMORY = {"master": "40%", "robot": "50%", "container": "25%", "map-service": "60%"}
+TASKS = {"master": 512, "robot": 1024, "container": 1024, "map-service": 1024}
+# The control group of the process engine has the environments in it, which have no limits.
+UNLIMITED = """\
+TasksMax=infinity
+"""
 # Environments reserve ROS domains by locks in /tmp, which all platforms of this host share.
 WITH_PROCESSES = """\
 PrivateTmp=no
@@ -89,6 +97,7 @@ def text(role: str, engine: str = "") -> str:
         f"StateDirectory=rce/{role}\nStateDirectoryMode=0700\n"
         f"Restart=always\nRestartSec=2\nTimeoutStopSec=60\n"
         f"LimitNOFILE=65536\n"
+        f"{_limits(role, engine)}"
         f"{WITH_KERNELS if role == 'map-service' else ''}"
         f"{HARDENING}"
         f"{WITH_ENVIRONMENTS if role == 'container' else FACING_THE_NETWORK}"
@@ -97,6 +106,12 @@ def text(role: str, engine: str = "") -> str:
         f"{''.join(f'InaccessiblePaths=-{path}{chr(10)}' for path in SECRETS[role])}"
         f"\n[Install]\nWantedBy=multi-user.target\n"
     )
+
+
+def _limits(role: str, engine: str) -> str:
+    """Return limits of memory and processes. A worker process that the kernel kills does not stop its service."""
+    limits = f"MemoryMax={MEMORY[role]}\nMemorySwapMax=0\nTasksMax={TASKS[role]}\n"
+    return (UNLIMITED if engine == "process" and role == "container" else limits) + "OOMPolicy=continue\n"
 
 
 def _after(role: str, engine: str) -> str:

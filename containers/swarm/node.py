@@ -21,9 +21,11 @@ from rce import __version__
 from rce.control.calls.agents import PullImage
 from rce.control.calls.environments import EnvironmentSpec
 from rce.errors import ErrorInfo, RceError, StartFailed
+from rce.protocol.slots import MB
 
 # To mount disks, to enter other containers, and to limit the bandwidth of their networks.
 PRIVILEGED_CAPABILITIES = ["SYS_ADMIN", "SYS_PTRACE", "NET_ADMIN"]
+PRIVILEGED_MEMORY, PRIVILEGED_PROCESSES = 512 * MB, 64
 EVENTS = {
     "type": ["container", "image"],
     "event": ["start", "die", "destroy", "tag", "untag", "load", "delete", "import"],
@@ -183,6 +185,8 @@ class NodeDaemon(Daemon):
                 network_mode="host",
                 cgroupns="host",
                 mounts=mounts,
+                mem_limit=PRIVILEGED_MEMORY,
+                pids_limit=PRIVILEGED_PROCESSES,
             ),
         )
         try:

@@ -52,6 +52,15 @@ def test_exposure_of_units_is_low(unit_file: Callable[[str, str], Path], role: s
     assert done.returncode == 0, done.stdout
 
 
+@pytest.mark.parametrize(("role", "engine"), CASES)
+def test_services_have_limits_unless_environments_run_in_them(role: str, engine: str) -> None:
+    limited = (role, engine) != ("container", "process")
+    text = units.text(role, engine)
+    assert ("\nMemoryMax=" in text) == ("\nMemorySwapMax=0\n" in text) == limited
+    assert ("\nTasksMax=infinity\n" in text) != limited
+    assert "\nOOMPolicy=continue\n" in text  # else a killed worker or node would stop its service
+
+
 def test_only_the_task_set_has_access_to_docker() -> None:
     assert "SupplementaryGroups=docker" in units.text("container", "docker")
     for role, engine in CASES[:-1]:

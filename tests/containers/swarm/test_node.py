@@ -236,6 +236,8 @@ async def test_limits_are_applied_by_a_program_of_the_agents_image(daemon: NodeD
     await daemon.apply_limits(LIMITS)
     assert (api.made["image"], api.made["command"]) == ("sha256:agent", COMMAND)
     assert msgspec.json.decode(api.made["environment"]["RCE_LIMITS"], type=LimitRequest) == LIMITS
+    assert api.made["host_config"]["mem_limit"]
+    assert api.made["host_config"]["pids_limit"]
     mounts = {mount["Target"]: mount["ReadOnly"] for mount in api.made["host_config"]["mounts"]}
     assert mounts == {"/usr": True, "/dev": False, "/sys/fs/cgroup": False}
     assert api.changes == ["start limits", "remove limits"]
