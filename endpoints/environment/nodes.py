@@ -16,7 +16,7 @@ from endpoints.environment.packages import Packages
 from endpoints.environment.parameters import Parameters
 from endpoints.environment.process_environment import user_node_variables
 from rce.control.calls.endpoints import NodeDied, NodeSpec, ParameterSpec
-from rce.errors import NotFound
+from rce.errors import NotFound, StartFailed, disk_full
 
 log = Logger()
 LAST_LINES = 20
@@ -67,7 +67,10 @@ class Nodes:
                 if present.spec == spec:
                     return
                 await present.stop()
-            await self._start(spec)
+            try:
+                await self._start(spec)
+            except OSError as error:
+                raise StartFailed(f"node {spec.tag} did not start: {disk_full(error) or error}") from None
 
     async def _start(self, spec: NodeSpec) -> None:
         shipped = self._packages.is_shipped(spec.pkg)

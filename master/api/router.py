@@ -21,7 +21,7 @@ from master.api.idempotency import IdempotencyCache
 from master.api.request import Answer, AuditDetails, Call, Handler
 from master.api.streams import EventStream
 from master.storage.depot import Upload
-from rce.errors import InternalError, InvalidRequest, NotFound, RceError
+from rce.errors import InternalError, InvalidRequest, NotFound, RceError, disk_full
 from rce.process import logs
 from rce.web.problems import MethodNotAllowed, UnsupportedMediaType, problem_response
 from rce.web.requests import check_same_site, header, raw_path, raw_query
@@ -107,9 +107,11 @@ class Api:
             response = problem_response(error)
         except ConnectionError:
             raise  # the client disconnected
-        except Exception:  # noqa: BLE001  # the client is told of the defect; the traceback goes to the log
-            log.failure("defect while answering {method} {path}", method=request.method, path=raw_path(request))
-            response = problem_response(InternalError("internal error; the Master's log has the traceback"))
+        except Exception as error:  # noqa: BLE001  # the client is told of the defect; the traceback goes to the log
+            full = disk_full(error) if isinstance(error, OSError) else None
+            if full is None:
+                log.failure("defect while answering {method} {path}", method=request.method, path=raw_path(request))
+            response = problem_response(full or InternalError("internal error; the Master's log has the traceback"))
         response.headers.update(headers)
         return response
 

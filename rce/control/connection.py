@@ -34,6 +34,7 @@ from rce.errors import (
     TimedOut,
     Unavailable,
     clipped,
+    disk_full,
 )
 from rce.process import logs, metrics
 
@@ -122,7 +123,10 @@ class Handlers:
                 call = decode_pages(pages, kind)
             except MALFORMED as error:
                 raise InvalidRequest(f"{name}: {error}") from None
-            result = await handler(call)
+            try:
+                result = await handler(call)
+            except OSError as error:
+                raise disk_full(error) or error from None
             if request and isinstance(result, Nothing):  # calls with a result only read, and there may be many of them
                 log.info("{call} is done in {seconds:.3f} s", call=name, seconds=time.perf_counter() - began)
             return True, encode_pages(result, max_size)

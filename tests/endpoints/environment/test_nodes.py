@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import errno
+from pathlib import Path
+
 import pytest
 
 from tests.support.domains import domain
 
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 
+from endpoints.environment.nodes import Nodes
+from endpoints.environment.packages import Packages
+from endpoints.environment.parameters import Parameters
 from rce.control.calls.endpoints import (
     DropParameter,
     NodeSpec,
@@ -83,6 +89,16 @@ async def test_start_is_idempotent_and_changed_spec_restarts_node(master: FakeMa
 async def test_node_that_cannot_start_is_rejected(master: FakeMaster, spec: NodeSpec, error: type[Exception]) -> None:
     with pytest.raises(error):
         await master.call(StartNode(spec))
+
+
+async def test_node_that_a_full_disk_refuses_is_rejected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def fail(self: Nodes, spec: NodeSpec) -> None:
+        raise OSError(errno.ENOSPC, "no space", "output.log")
+
+    monkeypatch.setattr(Nodes, "_start", fail)
+    nodes = Nodes(tmp_path, Packages([], []), Parameters(), {}, lambda died: None)
+    with pytest.raises(StartFailed, match=r"node late did not start: disk full \(output.log: no space"):
+        await nodes.start(NodeSpec("late", "probe", "say"))
 
 
 async def test_log_of_unknown_node_is_not_found(master: FakeMaster) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -191,6 +192,14 @@ async def test_error_of_a_handler_is_a_problem(routes: Routes) -> None:
     response = await routes.ask("GET", f"{PREFIX}/things")
     assert (response.status, response.content_type) == (503, "application/problem+json")
     assert (contents(response)["code"], contents(response)["detail"]) == ("lost", "it went")
+
+
+async def test_full_disk_is_told(routes: Routes, failures: list[LogEvent]) -> None:
+    routes.add("GET", "/things", OSError(errno.ENOSPC, "no space"))
+    response = await routes.ask("GET", f"{PREFIX}/things")
+    assert (response.status, contents(response)["code"]) == (503, "unavailable")
+    assert contents(response)["detail"].startswith("disk full")
+    assert failures == []
 
 
 async def test_defect_is_logged_and_not_told(routes: Routes, failures: list[LogEvent]) -> None:

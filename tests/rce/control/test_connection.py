@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 from collections.abc import Awaitable, Callable
 
 import pytest
@@ -67,6 +68,17 @@ async def test_unhandled_exception_is_logged_and_raised_as_internal_error(
             await server.call(ReadLog("n"))
         assert len(failures) == 1
         failures.clear()
+        await closed(client, server)
+
+
+async def test_full_disk_is_told(reactor: ReactorBase) -> None:
+    async def broken(call: ReadLog) -> Log:
+        raise OSError(errno.ENOSPC, "no space", "output.log")
+
+    async with listening(reactor) as listener:
+        client, server = await listener.pair(answering(broken))
+        with pytest.raises(Unavailable, match=r"disk full \(output.log: no space"):
+            await server.call(ReadLog("n"))
         await closed(client, server)
 
 
