@@ -16,6 +16,7 @@ from rce.net.budget import OVERHEAD
 from rce.net.outbox import Outbox, Owner
 from rce.net.sockets import tune
 
+STRAYS = 1000  # messages a second without a receiver that a link may send for long, and 16 times as many at once
 HIGH_WATER = 256 * 1024  # bytes; while the transport holds more, messages wait in the outbox, where they take turns
 
 log = Logger()
@@ -153,6 +154,7 @@ class StreamLink(_QueuedLink[list[Buffer]], asyncio.BufferedProtocol):
         self._transport: asyncio.Transport | None = None
         self._full = False
         self._throttle = throttle
+        self._strays = Throttle(STRAYS)
         self._pauses = 0  # number of futures that must be done before reading resumes
 
     def attach(self, transport: asyncio.Transport) -> None:
@@ -193,6 +195,17 @@ class StreamLink(_QueuedLink[list[Buffer]], asyncio.BufferedProtocol):
     def _pieces(self, message: Message) -> Iterator[list[Buffer]]:
         self._sent(message)
         yield from pieces(message, next(self._streams))
+
+    def stray(self) -> None:
+        """Count a message that no interface receives.
+
+        A few come after a connection ended. More are a flood, which costs time that others need.
+
+        Raises:
+            LimitExceeded: The link carries too many of them.
+        """
+        if self._strays.consume(1):
+            raise LimitExceeded(f"more than {STRAYS} messages a second belong to no connection")
 
     def pause(self, until: asyncio.Future[None]) -> None:
         """Stop reading from the socket until the future is done."""

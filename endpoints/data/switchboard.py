@@ -165,8 +165,17 @@ class Switchboard:
             interface.stopped()
 
     def deliver(self, message: Message, link: Link) -> None:
-        """Pass a message from a link to the interfaces that have a route to its source over that link."""
-        for interface, name in list(self._listeners.get(message.source, {}).items()):
+        """Pass a message from a link to the interfaces that have a route to its source over that link.
+
+        Raises:
+            LimitExceeded: The link carries too many messages that no interface receives.
+        """
+        listeners = self._listeners.get(message.source)
+        if listeners is None or link.name not in listeners.values():
+            if isinstance(link, StreamLink):
+                link.stray()
+            return
+        for interface, name in list(listeners.items()):
             if name == link.name and (message.destination is None or message.destination == interface.id):
                 try:
                     self._deliver_to(interface, message, link)

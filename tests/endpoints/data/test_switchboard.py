@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
+from unittest.mock import Mock
 
 import pytest
 from twisted.logger import LogEvent
 
 from endpoints.data import switchboard
-from endpoints.data.frames import Message
+from endpoints.data.frames import Message, pieces
 from endpoints.data.hops import HopRecorder
 from endpoints.data.interface import Interface
-from endpoints.data.link import Link
+from endpoints.data.link import Link, StreamLink
 from endpoints.data.port import DataPort
 from endpoints.data.switchboard import Switchboard
 from rce.control.calls.endpoints import InterfaceSpec, LinkSpec, Route, Sync
 from rce.control.calls.watching import Counts, CountTraffic, InterfaceTraffic
 from rce.errors import NotConnected, NotFound, Unavailable
 from rce.protocol.messages import Qos
+from tests.support.endpoints.ends import End
 
 
 class Recorder(Interface):
@@ -50,7 +52,7 @@ class Recorder(Interface):
 
 
 def spec(number: int, qos: Qos | None = None) -> InterfaceSpec:
-    return InterfaceSpec(f"{number:032x}", "u/r", f"i{number}", "PublisherConverter", "a/B", qos=qos or Qos())
+    return InterfaceSpec(f"{number:032x}", "u/r", f"i{number}", "PublisherConverter", "a/B", qos=qos or Qos(depth=10))
 
 
 class Board(Switchboard):
@@ -125,6 +127,35 @@ async def test_routes_are_idempotent_and_need_link_and_interface(board: Board) -
     assert a.events[-1] == "stopped"
     b.send(Message(b.id, "to nobody", b""))
     assert not a.received
+
+
+async def test_link_that_sends_a_flood_of_messages_without_a_receiver_is_dropped(board: Board) -> None:
+    await board.ready(2)
+    await board.join(0, 1)
+    end = End("flood")
+    link = end.link
+    link._deliver = board.deliver
+    transport = Mock(is_closing=lambda: False)
+    link.attach(transport)
+    frame = b"".join(bytes(part) for piece in pieces(Message(b"x" * 16, "", b""), 0) for part in piece)
+    for _ in range(100):  # as after a connection that ended
+        feed(link, frame)
+    assert end.lost == []
+    for _ in range(40):
+        feed(link, frame * 1000)
+        if end.lost:
+            break
+    assert end.lost == ["more than 1000 messages a second belong to no connection"]
+    transport.abort.assert_called_once()
+
+
+def feed(link: StreamLink, data: bytes) -> None:
+    while data:
+        buffer = link.get_buffer(0)
+        count = min(len(buffer), len(data))
+        buffer[:count] = data[:count]
+        link.buffer_updated(count)
+        data = data[count:]
 
 
 async def test_unbound_interface_loses_its_peers(board: Board) -> None:
