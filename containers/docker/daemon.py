@@ -172,7 +172,9 @@ class Daemon(AsyncDocker):
             image_device = underlying_disk(Path(info["DockerRootDir"]))
         except OSError:  # the directory is on another machine or in another mount namespace
             image_device = ""
-        return Machine(image_device, info.get("CgroupVersion") == "2")
+        options = info.get("SecurityOptions") or []
+        maps_users = any(each.startswith(("name=userns", "name=rootless")) for each in options)
+        return Machine(image_device, info.get("CgroupVersion") == "2", maps_users)
 
     def _endpoint(self, network: Attachment) -> dict[str, Any]:
         settings = self._api.create_endpoint_config(ipv4_address=network.address, aliases=network.names)

@@ -103,6 +103,7 @@ class DockerEngine(Engine):
         self._networks = Networks(self._daemon.call, setup.labels, egress_pool, nameservers)
         self._environments: dict[str, _Environment] = {}
         self._background: set[asyncio.Task[None]] = set()
+        self._watch: asyncio.Task[None] | None = None  # of the packet filter
         self._following = asyncio.Event()  # set when Docker's event stream has begun
         self._ended_early: set[str] = set()  # runs whose end was reported while `recover` had not yet adopted them
         self._machine = Machine()
@@ -128,7 +129,9 @@ class DockerEngine(Engine):
                     reference(spec.options.image) if spec.options.image else self._setup.image,
                     self._setup.command,
                     variables(spec, environment.paths, self._host, self._settings | with_packages),
-                    container_options(granted, environment.paths, read_only, networks, disk, self._machine),
+                    container_options(
+                        self._user(spec.name), granted, environment.paths, read_only, networks, disk, self._machine
+                    ),
                 )
                 await self._shape(spec, len(networks.networks))
             finally:
@@ -165,7 +168,10 @@ class DockerEngine(Engine):
         if not spec.options.disk:
             return None
         file = self._root / spec.name / f"{spec.run}.disk"
-        return await asyncio.to_thread(disks.make, file, spec.options.disk, environment_user())
+        return await asyncio.to_thread(disks.make, file, spec.options.disk, self._user(spec.name))
+
+    def _user(self, name: str) -> int:
+        return environment_user(name, self._machine)
 
     async def remove(self, name: str) -> None:
         """Remove the container, networks, sockets and directories of an environment."""
@@ -203,6 +209,7 @@ class DockerEngine(Engine):
                 log.info("removing the remains of {name}", name=found.name)
                 await self._daemon.remove(found.name)
         await self._networks.recover()
+        self._watch = asyncio.create_task(self._networks.watch())
         await self._remove_leftovers()
         return adopted
 
@@ -218,7 +225,7 @@ class DockerEngine(Engine):
     async def release(self) -> None:
         """Stop following Docker's events and close the sockets of environments."""
         self._daemon.close()
-        for task in self._background:
+        for task in (*self._background, *filter(None, [self._watch])):
             task.cancel()
         for name, environment in self._environments.items():
             environment.close()

@@ -18,6 +18,7 @@ from typing import NamedTuple
 from rce.errors import Unavailable
 
 FORWARDED, TO_HOST = "DOCKER-USER", "INPUT"
+JUMP = f"FORWARD -j {FORWARDED}"
 NOT_THE_INTERNET = (  # RFC 6890: this network, private, shared, loopback, link-local (metadata of clouds), multicast
     *("0.0.0.0/8", "10.0.0.0/8", "100.64.0.0/10", "127.0.0.0/8", "169.254.0.0/16", "172.16.0.0/12", "192.0.0.0/24"),
     *("192.168.0.0/16", "198.18.0.0/15", "224.0.0.0/4", "240.0.0.0/4"),
@@ -68,6 +69,7 @@ class Firewall:
 
     def __init__(self) -> None:
         self._lock = asyncio.Lock()
+        self._set: dict[str, list[str]] = {}  # by bridge, as `iptables -S` printed them then
 
     async def set_rules(self, bridge: str, rules: Sequence[Rule]) -> None:
         """Replace the rules of a bridge atomically; they come before all others of their chain."""
@@ -80,11 +82,31 @@ class Firewall:
             before = [_removal(each) for each in await _present_rules() if each.bridge == bridge]
             marked = [f"-I {chain} {' '.join(words)} {COMMENT} {bridge}" for chain, *words in reversed(rules)]
             await _restore(before + marked)
+            self._set[bridge] = [_line(each) for each in await _present_rules() if each.bridge == bridge]
 
     async def remove_rules(self, bridge: str) -> None:
         """Remove the rules of a bridge."""
         async with self._lock:
+            self._set.pop(bridge, None)
             await _restore([_removal(each) for each in await _present_rules() if each.bridge == bridge])
+
+    async def changed(self) -> bool:
+        """Return True if rules that were set have been removed, or packets no longer pass them."""
+        async with self._lock:
+            if not self._set:
+                return False
+            lines = (await _run("iptables", "-S")).splitlines()
+        wanted = {f"-A {JUMP}"}.union(*self._set.values())
+        return not wanted.issubset(lines)
+
+    async def restore_chain(self) -> None:
+        """Create the chain for forwarded packets again, and lead them to it, as Docker did when it started."""
+        async with self._lock:
+            lines = (await _run("iptables", "-S")).splitlines()
+            if f"-N {FORWARDED}" not in lines:
+                await _run("iptables", "-N", FORWARDED)
+            if f"-A {JUMP}" not in lines:
+                await _run("iptables", "-I", *JUMP.split())
 
     async def sweep(self) -> None:
         """Remove the rules of bridges that no longer exist."""
@@ -107,6 +129,10 @@ async def _present_rules() -> list[_PresentRule]:
         if match:
             found.append(_PresentRule(match["chain"], match["words"], match["bridge"]))
     return found
+
+
+def _line(rule: _PresentRule) -> str:
+    return f"-A {rule.chain} {rule.words}"
 
 
 def _removal(rule: _PresentRule) -> str:

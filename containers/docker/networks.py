@@ -37,6 +37,7 @@ EGRESS_PREFIX = 30  # room for the addresses of the bridge and the environment
 NO_NAMESERVER = (
     "127.0.0.1"  # Docker's resolver queries it from within the container, so only names of the group resolve
 )
+CHECK_INTERVAL = 2.0  # seconds between checks of the packet filter
 R = TypeVar("R")
 
 
@@ -142,6 +143,26 @@ class Networks:
         """Set the rules of all networks again, as other programs may have flushed the packet filter."""
         for network in await self._call(self._present):
             await self._firewall.set_rules(network.bridge, network.rules)
+
+    async def watch(self) -> None:
+        """Check the packet filter again and again, until cancelled."""
+        while True:
+            await asyncio.sleep(CHECK_INTERVAL)
+            try:
+                await self.check_rules()
+            except (Unavailable, OSError) as error:
+                log.error("the rules of environments' networks cannot be checked: {error}", error=str(error))
+
+    async def check_rules(self) -> None:
+        """Restore the rules if another program has flushed them.
+
+        Raises:
+            Unavailable: Docker or the packet filter cannot be used.
+        """
+        if await self._firewall.changed():
+            log.warn("another program has removed the rules of environments' networks; they are set again")
+            await self._firewall.restore_chain()
+            await self.restore_rules()
 
     # --- internal -----------------------------------------------------------------------------------------------------
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from docker.types import DeviceRequest, DriverConfig, LogConfig, Mount, Ulimit
 from msgspec import Struct
 
 from containers.data_socket import OFFER
+from containers.docker import seccomp
 from containers.docker.disks import Disk
 from containers.docker.networks import Attachments
 from containers.limits import Limits
@@ -26,7 +27,11 @@ HOME_SIZE, TEMPORARY_SIZE = 256 * MB, 128 * MB
 INODES = 50_000  # of each file system in memory
 OPEN_FILES = 4096
 LOG_SIZE = "2m"
-USER = 10000  # user of the images; a task set without root uses its own user, as it cannot change the owner of files
+USER = "rce"  # name for programs that ask for one; the image knows no user with the id of an environment
+# The kernel limits some resources for each user of the host, such as inotify instances and pages of pipes. So each user
+# of the platform has an id of its own, in a range that the system gives to nobody.
+FIRST_USER, USERS = 0x7000_0000, 0x1000_0000
+FIRST_MAPPED_USER, MAPPED_USERS = 10_000, 50_000  # where Docker maps the users of containers to others
 CONTROL = "/run/rce"  # path of the control directory in the container
 HOME = "/home/rce"
 
@@ -38,6 +43,8 @@ class Machine(Struct, frozen=True):
     """Device that the images are stored on, empty if unknown."""
     limits_buffered_writes: bool = False
     """True if limits on writes include those through the page cache (cgroup v2); else disks are mounted `sync`."""
+    maps_users: bool = False
+    """True if Docker uses user namespaces, in which only the first 65,536 users exist."""
 
 
 class EndpointPaths(Struct, frozen=True):
@@ -63,12 +70,15 @@ def reference(image: str) -> str:
     return image if ":" in image.rpartition("/")[2] or "@" in image else f"{image}:{__version__}"
 
 
-def environment_user() -> int:
-    """Return the id of the user that environments run as."""
-    return USER if os.geteuid() == 0 else os.geteuid()
+def environment_user(name: str, machine: Machine = Machine()) -> int:  # noqa: B008  # frozen
+    """Return the id of the host's user that the environments of a user run as; `name` is that of an environment."""
+    user = name.partition("/")[0]
+    number = int.from_bytes(hashlib.sha256(user.encode()).digest()[:8])
+    return FIRST_MAPPED_USER + number % MAPPED_USERS if machine.maps_users else FIRST_USER + number % USERS
 
 
 def container_options(
+    user: int,
     granted: Limits,
     paths: EndpointPaths,
     read_only: Sequence[str],
@@ -76,8 +86,7 @@ def container_options(
     disk: Disk | None = None,
     machine: Machine = Machine(),  # noqa: B008  # frozen
 ) -> ContainerOptions:
-    """Return the options of a container; `read_only` are further directories that it sees."""
-    user = environment_user()
+    """Return the options of a container; `user` is the id it runs as, `read_only` are further directories it sees."""
     sockets = str(paths.socket.parent)
     mounts = [
         Mount(CONTROL, str(paths.control), type="bind", read_only=True),
@@ -93,7 +102,7 @@ def container_options(
         "network_mode": networks.networks[0].network if networks.networks else "none",
         "dns": list(networks.dns),
         "cap_drop": ["ALL"],
-        "security_opt": ["no-new-privileges"],
+        "security_opt": ["no-new-privileges", f"seccomp={seccomp.profile()}"],
         "read_only": True,
         "mounts": mounts,
         "tmpfs": tmpfs,
@@ -136,6 +145,8 @@ def variables(spec: EnvironmentSpec, paths: EndpointPaths, host: str, settings: 
         **{f"RCE_{key.upper()}": value for key, value in settings.items()},
         "RCE_ENV": msgspec.json.encode(spec.options.env).decode(),
         "HOME": f"{HOME}/home",
+        "USER": USER,
+        "LOGNAME": USER,
         "RCE_NAME": spec.name,
         "RCE_RUN": spec.run,
         "RCE_TOKEN": spec.token,

@@ -124,10 +124,11 @@ class Agent:
         await self._data_relay.listen(address, self._settings.data_port)
         watching = asyncio.create_task(self._watch())
         joined = asyncio.create_task(self._link.run())
+        filtering = asyncio.create_task(self._networks.watch())
         try:
             await asyncio.wait({watching, joined}, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            under_way = {watching, joined, *self._preparing.values()}
+            under_way = {watching, joined, filtering, *self._preparing.values()}
             for task in under_way:
                 task.cancel()
             await asyncio.wait(under_way)

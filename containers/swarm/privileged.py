@@ -18,7 +18,7 @@ import msgspec
 from msgspec import Struct
 
 from containers.docker import disks, shaping
-from containers.docker.options import HOME, USER, Machine, block_io_limits
+from containers.docker.options import HOME, Machine, block_io_limits
 from rce.errors import RceError, StartFailed
 from rce.protocol.messages import Rates
 
@@ -44,6 +44,7 @@ class LimitRequest(Struct, frozen=True):
     io: Rates = Rates()
     disk: int = 0
     disk_file: str = ""  # path of the disk's file, which is created
+    owner: int = 0  # user id that the disk belongs to
 
     @property
     def is_empty(self) -> bool:
@@ -65,7 +66,7 @@ def apply(request: LimitRequest) -> None:
     disk = None
     if request.disk:
         disks.check(request.disk)
-        disk = disks.make(Path(request.disk_file), request.disk, USER)
+        disk = disks.make(Path(request.disk_file), request.disk, request.owner)
     image_device = disks.underlying_disk(Path(request.image_directory))
     machine = Machine(image_device, limits_buffered_writes=_has_cgroup_v2())
     try:

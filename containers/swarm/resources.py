@@ -14,6 +14,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from containers.docker.networks import Networks, group_network
+from containers.docker.options import environment_user
 from containers.fetching import Fetcher
 from containers.packages import PackageCache
 from containers.swarm.node import NodeDaemon, Task
@@ -87,7 +88,13 @@ class ResourceProvider:
         directory = await self._daemon.make_volume(names.disk, task) if options.disk else Path()
         process = await self._daemon.process_id(task.run)
         await self._daemon.apply_limits(
-            replace(request, process=process, image_directory=str(directory.parent), disk_file=str(directory / "disk"))
+            replace(
+                request,
+                process=process,
+                image_directory=str(directory.parent),
+                disk_file=str(directory / "disk"),
+                owner=environment_user(task.name),
+            )
         )
 
 

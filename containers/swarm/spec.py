@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
 from collections.abc import Mapping, Sequence
 from ipaddress import IPv4Address, IPv4Network
@@ -12,7 +13,7 @@ import msgspec
 from msgspec import Struct
 from msgspec.structs import replace
 
-from containers.docker import disks
+from containers.docker import disks, seccomp
 from containers.docker.networks import EGRESS, NO_NAMESERVER
 from containers.docker.options import (
     CONTROL,
@@ -22,8 +23,8 @@ from containers.docker.options import (
     LOG_SIZE,
     OPEN_FILES,
     TEMPORARY_SIZE,
-    USER,
     EndpointPaths,
+    environment_user,
     variables,
 )
 from containers.limits import Limits
@@ -33,6 +34,7 @@ from rce.control.calls.environments import EnvironmentSpec
 from rce.errors import InvalidRequest
 from rce.net.tls import Tls
 from rce.protocol.messages import ContainerData
+from rce.protocol.slots import MB
 
 Spec = dict[str, Any]
 AGENT = "rce.agent"  # label of the agents' service and tasks
@@ -47,6 +49,7 @@ GPU = "NVIDIA-GPU"  # name of the generic resource, as in Docker's manual
 DOCKER_SOCKET = "/var/run/docker.sock"
 NODE = "{{.Node.ID}}"  # Swarm replaces this by the id of the task's node
 NANO = 1_000_000_000
+AGENT_MEMORY, AGENT_PROCESSES = 1024 * MB, 512
 
 
 class AgentService(Struct, frozen=True):
@@ -170,7 +173,8 @@ def environment_task(
     Swarm places it but never restarts it: a restarted environment is a new run with a new token, so it is a new
     service.
     """
-    owner = f"uid={USER},gid={USER},mode=0700,nosuid,nodev"
+    user = environment_user(spec.name)
+    owner = f"uid={user},gid={user},mode=0700,nosuid,nodev"
     home = f"size={HOME_SIZE},nr_inodes={INODES},{owner}"
     sockets = f"size={SOCKETS_SIZE},nr_inodes={SOCKETS_INODES},noexec,nosuid,nodev,mode=0755"  # the agent writes
     requested = spec.options
@@ -181,10 +185,13 @@ def environment_task(
             "Env": [f"{key}={value}" for key, value in variables.items()],
             "Labels": {**labels, SPEC: spec_label(spec), **({EGRESS: spec.egress} if spec.egress != "none" else {})},
             "Hostname": spec.name.partition("/")[2][:LONGEST_HOSTNAME] if spec.group is not None else "",
-            "User": f"{USER}:{USER}",
+            "User": f"{user}:{user}",
             "ReadOnly": True,
             "CapabilityDrop": ["ALL"],
-            "Privileges": {"NoNewPrivileges": True},  # ignored by an older Docker; see `protected` of NodeReport
+            "Privileges": {  # ignored by an older Docker; see `protected` of NodeReport
+                "NoNewPrivileges": True,
+                "Seccomp": {"Mode": "custom", "Profile": base64.b64encode(seccomp.profile().encode()).decode()},
+            },
             "DNSConfig": {"Nameservers": [NO_NAMESERVER] if spec.egress == "none" else list(nameservers)},
             "Init": False,  # the image has an init process
             "StopGracePeriod": STOP_TIMEOUT * NANO,
@@ -265,6 +272,7 @@ def agent_task(
                 *(_bind(path, read_only=True) for path in mounts),
             ],
         },
+        "Resources": {"Limits": {"MemoryBytes": AGENT_MEMORY, "Pids": AGENT_PROCESSES}},
         "RestartPolicy": {"Condition": "any", "Delay": NANO},
         "Networks": [{"Target": "host"}],
         "LogDriver": {"Name": "json-file", "Options": {"max-size": LOG_SIZE, "max-file": "2"}},

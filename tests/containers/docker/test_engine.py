@@ -17,9 +17,11 @@ from tests.support.containers.engine_contract import Endings, opened, spec, with
 
 docker = pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
+from containers.docker import seccomp
 from containers.docker.daemon import Found
 from containers.docker.engine import DockerEngine
 from containers.docker.events import Event
+from containers.docker.options import environment_user
 from containers.engine import RunningEnvironment
 from rce.errors import InvalidRequest, LimitExceeded, StartFailed, Unavailable
 from rce.protocol.slots import MB, PIDS
@@ -41,11 +43,12 @@ class TestDockerEngine(ContainerEngineContract):
 async def test_container_is_confined(world: DockerWorld, engine: DockerEngine) -> None:
     seen = await start_confined(world, engine)
     host = seen["HostConfig"]
-    assert host["SecurityOpt"] == ["no-new-privileges"]
+    assert host["SecurityOpt"] == ["no-new-privileges", f"seccomp={seccomp.profile()}"]
     assert host["NetworkMode"] == "none"
     assert host["RestartPolicy"]["Name"] == "no"
     assert host["MemorySwap"] == 300 * MB
-    assert seen["Config"]["User"].split(":")[0] not in ("", "0", "root")
+    user = environment_user("ann/map")
+    assert seen["Config"]["User"] == f"{user}:{user}"
     binds = {mount["Destination"]: (mount["Source"], mount["RW"]) for mount in seen["Mounts"]}
     assert binds == {
         "/run/rce": (str(world.directory / "environments" / "ann" / "map" / spec().run), False),
@@ -59,6 +62,18 @@ async def test_fork_bomb_is_stopped_by_the_process_limit(world: DockerWorld, end
         ended = await endings.next()
         (created,) = re.findall(r"(\d+) processes", "\n".join(ended.lines))
         assert int(created) < PIDS
+
+
+async def test_users_do_not_share_kernel_limits(world: DockerWorld, endings: Endings) -> None:
+    async with opened(world.engine(endings, "inotify")) as engine:
+        made = []
+        for number, name in enumerate(("ann/a", "bob/b")):
+            await engine.start(spec(name, number))
+            async with asyncio.timeout(20):
+                while "ready" not in (lines := await engine.last_lines(name)):  # noqa: ASYNC110
+                    await asyncio.sleep(0.05)
+            made.append(lines[0])
+        assert made[0] == made[1]
 
 
 async def test_missing_image_is_reported(world: DockerWorld, endings: Endings) -> None:

@@ -13,7 +13,11 @@ from rce.errors import Unavailable
 
 OTHERS = ["-P INPUT ACCEPT", "-A INPUT -i eth0 -m comment --comment other -j DROP"]
 LIST = """#!/bin/sh
-cat "$(dirname "$0")/$4"
+cd "$(dirname "$0")"
+case $3 in
+-S) [ -n "$4" ] && cat "$4" || cat all ;;
+*) echo "$3" "$4" "$5" "$6" >> done ;;
+esac
 """
 RESTORE = """#!/bin/sh
 cat > "$(dirname "$0")/restored"
@@ -41,6 +45,16 @@ class Tables:
     def set(self, chain: str, *rules: str) -> None:
         lines = [*OTHERS, *(f"-A {chain} {rule}" for rule in rules)]
         (self.directory / chain).write_text("".join(f"{line}\n" for line in lines))
+
+    def set_all(self, lines: list[str]) -> None:
+        """Set what `iptables -S` prints for all chains."""
+        (self.directory / "all").write_text("".join(f"{line}\n" for line in lines))
+
+    @property
+    def done(self) -> list[str]:
+        """Return the other commands."""
+        file = self.directory / "done"
+        return [line.strip() for line in file.read_text().splitlines()] if file.exists() else []
 
     @property
     def restored(self) -> list[str]:
@@ -93,6 +107,45 @@ async def test_nothing_is_changed_without_rules_to_remove(tables: Tables) -> Non
     await Firewall().remove_rules("rce-a")
     await Firewall().sweep()
     assert tables.restored == []
+
+
+RULE = "-i rce-a -m comment --comment rce-a -j DROP"
+SET = f"-A {FORWARDED} {RULE}"
+
+
+@pytest.mark.parametrize(
+    ("present", "changed"),
+    [
+        ([f"-N {FORWARDED}", f"-A FORWARD -j {FORWARDED}", "-A INPUT -j LOG", SET], False),
+        ([f"-N {FORWARDED}", f"-A FORWARD -j {FORWARDED}"], True),
+        ([f"-N {FORWARDED}", SET], True),
+        ([], True),
+    ],
+)
+async def test_missing_rule_or_jump_is_noticed(tables: Tables, present: list[str], changed: bool) -> None:
+    tables.set(FORWARDED, RULE)
+    filters = Firewall()
+    assert not await filters.changed()  # as there are no rules of its own
+    await filters.set_rules("rce-a", [(FORWARDED, "-i", "rce-a", "-j", "DROP")])
+    tables.set_all(present)
+    assert await filters.changed() == changed
+    tables.set(FORWARDED)
+    await filters.remove_rules("rce-a")
+    assert not await filters.changed()
+
+
+@pytest.mark.parametrize(
+    ("present", "done"),
+    [
+        ([f"-N {FORWARDED}", f"-A FORWARD -j {FORWARDED}"], []),
+        ([f"-N {FORWARDED}"], [f"-I FORWARD -j {FORWARDED}"]),
+        ([], [f"-N {FORWARDED}", f"-I FORWARD -j {FORWARDED}"]),
+    ],
+)
+async def test_chain_is_restored(tables: Tables, present: list[str], done: list[str]) -> None:
+    tables.set_all(present)
+    await Firewall().restore_chain()
+    assert tables.done == done
 
 
 async def test_bridge_on_another_machine_is_refused(tables: Tables) -> None:

@@ -18,6 +18,7 @@ from tests.support.containers.engine_contract import Endings, PausedLaunch, open
 pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
 from containers.docker import firewall
+from containers.docker import networks as module
 from containers.docker.engine import DockerEngine
 from containers.docker.networks import identity
 from containers.settings import EGRESS_POOL, NAMESERVERS
@@ -109,6 +110,22 @@ async def test_flushed_rules_are_restored(world: DockerWorld, engine: DockerEngi
     async with asyncio.timeout(10):
         while rules() != before:  # noqa: ASYNC110
             await asyncio.sleep(0.05)
+
+
+@pytest.mark.parametrize(
+    "flush", [["-F"], ["-F", "DOCKER-USER"], ["-D", "FORWARD", "-j", "DOCKER-USER"]], ids=["all", "chain", "jump"]
+)
+async def test_rules_flushed_by_another_program_are_restored_within_seconds(
+    world: DockerWorld, monkeypatch: pytest.MonkeyPatch, flush: list[str]
+) -> None:
+    monkeypatch.setattr(module, "CHECK_INTERVAL", 0.05)
+    async with opened(world.engine(Endings())) as engine:
+        await engine.start(replace(member("ann/a", 2), egress="internet"))
+        before, jump = rules(), "-A FORWARD -j DOCKER-USER"
+        output("iptables", *flush)
+        async with asyncio.timeout(20):
+            while rules() != before or jump not in output("iptables", "-S", "FORWARD"):  # noqa: ASYNC110
+                await asyncio.sleep(0.05)
 
 
 async def test_group_members_are_adopted(world: DockerWorld, engine: DockerEngine) -> None:

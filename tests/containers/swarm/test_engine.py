@@ -9,6 +9,7 @@ import pytest
 
 docker = pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
+from containers.docker.options import environment_user
 from containers.swarm.agents import AgentAccess
 from containers.swarm.engine import SwarmEngine
 from rce.errors import LimitExceeded, NoCapacity, StartFailed
@@ -24,7 +25,8 @@ class TestSwarmEngine(ContainerEngineContract):
 
 async def test_container_of_a_task_is_confined(world: SwarmWorld, engine: SwarmEngine) -> None:
     seen = await start_confined(world, engine)
-    assert seen["Config"]["User"] == "10000:10000"
+    user = environment_user("ann/map")
+    assert seen["Config"]["User"] == f"{user}:{user}"
     assert {mount["Destination"]: mount["RW"] for mount in seen["Mounts"]} == {
         "/run/rce": False,
         "/run/rce-user": False,

@@ -72,7 +72,7 @@ def test_request_with_a_limit_is_not_empty(limit: dict[str, object]) -> None:
 
 
 def test_disk_is_mounted_and_left_to_its_mount(cgroups: Path, steps: list[str]) -> None:
-    apply(request(disk=9, disk_file="/volume/disk"))
+    apply(request(disk=9, disk_file="/volume/disk", owner=10000))
     assert steps == ["make /volume/disk of 9 for 10000", "mount /dev/null", "detach /dev/null"]
 
 

@@ -19,6 +19,7 @@ from msgspec.structs import replace
 
 docker = pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
+from containers.docker.options import environment_user
 from containers.swarm.engine import SwarmEngine
 from containers.swarm.resources import hosts
 from rce.control.calls.environments import DownloadTicket, EnvironmentSpec, Group
@@ -106,7 +107,7 @@ async def test_disk_rates_and_bandwidth_are_limited(world: SwarmWorld, engine: S
     home = f"/proc/{process}/root/home/rce"
     seen = os.statvfs(home)
     assert 13 * MB < seen.f_bavail * seen.f_frsize <= 16 * MB
-    assert os.stat(home).st_uid == 10000
+    assert os.stat(home).st_uid == environment_user("ann/map")
     number = os.stat(device).st_rdev
     assert limits_of(process)[f"{os.major(number)}:{os.minor(number)}"] == (3 * MB, 2 * MB)
     assert "tbf" in within(process, "tc", "qdisc", "show", "dev", "eth0")

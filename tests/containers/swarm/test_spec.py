@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
-from containers.swarm.spec import Names, check, spec_label, task_variables
+from containers.swarm.spec import AgentService, Names, agent_task, check, spec_label, task_variables
 from rce.control.calls.environments import EnvironmentSpec, Group
 from rce.errors import InvalidRequest
 from rce.protocol.messages import ContainerData
@@ -57,3 +57,8 @@ def test_socket_volumes_differ_by_user_and_task_set() -> None:
     assert ann.sockets == Names.of(LABELS, "ann/plan", "2" * 32).sockets
     assert ann.sockets != Names.of(LABELS, "bob/map", RUN).sockets
     assert ann.sockets != Names.of({**LABELS, "rce.directory": "/other"}, "ann/map", RUN).sockets
+
+
+def test_agents_have_limits() -> None:
+    task = agent_task(AgentService("rce/agent:1"), "rce/agent:1", {}, LABELS, "/var/lib/docker", None)
+    assert task["Resources"]["Limits"].keys() == {"MemoryBytes", "Pids"}
