@@ -24,12 +24,13 @@ from endpoints.robot.conversion import Codec, FromRobot, Outgoing, ToRobot
 from endpoints.robot.session import Piece, RobotSession
 from endpoints.robot.workers import Workers
 from rce.control.calls.endpoints import InterfaceSpec
-from rce.errors import InvalidRequest, LimitExceeded, NotConnected, RceError, TimedOut
+from rce.errors import ConversionError, InvalidRequest, LimitExceeded, NotConnected, RceError, TimedOut
 from rce.net.budget import OVERHEAD
 from rce.protocol.blobs import ID_SIZE, Buffer, binary_frames
 from rce.protocol.messages import MAX_MSG_ID, DataMessage
 from rce.protocol.names import parse_type
 
+ENCAPSULATIONS = (b"\0\0", b"\0\1")  # CDR, big and little endian
 MAX_PENDING = 1000  # unanswered service calls of one interface
 
 Codecs = Callable[[], Codec]
@@ -37,9 +38,17 @@ Codecs = Callable[[], Codec]
 
 
 class PassThroughCodec:
-    """Codec of Forwarders, for which the blob of a message is its CDR."""
+    """Codec of Forwarders, for which the blob of a message is its CDR.
+
+    Other bytes reach the Forwarders of other robots, as with the original, but nobody else; the robot is told once.
+    """
 
     recipe = Recipe("", "json")  # for no worker
+
+    def __init__(self, tag: str, report: Callable[[RceError], None]) -> None:
+        self._tag = tag
+        self._report = report
+        self._reported = False
 
     def encodes_fast(self, wire: Wire) -> bool:
         """Return True: nothing is converted."""
@@ -55,7 +64,18 @@ class PassThroughCodec:
             raise InvalidRequest(
                 "the message of a Forwarder must be one blob: send msg* with the blob's id", field="msg"
             )
-        return next(iter(wire.blobs.values()))
+        blob = next(iter(wire.blobs.values()))
+        if not self._reported and (len(blob) < 4 or bytes(blob[:2]) not in ENCAPSULATIONS):
+            self._reported = True
+            self._report(
+                ConversionError(
+                    f"interface {self._tag}: the blob is not CDR, the serialized form of ROS 2: it begins with "
+                    f"{bytes(blob[:4]).hex()!r}. Only Forwarders of other robots get it; "
+                    "ROS 1 and compressed (gzip_lvl) bytes are not converted",
+                    field="msg",
+                )
+            )
+        return blob
 
     def decode(self, cdr: Buffer) -> Wire:
         """Return the CDR as a blob with a new id."""
@@ -481,21 +501,21 @@ def make_interface(
     name = parse_type(spec.type)
     if prefix in ("Publisher", "Subscriber"):
         image = cast(Literal["png", "jpeg", "json"], spec.format)
-        codec = _codecs(session, forward, lambda original: types.message(name, image, original=original))
+        codec = _codecs(session, spec.tag, forward, lambda original: types.message(name, image, original=original))
         return (Publisher if prefix == "Publisher" else Subscriber)(spec, hops, session, workers, codec)
-    request = _codecs(session, forward, lambda original: types.service(name, original=original).request)
-    response = _codecs(session, forward, lambda original: types.service(name, original=original).response)
+    request = _codecs(session, spec.tag, forward, lambda original: types.service(name, original=original).request)
+    response = _codecs(session, spec.tag, forward, lambda original: types.service(name, original=original).response)
     kind = ServiceClient if prefix == "ServiceClient" else ServiceProvider
     return kind(spec, hops, session, workers, request, response, timeout)
 
 
-def _codecs(session: RobotSession, forward: bool, choose: Callable[[bool], Codec]) -> Codecs:
+def _codecs(session: RobotSession, tag: str, forward: bool, choose: Callable[[bool], Codec]) -> Codecs:
     """Return the codec of an interface as a function, because the features of a session may change when it resumes.
 
     A robot without features is a client of the original and gets its JSON.
     """
     if forward:
-        codec = PassThroughCodec()
+        codec = PassThroughCodec(tag, session.error)
         return lambda: codec
     choose(not session.features)  # raises UnknownType
     return lambda: choose(not session.features)

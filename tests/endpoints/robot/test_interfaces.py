@@ -77,6 +77,19 @@ async def forwarders(platform: Platform, features: str = "", **more: Any) -> tup
     return a, b
 
 
+@pytest.mark.parametrize("blob", [b"\x05\0\0\0hello", b"\x78\x9c\x01\0\0", b""])
+async def test_forwarded_bytes_that_are_not_cdr_are_reported_once(platform: Platform, blob: bytes) -> None:
+    a, b = await forwarders(platform)
+    for _ in range(2):
+        await a.send(image(ID), ID.encode() + blob)
+        assert (await b.receive())["type"] == "DM"
+        assert (await b.receive())[32:] == blob, "the Forwarder of another robot gets them in any case"
+    error = await a.receive()
+    assert error["type"] == "ER"
+    assert "interface out: the blob is not CDR" in error["data"]
+    await a.expect_silence()
+
+
 async def test_small_message_overtakes_parts_of_large_one(platform: Platform) -> None:
     a, b = await forwarders(platform, "parts")
     large = bytes(100) * 200_000
@@ -301,9 +314,10 @@ async def test_pictures_do_not_stop_the_event_loop_and_stay_in_order(platform: P
         for side in (4000, 8, 2000):
             await send_picture(a, "out", png(side), str(side))
         frames = []
-        for _ in range(3):
-            frames.append(json.loads(await asyncio.wait_for(b.socket.recv(), 60)))
-            await b.socket.recv()
+        async with asyncio.timeout(60):
+            for _ in range(3):
+                frames.append(json.loads(await b.socket.recv()))
+                await b.socket.recv()
     assert [frame["data"]["msgID"] for frame in frames] == ["4000", "8", "2000"]
     assert longest[0] < 0.03, "decoding or encoding 16 megapixels takes several times as long"
 
