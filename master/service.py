@@ -7,11 +7,12 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TypeVar
 
+import sqlalchemy as sa
 from twisted.logger import Logger
 
 import rce
 from master.access.audit import Audit
-from master.access.guard import Guard
+from master.access.guard import REFRESH, Guard
 from master.access.join_tokens import JoinTokens
 from master.access.service_calls import ServiceCalls
 from master.access.user_limits import UserLimits
@@ -103,6 +104,7 @@ class Master:
         await self.limits.open()
         self._runner.keep(asyncio.create_task(self.limits.follow()))
         self._runner.keep(asyncio.create_task(self.guard.follow()))
+        self._runner.keep(asyncio.create_task(self._follow_removals()))
         packages.drop_strays(self.state, set(await self.users.names()))
         self._runner.remove_unused_archives()
         self.process_tracker.begin()
@@ -145,6 +147,26 @@ class Master:
         )
         handlers = self._handlers(process)
         return Welcome(credential), handlers, lambda control: self.process_tracker.joined(process, hello, control)
+
+    async def _follow_removals(self) -> None:
+        while True:
+            await asyncio.sleep(REFRESH)
+            try:
+                await self.evict_removed()
+            except sa.exc.SQLAlchemyError as error:
+                log.warn("credentials of processes could not be checked: {error}", error=str(error))
+
+    async def evict_removed(self) -> None:
+        """Disconnect processes whose credentials were revoked, as `rce machine remove` does beside the Master."""
+        present = [
+            process.name
+            for process in self.state.processes
+            if process.role != "environment" and not self.state.gone(process.name)
+        ]
+        known = set(await self.join_tokens.names())
+        for name in present:
+            if name not in known and not self.state.gone(name):
+                await self.process_tracker.evict(name)
 
     def _handlers(self, process: Process) -> Handlers:
         handlers = Handlers()

@@ -19,6 +19,7 @@ from twisted.logger import Logger
 import rce
 from master.access.join_tokens import JoinTokens
 from rce.api.joining import Invitation, JoinCode, JoinRequest, Membership, Role, process_name
+from rce.api.views import KeyView
 from rce.errors import InternalError, InvalidRequest, RceError, Unauthorized
 from rce.net.certificates import Authority, fingerprint
 from rce.net.tls import CA
@@ -35,19 +36,29 @@ log = Logger()
 
 
 async def invite(
-    join_tokens: JoinTokens, name: str, roles: Sequence[Role], address: str = "", hours: float = HOURS
+    join_tokens: JoinTokens,
+    name: str,
+    roles: Sequence[Role],
+    address: str = "",
+    hours: float = HOURS,
+    by: KeyView | None = None,
 ) -> Invitation:
     """Allow a machine of this name to join once within the next hours; one that has joined gets a new certificate.
 
+    `by` is the API key with which this is done: the invitation ends with it.
+
     Raises:
         InvalidRequest: The name is not a host name, or there is no role.
+        Unauthorized: The key was revoked.
     """
     check_name(name)
     if not roles:
         raise InvalidRequest("a machine has the role robot, container or both", field="roles")
     expires = int(time.time() + hours * 3600)
+    if by is not None and by.expires is not None:
+        expires = min(expires, int(by.expires))
     invitation = Invitation(name, list(dict.fromkeys(roles)), expires, secrets.token_hex(16), address)
-    await join_tokens.invite(name, invitation.digest)
+    await join_tokens.invite(name, invitation.digest, by.id if by else "")
     return invitation
 
 
@@ -67,15 +78,17 @@ class Inviter:
         host = f"[{address}]" if ":" in address else address
         return Inviter(join_tokens, f"https://{host}:{port_of(machines)}/", fingerprint((tls / CA).read_text()))
 
-    async def code(self, name: str, roles: Sequence[Role], address: str = "", hours: float = HOURS) -> JoinCode:
-        """Return a join code for one machine, good once within these hours.
+    async def code(
+        self, name: str, roles: Sequence[Role], address: str = "", hours: float = HOURS, by: KeyView | None = None
+    ) -> JoinCode:
+        """Return a join code for one machine, good once within these hours and while the API key `by` is valid.
 
         Raises:
             InvalidRequest: As `invite`, or the hours are not above 0 and at most a year.
         """
         if not 0 < hours <= MAX_HOURS:
             raise InvalidRequest(f"a join code is valid for more than 0 and at most {MAX_HOURS:g} hours", field="hours")
-        return JoinCode(self._url, self._authority, await invite(self._join_tokens, name, roles, address, hours))
+        return JoinCode(self._url, self._authority, await invite(self._join_tokens, name, roles, address, hours, by))
 
 
 def check_name(name: str) -> None:

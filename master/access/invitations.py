@@ -17,7 +17,7 @@ from master.access.audit import Audit, Origin
 from master.access.enrolment import HOURS, Inviter
 from master.access.join_tokens import JoinTokens
 from master.storage.store import Store
-from rce.api.joining import Role, process_name
+from rce.api.joining import Role
 from rce.api.roles import Principal
 from rce.errors import InvalidRequest, RceError
 from rce.process import settings
@@ -77,9 +77,7 @@ async def _act(processes: JoinTokens, options: Settings, words: argparse.Namespa
                 )
             print((await inviter.code(words.name, words.role or ROLES, words.address, words.hours)).text())
         case "remove":
-            for role in ROLES:
-                await processes.forget(process_name(words.name, role))
-            await processes.forget(words.name)
+            await processes.remove_machine(words.name)
         case "list":
             names = await processes.names()
             print(msgspec.json.encode(names).decode() if words.json else "\n".join(names))

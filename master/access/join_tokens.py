@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Collection
+from typing import get_args
 
 import sqlalchemy as sa
 
@@ -14,7 +15,9 @@ from master.access.grants import digest
 from master.graph.records import Role
 from master.storage import tables as db
 from master.storage.store import Store
-from rce.errors import Unauthorized
+from rce.api.joining import Role as MachineRole
+from rce.api.joining import process_name
+from rce.errors import NotFound, Unauthorized
 
 MACHINE = "machine"  # role of the invitation of a machine
 
@@ -35,16 +38,25 @@ class JoinTokens:
 
         await self._store.run(put)
 
-    async def invite(self, machine: str, invitation: str) -> None:
-        """Store the invitation of a machine by its digest; an earlier unused one is revoked."""
+    async def invite(self, machine: str, invitation: str, key: str = "") -> None:
+        """Store the invitation of a machine by its digest; an earlier unused one is revoked.
+
+        It ends with the API key of this id, with which it was made.
+
+        Raises:
+            Unauthorized: The key was revoked.
+        """
 
         def put(connection: sa.Connection) -> None:
             unused = sa.and_(db.tokens.c.process == machine, db.tokens.c.role == MACHINE, db.tokens.c.used.is_(False))
             connection.execute(db.tokens.delete().where(unused))
-            row = {"digest": invitation, "process": machine, "role": MACHINE, "used": False}
+            row = {"digest": invitation, "process": machine, "role": MACHINE, "used": False, "key": key or None}
             connection.execute(db.tokens.insert(), row)
 
-        await self._store.run(put)
+        try:
+            await self._store.run(put)
+        except sa.exc.IntegrityError:
+            raise Unauthorized("the API key was revoked") from None
 
     async def redeem(self, machine: str, invitation: str) -> bool:
         """Use up an invitation; return whether it was valid."""
@@ -93,6 +105,17 @@ class JoinTokens:
         """Return the processes that have joined at least once, without environments."""
         query = sa.select(db.credentials.c.process).where(db.credentials.c.role != "environment")
         return await self._store.run(lambda connection: sorted(connection.scalars(query)))
+
+    async def remove_machine(self, machine: str) -> None:
+        """Revoke the credentials of a machine's processes and its invitation.
+
+        Raises:
+            NotFound: There is no such machine.
+        """
+        if not await self.forget(machine, *(process_name(machine, role) for role in get_args(MachineRole))):
+            raise NotFound(
+                f"there is no machine {machine[:80]!r}: `rce machine list` names those that have joined", field="name"
+            )
 
     async def forget(self, *processes: str) -> bool:
         """Revoke the credentials and the tokens of processes; return whether there were any."""

@@ -8,7 +8,7 @@ from msgspec import Meta
 
 from master.access import rights
 from master.access.enrolment import Inviter
-from master.api.principals import authorize, authorize_list, authorize_platform, page_of_views
+from master.api.principals import authorize, authorize_list, authorize_platform, page_of_views, principal_of
 from master.api.request import Answer, Call, ListQuery, OwnerQuery, PageQuery
 from master.api.router import Api, Route
 from master.graph.records import user_of
@@ -76,7 +76,9 @@ class MachinesApi:
         wanted = call.body(NewInvitation)
         if self._inviter is None:
             raise NotFound("machines cannot join this Master: it lacks the settings machines and tls")
-        code = await self._inviter.code(wanted.name, wanted.roles, wanted.address, wanted.hours)
+        principal = principal_of(call)
+        by = await self._master.users.keys.get(principal.user, principal.key) if principal.key else None
+        code = await self._inviter.code(wanted.name, wanted.roles, wanted.address, wanted.hours, by)
         return Answer(Invited(wanted.name, code.text(), code.invitation.expires), 201)
 
     async def _list_groups(self, call: Call) -> Answer:

@@ -78,6 +78,36 @@ class ProcessTracker:
         if process.name in self._state.processes:
             self._begin_grace(process)
 
+    async def evict(self, name: str) -> None:
+        """Disconnect a process that may not join any more, with the environments of its machine, and give it up."""
+        reason = f"its machine {name} was removed"
+        environments = [environment.name for environment in self._state.environments.by(at(name))]
+        for each in (name, *environments):
+            self._disconnect(each)
+        for environment in reconcile.lost_with(self._state, name):
+            self._lifecycle.take_down(environment, reason)
+        await self._give_up(name)
+
+    def _disconnect(self, name: str) -> None:
+        control, process = self._controls.pop(name, None), self._state.processes.get(name)
+        if control is not None and process is not None:
+            log.warn("{role} {name} is disconnected: it was removed", role=process.role, name=name)
+            control.close()
+            self._events.process_moved(process, False)
+        if name in self._away:
+            self._away.pop(name).cancel()
+        reconcile.left(self._state, name)
+        self._state.expected.discard(name)
+        self._view_cache.process_moved(name)
+
+    async def _give_up(self, name: str) -> None:
+        process = self._state.processes.get(name)
+        if process is not None and process.role == "robot":
+            await self._endpoint_gone(name)
+        else:
+            self._refuse_unplaceable()
+            self._runner.later(RETRY_FIRST, self._resettle)
+
     def _begin_grace(self, process: Process, times: float = 1) -> None:
         name = process.name
         self._state.expected.add(name)

@@ -79,13 +79,6 @@ tokens = sa.Table(
         "key", sa.String(32), sa.ForeignKey("api_keys.id", ondelete="CASCADE"), index=True
     ),  # with which a machine was invited; null: with a password
 )
-# Certificates that these machines got before they were removed are refused.
-removed_machines = sa.Table(
-    "removed_machines",
-    tables,
-    sa.Column("name", sa.String(64), primary_key=True),
-    sa.Column("time", sa.Float, nullable=False),
-)
 # Rows are added, and removed when they are too old; none is changed.
 audit = sa.Table(
     "audit",

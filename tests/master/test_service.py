@@ -53,6 +53,18 @@ async def test_removed_environment_cannot_join(furnished: Furnished) -> None:
         await furnished.platform.process("environment", "ann/brain", token=furnished.brain.credential)
 
 
+async def test_process_whose_credentials_were_revoked_is_disconnected(furnished: Furnished) -> None:
+    master = furnished.platform.master
+    await master.evict_removed()
+    assert "west" in master.state.joined
+    await master.join_tokens.forget("west")  # as `rce machine remove` does, beside the Master
+    await master.evict_removed()
+    assert "west" not in master.state.joined
+    await furnished.platform.until(lambda: furnished.west.control.lost.done())
+    with pytest.raises(Unauthorized):
+        await furnished.platform.endpoint(token=furnished.west.credential)
+
+
 CALLS_OF_ROLES: dict[str, set[str]] = {
     "robot": {"Login", "SessionExpired", "SocketStatus", "Execute", "DescribeType"},
     "container": {"EnvironmentDied", "LimitReached", "FetchPackage"},
@@ -94,6 +106,14 @@ async def test_error_of_an_environment_reaches_the_robots_of_its_user(furnished:
     assert sent[1:] == [("ann/r1", ErrorInfo("invalid_request", "no such type"))]  # after that it is ready
 
 
+async def test_drops_of_an_environment_reach_the_robots_of_its_user(furnished: Furnished) -> None:
+    await login(furnished.west, "bob/r1")
+    await furnished.brain.call(Report("ann/brain", "pose", drops=3))
+    assert await told(furnished.west, m.DropEvent) == m.DropEvent("brain/pose", 3, "in environment brain")
+    sent = [call.robot for call in furnished.west.arrived if isinstance(call, SendStatus)]
+    assert sent[1:] == ["ann/r1"]
+
+
 # --- questions to processes -------------------------------------------------------------------------------------------
 
 
@@ -106,14 +126,6 @@ async def test_environment_that_is_away_is_unavailable(furnished: Furnished) -> 
 
 async def test_metrics_of_a_process_that_is_away_are_unavailable(platform: Platform) -> None:
     with pytest.raises(Unavailable):
-async def test_drops_of_an_environment_reach_the_robots_of_its_user(furnished: Furnished) -> None:
-    await login(furnished.west, "bob/r1")
-    await furnished.brain.call(Report("ann/brain", "pose", drops=3))
-    assert await told(furnished.west, m.DropEvent) == m.DropEvent("brain/pose", 3, "in environment brain")
-    sent = [call.robot for call in furnished.west.arrived if isinstance(call, SendStatus)]
-    assert sent[1:] == ["ann/r1"]
-
-
         await platform.master.metrics_of("west")
 
 

@@ -23,6 +23,7 @@ from master.access.enrolment import (
     port_of,
 )
 from master.access.join_tokens import JoinTokens
+from master.access.users import Users
 from master.storage.store import Store
 from rce.api.joining import Invitation, JoinRequest, Membership, parse_join_code
 from rce.errors import InvalidRequest, Unauthorized
@@ -249,3 +250,15 @@ async def test_defect_is_not_told(
     assert (status, msgspec.json.decode(contents)["code"]) == (500, "internal")
     assert b"secret" not in contents
     assert len(failures) == 1
+
+
+async def test_invitation_ends_with_the_key_with_which_it_was_made(store: Store) -> None:
+    users, tokens = Users(store), JoinTokens(store)
+    await users.add("olga", "x", "operator")
+    _, key = await users.keys.add("olga", "operator", expires=time.time() + 60)
+    invitation = await invite(tokens, "beta", ["robot"], by=key)
+    assert invitation.expires <= (key.expires or 0)
+    await users.keys.revoke("olga", key.id)
+    assert not await tokens.redeem("beta", invitation.digest)
+    with pytest.raises(Unauthorized):
+        await invite(tokens, "beta", ["robot"], by=key)

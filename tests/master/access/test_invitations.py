@@ -13,7 +13,7 @@ from master.access.invitations import main, parser, run
 from master.access.join_tokens import JoinTokens
 from master.storage.store import Store
 from rce.api.joining import parse_join_code
-from rce.errors import InvalidRequest, RceError, Unauthorized
+from rce.errors import InvalidRequest, NotFound, RceError, Unauthorized
 from rce.net.certificates import Authority, fingerprint
 from rce.net.tls import CA
 
@@ -76,6 +76,11 @@ async def test_removed_machine_has_no_credentials(
         with pytest.raises(Unauthorized):
             await tokens.admit(name, role, credential)
     assert not await tokens.redeem("beta", invitation.digest)
+
+
+async def test_removal_of_an_unknown_machine_fails(command: Command) -> None:
+    with pytest.raises(NotFound, match="no machine 'btea'"):
+        await command("remove", "btea")
 
 
 async def test_machines_that_have_joined_are_listed(

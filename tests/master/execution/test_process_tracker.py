@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+
 from master.execution.lifecycle import RETRY_FIRST
 from master.graph.records import Robot
 from rce.control.calls.endpoints import AddRoute, RemoveRoute, Sync
@@ -52,6 +54,27 @@ def test_environments_of_a_lost_machine_move_with_their_contents(desk: Desk) -> 
     back = desk.machine("m1", brain=before)
     assert back.got(KeepEnvironments) == [KeepEnvironments([])]
     assert desk.at("brain") == "m2"
+
+
+def test_removed_machine_loses_its_environments_at_once(desk: Desk) -> None:
+    west, m1 = desk.robot(), desk.machine("m1")
+    brain = desk.made("brain")
+    m2 = desk.machine("m2")
+    desk.hand.do(lambda: asyncio.ensure_future(desk.master.process_tracker.evict("m1")))
+    assert m1.lost.done()
+    assert brain.lost.done()
+    assert events(west)[1:] == [("brain", "lost")]
+    desk.turn(RETRY_FIRST)
+    (start,) = m2.got(StartEnvironment)
+    assert start.environment.name == "ann/brain"
+    assert desk.at("brain") == "m2"
+
+
+def test_removed_robot_endpoint_loses_its_robots_at_once(desk: Desk) -> None:
+    west = desk.robot()
+    desk.hand.do(lambda: asyncio.ensure_future(desk.master.process_tracker.evict("west")))
+    assert west.lost.done()
+    assert "ann/r1" not in desk.state.robots
 
 
 def test_environment_lives_while_its_endpoint_is_connected(desk: Desk) -> None:

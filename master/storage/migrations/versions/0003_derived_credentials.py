@@ -1,4 +1,4 @@
-"""Credentials name the API key with which they were made. Machines that were removed are remembered."""
+"""Credentials name the API key with which they were made."""
 
 from __future__ import annotations
 
@@ -21,9 +21,3 @@ def upgrade() -> None:
             op.create_index(f"ix_{table}_{column}", table, [column])
     if "ix_tokens_process" not in {each["name"] for each in inspector.get_indexes("tokens")}:
         op.create_index("ix_tokens_process", "tokens", ["process"])
-    if "removed_machines" not in inspector.get_table_names():
-        op.create_table(
-            "removed_machines",
-            sa.Column("name", sa.String(64), primary_key=True),
-            sa.Column("time", sa.Float, nullable=False),
-        )
