@@ -31,7 +31,7 @@ from rce.control.calls.watching import EnvironmentUsage, MeasureUsage, Metrics, 
 from rce.control.client import ControlClient
 from rce.control.connection import Handlers
 from rce.control.credential import Credential, stay_joined
-from rce.errors import RceError
+from rce.errors import RceError, StartFailed
 from rce.net.tls import Tls
 from rce.process import metrics
 from rce.process.ready import Ready, announce
@@ -86,7 +86,8 @@ class TaskSet:
         self._link = ControlClient(reactor, master, self._hello, handlers, self._welcomed, tls)
         self._engine.request_ticket = lambda digest: self._link.call(FetchPackage(digest))
         self._packages = PackageCache(packages, Fetcher(self._link, master, entry, tls).fetch)
-        self._starting: set[str] = set()
+        self._starting: dict[str, str] = {}  # environments by run
+        self._stopped: set[str] = set()  # runs that were stopped while they started
 
     async def run(self, *, stop_environments: bool) -> None:
         """Serve the Master until cancelled or refused; the Master's error is then raised.
@@ -127,22 +128,26 @@ class TaskSet:
 
     async def _start(self, call: StartEnvironment) -> Nothing:
         spec = call.environment
-        self._starting.add(spec.run)
+        self._starting[spec.run] = spec.name
         began = time.perf_counter()
         try:
             await self._packages.provide(spec.run, [] if self._engine.fetches_packages else spec.packages)
+            if spec.run in self._stopped:  # while its packages were fetched: the engine did not know of it
+                raise StartFailed(f"environment {spec.name} was stopped while it started")
             await self._engine.start(spec)
         except RceError as error:
             log.warn("{name} did not start: {error}", name=spec.name, run=spec.run, error=str(error))
             raise
         finally:
-            self._starting.discard(spec.run)
+            self._starting.pop(spec.run, None)
+            self._stopped.discard(spec.run)
             await self._release()
         _launches.labels().observe_since(began)
         log.info("started {name}", name=spec.name, run=spec.run)
         return Nothing()
 
     async def _stop(self, call: StopEnvironment) -> Nothing:
+        self._stopped.update(run for run, name in self._starting.items() if name == call.name)
         await self._engine.stop(call.name)
         await self._release()
         log.info("stopped {name}", name=call.name)
@@ -181,7 +186,7 @@ class TaskSet:
     async def _release(self) -> None:
         """Release packages that no environment uses any more."""
         running = {each.run for each in self._engine.running().values()}
-        await self._packages.release(running | self._starting)
+        await self._packages.release(running | set(self._starting))
 
     def _ended(self, ended: EnvironmentEnded) -> None:
         reason = "\n".join([ended.reason, *ended.lines])

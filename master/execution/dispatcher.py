@@ -8,6 +8,7 @@ from typing import TypeVar
 from master.graph.effects import Send
 from master.graph.records import Ref
 from rce.control.calls.call import Call
+from rce.control.calls.environments import StartEnvironment, StopEnvironment
 from rce.control.connection import Control
 from rce.errors import TimedOut, Unavailable
 
@@ -17,19 +18,27 @@ R = TypeVar("R")
 class Turn:
     """Place of one call in the queue of the calls about the same thing at one process.
 
-    `control` is the connection at the time of the reservation; `over` resolves when the turn has ended.
+    `control` is the connection at the time of the reservation; `sent` resolves when the call is about to be made, and
+    `over` when the turn has ended.
     """
 
-    __slots__ = ("before", "control", "over", "send")
+    __slots__ = ("before", "control", "over", "send", "sent")
 
     def __init__(self, send: Send, control: Control | None, before: list[asyncio.Future[None]]) -> None:
         self.send = send
         self.control = control
         self.before = before
+        self.sent: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.over: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+    def going(self) -> None:
+        """Let calls go ahead that only need to be made after this one."""
+        if not self.sent.done():
+            self.sent.set_result(None)
 
     def end(self) -> None:
         """Let the next call go ahead."""
+        self.going()
         if not self.over.done():
             self.over.set_result(None)
 
@@ -48,7 +57,8 @@ class Dispatcher:
     def reserve(self, send: Send) -> Turn:
         """Take the turn of a call, in the order of reservations. The caller ends it."""
         key = (send.to, send.about)
-        before = [self._last[each].over for each in {key, (send.to, None)} if each in self._last]
+        last = [self._last[each] for each in {key, (send.to, None)} if each in self._last]
+        before = [turn.sent if _interrupts(send, turn.send) else turn.over for turn in last]
         turn = Turn(send, self.controls.get(send.to), before)
         self._last[key] = turn
 
@@ -93,3 +103,8 @@ class Dispatcher:
             return await asyncio.wait_for(control.call(call), seconds)
         except TimeoutError:
             raise TimedOut(f"{process} did not answer within {seconds:g} s") from None
+
+
+def _interrupts(later: Send, earlier: Send) -> bool:
+    """Return True for the removal of an environment that starts: its machine then cancels the start, which may hang."""
+    return isinstance(later.call, StopEnvironment) and isinstance(earlier.call, StartEnvironment)

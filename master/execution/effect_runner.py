@@ -120,7 +120,9 @@ class EffectRunner:
     async def _call(self, turn: Turn) -> object:
         try:
             control = await self.dispatcher.wait(turn)
-            return await control.call(await self._with_token(turn.send.call))
+            call = await self._with_token(turn.send.call)
+            turn.going()  # those who wait for this run later
+            return await control.call(call)
         finally:
             turn.end()
 

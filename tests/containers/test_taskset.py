@@ -112,6 +112,27 @@ async def test_failed_start_has_a_reason(master: FakeMaster, tmp_path: Path) -> 
         assert error.value.info.fields == {"lines": ["pull access denied"]}
 
 
+async def test_environment_that_is_stopped_while_its_packages_are_fetched_does_not_start(
+    master: FakeMaster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with Running(master, tmp_path) as running:
+        control = await joined(master)
+        fetching, fetched = asyncio.Event(), asyncio.Event()
+
+        async def provide(run: str, digests: object) -> None:
+            fetching.set()
+            await fetched.wait()
+
+        monkeypatch.setattr(running.task_set._packages, "provide", provide)
+        start = asyncio.create_task(control.call(StartEnvironment(spec())))
+        await fetching.wait()
+        await control.call(StopEnvironment(spec().name))
+        fetched.set()
+        with pytest.raises(StartFailed, match="was stopped while it started"):
+            await start
+        assert not running.task_set._engine.running()
+
+
 async def test_unknown_call_is_refused(master: FakeMaster, tmp_path: Path) -> None:
     async with Running(master, tmp_path):
         control = await joined(master)
