@@ -1,8 +1,8 @@
 """Contexts: the platforms that this user has signed in to, with an API key each, in a file only they can read.
 
-A command takes its platform from `--url` (or RCE_URL), else from a context: that of `--context` (or RCE_CONTEXT), else
-the current one. For an entry named by its address, the credentials are RCE_KEY, or RCE_PASSWORD with `--user` (or
-RCE_USER), else those of a context with this address.
+A command takes its platform from `--url`, else from the context of `--context`, else from RCE_URL, else from the
+context of RCE_CONTEXT, else from the current one. For an entry named by its address, the credentials are RCE_KEY, or
+RCE_PASSWORD with `--user` (or RCE_USER), else those of a context with this address.
 """
 
 from __future__ import annotations
@@ -101,7 +101,8 @@ def access(url: str = "", user: str = "", context: str = "") -> Access:
         Unauthorized: Neither options, environment variables nor a context give credentials.
         NotFound: There is no context of this name.
     """
-    url = url or os.environ.get("RCE_URL", "")
+    if not context:
+        url = url or os.environ.get("RCE_URL", "")
     if url:
         return _access_at(url, user or os.environ.get("RCE_USER", ""))
     contexts = load()
@@ -129,13 +130,15 @@ def _access_at(url: str, user: str) -> Access:
 def running_platform(args: argparse.Namespace) -> Access:
     """Return entry and credentials for the options `RUNNING` or `RUNNING_OR_OWN` of a command line.
 
-    Without --url and credentials it is the platform that the user is signed in to, else one of development on this
-    machine.
+    RCE_URL and RCE_USER stand for the options. Without a URL and credentials it is the platform that the user is signed
+    in to, else one of development on this machine.
     """
+    url = args.url or os.environ.get("RCE_URL", "")
+    user = os.environ.get("RCE_USER") or DEV_USER if args.user == DEV_USER else args.user
     password = args.password or os.environ.get("RCE_PASSWORD")
     key = None if password else os.environ.get("RCE_KEY")
-    if password is None and key is None and args.user == DEV_USER:
-        if not args.url and load().current:
+    if password is None and key is None and user == DEV_USER:
+        if not url and (os.environ.get("RCE_CONTEXT") or load().current):
             return access()
         password = DEV_USER
-    return Access(args.url or LOCAL_URL, args.user, password, key)
+    return Access(url or LOCAL_URL, user, password, key)

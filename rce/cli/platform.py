@@ -8,9 +8,12 @@ import contextlib
 import sys
 import tempfile
 from collections import deque
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterable, Iterator
 from pathlib import Path
 from typing import IO
+
+import msgspec
+from msgspec import Struct
 
 from rce.cli.arguments import DEV_USER
 from rce.cli.contexts import Access, running_platform
@@ -19,6 +22,13 @@ from rce.process import up
 from rce.process.ready import Ready
 
 LOG_LINES = 20  # printed when a started program fails
+
+
+class _Entry(Struct):
+    """Line of a log."""
+
+    level: str
+    message: str
 
 
 @contextlib.asynccontextmanager
@@ -63,5 +73,17 @@ def programs_log() -> Iterator[IO[str]]:
             yield log
         except (StartFailed, InternalError) as error:
             log.seek(0)
-            sys.stderr.writelines(deque(log, LOG_LINES))
-            raise error from None
+            lines = deque(log, LOG_LINES)
+            sys.stderr.writelines(lines)
+            reason = _last_error(lines)
+            raise type(error)(f"{error}: {reason}" if reason else str(error)) from None
+
+
+def _last_error(lines: Iterable[str]) -> str:
+    """Return the message of the last error in a log, or nothing if there is none."""
+    reason = ""
+    for line in lines:
+        with contextlib.suppress(msgspec.DecodeError):
+            entry = msgspec.json.decode(line, type=_Entry)
+            reason = entry.message if entry.level in ("error", "critical") else reason
+    return reason

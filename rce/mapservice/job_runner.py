@@ -112,10 +112,11 @@ class JobRunner:
             process.stdin.close()
             return await self._read_reports(process, on_report)
         except asyncio.CancelledError:
-            with contextlib.suppress(ProcessLookupError):
-                process.terminate()
-            with contextlib.suppress(TimeoutError, RceError):
-                await asyncio.wait_for(self._read_reports(process, on_report), STOP_TIMEOUT)
+            if task.platform is not None:  # else it has nothing to remove, and may be deep in a recording
+                with contextlib.suppress(ProcessLookupError):
+                    process.terminate()
+                with contextlib.suppress(TimeoutError, RceError):
+                    await asyncio.wait_for(self._read_reports(process, on_report), STOP_TIMEOUT)
             raise
         finally:
             with contextlib.suppress(ProcessLookupError):

@@ -90,6 +90,12 @@ def set_variables(monkeypatch: pytest.MonkeyPatch, variables: dict[str, str]) ->
         ({"context": "work"}, {}, SIGNED_IN_WORK),
         ({}, {"RCE_CONTEXT": "work"}, SIGNED_IN_WORK),
         ({"context": "home"}, {"RCE_CONTEXT": "work"}, SIGNED_IN_HOME),
+        ({"context": "work"}, {"RCE_URL": "http://a/", "RCE_KEY": "rce_k"}, SIGNED_IN_WORK),
+        (
+            {},
+            {"RCE_CONTEXT": "work", "RCE_URL": "http://a/", "RCE_KEY": "rce_k"},
+            Access("http://a/", "", None, "rce_k"),
+        ),
         ({}, {"RCE_KEY": "rce_k"}, SIGNED_IN_HOME),
         ({"url": "http://a/"}, {"RCE_KEY": "rce_k"}, Access("http://a/", "", None, "rce_k")),
         ({}, {"RCE_URL": "http://a/", "RCE_KEY": "rce_k"}, Access("http://a/", "", None, "rce_k")),
@@ -136,6 +142,16 @@ def test_password_without_a_user_is_refused(two_contexts: Path, monkeypatch: pyt
         ({"password": "pw"}, {"RCE_KEY": "rce_k"}, Access(LOCAL_URL, DEV_USER, "pw", None)),
         ({}, {"RCE_KEY": "rce_k"}, Access(LOCAL_URL, DEV_USER, None, "rce_k")),
         ({"user": "eve"}, {"RCE_PASSWORD": "pw"}, Access(LOCAL_URL, "eve", "pw", None)),
+        ({}, {"RCE_URL": "http://a/"}, Access("http://a/", DEV_USER, DEV_USER, None)),
+        ({}, {"RCE_URL": "http://a/", "RCE_KEY": "rce_k"}, Access("http://a/", DEV_USER, None, "rce_k")),
+        (
+            {},
+            {"RCE_URL": "http://a/", "RCE_USER": "eve", "RCE_PASSWORD": "pw"},
+            Access("http://a/", "eve", "pw", None),
+        ),
+        ({"url": "http://b/"}, {"RCE_URL": "http://a/"}, Access("http://b/", DEV_USER, DEV_USER, None)),
+        ({"user": "eve"}, {"RCE_USER": "bob", "RCE_PASSWORD": "pw"}, Access(LOCAL_URL, "eve", "pw", None)),
+        ({}, {"RCE_CONTEXT": "work"}, SIGNED_IN_WORK),
     ],
 )
 def test_running_platform_is_the_current_context_unless_options_say_otherwise(

@@ -33,6 +33,13 @@ def test_missing_library_is_reported_with_the_extra_to_install(words: list[str],
     assert "pip install '.[server" in ended.stderr
 
 
+def test_help_of_map_needs_no_mapping_library() -> None:
+    code = WITHOUT.replace('"rosbags")', '"rosbags", "numba", "scipy", "cv2")')
+    ended = subprocess.run([sys.executable, "-c", code, "map", "--help"], capture_output=True, text=True, timeout=30)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert ended.stdout.startswith("usage: rce map ")
+
+
 def test_list_command_does_not_import_slow_modules() -> None:
     """Importing any of these takes a good part of the time that a list command may take."""
     slow = ["asyncio", "numpy", "prompt_toolkit", "statistics", "twisted", "websockets"]

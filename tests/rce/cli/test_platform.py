@@ -102,6 +102,18 @@ def test_last_lines_of_the_log_are_printed_on_failure(error: Exception, capsys: 
     assert (len(lines), lines[0], lines[-1]) == (LOG_LINES, "line 5", f"line {LOG_LINES + 4}")
 
 
+def start_without_docker() -> None:
+    with programs_log() as log:
+        log.write('{"level": "error", "message": "no Docker answers"}\n')
+        log.write('{"level": "info", "message": "stopping"}\nTraceback\n')
+        raise StartFailed("container did not start")
+
+
+def test_error_has_the_reason_from_the_log() -> None:
+    with pytest.raises(StartFailed, match=r"^container did not start: no Docker answers$"):
+        start_without_docker()
+
+
 def test_log_is_not_printed_for_other_errors(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(NotFound):
         fail_after(1, NotFound("no scans"))

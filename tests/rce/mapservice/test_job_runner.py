@@ -148,3 +148,12 @@ async def test_unreachable_platform_does_not_fail_the_clean_up() -> None:
     async with FakePlatform() as platform:
         url = platform.url
     await JobRunner(60.0).clean(Task("a.log", MapOptions(), "", "map_x_1", [], Platform(url, "testUser", KEY)))
+
+
+async def test_process_that_looks_at_a_recording_for_too_long_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It cannot be interrupted while it is deep in a file, and it has nothing to remove."""
+    monkeypatch.setattr(job_runner, "INSPECT_TIMEOUT", 0.1)
+    runner = Runner(DEAF)
+    async with asyncio.timeout(job_runner.STOP_TIMEOUT / 2):
+        with pytest.raises(InvalidRequest, match="could not be opened within"):
+            await runner.inspect(Task("a.log.gz", MapOptions()))

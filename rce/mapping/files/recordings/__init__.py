@@ -64,7 +64,7 @@ def open_recording(path: Path, scan_topic: str = "", odometry_topic: str = "") -
 
 
 class MonotonicRecording:
-    """Recording with strictly increasing stamps that fit into ROS messages.
+    """Recording with strictly increasing stamps that fit into ROS messages, and with at least one range.
 
     Old logs have stamps that stand still, have wrapped or were never set. Stamps identify scans throughout the
     platform: one that does not increase is replaced by the one before plus 10 microseconds.
@@ -83,10 +83,22 @@ class MonotonicRecording:
         self.duration = recording.duration if usable else None
 
     def __iter__(self) -> Iterator[Scan]:
-        """Yield the scans with repaired stamps."""
-        last = -math.inf
-        for scan in self._recording:
+        """Yield the scans with repaired stamps.
+
+        Raises:
+            InvalidRequest: A pose is not a number, or no beam of the whole recording measured anything.
+        """
+        last, void = -math.inf, True
+        for number, scan in enumerate(self._recording, 1):
+            if scan.odometry is not None and not all(map(math.isfinite, scan.odometry)):
+                raise InvalidRequest(f"{self.name}, scan {number}: the odometry is not a number", field="path")
             if not max(last, 0.0) <= scan.stamp < MAX_STAMP or scan.stamp == last:
                 scan = dataclasses.replace(scan, stamp=max(last + TICK, 0.0))
             last = scan.stamp
+            void = void and not len(scan.points(math.inf))
             yield scan
+        if void and last >= 0.0:
+            raise InvalidRequest(
+                f"{self.name} has no ranges: no beam of any scan measured a distance within the range of the laser",
+                field="path",
+            )

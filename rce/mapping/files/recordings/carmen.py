@@ -20,6 +20,7 @@ NO_RETURN = ((8.18, 8.2), (32.75, 32.78), (51.1, 51.3))
 RANGE_MAX = 80.0
 MAX_LINE = 4 * 1024 * 1024  # bytes
 SAMPLED_SCANS = 200  # scans that are read to find out the range of the laser
+MAX_GAP = 1_000_000  # lines without a scan; a small gzip file may expand to billions
 MAX_COUNTED = 256_000_000  # bytes; the scans of a larger file are not counted beforehand
 SCAN_LINES = (b"FLASER ", b"ROBOTLASER1 ")
 
@@ -75,11 +76,16 @@ class CarmenLog:
         """Yield the lines that are scans, with their numbers."""
         try:
             with gzip.open(self._path) if self._path.suffix == ".gz" else self._path.open("rb") as file:
+                last = 0
                 for number, line in enumerate(iter(lambda: file.readline(MAX_LINE), b""), 1):
                     if len(line) == MAX_LINE:  # a small gzip file may expand to a line without end
                         raise InvalidRequest(f"{self.name}, line {number} is longer than any scan", field="path")
                     if line.startswith(SCAN_LINES):
+                        last = number
                         yield number, line
+                    elif number - last > MAX_GAP:
+                        text = f"{self.name} has no laser scans in {MAX_GAP} lines after line {last}"
+                        raise InvalidRequest(text, field="path")
         except (gzip.BadGzipFile, zlib.error, EOFError) as error:
             raise InvalidRequest(f"{self.name} is truncated or damaged: {error}", field="path") from error
 

@@ -89,6 +89,30 @@ def test_reading_stops_at_an_endless_line(tmp_path: Path) -> None:
         open_recording(path)
 
 
+def test_reading_stops_after_many_lines_without_a_scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A megabyte of gzip may expand to a billion empty lines."""
+    monkeypatch.setattr("rce.mapping.files.recordings.carmen.MAX_GAP", 100)
+    assert len(list(open_recording(carmen(tmp_path / "a.log", (flaser(1.0) + "\n" * 100) * 3)))) == 3
+    with pytest.raises(InvalidRequest, match="no laser scans in 100 lines after line 0"):
+        open_recording(carmen(tmp_path / "b.log.gz", "\n" * 101 + flaser(1.0)))
+    with pytest.raises(InvalidRequest, match="no laser scans in 100 lines after line 1"):
+        open_recording(carmen(tmp_path / "c.log.gz", flaser(1.0) + "\n" * 101))
+
+
+@pytest.mark.parametrize("pose", [math.nan, math.inf, -math.inf])
+def test_poses_that_are_not_numbers_are_refused(tmp_path: Path, pose: float) -> None:
+    recording = open_recording(carmen(tmp_path / "a.log", flaser(1.0) + flaser(2.0, x=pose)))
+    with pytest.raises(InvalidRequest, match=r"a\.log, scan 2: the odometry is not a number"):
+        list(recording)
+
+
+@pytest.mark.parametrize("ranges", [(81.91, 81.91), (0.0, 0.0), (math.nan, math.inf)])
+def test_recording_without_any_range_is_refused_at_its_end(tmp_path: Path, ranges: tuple[float, ...]) -> None:
+    recording = open_recording(carmen(tmp_path / "a.log", flaser(1.0, ranges=ranges) + flaser(2.0, ranges=ranges)))
+    with pytest.raises(InvalidRequest, match=r"a\.log has no ranges"):
+        list(recording)
+
+
 def test_scans_of_a_large_log_are_not_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = carmen(tmp_path / "a.log", "".join(flaser(float(i)) for i in range(1, 9)))
     monkeypatch.setattr("rce.mapping.files.recordings.carmen.MAX_COUNTED", 10)
