@@ -80,7 +80,7 @@ class Codec:
         self._as_blob = message.name == IMAGE and image_format != "json"
         self._source = image_source(message) if message.name == IMAGE else None
         if message.name == IMAGE and image_format != "json":
-            self._read = image_reader(self._read, image_format)
+            self._read = image_reader(Readers(image_format).top(message), image_format)
 
     def encodes_fast(self, wire: Wire) -> bool:
         """Return True if `encode` takes a few milliseconds at most."""

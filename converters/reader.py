@@ -54,8 +54,8 @@ class Readers:
         """Return the reader of a message at any position."""
         if message.name not in self._nested:
             read = self._read(message, top=False)
-            if message.name == IMAGE and self._format != "json":
-                read = image_reader(read, self._format)
+            if message.name == IMAGE and self._format != "json":  # read plainly: the file needs the stamp as numbers
+                read = image_reader(Readers(self._format)._read(message, top=False), self._format)
             self._nested[message.name] = read
         return self._nested[message.name]
 

@@ -155,8 +155,8 @@ class RobotInterface(Interface):
         try:
             frame, blobs = outgoing.convert()
             self._check_size(frame, blobs)
-        except RceError as error:
-            self.undelivered(outgoing, error)
+        except RceError as error:  # later: this runs within the robot's queue, which the report enters too
+            asyncio.get_running_loop().call_soon(self.undelivered, outgoing, error)
             return
         yield from self._frames(outgoing.message, frame, blobs)
 

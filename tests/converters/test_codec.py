@@ -8,8 +8,10 @@ import struct
 import msgspec
 import pytest
 
-from converters import Wire
+from converters import ImageFormat, TypeRegistry, Wire
+from converters import codec as codec_module
 from rce.errors import ConversionError, RceError
+from rce.protocol.names import parse_type
 from tests.support.converters.conversions import CodecOf, encoding_error, json_wire, round_trip
 
 
@@ -98,3 +100,47 @@ def test_misplaced_blobs_are_rejected(codec: CodecOf) -> None:
             cloud.encode(Wire(False, raw.encode(), blobs))
     with pytest.raises(ConversionError, match="Forwarder"):
         cloud.encode(Wire(True, f'"{one}"'.encode(), {one: b""}))
+
+
+@pytest.mark.parametrize(
+    ("type", "image_format", "fast", "slow"),
+    [
+        ("std_msgs/String", "png", 1 << 20, (1 << 20) + 1),
+        ("std_msgs/Float32MultiArray", "png", 1 << 15, (1 << 15) + 1),  # its layout has a list of messages
+        ("sensor_msgs/LaserScan", "png", 1 << 17, (1 << 17) + 1),
+        ("geometry_msgs/PoseArray", "png", 1 << 15, (1 << 15) + 1),
+        ("sensor_msgs/Image", "png", 1 << 15, (1 << 15) + 1),
+        ("sensor_msgs/Image", "json", 1 << 20, (1 << 20) + 1),
+    ],
+)
+def test_finer_types_are_slow_from_smaller_sizes(
+    registry: TypeRegistry, type: str, image_format: ImageFormat, fast: int, slow: int
+) -> None:
+    codec = registry.message(parse_type(type), image_format)
+    assert (codec.decodes_fast(bytes(fast)), codec.decodes_fast(bytes(slow))) == (True, False)
+    for size, expected in ((fast, True), (slow, False)):
+        assert codec.encodes_fast(Wire(False, bytes(size), {})) == expected
+
+
+def test_small_picture_may_be_slow_and_a_blob_of_bytes_is_copied_fast(registry: TypeRegistry) -> None:
+    image, data = (
+        registry.message(parse_type(f"{each}")) for each in ("sensor_msgs/Image", "std_msgs/UInt8MultiArray")
+    )
+    assert not image.encodes_fast(Wire(True, b"", {"id": bytes(10)}))
+    assert data.encodes_fast(Wire(False, b"{}", {"id": bytes(100_000)}))
+    assert not data.encodes_fast(Wire(False, b"{}", {"id": bytes(10_000_000)}))
+
+
+def test_message_larger_than_a_link_carries_is_rejected(monkeypatch: pytest.MonkeyPatch, codec: CodecOf) -> None:
+    monkeypatch.setattr(codec_module, "MAX_CDR", 1000)
+    with pytest.raises(ConversionError, match="larger than 1000 bytes"):
+        codec("std_msgs/Float64MultiArray").encode(json_wire(json.dumps({"data": [0] * 125})))
+
+
+def test_original_robot_gets_pictures_with_their_stamp(registry: TypeRegistry) -> None:
+    header = {"stamp": {"sec": 5, "nanosec": 7}, "frame_id": "camera"}
+    value = {"header": header, "height": 1, "width": 1, "encoding": "mono8", "step": 1, "data": [9]}
+    plain = registry.message(parse_type("sensor_msgs/Image"))
+    cdr = plain.encode(json_wire(json.dumps(value)))
+    wire = registry.message(parse_type("sensor_msgs/Image"), original=True).decode(cdr)
+    assert plain.encode(wire) == cdr
