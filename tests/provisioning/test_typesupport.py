@@ -132,6 +132,7 @@ def test_key_depends_on_dependencies(
     assert cache_key(packages) != before
 
 
+@pytest.mark.slow
 def test_concurrent_builds_build_once(
     compiler: None, make_package: MakePackage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

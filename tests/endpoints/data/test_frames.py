@@ -62,7 +62,7 @@ def test_round_trip_of_interleaved_streams_with_any_fragmentation(data: st.DataO
             del under_way[turn]
         else:
             wire += b"".join(piece)
-    cuts = itertools.cycle(data.draw(st.lists(st.integers(1, 1 << 19), min_size=1, max_size=5)))
+    cuts = itertools.cycle([1 << 16, *data.draw(st.lists(st.integers(1, 1 << 19), max_size=5))])
     got = feed(FrameReader(), wire, cuts)
     key = repr
     assert sorted(map(plain, got), key=key) == sorted(map(plain, sent), key=key)

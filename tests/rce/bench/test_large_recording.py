@@ -85,9 +85,11 @@ def test_missing_map_service_is_reported() -> None:
 
 
 def test_map_service_is_found_among_the_children() -> None:
-    words = [sys.executable, "-c", "input()", "-m", "rce.mapservice"]
-    with subprocess.Popen(words, stdin=subprocess.PIPE) as process:
+    words = [sys.executable, "-c", "print(flush=True); input()", "-m", "rce.mapservice"]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         try:
+            assert process.stdout is not None
+            process.stdout.readline()  # /proc does not show the command line of a program that is being started
             assert large.service_process() == process.pid
         finally:
             process.communicate(b"\n")

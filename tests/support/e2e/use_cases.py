@@ -123,7 +123,7 @@ async def check_failover_under_traffic(machines: Machines, wires: Network, how: 
         robot = one if machine_of(machines, one) != gone else two
         (left,) = set(machines.hosts) - {gone}
         assert machine_of(machines, robot) == left
-        async with robot.environment("staying", specialFeatures=[left]) as staying:
+        async with robot.environment("staying", special_features=[left]) as staying:
             traffic = Traffic(robot, robot.environment(moving.tag), own_types)
             await traffic.start()
             received = await chain_environments(robot, moving.tag, staying)
@@ -143,7 +143,7 @@ async def check_failover_under_traffic(machines: Machines, wires: Network, how: 
             joined = machines.log("master").count(f"container-{gone} joined")
             wires.reconnect(gone) if how == "cut" else await machines.revive(gone)
             await until(lambda: machines.log("master").count(f"container-{gone} joined") > joined)
-            async with robot.environment("again", specialFeatures=[gone]):
+            async with robot.environment("again", special_features=[gone]):
                 assert machines.machine_of("again") == gone
                 running = machines.directory / f"container-{gone}" / "environments" / USER
                 await until(lambda: os.listdir(running) == ["again"], what="the old environment is removed")

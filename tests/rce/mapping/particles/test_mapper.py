@@ -5,6 +5,7 @@ import math
 from collections.abc import Iterable
 
 import numpy as np
+import pytest
 
 from rce.mapping.evaluation.simulation import Simulation, evaluate
 from rce.mapping.geometry import Pose
@@ -35,6 +36,7 @@ def test_map_of_simulation_is_accurate(simulation: Simulation) -> None:
     assert accuracy.walls_true > 0.97
 
 
+@pytest.mark.slow
 def test_map_does_not_depend_on_the_number_of_cores(simulation: Simulation) -> None:
     scans = simulation.records[:300]
     first, second = mapped(scans, particles=FEW, cores=1), mapped(scans, particles=FEW, cores=3)
@@ -50,6 +52,7 @@ def test_one_particle_is_enough_for_a_map(simulation: Simulation) -> None:
     assert evaluate(mapper.grid(), mapper.trajectory(), part).translation < 0.05
 
 
+@pytest.mark.slow
 def test_missing_odometry_and_slip_are_tolerated(simulation: Simulation) -> None:
     part = part_of(simulation, 300)
     without = [dataclasses.replace(scan, odometry=None) for scan in part]
@@ -74,6 +77,7 @@ def test_grid_does_not_depend_on_the_number_of_calls(simulation: Simulation) -> 
     np.testing.assert_array_equal(often.grid().cells, mapped(scans, particles=FEW).grid().cells)
 
 
+@pytest.mark.slow
 def test_memory_grows_with_the_building_and_not_with_time(simulation: Simulation) -> None:
     scans = simulation.records[:400]
     back = [dataclasses.replace(scan, stamp=2 * scans[-1].stamp - scan.stamp) for scan in scans[-2::-1]]

@@ -30,6 +30,7 @@ def test_single_robot_is_its_own_team(simulation: Simulation) -> None:
     assert team.grid("one").cells.size > team.grid("two").cells.size
 
 
+@pytest.mark.slow
 def test_two_robots_are_joined_while_they_drive(data: Path) -> None:
     """The robots map overlapping parts of one recording, each in a frame of its own."""
     scans = list(open_recording(data / "mit-csail.clf.gz"))
