@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 
+import msgspec
 import pytest
 
-from converters import Codec, TypeRegistry
+from converters import Codec, Recipe, TypeRegistry, Wire
 from rce.errors import AlreadyExists, InvalidRequest, UnknownType
 from rce.protocol.names import parse_type
 from tests.support.converters.conversions import json_wire, registry_with, round_trip
@@ -139,3 +140,14 @@ def test_nothing_is_added_if_one_definition_is_malformed() -> None:
         registry.add({"demo/msg/Inner": INNER, "demo/msg/Bad": "int8"})
     with pytest.raises(UnknownType):
         message(registry, "demo/Inner")
+
+
+def test_recipe_makes_the_same_codec_elsewhere() -> None:
+    registry = TypeRegistry()
+    registry.add({"a/msg/Outer": "b/Inner inner\nstd_msgs/Header header", "b/msg/Inner": "a/Leaf[2] leaves"})
+    registry.add({"a/msg/Leaf": "int8 x -3", "a/msg/Unused": "int8 x"})
+    codec = registry.message(parse_type("a/Outer"))
+    assert sorted(name for name, _ in codec.recipe.added) == ["a/msg/Leaf", "a/msg/Outer", "b/msg/Inner"]
+    sent = msgspec.msgpack.decode(msgspec.msgpack.encode(codec.recipe), type=Recipe)
+    assert TypeRegistry.codec_of(sent).encode(Wire(False, b"{}", {})) == codec.encode(Wire(False, b"{}", {}))
+    assert registry.message(parse_type("std_msgs/String")).recipe == Recipe("std_msgs/msg/String", "png")
