@@ -291,6 +291,6 @@ def test_sessions_are_counted_by_state(trial: Trial) -> None:
     session, socket = trial.connect()
     trial.lose(session, socket)
     session.interface_status("in", True)  # waits for the next socket
-    (sessions, queued) = trial.endpoint._families()
+    (sessions, queued, _) = trial.endpoint._families()
     assert {tuple(each.labels): each.value for each in sessions.samples} == {("connected",): 0, ("away",): 1}
     assert [each.value for each in queued.samples] == [1]

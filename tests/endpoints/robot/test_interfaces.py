@@ -42,9 +42,9 @@ HEADER = "std_msgs/Header"
 async def test_robot_without_features_reads_and_writes_json_as_with_the_original(platform: Platform) -> None:
     old, new = await platform.robot("old"), await platform.robot("new", "events")
     await new.receive()
-    for robot, name in ((old, "old"), (new, "new")):
-        await robot.add("out", "SubscriberConverter", HEADER, of=name)
-        await robot.add("in", "PublisherConverter", HEADER, of=name)
+    for name in ("old", "new"):
+        await old.add("out", "SubscriberConverter", HEADER, of=name)
+        await old.add("in", "PublisherConverter", HEADER, of=name)
     await old.connect("old/out", "new/in")
     await old.connect("new/out", "old/in")
     for robot in (old, new):
