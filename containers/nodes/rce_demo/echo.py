@@ -4,6 +4,7 @@
 import signal
 
 import rclpy
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from std_msgs.msg import String
 
@@ -11,15 +12,18 @@ from std_msgs.msg import String
 def main() -> None:
     """Run the node until SIGINT or SIGTERM."""
     # Installed before rclpy, whose handlers call these as well: a signal during its start could be lost otherwise.
+    # They do not raise KeyboardInterrupt: in the middle of rclpy that would leave half-made objects behind.
+    signals: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
+        signal.signal(number, lambda number, frame: signals.append(number))
     rclpy.init()
-    node = Node("echo")
-    publisher = node.create_publisher(String, "/heard", 10)
-    node.create_subscription(String, "/say", publisher.publish, 10)
     try:
-        rclpy.spin(node)
-    except KeyboardInterrupt:
+        node = Node("echo")
+        publisher = node.create_publisher(String, "/heard", 10)
+        node.create_subscription(String, "/say", publisher.publish, 10)
+        if not signals:
+            rclpy.spin(node)
+    except ExternalShutdownException:
         node.destroy_node()
 
 
