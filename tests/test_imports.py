@@ -22,7 +22,7 @@ MAY_IMPORT: dict[str, set[str]] = {
 ONLY_IN: dict[str, tuple[str, ...]] = {
     "docker": ("containers/docker/", "containers/swarm/", "provisioning/image.py", "provisioning/user_image.py"),
     "rclpy": ("endpoints/environment/", "containers/nodes/"),
-    "cv2": ("converters/", "rce/mapping/"),
+    "cv2": ("converters/", "endpoints/robot/worker.py", "rce/mapping/"),
 }
 BASE = {"rce", "msgspec", "websockets", "yaml"} | set(sys.stdlib_module_names)
 # Modules of `rce` that need an extra, and what they may import for it. Modules of the base must not import them.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -215,10 +216,10 @@ async def test_sync_reconciles_nodes_and_reports_failures(master: FakeMaster) ->
         ],
         links=[LinkSpec(await master.link(), "00" * 16)],
         nodes=[echo, NodeSpec("missing", "probe", "nothing")],
-        parameters=[ParameterSpec("mixed", [1, "a"])],
+        parameters=[ParameterSpec("deep", json.loads("[" * 40 + "]" * 40))],
     )
     settled = await master.call(wanted)
-    assert set(settled.failed) == {"22" * 16, "node:missing", "parameter::mixed"}
+    assert set(settled.failed) == {"22" * 16, "node:missing", "parameter::deep"}
     settled = await master.call(Sync(links=wanted.links, nodes=[echo]))
     assert settled.failed == {}
     assert not is_alive(pid)

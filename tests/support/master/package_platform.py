@@ -53,7 +53,8 @@ class PackagePlatform(NamedTuple):
 
         def ask() -> tuple[int, dict[str, Any]]:
             connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)
-            connection.request(method, path, body, {"Connection": "close"} | (headers or {}))
+            kind = {"Content-Type": "application/json"}
+            connection.request(method, path, body, {"Connection": "close"} | kind | (headers or {}))
             response = connection.getresponse()
             answer = response.status, json.loads(response.read() or b"{}")
             connection.close()
