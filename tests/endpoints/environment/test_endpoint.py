@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -216,10 +215,10 @@ async def test_sync_reconciles_nodes_and_reports_failures(master: FakeMaster) ->
         ],
         links=[LinkSpec(await master.link(), "00" * 16)],
         nodes=[echo, NodeSpec("missing", "probe", "nothing")],
-        parameters=[ParameterSpec("deep", json.loads("[" * 40 + "]" * 40))],
+        parameters=[ParameterSpec("two\nlines", 1)],
     )
     settled = await master.call(wanted)
-    assert set(settled.failed) == {"22" * 16, "node:missing", "parameter::deep"}
+    assert set(settled.failed) == {"22" * 16, "node:missing", "parameter::two\nlines"}
     settled = await master.call(Sync(links=wanted.links, nodes=[echo]))
     assert settled.failed == {}
     assert not is_alive(pid)
