@@ -6,6 +6,7 @@ import argparse
 import asyncio
 import json
 import secrets
+import shutil
 import sys
 import tempfile
 from collections.abc import AsyncIterator, Callable, Collection, Coroutine, Iterable, Sequence
@@ -13,6 +14,8 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
+
+import msgspec
 
 from rce.api.map_jobs import MAPPERS
 from rce.bench import overtake, payloads, report, start
@@ -24,6 +27,7 @@ from rce.cli.commands.bench import QUICK_SAMPLES, QUICK_SIZES
 from rce.cli.platform import own_platform, platform, programs_log
 from rce.cli.session import ConsoleSession
 from rce.client import Robot
+from rce.client.address import Address
 from rce.client.map_service import MapServiceClient
 from rce.errors import InvalidRequest
 
@@ -103,6 +107,82 @@ async def measure_start(args: argparse.Namespace) -> None:
     print(json.dumps(start.as_data(result)) if args.json else start.as_text(result))
 
 
+def measure_control(session: ConsoleSession, args: argparse.Namespace) -> int:
+    """Measure commands and logins, on Twisted's event loop because of the bare calls beside them."""
+    from rce.bench import control  # needs the extra `server`
+    from rce.bench.crowd import create_key
+    from rce.process import loop
+
+    crowds = [int(each) if each.isdecimal() else 0 for each in args.robots.split(",")]
+    if min(*crowds, args.count) < 1:
+        raise InvalidRequest("rce bench: --robots is a list of numbers such as 1,20, and --count at least 1")
+
+    async def run(reactor: ReactorBase) -> None:
+        with tempfile.TemporaryDirectory(prefix="rce-") as directory:
+            async with own_platform(Path(directory), args.engine, size=max(crowds)) as entry:
+                key = await asyncio.to_thread(create_key, entry.url)
+                credentials = control.Credentials(entry.url, DEV_USER, DEV_USER, key)
+                phases = await control.measure(credentials, crowds, args.count)
+            phases += await control.floors(reactor, Path(directory))
+        print(json.dumps(control.as_data(phases)) if args.json else control.as_text(phases))
+
+    return loop.run(run)
+
+
+def measure_fleet(session: ConsoleSession, args: argparse.Namespace) -> int:
+    """Measure a fleet, on Twisted's event loop because the bench stands in for processes of the platform."""
+    from rce.bench import fleet  # needs the extras `server` and `bench`
+    from rce.process import loop
+
+    size = fleet.Size(args.machines, args.robots)
+    if not 1 <= size.machines <= size.robots:
+        raise InvalidRequest("rce bench: there is at least one machine, and at least as many robots as machines")
+
+    async def run(reactor: ReactorBase) -> None:
+        def report(name: str) -> None:
+            print(name, file=sys.stderr, flush=True)
+
+        with tempfile.TemporaryDirectory(prefix="rce-") as directory, programs_log() as log:
+            phases = await fleet.measure(reactor, Path(directory), size, log, report)
+        print(json.dumps(fleet.as_data(size, phases)) if args.json else fleet.as_text(size, phases))
+
+    return loop.run(run)
+
+
+@_command
+async def measure_soak(args: argparse.Namespace) -> None:
+    """Measure the growth of all processes while robots come and go."""
+    from rce.bench import soak  # needs the extra `bench`
+
+    if min(args.minutes, args.rate) <= 0:
+        raise InvalidRequest("rce bench: --minutes and --rate must be positive")
+
+    def show(result: soak.Result) -> None:
+        print(soak.as_text(result), end="\n\n", file=sys.stderr, flush=True)
+
+    with tempfile.TemporaryDirectory(prefix="rce-") as directory:
+        async with own_platform(Path(directory), args.engine) as entry:
+            result = await soak.measure(entry.url, DEV_USER, Path(directory), args.minutes, args.rate, show)
+    print(json.dumps(soak.as_data(result)) if args.json else soak.as_text(result))
+
+
+@_command
+async def measure_chaos(args: argparse.Namespace) -> None:
+    """Let processes of a platform fail, and check what it has acknowledged."""
+    from rce.bench.chaos import report as chaos_report
+    from rce.bench.chaos.run import Plan, measure  # needs the extra `server`
+
+    if args.minutes <= 0 or args.events < 1:
+        raise InvalidRequest("rce bench: --minutes and --events must be positive")
+    seed = secrets.randbelow(1_000_000) if args.seed is None else args.seed
+    directory = args.dir or Path(tempfile.mkdtemp(prefix="rce-chaos-"))
+    directory.mkdir(parents=True, exist_ok=True)
+    result = await measure(directory, Plan(seed, args.events, 60 * args.minutes), _show_faults)
+    if args.dir is None:
+        shutil.rmtree(directory)  # it remains after a failure, which names its files
+    print(json.dumps(chaos_report.as_data(result)) if args.json else chaos_report.as_text(result))
+
+
 @_command
 async def measure_map_service(args: argparse.Namespace) -> None:
     """Measure the map service with a recording of several GB."""
@@ -133,6 +213,16 @@ async def measure_maps(args: argparse.Namespace) -> None:
         from rce.bench.maps_plot import plot  # needs the extra `bench`
 
         plot(results, args.plot)
+
+
+def measure_video(session: ConsoleSession, args: argparse.Namespace) -> None:
+    """Measure the video formats."""
+    from rce.bench import video  # needs the extra `video`
+
+    if args.images < 1:
+        raise InvalidRequest("rce bench: --images must be at least 1")
+    figures = list(video.measure(*video.read(args.recording, args.images)))
+    print(json.dumps(msgspec.to_builtins(figures)) if args.json else video.as_text(figures))
 
 
 @_command
@@ -181,7 +271,13 @@ async def _bench_place(args: argparse.Namespace) -> AsyncIterator[Place]:
         AsyncExitStack() as stack,
     ):
         features = getattr(args, "features", "")
-        yield Place(robot, environment, stack, features.split(",") if features else [])
+        address = Address(access.url, access.user, "", access.password, access.key)
+        yield Place(robot, environment, stack, features.split(",") if features else [], address)
+
+
+def _show_faults(faults: int, commands: int) -> None:
+    if sys.stderr.isatty():
+        print(f"\r{faults} faults, {commands} commands", end="", file=sys.stderr, flush=True)
 
 
 def _show_progress(done: int, total: int) -> None:

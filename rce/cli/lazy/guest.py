@@ -9,6 +9,7 @@ from contextlib import asynccontextmanager
 
 from rce.cli.session import ConsoleSession
 from rce.client import Robot
+from rce.control.calls.robots import Definitions
 from rce.control.calls.watching import RosName
 from rce.errors import InvalidRequest
 from rce.protocol.messages import InterfaceType, Qos
@@ -41,6 +42,11 @@ class Guest:
         return await asyncio.to_thread(
             lambda: list(items(RosName, "environments", self.environment, kind, user=self.owner))
         )
+
+    async def describe(self, type_name: str) -> Definitions:
+        """Return the definition of a message type that the environment knows."""
+        path, get = ("environments", self.environment, "types"), self._session.api.get
+        return await asyncio.to_thread(lambda: get(Definitions, *path, type=type_name, sort="msg", user=self.owner))
 
 
 @asynccontextmanager

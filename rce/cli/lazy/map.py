@@ -42,14 +42,32 @@ def run(session: ConsoleSession, args: argparse.Namespace) -> None:
         raise InvalidRequest("give recordings, or --simulate")
     if args.team and (len(args.recordings) < 2 or args.mapper != MAPPERS[0]):
         raise InvalidRequest(f"--team needs several recordings and the mapper {MAPPERS[0]}")
-    sources: list[Source] = [
-        open_recording(path, args.scan_topic, args.odometry_topic) for path in args.recordings
-    ] or [simulate()]
+    sources: list[Source] = [_open(path, args) for path in args.recordings] or [simulate()]
     existing = next(path for path in (args.out, *args.out.absolute().parents) if path.exists())
     if not existing.is_dir() or not os.access(existing, os.W_OK):
         fault = "is not writable" if existing.is_dir() else "is not a directory"
         raise InvalidRequest(f"{existing} {fault}: choose another directory with --out")
     asyncio.run(_map(args, sources))
+
+
+def _open(path: Path, args: argparse.Namespace) -> Recording:
+    """Open a recording; ask for the topic of scans if there are several and this is a terminal.
+
+    Raises:
+        InvalidRequest: The recording cannot be read, or has no such topic.
+    """
+    recording = open_recording(path, args.scan_topic, args.odometry_topic)
+    topics = getattr(recording, "scan_topics", {})  # a CARMEN log has none
+    if args.scan_topic or len(topics) < 2:
+        return recording
+    usual = max(sorted(topics), key=lambda name: topics[name])
+    found = ", ".join(f"{name} ({count} scans)" for name, count in sorted(topics.items()))
+    print(f"{path} has several topics of laser scans: {found}", file=sys.stderr)
+    if not sys.stdin.isatty():
+        print(f"{usual} is mapped; choose another one with --scan-topic", file=sys.stderr)
+        return recording
+    chosen = input(f"topic to map [{usual}]: ").strip()
+    return open_recording(path, chosen, args.odometry_topic) if chosen else recording
 
 
 async def _map(args: argparse.Namespace, sources: list[Source]) -> None:

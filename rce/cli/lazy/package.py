@@ -15,28 +15,32 @@ from rce.cli import output
 from rce.cli.contexts import running_platform
 from rce.cli.session import ConsoleSession
 from rce.errors import InvalidRequest, StartFailed
-from rce.packages import layout
+from rce.packages import ament_python, layout
 from rce.packages.archive import Entry
 from rce.packages.client import Package, PackagesClient
+from rce.spelling import counted
 
 TYPE_SUPPORT = "provisioning.typesupport"
+LAST_LINES = 40  # printed of a build that failed
 DIGEST_DIGITS = 12  # printed of a version's digest
 
 
 def push(session: ConsoleSession, args: argparse.Namespace) -> None:
     """Push a directory as the newest version of a package, and share it if asked to."""
     packages, user = _connect(args)
-    found = layout.read(args.directory, args.as_is)
-    entries = list(found.entries)
-    if found.interfaces and not args.text_only:
-        entries += build_type_support(found.interfaces)
-    name = args.name or found.name
-    contents = packages.push(name, entries)
-    if args.share:
-        packages.share(name, _user_names(args.share))
+    with tempfile.TemporaryDirectory(prefix="rce-") as scratch:
+        directory = args.directory if args.as_is else ament_python.install(args.directory, Path(scratch))
+        found = layout.read(directory, args.as_is)
+        entries = list(found.entries)
+        if found.interfaces and not args.text_only:
+            entries += build_type_support(found.interfaces)
+        name = args.name or found.name
+        contents = packages.push(name, entries)
+        if args.share:
+            packages.share(name, _user_names(args.share))
     print(
         f"{user}/{name}@{contents.digest[:DIGEST_DIGITS]}: {', '.join(contents.packages)}; "
-        f"{contents.files} files, {contents.size / 1e6:.1f} MB"
+        f"{counted(contents.files, 'file')}, {contents.size / 1e6:.1f} MB"
     )
 
 
@@ -93,7 +97,7 @@ def build_type_support(interfaces: list[Path]) -> list[Entry]:
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         names = ", ".join(path.name for path in interfaces)
-        *_, reason = [f"status {done.returncode}", *done.stderr.strip().splitlines()]
+        reason = "\n".join(done.stderr.strip().splitlines()[-LAST_LINES:]) or f"status {done.returncode}"
         raise StartFailed(
             f"the build of type support for {names} failed: {reason}\n"
             "It needs ROS 2 (pip install '.[ros]' in a checkout of RCE) and g++ on this machine; or push with "

@@ -1,14 +1,15 @@
-"""Implementation of `topic echo|hz|bw|pub` and `service call`, by a guest in the environment."""
+"""Implementation of `topic echo|hz|bw|pub`, `service call` and `action send_goal`, by a guest in the environment."""
 
 from __future__ import annotations
 
 import argparse
 import asyncio
 import json
+import logging
 import statistics
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Iterable
+from collections.abc import AsyncIterator, Iterable, Mapping
 from itertools import pairwise
 from typing import Any
 
@@ -17,13 +18,16 @@ import yaml
 from rce.cli.commands.environments import yaml_value
 from rce.cli.lazy.guest import Guest
 from rce.cli.output import size_text
-from rce.client import Subscriber
-from rce.errors import InvalidRequest, NotFound
+from rce.client import Robot, Subscriber
+from rce.errors import InvalidRequest, NotFound, RceError, Unavailable
 from rce.protocol.messages import Qos
+from rce.protocol.names import TYPE, parse_type
+from rce.spelling import did_you_mean
 
 QUEUE_DEPTH = 1000  # messages that may wait to be printed
 MAX_LENGTH = 128  # of arrays and strings that are printed in full, as by `ros2 topic echo`
 INTERVAL = 1.0  # seconds between lines
+NO_VALUES = "{}"
 QOS = Qos(depth=100)
 
 
@@ -60,13 +64,37 @@ async def bw(guest: Guest, args: argparse.Namespace) -> int:
 
 
 async def pub(guest: Guest, args: argparse.Namespace) -> int:
-    """Publish a message once or repeatedly, as soon as the topic has a subscriber."""
+    """Publish a message once or repeatedly, as soon as the topic has a subscriber; the first error ends it."""
+    args.type = await _type(guest, args, "topics")
     value = _parse_message(args.values)
+    logging.getLogger("rce.client").setLevel(logging.ERROR)  # what it warns of is reported here
+    failing = asyncio.create_task(_first_error(guest.robot))
+    publishing = asyncio.create_task(_publish(guest, args, value))
+    try:
+        await asyncio.wait({failing, publishing}, return_when=asyncio.FIRST_COMPLETED)
+        if failing.done():
+            raise failing.result()
+        await publishing
+    finally:
+        failing.cancel()
+        publishing.cancel()
+    return 0
+
+
+async def _first_error(robot: Robot) -> RceError:
+    """Wait for an error that the platform reports about a message, and return it."""
+    async for event in robot.events():
+        if isinstance(event, RceError):
+            return event
+    raise Unavailable("the connection was closed")
+
+
+async def _publish(guest: Guest, args: argparse.Namespace, value: dict[str, Any]) -> None:
     count = 1 if args.once else args.times
     inside = await guest.add_interface("pub", "PublisherInterface", args.type, args.topic, QOS)
     publisher = await guest.robot.publisher("pub", args.type, to=inside, format="json")
-    while not await _has_subscribers(guest, args.topic):
-        print("waiting for a subscriber", flush=True)
+    while not (topics := {each.name: each.subscribers for each in await guest.ros_names("topics")}).get(args.topic):
+        print(waiting_text(args.topic, topics), flush=True)
         await asyncio.sleep(INTERVAL)
     number = 0
     while not count or number < count:
@@ -76,43 +104,84 @@ async def pub(guest: Guest, args: argparse.Namespace) -> int:
         await publisher.publish(value)
         print(f"publishing #{number}: {_yaml(value, flow=True)}", flush=True)
     await asyncio.sleep(INTERVAL)  # the interfaces must still exist when the last message passes them
-    return 0
+    await publisher.close()  # its answer follows the errors of all messages
 
 
 async def call(guest: Guest, args: argparse.Namespace) -> int:
     """Call a service and print the response."""
-    type_name = args.type or await _type_of(guest, args.topic, "services")
+    type_name = await _type(guest, args, "services")
     inside = await guest.add_interface("call", "ServiceClientInterface", type_name, args.topic, Qos())
     client = await guest.robot.service_client("call", type_name, to=inside)
-    response = await client.call(_parse_message(args.values), args.timeout)
-    print(json.dumps(response) if args.json else _yaml(response).rstrip())
+    _print(await client.call(_parse_message(args.values), args.timeout), args)
     return 0
 
 
+async def send_goal(guest: Guest, args: argparse.Namespace) -> int:
+    """Send a goal, and print its result; the goal is canceled when this ends before."""
+    type_name = await _type(guest, args, "actions")
+    inside = await guest.add_interface("ask", "ActionClientInterface", type_name, args.topic, Qos())
+    client = await guest.robot.action_client("ask", type_name, to=inside)
+    goal = await client.send_goal(_parse_message(args.values), timeout=args.timeout, cancel_if_lost=True)
+    async for feedback in goal:
+        if args.feedback:
+            _print({"feedback": feedback}, args)
+    result = await goal.result()
+    _print({"status": result.status, "result": result.value}, args)
+    return 0 if result.status == "succeeded" else 1
+
+
 async def _subscriber(guest: Guest, args: argparse.Namespace, raw: bool) -> Subscriber:
-    type_name = args.type or await _type_of(guest, args.topic, "topics")
+    type_name = await _type(guest, args, "topics")
     inside = await guest.add_interface("sub", "SubscriberInterface", type_name, args.topic, QOS)
     robot = guest.robot
     return await robot.subscriber("sub", type_name, to=inside, raw=raw, depth=QUEUE_DEPTH, format="json", qos=QOS)
 
 
-async def _type_of(guest: Guest, name: str, kind: str) -> str:
-    """Return the type that ROS has for a topic or service.
+async def _type(guest: Guest, args: argparse.Namespace, kind: str) -> str:
+    """Return the type that was given for a topic, service or action, or else the one that ROS has.
 
     Raises:
-        NotFound: Nothing in the environment has this name at present.
+        InvalidRequest: ROS has another type than the one that was given.
+        NotFound: None was given, and nothing in the environment has this name at present.
     """
-    found = next((each for each in await guest.ros_names(kind) if each.name == name), None)
-    if found is None:
-        raise NotFound(
-            f"there is no {kind[:-1]} {name} in {guest.environment} at present; give its type to wait for it"
+    _take_values(args)
+    if args.type:
+        await _check_type(guest, args, kind)
+        return str(args.type)
+    names = {each.name: each.types for each in await guest.ros_names(kind)}
+    if args.topic not in names:
+        hint = did_you_mean(args.topic, names) or "give its type to wait for it"
+        raise NotFound(f"there is no {kind[:-1]} {args.topic} in {guest.environment} at present: {hint}")
+    return names[args.topic][0]
+
+
+def _take_values(args: argparse.Namespace) -> None:
+    """Read a message in the place of the type as the message: the type was left out."""
+    if args.type and not TYPE.fullmatch(args.type) and getattr(args, "values", "") == NO_VALUES:
+        args.type, args.values = "", args.type
+
+
+async def _check_type(guest: Guest, args: argparse.Namespace, kind: str) -> None:
+    """Check that ROS has the given type for a topic, service or action, if it has that name at present.
+
+    Raises:
+        InvalidRequest: ROS has another type.
+    """
+    types = next((each.types for each in await guest.ros_names(kind) if each.name == args.topic), [])
+    if types and parse_type(args.type) not in map(parse_type, types):
+        raise InvalidRequest(
+            f"{kind[:-1]} {args.topic} of {guest.environment} has type {', '.join(types)}, not {args.type}",
+            field="type",
         )
-    return found.types[0]
 
 
-async def _has_subscribers(guest: Guest, topic: str) -> bool:
-    """Return True if a node subscribes to the topic; messages published before that are lost."""
-    return any(each.name == topic and each.subscribers for each in await guest.ros_names("topics"))
+def waiting_text(topic: str, topics: Mapping[str, int]) -> str:
+    """Return the line for a topic without subscribers, with the nearest one that has some; `topics` has their counts.
+
+    Messages published before there is one are lost.
+    """
+    hint = did_you_mean(topic, (name for name, subscribers in topics.items() if subscribers))
+    return f"waiting for a subscriber of {topic}" + (f"; {hint}" if hint else "")
 
 
 async def _arrivals(subscriber: Subscriber) -> AsyncIterator[list[tuple[float, int]]]:
@@ -193,6 +262,10 @@ def _parse_message(text: str) -> dict[str, Any]:
             f"{text!r} is not a message: write its fields as YAML, as '{{data: hello}}'", field="values"
         )
     return value
+
+
+def _print(value: Any, args: argparse.Namespace) -> None:
+    print(json.dumps(value) if args.json else _yaml(value).rstrip(), flush=True)
 
 
 def _yaml(value: Any, flow: bool = False) -> str:

@@ -1,0 +1,1 @@
+"""Files: recordings of cameras in, trajectories and saved sessions out."""
