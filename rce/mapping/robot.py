@@ -8,20 +8,21 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Coroutine, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from typing import Any, NamedTuple, Self, TypeVar
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_typestore
 
-from rce.client import Environment, Event, Reconnected, Robot, Stream
-from rce.errors import Died, TimedOut, Unavailable
+from rce.client import Environment, Robot
+from rce.errors import TimedOut
 from rce.mapping.geometry import Pose
 from rce.mapping.grid import OccupancyGrid
+from rce.mapping.guard import NodeGuard
 from rce.mapping.scans import Scan
-from rce.protocol.messages import EnvironmentEvent, NodeEvent, ParameterValue, Qos
+from rce.protocol.messages import ParameterValue, Qos
 
 NODE = "mapper"  # tag of the mapping node
 WINDOW = 8  # scans that may be unanswered at a time
@@ -32,7 +33,6 @@ EMPTY_REQUEST = b"\x00\x01\x00\x00\x00"  # CDR of a service request without fiel
 
 NANO = 1_000_000_000
 
-T = TypeVar("T")
 store = get_typestore(Stores.ROS2_KILTED)
 types = store.types
 Progress = Callable[[int], None]
@@ -63,8 +63,8 @@ class MappingRobot:
             environment: Environment of the node.
             namespace: Namespace of the robot's topics and services in the environment, "/NAME" or empty.
         """
-        self._robot = robot
         self._environment = environment
+        self._guard = NodeGuard(robot, environment, NODE, self._send_again)
         self._namespace = namespace
         self._sent = 0
         self._unanswered: dict[int, Scan] = {}  # by stamp in nanoseconds
@@ -73,8 +73,7 @@ class MappingRobot:
 
     async def __aenter__(self) -> Self:
         """Start watching for failures of the node, its environment and the connection."""
-        self._failure = asyncio.create_task(self._watch(self._robot.events()))
-        self._tasks.append(self._failure)
+        await self._guard.__aenter__()
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -82,6 +81,7 @@ class MappingRobot:
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self._guard.__aexit__()
 
     async def prepare(self, parameters: Mapping[str, ParameterValue]) -> None:
         """Start the node, connect its topics, and wait until it is ready.
@@ -110,7 +110,7 @@ class MappingRobot:
         self._paths = await environment.subscriber(f"{own}/path", "nav_msgs/Path", qos=latched, depth=1, raw=True)
         self._maps = await environment.service_client(f"{own}/dynamic_map", "nav_msgs/GetMap", raw=True)
         ready = await environment.subscriber(f"{own}/map", "nav_msgs/OccupancyGrid", qos=latched, depth=1, raw=True)
-        await self._guarded(ready.get(), START_TIMEOUT, "the mapping node to be ready")
+        await self._guard.wait(ready.get(), START_TIMEOUT, "the mapping node to be ready")
         await ready.close()
 
     async def drive(self, recording: Iterable[Scan], progress: Progress) -> None:
@@ -126,12 +126,12 @@ class MappingRobot:
         """
         self._tasks.append(asyncio.create_task(self._receive_poses(progress)))
         for scan in recording:
-            await self._guarded(self._slots.acquire(), STALL_TIMEOUT, "the mapping node to answer a scan")
+            await self._guard.wait(self._slots.acquire(), STALL_TIMEOUT, "the mapping node to answer a scan")
             self._unanswered[nanoseconds(scan.stamp)] = scan
             await self._send(scan)
             self._sent += 1
         for _ in range(WINDOW):  # all slots are free once all scans are answered
-            await self._guarded(self._slots.acquire(), STALL_TIMEOUT, "the mapping node to answer the last scans")
+            await self._guard.wait(self._slots.acquire(), STALL_TIMEOUT, "the mapping node to answer the last scans")
 
     async def result(self) -> Result:
         """Return the current map and trajectory.
@@ -140,7 +140,7 @@ class MappingRobot:
             Died: The node or its environment ended.
             TimedOut: The node has not answered for STALL_TIMEOUT.
         """
-        return await self._guarded(self._fetch(self._sent), STALL_TIMEOUT, "the map")
+        return await self._guard.wait(self._fetch(self._sent), STALL_TIMEOUT, "the map")
 
     async def _send(self, scan: Scan) -> None:
         stamp = nanoseconds(scan.stamp)
@@ -173,55 +173,26 @@ class MappingRobot:
             trajectory = trajectory_of(await self._paths.get())
         return Result(grid_of(response), trajectory, sent)
 
-    async def _watch(self, events: Stream[Event]) -> None:
-        """Fail when the node or its environment ends; send unanswered scans again after a reconnection.
-
-        Raises:
-            Died: The node or its environment ended.
-        """
-        tag = self._environment.tag
-        async for event in events:
-            match event:
-                case NodeEvent(containerTag=where, nodeTag=name, status=status, lines=lines) if (
-                    where == tag and name == NODE
-                ):
-                    raise Died("\n".join([f"the mapping node ended with status {status}", *lines]))
-                case EnvironmentEvent(containerTag=where, state="lost" | "gone" | "failed", reason=why) if where == tag:
-                    raise Died(f"the environment {tag} is lost: {why}")
-                case Reconnected():  # messages in flight are lost; the node ignores scans that it has mapped already
-                    for scan in list(self._unanswered.values()):
-                        await self._send(scan)
-
-    async def _guarded(self, work: Coroutine[None, None, T], seconds: float, what: str) -> T:
-        """Return the result of `work`, unless the node fails meanwhile.
-
-        Raises:
-            Died: The node or its environment ended.
-            Unavailable: The robot was closed.
-            TimedOut: `work` took longer than `seconds`; `what` names it in the message.
-        """
-        task = asyncio.ensure_future(work)
-        try:
-            await asyncio.wait({task, self._failure}, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
-            if task.done():
-                return task.result()
-            if self._failure.done():
-                self._failure.result()
-                raise Unavailable(f"the robot was closed while it was waiting for {what}")
-            raise TimedOut(f"no answer within {seconds:g} s: waiting for {what}")
-        finally:
-            task.cancel()
+    async def _send_again(self) -> None:
+        """Send unanswered scans again; the node ignores scans that it has mapped already."""
+        for scan in list(self._unanswered.values()):
+            await self._send(scan)
 
 
-async def start_node(environment: Environment, executable: str, parameters: Mapping[str, ParameterValue]) -> None:
-    """Start a node of the package rce_mapping with these parameters.
+async def start_node(
+    environment: Environment,
+    executable: str,
+    parameters: Mapping[str, ParameterValue],
+    package: str = "rce_mapping",
+) -> None:
+    """Start a mapping node of a package with these parameters.
 
     Raises:
         StartFailed: The node did not start.
     """
     for name, value in parameters.items():
         await environment.set_parameter(name, value)
-    await environment.add_node(NODE, "rce_mapping", executable)
+    await environment.add_node(NODE, package, executable)
 
 
 def nanoseconds(stamp: float) -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import secrets
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -11,9 +10,6 @@ from typing import Annotated
 from msgspec import Meta, Struct
 from twisted.internet.base import ReactorBase
 
-import rce
-from rce.control.calls.joining import Hello, Welcome
-from rce.control.client import ControlClient
 from rce.control.credential import Credential, stay_joined
 from rce.mapservice.job_runner import JobRunner
 from rce.mapservice.jobs import JobLimits
@@ -21,8 +17,7 @@ from rce.mapservice.server import MapService, MapServiceLimits
 from rce.mapservice.uploads import UploadLimits
 from rce.net.tls import load_tls, public_tls_context
 from rce.process import loop, settings
-from rce.process.host import host_identity
-from rce.process.ready import Ready, announce
+from rce.services.link import link_to_master
 
 GIGABYTE = 1024**3
 HOUR, DAY = 3600.0, 86_400.0
@@ -87,16 +82,8 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     scheme = "https" if options.certificate else "http"
     port = await service.start(options.host, options.port, public_tls_context(options.certificate, options.private_key))
     url = options.public_url or f"{scheme}://:{port}/"
-    incarnation = secrets.token_hex(16)
-
-    def hello() -> Hello:
-        return Hello("service", NAME, credential.secret, rce.__version__, incarnation, host_identity(), url=url)
-
-    def welcomed(welcome: Welcome) -> None:
-        credential.keep(welcome)
-        announce(Ready(NAME, url))
-
-    link = ControlClient(reactor, options.master, hello, service.handlers(), welcomed, load_tls(options.tls))
+    tls = load_tls(options.tls)
+    link = link_to_master(reactor, options.master, NAME, url, credential, service.handlers(), tls)
     service.jobs.start()
     try:
         await stay_joined(link, credential)

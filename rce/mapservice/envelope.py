@@ -10,7 +10,7 @@ from typing import NamedTuple
 from lxml import etree
 
 from rce.errors import InvalidRequest, RceError, Unauthorized
-from rce.mapservice.authentication import KEY_PREFIX
+from rce.services.authentication import KEY_PREFIX
 from rce.web.problems import status_of
 
 NAMESPACE = "urn:rce:robows:1"

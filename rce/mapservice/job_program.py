@@ -18,13 +18,17 @@ import ssl
 import sys
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 from msgspec import Struct
 
 from rce.api.map_jobs import MapOptions
 from rce.errors import ErrorInfo, InvalidRequest, NotFound, RceError
-from rce.mapservice.record_store import DiskFull
+from rce.services.disk import service_disk_full
+
+if TYPE_CHECKING:  # the service reads the types of this module, and needs no client
+    from rce.client import Robot
 
 PR_SET_PDEATHSIG = 1
 MAX_MEMORY = 3 * 1024**3  # bytes; the index of a recording of 10 GB takes some hundred MB
@@ -88,6 +92,8 @@ def inspect(task: Task) -> int | None:
     Raises:
         RceError: The recording cannot be mapped.
     """
+    if task.options.kind == "3d":
+        return _inspect_camera(task)
     from rce.mapping.files.recordings import open_recording
 
     try:
@@ -100,17 +106,54 @@ def inspect(task: Task) -> int | None:
     return recording.scans
 
 
-async def build(task: Task, platform: Platform) -> None:
-    """Map the recording in a new environment, as `rce map` does, and write the results."""
-    from rce.client import Robot
-    from rce.mapping.files.outputs import write_outputs
-    from rce.mapping.files.recordings import open_recording
-    from rce.mapping.robot import MappingRobot
+def _inspect_camera(task: Task) -> int:
+    """Open a recording of a camera with depth, read its first frame, and return the number of its frames.
+
+    Raises:
+        RceError: The recording cannot be mapped.
+    """
+    from rce.mapping3d.files.recordings import open_recording
+
+    try:
+        recording = open_recording(Path(task.recording))
+        if next(iter(recording), None) is None:
+            raise InvalidRequest(f"{recording.name} has no frames with colour and depth", field="path")
+    except (InvalidRequest, NotFound) as error:
+        raise type(error)(str(error), field="uploads" if error.field in ("path", "camera") else error.field) from None
+    return recording.frames
+
+
+async def build_from_camera(task: Task, platform: Platform) -> None:
+    """Map a recording of a camera with depth in a new environment, as `rce map3d` does, and write the results."""
+    from rce.mapping3d.files.recordings import open_recording
+    from rce.mapping3d.offload.runs import map_with
 
     times = _Times()
-    recording = open_recording(Path(task.recording), task.options.scan_topic, task.options.odometry_topic)
+    recording = open_recording(Path(task.recording))
     times.end("opening")
-    robot = Robot(
+    last_report = 0.0
+
+    def progress(frames: int) -> None:
+        nonlocal last_report
+        if time.monotonic() - last_report > REPORT_INTERVAL:
+            last_report = time.monotonic()
+            send(Report("mapping", frames, recording.frames, times.done))
+
+    send(Report("preparing", 0, recording.frames, times.done))
+    async with robot_of(task, platform) as robot:
+        for former in task.former:
+            await remove_environment(robot, former)
+        _, figures = await map_with([robot], task.name, [recording], Path(task.out), progress)
+        times.end("mapping")
+    send(Report("finishing", figures.frames, figures.frames, times.done, clean=True))
+    log(f"{figures.frames} frames mapped")
+
+
+def robot_of(task: Task, platform: Platform) -> Robot:
+    """Return the robot that maps for a task; it is not connected yet."""
+    from rce.client import Robot
+
+    return Robot(
         platform.url,
         user=platform.user,
         robot=f"{task.name}_robot",
@@ -118,6 +161,17 @@ async def build(task: Task, platform: Platform) -> None:
         ssl=trust_only(platform.trust),
         timeout=180.0,
     )
+
+
+async def build(task: Task, platform: Platform) -> None:
+    """Map the recording in a new environment, as `rce map` does, and write the results."""
+    from rce.mapping.files.outputs import write_outputs
+    from rce.mapping.files.recordings import open_recording
+    from rce.mapping.robot import MappingRobot
+
+    times = _Times()
+    recording = open_recording(Path(task.recording), task.options.scan_topic, task.options.odometry_topic)
+    times.end("opening")
     last_report = 0.0
 
     def progress(scans: int) -> None:
@@ -127,7 +181,7 @@ async def build(task: Task, platform: Platform) -> None:
             send(Report("mapping", scans, recording.scans, times.done))
 
     send(Report("preparing", 0, recording.scans, times.done))
-    async with robot:
+    async with robot_of(task, platform) as robot:
         for former in task.former:
             await remove_environment(robot, former)
         async with robot.environment(task.name, restart="no") as environment:
@@ -198,7 +252,7 @@ async def run(task: Task) -> None:
         total = await asyncio.to_thread(inspect, task)
         send(Report("inspected", 0, total, clean=True))
     else:
-        await build(task, task.platform)
+        await (build_from_camera if task.options.kind == "3d" else build)(task, task.platform)
 
 
 def main() -> int:
@@ -221,7 +275,7 @@ def main() -> int:
         send(Report("failed", clean=True, error=error.info))
         return 1
     except OSError as error:
-        full = DiskFull.of(error)
+        full = service_disk_full(error)
         if full is None:
             raise
         log(str(full))

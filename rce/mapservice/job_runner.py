@@ -12,7 +12,7 @@ import msgspec
 from twisted.logger import Logger
 
 from rce.client import Robot
-from rce.errors import InternalError, InvalidRequest, RceError, TimedOut
+from rce.errors import MALFORMED, InternalError, InvalidRequest, RceError, TimedOut
 from rce.mapservice.job_program import Report, Task, remove_environment, trust_only
 
 PROGRAM = (sys.executable, "-P", "-m", "rce.mapservice.job_program")
@@ -108,8 +108,9 @@ class JobRunner:
             )
         try:
             assert process.stdin is not None
-            process.stdin.write(msgspec.json.encode(task))
-            process.stdin.close()
+            with contextlib.suppress(OSError, RuntimeError):  # of uvloop, if the process has ended
+                process.stdin.write(msgspec.json.encode(task))
+                process.stdin.close()
             return await self._read_reports(process, on_report)
         except asyncio.CancelledError:
             if task.platform is not None:  # else it has nothing to remove, and may be deep in a recording
@@ -131,7 +132,7 @@ class JobRunner:
         async for line in process.stdout:
             try:
                 last = msgspec.json.decode(line, type=Report)
-            except msgspec.DecodeError:
+            except MALFORMED:
                 continue  # output of a library
             on_report(last)
         status = await process.wait()

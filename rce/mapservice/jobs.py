@@ -27,9 +27,10 @@ from rce.mapservice.fairness import FairQueue
 from rce.mapservice.inspection import InspectionQueue, Inspector, collect, recording_in
 from rce.mapservice.job_program import Platform, Report, Task
 from rce.mapservice.job_store import JobStore, StoredJob
-from rce.mapservice.record_store import DiskFull, new_id
+from rce.mapservice.record_store import new_id
 from rce.mapservice.uploads import Uploads
 from rce.process.metrics import Family, Timing, gauge_family
+from rce.services.disk import service_disk_full
 
 RETRY_MIN, RETRY_MAX = 2.0, 60.0  # seconds
 KEY_MARGIN = 600.0  # seconds that a key is valid beyond the maximum time of a job
@@ -69,7 +70,7 @@ class Runner(Inspector, Protocol):
 
 
 class Grants(Protocol):
-    """Rights to act for users; see `rce.mapservice.authentication`."""
+    """Rights to act for users; see `rce.services.authentication`."""
 
     async def create_grant(self, user: str, secret: str) -> str:
         """Get the right to act for a user; return the name of the grant."""
@@ -256,7 +257,7 @@ class Jobs:
             if self._store[name].job.state == "cancelling":
                 self._finish(name, "cancelled")
         except Exception as error:  # noqa: BLE001  # a bug must not affect the jobs of others
-            full = DiskFull.of(error)
+            full = service_disk_full(error)
             if full is not None:
                 self._retry_later(name, str(full))
                 return

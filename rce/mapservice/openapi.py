@@ -11,8 +11,8 @@ from aiohttp.typedefs import Handler
 
 from rce.api.map_jobs import PREFIX, Job, JobRequest, Upload
 from rce.errors import RceError
-from rce.mapservice.problems import check_headers
 from rce.mapservice.rest import CHUNK_TYPE, Rest
+from rce.services.problems import check_headers
 from rce.web import openapi
 from rce.web.problems import problem_response
 

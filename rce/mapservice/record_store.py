@@ -6,7 +6,6 @@ its file size shows; the client then resumes it.
 
 from __future__ import annotations
 
-import errno
 import re
 import secrets
 import shutil
@@ -16,24 +15,13 @@ from typing import Generic, TypeVar
 import msgspec
 from twisted.logger import Logger
 
-from rce.errors import InvalidRequest, Unavailable
+from rce.errors import InvalidRequest
 
 T = TypeVar("T", bound=msgspec.Struct)
 RECORD = "record.json"
 FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
 
 log = Logger()
-
-
-class DiskFull(Unavailable):
-    """The disk of the map service is full, although there was room when the upload or the job was accepted."""
-
-    @classmethod
-    def of(cls, error: BaseException) -> DiskFull | None:
-        """Return the error for clients if `error` means that the disk is full, else None."""
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-            return cls("the disk of the map service is full: received data is kept, so continue when there is room")
-        return None
 
 
 def new_id() -> str:

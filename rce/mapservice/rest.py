@@ -15,11 +15,11 @@ from twisted.logger import Logger
 
 from rce.api.map_jobs import PREFIX, JobRequest, Upload
 from rce.errors import Forbidden, InvalidRequest, NotFound, TimedOut, Unauthorized
-from rce.mapservice.auditing import CLIENT
-from rce.mapservice.authentication import Authenticator, Client
 from rce.mapservice.jobs import Jobs
-from rce.mapservice.problems import TOO_LARGE, WRONG_TYPE, WRONG_VERSION, decode
 from rce.mapservice.uploads import Uploads
+from rce.services.auditing import CLIENT
+from rce.services.authentication import Authenticator, Client
+from rce.services.problems import TOO_LARGE, WRONG_TYPE, WRONG_VERSION, decode
 from rce.web.problems import HttpError
 from rce.web.requests import body_pieces, read_accepted_body
 from rce.web.server import logged_in

@@ -14,21 +14,31 @@ from twisted.logger import Logger
 from rce.api.map_jobs import PREFIX
 from rce.control.calls.services import InvalidateAuthentication
 from rce.control.connection import Handlers
-from rce.mapservice import health, openapi
-from rce.mapservice.auditing import audit_middleware
-from rce.mapservice.authentication import Authenticator, Master
+from rce.mapservice import openapi
 from rce.mapservice.job_store import JobStore
 from rce.mapservice.jobs import JobLimits, Jobs, Runner
-from rce.mapservice.problems import problems
 from rce.mapservice.rest import Rest
 from rce.mapservice.soap import Soap
 from rce.mapservice.uploads import UploadLimits, Uploads
+from rce.services import health
+from rce.services.auditing import audit_middleware
+from rce.services.authentication import Authenticator, Master
+from rce.services.cors import allow_origins
+from rce.services.problems import problems
 from rce.web.server import Endpoint, listen, serve_application
 
 READ_BUFFER = 1024 * 1024  # bytes of an upload that are buffered in memory
 MAX_BODY = 9 * 1024 * 1024  # bytes of a body that is not streamed: SOAP with a recording
 SWEEP_INTERVAL = 600.0  # seconds
 SHUTDOWN_TIMEOUT = 5.0
+ACTIONS = {
+    "POST /uploads": "upload.create",
+    "DELETE /uploads/{upload}": "upload.remove",
+    "POST /jobs": "job.submit",
+    "POST /jobs/{job}/cancel": "job.cancel",
+    "DELETE /jobs/{job}": "job.remove",
+}
+"""Audited routes; not PATCH, of which an upload may need thousands. SOAP handlers set their actions themselves."""
 
 log = Logger()
 
@@ -59,8 +69,9 @@ class MapService:
         self.jobs = Jobs(store, self.uploads, runner, self.authenticator, limits.jobs, entry, trust)
         self._store = store
         application = web.Application(
-            middlewares=[audit_middleware(self.authenticator), problems], client_max_size=MAX_BODY
+            middlewares=[audit_middleware(self.authenticator, PREFIX, ACTIONS), problems], client_max_size=MAX_BODY
         )
+        allow_origins(application)
         rest = Rest(self.authenticator, self.uploads, self.jobs)
         openapi.add(application, openapi.routes(rest), rest.check_expectation)
         Soap(self.authenticator, self.uploads, self.jobs).add(application)

@@ -13,13 +13,13 @@ from lxml import etree
 
 from rce.api.map_jobs import PREFIX, Job, JobRequest
 from rce.errors import InvalidRequest, LimitExceeded, RceError
-from rce.mapservice.auditing import ACTION, CLIENT, FAILED
-from rce.mapservice.authentication import KEY_PREFIX, Authenticator, Client
 from rce.mapservice.envelope import NAMESPACE, Envelopes, Request, add_texts, answer, fault, qualified_name
 from rce.mapservice.jobs import Jobs
-from rce.mapservice.problems import convert, unexpected
+from rce.mapservice.pending_bodies import BUDGET, PendingBodies
 from rce.mapservice.uploads import Uploads
-from rce.web.requests import read_accepted_body
+from rce.services.auditing import ACTION, CLIENT, FAILED
+from rce.services.authentication import KEY_PREFIX, Authenticator, Client
+from rce.services.problems import convert, unexpected
 from rce.web.server import logged_in
 
 MAX_INLINE = 6 * 1024 * 1024  # bytes of a recording in a request; libxml2 accepts 10 MB of base64
@@ -37,6 +37,7 @@ class Soap:
     def __init__(self, authenticator: Authenticator, uploads: Uploads, jobs: Jobs) -> None:
         self._authenticator, self._uploads, self._jobs = authenticator, uploads, jobs
         self._envelopes = Envelopes()
+        self._pending = PendingBodies(BUDGET)
         self._operations: dict[str, Operation] = {
             qualified_name("SubmitMap"): self._submit,
             qualified_name("GetStatus"): self._status,
@@ -58,7 +59,7 @@ class Soap:
         try:
             try:
                 body = await self._perform(request)
-            except RceError:
+            except (RceError, ConnectionError):  # the latter: the client disconnected
                 raise
             except web.HTTPRequestEntityTooLarge:
                 raise LimitExceeded("the request is too large: upload the recording and submit its id") from None
@@ -72,9 +73,10 @@ class Soap:
         return web.Response(body=body, content_type=XML, charset="utf-8")
 
     async def _perform(self, request: web.Request) -> bytes:
-        parsed = self._envelopes.read(await read_accepted_body(request))
-        reads = etree.QName(parsed.body).localname.startswith(("Get", "List"))
-        client = await self._client(request, parsed, "job.read" if reads else "job.submit")
+        async with self._pending.read(request) as content:
+            parsed = self._envelopes.read(content)
+            reads = etree.QName(parsed.body).localname.startswith(("Get", "List"))
+            client = await self._client(request, parsed, "job.read" if reads else "job.submit")
         operation = self._operations.get(str(parsed.body.tag))
         if operation is None:
             raise InvalidRequest(f"there is no operation {etree.QName(parsed.body).localname}", field="Body")

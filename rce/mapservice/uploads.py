@@ -109,7 +109,7 @@ class Uploads:
         free = shutil.disk_usage(self._store.directory).free - sum(self._missing(each) for each in self._stored)
         if length > free - self._limits.spare:
             raise _exceeded(
-                "the disk of the map service has room for {limit} bytes", max(0, free - self._limits.spare), length
+                "disk full (map service): there is room for {limit} bytes", max(0, free - self._limits.spare), length
             )
         upload, stored = new_id(), StoredUpload(user, name, length, self._now(), fingerprint[:128])
         path = self._store.path(upload)

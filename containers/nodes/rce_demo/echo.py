@@ -4,27 +4,30 @@
 import signal
 
 import rclpy
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
+
+CHECK_INTERVAL = 0.2  # seconds
 
 
 def main() -> None:
     """Run the node until SIGINT or SIGTERM."""
-    # Installed before rclpy, whose handlers call these as well: a signal during its start could be lost otherwise.
-    # They do not raise KeyboardInterrupt: in the middle of rclpy that would leave half-made objects behind.
+    # rclpy's own handlers miss a signal that comes while its executor starts, and then wait for ever.
     signals: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, frame: signals.append(number))
-    rclpy.init()
-    try:
-        node = Node("echo")
-        publisher = node.create_publisher(String, "/heard", 10)
-        node.create_subscription(String, "/say", publisher.publish, 10)
-        if not signals:
-            rclpy.spin(node)
-    except Exception:  # rclpy stops at these signals; what it is doing then fails with one of several errors
-        if not signals:
-            raise
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = Node("echo")
+    publisher = node.create_publisher(String, "/heard", 10)
+    node.create_subscription(String, "/say", publisher.publish, 10)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    while not signals:
+        executor.spin_once(timeout_sec=CHECK_INTERVAL)
+    node.destroy_node()
+    rclpy.shutdown()
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ def draw(grid: OccupancyGrid, trajectory: NDArray[np.float64]) -> bytes:
         (ground.shape[0] + MARGIN + FOOTER, ground.shape[1] + 2 * MARGIN, 1), np.uint8
     )
     picture[MARGIN:-FOOTER, MARGIN:-MARGIN] = ground
-    _draw_scale_bar(picture, scale / grid.resolution)
+    draw_scale_bar(picture, scale / grid.resolution)
     done, png = cv2.imencode(".png", picture)
     if not done:
         raise RuntimeError(f"OpenCV cannot encode an image of shape {picture.shape}")
@@ -82,7 +82,7 @@ def _draw_trajectory(image: Image, grid: OccupancyGrid, trajectory: NDArray[np.f
         cv2.circle(image, (u, v), 5 << bits, colour, cv2.FILLED, cv2.LINE_AA, bits)
 
 
-def _draw_scale_bar(image: Image, pixels_per_metre: float) -> None:
+def draw_scale_bar(image: Image, pixels_per_metre: float) -> None:
     """Draw a bar of 1, 2 or 5 times a power of ten metres, about a fifth of the width."""
     wanted = 0.2 * image.shape[1] / pixels_per_metre
     power = 10.0 ** math.floor(math.log10(wanted))

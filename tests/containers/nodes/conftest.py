@@ -19,7 +19,7 @@ from tests.support.domains import domain
 from tests.support.paths import ROOT
 
 NODES = ROOT / "containers" / "nodes"
-sys.path.insert(0, str(NODES / "rce_mapping"))
+sys.path[:0] = [str(NODES / "rce_mapping"), str(NODES / "rce_mapping3d")]
 
 
 @pytest.fixture(scope="session")

@@ -37,6 +37,7 @@ def without_odometry(scans: list[Scan]) -> list[Scan]:
     return [dataclasses.replace(scan, odometry=None) for scan in scans]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", [0, 400, 650])
 def test_robot_is_found_anywhere_and_tracked(simulation: Simulation, known: Known, start: int) -> None:
     grid, truth = known

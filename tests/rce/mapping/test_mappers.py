@@ -55,6 +55,7 @@ def test_map_is_empty_before_the_first_scan(mapper: Mapper) -> None:
     assert mapper.grid().cells.max() == -1
 
 
+@pytest.mark.slow
 def test_import_of_mappers_compiles_all_kernels() -> None:
     """The image of the mapping nodes fills the cache of Numba by this import."""
     sources = {path for path in (ROOT / "rce" / "mapping").rglob("*.py") if "\n@compiled(" in path.read_text()}

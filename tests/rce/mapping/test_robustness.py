@@ -18,6 +18,8 @@ from rce.mapping.mappers import MAPPERS
 from rce.mapping.pose_graph.mapper import GraphMapper
 from rce.mapping.scans import Scan
 
+pytestmark = pytest.mark.slow  # maps the simulation several times
+
 SETTINGS = MapperSettings(particles=10)
 SCANS = 150
 

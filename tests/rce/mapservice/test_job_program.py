@@ -20,12 +20,14 @@ from rce.errors import Died, InvalidRequest, NotFound
 from rce.mapping.grid import OccupancyGrid
 from rce.mapping.robot import Result
 from rce.mapping.scans import Scan
+from rce.mapping3d.offload.runs import RunFigures
 from rce.mapservice import job_program
-from rce.mapservice.job_program import Platform, Report, Task, build, inspect, send, trust_only
+from rce.mapservice.job_program import Platform, Report, Task, build, build_from_camera, inspect, send, trust_only
 from rce.net.certificates import Authority
 from rce.net.tls import CERTIFICATE
 from tests.support.certificates import certify
 from tests.support.map_service import LOG
+from tests.support.rgbd import CLEAN, simulated, write_bag1
 
 OPTIONS = MapOptions(mapper="particle", resolution=0.1, max_range=20.0)
 PLATFORM = Platform("http://entry/", "ann", "rce_key")
@@ -74,6 +76,41 @@ def test_wrong_topic_is_an_error_of_the_options(monkeypatch: pytest.MonkeyPatch)
     with pytest.raises(NotFound, match="no topic /front or /wheels") as refused:
         inspect(Task("a.bag", MapOptions(scan_topic="/front", odometry_topic="/wheels")))
     assert refused.value.field == "options.scan_topic"
+
+
+CAMERA = MapOptions(kind="3d")
+
+
+def test_frames_of_a_camera_are_counted(tmp_path: Path) -> None:
+    path = write_bag1(tmp_path, list(simulated(0.2, faults=CLEAN)))
+    assert inspect(Task(str(path), CAMERA)) == 6
+
+
+def test_inspection_refuses_a_bag_without_depth(tmp_path: Path) -> None:
+    path = write_bag1(tmp_path, [])
+    with pytest.raises(InvalidRequest) as refused:
+        inspect(Task(str(path), CAMERA))
+    assert refused.value.field == "uploads"
+
+
+async def test_recording_of_a_camera_is_mapped_in_space(
+    tmp_path: Path, existing: set[str], sent: list[Report], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def mapped(robots: list[Any], name: str, recordings: list[Any], out: Path, progress: Any) -> Any:
+        assert (name, out, len(robots), recordings[0].frames) == ("map_x_3", tmp_path / "out", 1, 3)
+        assert existing == {"other"}
+        progress(3)
+        return [], RunFigures(frames=3)
+
+    monkeypatch.setattr("rce.mapping3d.offload.runs.map_with", mapped)
+    path = write_bag1(tmp_path, list(simulated(0.1, faults=CLEAN)))
+    task = Task(str(path), CAMERA, str(tmp_path / "out"), "map_x_3", ["map_x_1"], PLATFORM)
+    await build_from_camera(task, PLATFORM)
+    assert [(report.stage, report.scans, report.clean) for report in sent] == [
+        ("preparing", 0, False),
+        ("mapping", 3, False),
+        ("finishing", 3, True),
+    ]
 
 
 def test_reports_are_lines_of_json(capfdbinary: pytest.CaptureFixture[bytes]) -> None:

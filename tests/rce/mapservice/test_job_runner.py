@@ -6,6 +6,7 @@ import asyncio
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -75,6 +76,24 @@ async def test_log_of_an_earlier_attempt_is_kept(tmp_path: Path) -> None:
     (tmp_path / "log.txt").write_text("first\n")
     await build(Runner(f"import sys\nprint('second', file=sys.stderr)\n{CLEAN}"), tmp_path)
     assert (tmp_path / "log.txt").read_text() == "first\nsecond\n"
+
+
+async def test_process_that_ends_before_it_gets_its_task_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start = asyncio.create_subprocess_exec
+
+    async def start_late(*words: str, **options: Any) -> Any:
+        process = await start(*words, **options)
+        await process.wait()
+        assert process.stdin is not None
+        process.stdin.close()  # as the loop does when it notices that the other end is closed
+        await asyncio.sleep(0)
+        return process
+
+    monkeypatch.setattr(asyncio, "create_subprocess_exec", start_late)
+    with pytest.raises(InternalError, match="status 3"):
+        await build(Runner("raise SystemExit(3)"), tmp_path)
 
 
 async def test_error_of_the_process_is_raised_as_its_class(tmp_path: Path) -> None:

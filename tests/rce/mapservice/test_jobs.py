@@ -14,13 +14,13 @@ from msgspec.structs import replace
 
 from rce.api.map_jobs import Job, JobRequest, MapOptions
 from rce.errors import Died, InvalidRequest, LimitExceeded, NoCapacity, NotFound, Unavailable
-from rce.mapservice.authentication import Authenticator
 from rce.mapservice.job_program import Report
 from rce.mapservice.job_store import JobStore
 from rce.mapservice.jobs import Jobs
 from rce.mapservice.uploads import Uploads
+from rce.services.authentication import Authenticator
+from tests.support.hand_turned import HandTurnedLoop
 from tests.support.map_service import LIMITS, FakeMaster, FakeRunner
-from tests.support.master.hand_turned import HandTurnedLoop
 
 
 class Bench:

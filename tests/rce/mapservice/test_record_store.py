@@ -9,7 +9,7 @@ import pytest
 from msgspec import Struct
 
 from rce.errors import InvalidRequest
-from rce.mapservice.record_store import RECORD, DiskFull, RecordStore, check_file_name, new_id
+from rce.mapservice.record_store import RECORD, RecordStore, check_file_name, new_id
 
 
 class Note(Struct, frozen=True):
@@ -80,18 +80,6 @@ def test_unsafe_file_name_is_refused(name: str) -> None:
     with pytest.raises(InvalidRequest, match="not a valid file name") as wrong:
         check_file_name(name, "recording.name")
     assert wrong.value.field == "recording.name"
-
-
-@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
-def test_full_disk_is_recognized(number: int) -> None:
-    error = DiskFull.of(OSError(number, "full"))
-    assert error is not None
-    assert error.info.code == "unavailable"
-
-
-@pytest.mark.parametrize("error", [OSError(errno.EACCES, "denied"), ValueError("full")])
-def test_other_errors_are_not_a_full_disk(error: Exception) -> None:
-    assert DiskFull.of(error) is None
 
 
 def test_ids_differ() -> None:

@@ -58,6 +58,23 @@ async def test_silent_connection_is_closed(tmp_path: Path, monkeypatch: pytest.M
     await service.stop()
 
 
+@pytest.mark.parametrize(
+    ("method", "path"),
+    [("POST", "/jobs"), ("POST", "/uploads?filename=a.log"), ("POST", "/soap"), ("DELETE", "/jobs/1")],
+)
+@pytest.mark.parametrize("header", [{"Origin": "https://evil.example"}, {"Sec-Fetch-Site": "cross-site"}])
+async def test_page_of_another_site_changes_nothing(
+    service: Service, method: str, path: str, header: dict[str, str]
+) -> None:
+    """With a password that the browser keeps, as the user `ann` would have entered it."""
+    kept = {"Authorization": "Basic YW5uOmFubg==", "Content-Type": "text/plain"}
+    answer = await service.request(method, path, data=b"{}", headers=kept | header)
+    assert answer.status == 403
+    assert "page of another site" in await answer.text()
+    assert service.service.uploads.of("ann") == []
+    assert service.master.calls == []
+
+
 @pytest.mark.parametrize("path", ["/jobs", "/uploads?filename=a.log", "/soap"])
 async def test_silent_body_is_refused_in_time(service: Service, path: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(requests, "BODY_TIMEOUT", 0.1)

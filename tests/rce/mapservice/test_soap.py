@@ -5,11 +5,15 @@ from __future__ import annotations
 import asyncio
 import base64
 import hashlib
+from collections.abc import AsyncIterator
+from pathlib import Path
 
 import pytest
+from aiohttp import web
 from lxml import etree
 
 from rce.control.calls.services import Authenticate
+from rce.mapservice import pending_bodies, soap
 from tests.support.map_service import LOG, Service
 from tests.support.soap import NAMES, envelope, username_token
 
@@ -56,6 +60,18 @@ async def test_request_with_a_recording_and_answer_with_a_result(service: Servic
     assert base64.b64decode(files["map.png"].findtext("r:content", "", NAMES)) == b"a picture"
     assert files["log.txt"].find("r:content", NAMES) is None
     assert (await service.request("GET", files["log.txt"].findtext("r:url", "", NAMES))).status == 200
+
+
+async def test_client_that_disconnects_is_no_defect(
+    service: Service, failures: list[object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def lost(request: web.Request) -> AsyncIterator[bytes]:
+        raise ConnectionResetError("Connection lost")
+        yield b""
+
+    monkeypatch.setattr(pending_bodies, "body_pieces", lost)
+    await service.request("POST", "/soap", "ann", data=envelope(""))
+    assert not failures
 
 
 async def test_job_of_an_upload_with_status_and_cancellation(service: Service) -> None:
@@ -123,3 +139,14 @@ async def test_username_token_authenticates(service: Service) -> None:
     assert call in service.master.calls
     _, answer = await post(service, envelope(request, username_token("x", "PasswordDigest")), "nobody")
     assert fault(answer)[:2] == ("soap:Client", "unauthorized")
+
+
+async def test_bodies_of_strangers_share_a_budget(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(soap, "BUDGET", 10_000)
+    service = Service(tmp_path)
+    await service.start()
+    status, answer = await post(service, envelope(inline(bytes(20_000))))
+    assert (status, fault(answer)[1]) == (500, "unavailable")
+    status, answer = await post(service, envelope("<r:GetStatus><r:job>1</r:job></r:GetStatus>"))
+    assert (status, fault(answer)[1]) == (500, "not_found")
+    await service.stop()

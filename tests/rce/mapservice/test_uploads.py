@@ -151,7 +151,7 @@ def test_size_limits(tmp_path: Path, clock: Clock) -> None:
     uploads.create("bob", "b.bag", 10_000_000)
     assert uploads.used("ann") == 12_000_000
     assert first.offset == 0
-    with pytest.raises(LimitExceeded, match="the disk of the map service"):
+    with pytest.raises(LimitExceeded, match=r"disk full \(map service\): there is room for 0 bytes"):
         make(tmp_path, clock, spare=2**60).create("cleo", "a.bag", 1)
 
 

@@ -12,14 +12,14 @@ def main(module: str, name: str) -> int:
     """Run a node until SIGINT or SIGTERM, which are a normal end; return the exit status.
 
     Args:
-        module: Module of this package.
+        module: Its module.
         name: Class of the node in that module.
     """
     rclpy.init()
     try:
         # The import may compile the kernels, which takes seconds. It comes after rclpy.init, so that a signal ends the
         # node normally meanwhile.
-        make = getattr(importlib.import_module(f".{module}", __package__), name)
+        make = getattr(importlib.import_module(module), name)
         rclpy.spin(make())
     except (KeyboardInterrupt, ExternalShutdownException):
         return 0

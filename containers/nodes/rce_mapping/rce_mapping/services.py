@@ -83,7 +83,7 @@ class Services:
         """Localise the robot in a map in the format of map_server, from `initialpose` or by a search."""
         response.result = response.RESULT_SUCCESS
         try:
-            grid = read_map(_file(request.map_url))
+            grid = read_map(file_of(request.map_url))
         except NotFound as error:
             self._node.get_logger().error(str(error))
             response.result = response.RESULT_MAP_DOES_NOT_EXIST
@@ -97,7 +97,7 @@ class Services:
 
     def _serialize(self, request: Any, response: Any) -> Any:
         """Save the whole session: map, poses and everything that is needed to continue."""
-        saved = self._try(lambda: save_session(self._mapper(), _file(request.filename)))
+        saved = self._try(lambda: save_session(self._mapper(), file_of(request.filename)))
         response.result = response.RESULT_SUCCESS if saved else response.RESULT_FAILED_TO_WRITE_FILE
         return response
 
@@ -110,7 +110,7 @@ class Services:
         return response
 
     def _resume(self, request: Any) -> None:
-        mapper = resume_session(_file(request.filename))
+        mapper = resume_session(file_of(request.filename))
         at = request.initial_pose
         pose = self._node.track.in_laser_frame(Pose(at.x, at.y, at.theta))
         if request.match_type == request.LOCALIZE_AT_POSE:
@@ -149,7 +149,7 @@ class Services:
         return response
 
     def _write(self, path: str, occupied: float | None = None, free: float | None = None) -> None:
-        write_map(_file(path), self._node.mapper.grid(), occupied, free)
+        write_map(file_of(path), self._node.mapper.grid(), occupied, free)
 
     def _try(self, action: Any) -> bool:
         """Return whether an action succeeds; log the error if not, since the responses have no field for it."""
@@ -161,7 +161,7 @@ class Services:
         return True
 
 
-def _file(name: str) -> Path:
+def file_of(name: str) -> Path:
     """Return the path of a file name or of a URL `file://…`.
 
     Raises:

@@ -60,6 +60,7 @@ class Bag:
         self._path = path
         _check_kind(path)
         with self._opened() as reader:
+            self.scan_topics: dict[str, int] = {}  # number of scans by topic
             scans = self._connections(reader, SCAN_TYPE, scan_topic)
             odometry = self._connections(reader, ODOMETRY_TYPE, odometry_topic)
             self.scans: int | None = sum(connection.msgcount for connection in scans)
@@ -119,6 +120,8 @@ class Bag:
             raise InvalidRequest(
                 f"{self.name} has no topic {topic} of type {kind}; topics of this type: {have}", field="topic"
             )
+        if kind == SCAN_TYPE:
+            self.scan_topics = counts
         wanted = topic or max(sorted(counts), key=lambda name: counts[name], default="")
         return [connection for connection in typed if connection.topic == wanted]
 

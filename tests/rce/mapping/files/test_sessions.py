@@ -14,6 +14,8 @@ from rce.mapping.files.sessions import Relocating, resume_session, save_session
 from rce.mapping.mapper import MapperSettings
 from rce.mapping.mappers import MAPPERS, AnyMapper
 
+pytestmark = pytest.mark.slow  # maps the simulation several times
+
 SETTINGS = MapperSettings(particles=10)
 
 

@@ -27,6 +27,7 @@ def part_of(simulation: Simulation, count: int) -> Simulation:
     return dataclasses.replace(simulation, records=simulation.records[:count], truth=simulation.truth[:count])
 
 
+@pytest.mark.slow
 def test_map_of_simulation_is_accurate(simulation: Simulation) -> None:
     mapper = mapped(simulation)
     accuracy = evaluate(mapper.grid(), mapper.trajectory(), simulation)
@@ -66,6 +67,7 @@ def test_missing_odometry_and_slip_are_tolerated(simulation: Simulation) -> None
         assert evaluate(mapper.grid(), mapper.trajectory(), part).translation < 0.05
 
 
+@pytest.mark.slow
 def test_grid_does_not_depend_on_the_number_of_calls(simulation: Simulation) -> None:
     """The grid is drawn incrementally, and rendered anew when another particle takes over."""
     scans = simulation.records[:300]

@@ -44,6 +44,7 @@ def test_half_the_field_of_view_is_enough(simulation: Simulation) -> None:
     assert evaluate(mapper.grid(), mapper.trajectory(), part).translation < 0.05
 
 
+@pytest.mark.slow
 def test_memory_grows_with_the_building_and_not_with_time(simulation: Simulation) -> None:
     """The robot drives forward, and back on the same path."""
     scans = simulation.records

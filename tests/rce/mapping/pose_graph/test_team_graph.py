@@ -117,6 +117,7 @@ def test_map_shows_what_both_have_seen_and_follows_corrections(joined: Team, gra
     np.testing.assert_array_equal(joined.grid().cells, after.cells)
 
 
+@pytest.mark.slow
 def test_all_places_are_compared_after_the_first_overlap(data: Path) -> None:
     """Two robots crossed the same hall in opposite directions, and their odometry has drifted since."""
     scans = list(open_recording(data / "mit-csail.clf.gz"))

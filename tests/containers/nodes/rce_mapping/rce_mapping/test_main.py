@@ -26,8 +26,8 @@ def run(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], Any]], int]:
 
     def run(make: Callable[[], Any]) -> int:
         found = SimpleNamespace(MapperNode=make)
-        monkeypatch.setattr(module, "importlib", SimpleNamespace(import_module=lambda name, package: found))
-        status: int = module.main("node", "MapperNode")
+        monkeypatch.setattr(module, "importlib", SimpleNamespace(import_module=lambda name: found))
+        status: int = module.main("rce_mapping.node", "MapperNode")
         assert not rclpy.ok()
         return status
 

@@ -40,6 +40,7 @@ def test_odometry_drift_is_bounded(simulation: Simulation) -> None:
     assert 0.5 < math.dist(wheels[:2], end[:2]) < 15
 
 
+@pytest.mark.slow
 def test_seed_determines_the_simulation(simulation: Simulation) -> None:
     again, other = simulate(0), simulate(1)
     np.testing.assert_array_equal(again.records[100].ranges, simulation.records[100].ranges)
