@@ -1,0 +1,200 @@
+"""A client of the Foxglove protocol."""
+
+from __future__ import annotations
+
+import asyncio
+
+from twisted.logger import Logger
+
+from endpoints.gateways.foxglove import messages, offers
+from endpoints.gateways.foxglove.channels import Publications, Subscriptions
+from endpoints.gateways.foxglove.messages import ClientMessage
+from endpoints.gateways.foxglove.offers import Connections, Offers
+from endpoints.gateways.foxglove.parameters import ClientParameters
+from endpoints.gateways.foxglove.services import Calls
+from endpoints.gateways.graphs import Graphs
+from endpoints.gateways.guest import FEATURES, Guest
+from endpoints.robot.client import Accepted
+from endpoints.robot.endpoint import RobotEndpoint
+from endpoints.robot.handshake import Request
+from endpoints.robot.intake import BadMessages
+from endpoints.robot.session import Socket
+from rce.control.calls.watching import RosGraph
+from rce.errors import InvalidRequest, NotFound, RceError
+from rce.process.metrics import errors
+
+SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
+CAPABILITIES = ["clientPublish", "parameters", "parametersSubscribe", "services", "connectionGraph"]
+INTERVAL = 1.0  # seconds between two looks at the graph
+ERROR = 2  # level of a status
+
+log = Logger()
+
+
+class FoxgloveClient:
+    """A client of the Foxglove protocol in one environment.
+
+    Args:
+        endpoint: The Robot endpoint.
+        graphs: Graphs of environments.
+        place: The environment as `TAG` or `OWNER/TAG`.
+    """
+
+    features = FEATURES
+
+    def __init__(self, endpoint: RobotEndpoint, graphs: Graphs, place: str) -> None:
+        self._guest = guest = Guest(endpoint, graphs, "foxglove", place)
+        self._limits = endpoint.limits
+        self._topics, self._services = Offers(guest, "msg"), Offers(guest, "srv")
+        self._subscriptions = Subscriptions(guest, self.report)
+        self._publications = Publications(guest, self.report)
+        self._calls = Calls(guest)
+        self._parameters = ClientParameters(guest, self.report)
+        self._looking = asyncio.Lock()
+        self._connections: Connections | None = None  # as the client knows them, if it asked
+
+    # --- client of a WebSocket ----------------------------------------------------------------------------------------
+
+    @property
+    def user(self) -> str:
+        """The user whose turns it takes."""
+        return self._guest.user
+
+    async def login(self, request: Request) -> Accepted:
+        """Log in as a guest.
+
+        Raises:
+            InvalidRequest: The client offers no subprotocol of Foxglove.
+            RceError: The login is refused.
+        """
+        offered = str(request.headers.get("sec-websocket-protocol", "")).replace(" ", "").split(",")
+        chosen = next((each for each in offered if each in SUBPROTOCOLS), None)
+        if chosen is None:
+            raise InvalidRequest(f"offer a subprotocol of Foxglove: {' or '.join(SUBPROTOCOLS)}")
+        await self._guest.login(request)
+        return Accepted(subprotocol=chosen)
+
+    def abandoned(self) -> None:
+        """End the session, whose socket was never opened."""
+        self._guest.abandoned()
+
+    def opened(self, socket: Socket) -> None:
+        """Greet the client, and begin to tell it of what there is."""
+        self._bad = BadMessages(self._limits.bad_messages, socket.end)
+        self._guest.opened(socket)
+        greeting = {"name": self._guest.environment, "capabilities": CAPABILITIES, "sessionId": self._guest.name}
+        encodings, metadata = ["cdr", "json"], {"ROS_DISTRO": "kilted"}
+        self._guest.send(messages.text(op="serverInfo", **greeting, supportedEncodings=encodings, metadata=metadata))
+        self._guest.run(self._watch())
+
+    def closed(self, normal: bool, reason: str) -> None:
+        """End the session."""
+        self._guest.closed(normal, reason)
+
+    def text(self, payload: bytes) -> None:
+        """Handle a JSON message."""
+        try:
+            self._handle(messages.decode(payload))
+        except RceError as error:
+            self.report(error)
+
+    def binary(self, payload: bytes) -> None:
+        """Handle a message on a channel, or a call."""
+        try:
+            message = messages.decode_binary(payload)
+            if isinstance(message, ClientMessage):
+                self._publications.publish(message)
+            else:
+                self._calls.call(message, self._services.by_number.get(message.service))
+        except RceError as error:
+            self.report(error)
+
+    def sweep(self) -> None:
+        """Do nothing: messages come whole."""
+
+    def hold(self) -> None:
+        """Keep messages to the client."""
+        self._guest.hold()
+
+    def proceed(self) -> None:
+        """Send messages again."""
+        self._guest.proceed()
+
+    # --- messages -----------------------------------------------------------------------------------------------------
+
+    def _handle(self, message: messages.AnyMessage) -> None:
+        match message:
+            case messages.Subscribe(subscriptions):
+                for each in subscriptions:
+                    self._subscriptions.add(each, self._topics.by_number.get(each.channelId))
+            case messages.Unsubscribe(ids):
+                for id in ids:
+                    self._subscriptions.remove(id)
+            case messages.Advertise(channels):
+                for channel in channels:
+                    self._publications.add(channel)
+            case messages.Unadvertise(numbers):
+                for number in numbers:
+                    self._publications.remove(number)
+            case messages.GetParameters(names, id):
+                self._guest.run(self._parameters.get(names, id))
+            case messages.SetParameters(parameters, id):
+                self._guest.run(self._parameters.set(parameters, id))
+            case messages.SubscribeParameters(names):
+                self._parameters.subscribe(names)
+            case messages.UnsubscribeParameters(names):
+                self._parameters.unsubscribe(names)
+            case messages.SubscribeGraph():
+                self._connections = {}
+                self._guest.run(self._look())
+            case messages.UnsubscribeGraph():
+                self._connections = None
+            case messages.FetchAsset(uri, number):
+                error = NotFound(f"{uri[:200]}: files of packages are not served")
+                self._guest.send(messages.asset_error(number, str(error)))
+
+    def report(self, error: RceError) -> None:
+        """Count an error of the client and send it."""
+        errors.add("foxglove", error.info.code)
+        self._guest.send(messages.text(op="status", level=ERROR, message=str(error)))
+        self._bad.count(error)
+
+    # --- what there is ------------------------------------------------------------------------------------------------
+
+    async def _watch(self) -> None:
+        while True:
+            await self._look()
+            await asyncio.sleep(INTERVAL)
+
+    async def _look(self) -> None:
+        try:
+            graph = await self._guest.graph()
+        except RceError as error:  # the environment is away: what the client knows may come back
+            log.info("the graph for {client} cannot be read: {error}", client=self._guest.name, error=str(error))
+            return
+        async with self._looking:  # one after the other: a type may have to be asked for
+            await self._compare(graph)
+
+    async def _compare(self, graph: RosGraph) -> None:
+        topics = await self._topics.update(graph)
+        services = await self._services.update(graph)
+        for number in topics.removed:
+            self._subscriptions.remove_channel(number)
+        records = [offers.channel(*each) for each in topics.added.items()]
+        self._tell("unadvertise", "channelIds", topics.removed)
+        self._tell("advertise", "channels", records)
+        self._tell("unadvertiseServices", "serviceIds", services.removed)
+        self._tell("advertiseServices", "services", [offers.service(*each) for each in services.added.items()])
+        if self._connections is not None:
+            self._tell_connections(graph, self._connections)
+
+    def _tell(self, op: str, field: str, items: list[int] | list[dict[str, object]]) -> None:
+        if items:
+            self._guest.send(messages.text(op=op, **{field: items}))
+
+    def _tell_connections(self, graph: RosGraph, known: Connections) -> None:
+        found = offers.connections(graph)
+        update = offers.graph_update(found, known)
+        if any(update.values()) or not known:
+            self._connections = found
+            self._guest.send(messages.text(op="connectionGraphUpdate", **update))

@@ -1,0 +1,271 @@
+"""Topics of a client: what it publishes and what it subscribes to."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+from msgspec import Raw
+
+from endpoints.gateways.guest import Guest
+from endpoints.gateways.rosbridge import encoding
+from endpoints.gateways.rosbridge.encoding import Form
+from endpoints.gateways.rosbridge.operations import Advertise, Id, Publish, Subscribe, Unadvertise, Unsubscribe, key
+from endpoints.gateways.rosbridge.peer import Peer
+from endpoints.gateways.uses import PUBLISH, SUBSCRIBE, Arrived, Frame, Use
+from endpoints.robot.interfaces import Publisher
+from rce.errors import InvalidRequest, LimitExceeded, NotFound, RceError
+from rce.protocol.messages import Qos
+from rce.protocol.names import parse_type
+
+MAX_DEPTH = 10_000
+MAX_IDS = 1000  # of one topic
+FORMATS: dict[str, tuple[Literal["Converter", "Forwarder"], str]] = {
+    "cbor": ("Converter", "cbor"),
+    "cbor-raw": ("Forwarder", "cdr"),
+}
+
+
+@dataclass
+class _Publication:
+    use: Use
+    ids: set[bytes]
+    waiting: list[Raw] = field(default_factory=list)
+
+
+class Publications:
+    """Topics that a client publishes on; a topic is used as long as one of its ids is advertised."""
+
+    def __init__(self, guest: Guest, peer: Peer) -> None:
+        self._guest = guest
+        self._peer = peer
+        self._by_topic: dict[str, _Publication] = {}
+
+    def advertise(self, op: Advertise) -> None:
+        """Begin to publish on a topic; raises InvalidRequest or LimitExceeded."""
+        present = self._by_topic.get(op.topic)
+        if present is not None:
+            if parse_type(present.use.type) != parse_type(op.type):
+                raise InvalidRequest(f"topic {op.topic} is advertised as {present.use.type} already")
+            _check_ids(op.topic, present.ids, op.id)
+            present.ids.add(key(op.id))
+            return
+        if not op.type:
+            self._guest.run(self._infer(op))
+            return
+        parse_type(op.type)
+        self._add(op, op.type)
+
+    def _add(self, op: Advertise, type: str) -> _Publication:
+        depth = min(max(op.queue_size or 0, 0), MAX_DEPTH)
+        qos = Qos(durability="transient_local" if op.latch else "auto", depth=depth)
+        use = self._guest.use(PUBLISH, op.topic, type, _nothing, lambda _, error: self._peer.report(error), qos=qos)
+        added = self._by_topic[op.topic] = _Publication(use, {key(op.id)})
+        use.ready.add_done_callback(lambda done: self._ready(op, added, done))
+        return added
+
+    async def _infer(self, op: Advertise) -> None:
+        try:
+            type = await self._peer.type_of_topic(op.topic)
+            if op.topic not in self._by_topic:
+                self._add(op, type)
+        except RceError as error:
+            self._peer.report(error, op.id)
+
+    def _ready(self, op: Advertise, publication: _Publication, done: asyncio.Future[None]) -> None:
+        waiting, publication.waiting = publication.waiting, []
+        if done.cancelled():
+            return
+        error = done.exception()
+        if isinstance(error, RceError):
+            if self._by_topic.get(op.topic) is publication:
+                del self._by_topic[op.topic]
+            self._peer.report(error, op.id)
+            return
+        for message in waiting:
+            self._send(publication, message)
+
+    def unadvertise(self, op: Unadvertise) -> None:
+        """Publish no more on a topic, once none of its ids is advertised; without an id at once."""
+        found = self._by_topic.get(op.topic)
+        if found is None:
+            return
+        found.ids.discard(key(op.id))
+        if not found.ids or not key(op.id):
+            del self._by_topic[op.topic]
+            if found.use.ready.done():
+                self._guest.drop(found.use)
+            else:  # what was published before is sent
+                found.use.ready.add_done_callback(lambda _: self._guest.drop(found.use))
+
+    def publish(self, op: Publish) -> None:
+        """Publish a message; a topic that is not advertised must have a type in the environment."""
+        found = self._by_topic.get(op.topic)
+        if found is None:
+            self._guest.run(self._publish_unadvertised(op), len(memoryview(op.msg)))
+        elif found.use.ready.done():
+            self._send(found, op.msg)
+        else:  # nothing more is read meanwhile, so that what waits is bounded by what was read already
+            found.waiting.append(op.msg)
+            self._peer.pause_until(found.use.ready)
+
+    async def _publish_unadvertised(self, op: Publish) -> None:
+        await self._infer(Advertise(topic=op.topic))
+        if op.topic in self._by_topic:
+            self.publish(op)
+
+    def _send(self, publication: _Publication, message: Raw) -> None:
+        self._guest.data(publication.use, "", message, self._peer.report)
+
+
+@dataclass
+class _Subscription:
+    """Subscriptions of one topic by their ids, which share one use."""
+
+    topic: str
+    type: str
+    asked: dict[bytes, Subscribe] = field(default_factory=dict)
+    use: Use | None = None
+    form: Form = encoding.PLAIN
+
+    def merged(self) -> Subscribe:
+        """Return what all of them get: the fastest, longest and least fragmented of what they asked for."""
+        every = list(self.asked.values())
+        sizes = [each.fragment_size for each in every if each.fragment_size]
+        kinds = {each.compression or "none" for each in every}
+        return Subscribe(
+            topic=self.topic,
+            throttle_rate=min(max(each.throttle_rate or 0, 0) for each in every),
+            queue_length=max(max(each.queue_length or 0, 0) for each in every),
+            fragment_size=min(sizes, default=0),
+            compression=next(kind for kind in ("cbor-raw", "cbor", "png", "none") if kind in kinds),
+        )
+
+
+class Subscriptions:
+    """Topics that a client subscribes to."""
+
+    def __init__(self, guest: Guest, peer: Peer) -> None:
+        self._guest = guest
+        self._peer = peer
+        self._by_topic: dict[str, _Subscription] = {}
+
+    def subscribe(self, op: Subscribe) -> None:
+        """Subscribe to a topic, or change an earlier subscription of the same id.
+
+        Raises:
+            InvalidRequest: The topic is subscribed to as another type.
+            LimitExceeded: It is subscribed to with too many ids.
+        """
+        if op.type:
+            parse_type(op.type)
+        found = self._by_topic.get(op.topic)
+        if found is None:
+            found = self._by_topic[op.topic] = _Subscription(op.topic, op.type or "")
+        elif op.type and found.type and parse_type(op.type) != parse_type(found.type):
+            raise InvalidRequest(f"topic {op.topic} is subscribed to as {found.type} already")
+        _check_ids(op.topic, found.asked, op.id)
+        found.type = found.type or op.type or ""
+        found.asked[key(op.id)] = op
+        if found.type:
+            self._update(found)
+        else:
+            self._guest.run(self._infer(found, op))
+
+    async def _infer(self, subscription: _Subscription, op: Subscribe) -> None:
+        try:
+            found = await self._peer.type_of_topic(op.topic)
+            subscription.type = subscription.type or found  # another operation may have given it meanwhile
+            if self._by_topic.get(op.topic) is subscription:
+                self._update(subscription)
+        except RceError as error:
+            if subscription.use is not None:
+                return
+            if self._by_topic.get(op.topic) is subscription:
+                del self._by_topic[op.topic]
+            self._peer.report(error, op.id)
+
+    def unsubscribe(self, op: Unsubscribe) -> None:
+        """End one subscription, or without an id all of the topic."""
+        found = self._by_topic.get(op.topic)
+        if found is None:
+            return
+        found.asked.pop(key(op.id), None)
+        if found.asked and key(op.id):
+            if found.type:
+                self._update(found)
+            return
+        del self._by_topic[op.topic]
+        if found.use is not None:
+            self._guest.drop(found.use)
+
+    def _update(self, subscription: _Subscription) -> None:
+        merged = subscription.merged()
+        kind = merged.compression or "none"
+        form, old = FORMATS.get(kind, ("Converter", "rosbridge")), subscription.use
+        if old is None or form != FORMATS.get(subscription.form.compression, ("Converter", "rosbridge")):
+            if old is not None:
+                self._guest.drop(old)
+            self._begin(subscription, kind, form)
+        subscription.form = Form(kind, merged.fragment_size or 0)
+        assert subscription.use is not None
+        self._pace(subscription.use, merged)
+
+    def _begin(
+        self, subscription: _Subscription, kind: str, form: tuple[Literal["Converter", "Forwarder"], str]
+    ) -> None:
+        fields = {"op": "publish", "topic": subscription.topic}
+
+        def receive(arrived: Arrived) -> Sequence[Frame]:
+            if arrived.blob is None:
+                return encoding.with_value("msg", arrived.value, subscription.form, **fields)
+            if kind == "cbor":
+                return encoding.cbor("msg", arrived.blob, **fields)
+            return encoding.cbor_raw(arrived.blob, **fields)
+
+        use = self._guest.use(
+            SUBSCRIBE,
+            subscription.topic,
+            subscription.type,
+            receive,
+            lambda _, error: self._peer.report(error),
+            form=form[0],
+            format=form[1],
+        )
+        subscription.use = use
+        use.ready.add_done_callback(lambda done: self._ready(subscription, use, done))
+
+    def _ready(self, subscription: _Subscription, use: Use, done: asyncio.Future[None]) -> None:
+        if done.cancelled() or self._by_topic.get(subscription.topic) is not subscription:
+            return
+        error = done.exception()
+        if isinstance(error, RceError) and subscription.use is use:
+            del self._by_topic[subscription.topic]
+            self._peer.report(error, next(iter(subscription.asked.values())).id)
+        elif error is None:
+            self._pace(use, subscription.merged())
+
+    def _pace(self, use: Use, merged: Subscribe) -> None:
+        interface = self._guest.interface(use)
+        if isinstance(interface, Publisher):
+            interface.set_pace((merged.throttle_rate or 0) / 1000, min(merged.queue_length or 0, MAX_DEPTH))
+
+
+def _check_ids(topic: str, ids: Collection[bytes], id: Id) -> None:
+    if len(ids) >= MAX_IDS and key(id) not in ids:
+        raise LimitExceeded(f"topic {topic} has {MAX_IDS} ids already: use one of them")
+
+
+def _nothing(_: Arrived) -> Sequence[Frame]:
+    return ()
+
+
+async def find_topic_type(guest: Guest, topic: str) -> str:
+    """Return the type of a topic of the environment; raise NotFound if it has none."""
+    for age in (1.0, 0.0):
+        for each in (await guest.graph(age)).topics:
+            if each.name == topic:
+                return each.types[0]
+    raise NotFound(f"topic {topic[:200]} has no type yet: give its type, or begin to publish it", field="type")

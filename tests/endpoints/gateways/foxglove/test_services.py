@@ -1,0 +1,63 @@
+"""Calls of services by a client of Foxglove."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from endpoints.gateways.foxglove.messages import ServiceRequest
+from endpoints.gateways.foxglove.offers import Offer
+from endpoints.gateways.foxglove.services import Calls
+from rce.errors import RceError
+from tests.support.endpoints.fake_guest import FakeGuest
+
+OFFER = Offer("/set", "std_srvs/SetBool", ("", ""))
+CDR = ServiceRequest(1, 10, "cdr", memoryview(b"\0\1\0\0\1"))
+JSON = ServiceRequest(1, 11, "json", memoryview(b'{"data":true}'))
+
+
+@pytest.fixture
+async def guest() -> FakeGuest:
+    return FakeGuest()
+
+
+async def test_responses_have_the_encoding_of_their_requests(guest: FakeGuest) -> None:
+    calls = Calls(guest.as_guest())
+    calls.call(CDR, OFFER)
+    await guest.settle()
+    by_cdr = guest.uses["ServiceClientInterface", "/set"]
+    calls.call(JSON, OFFER)
+    await guest.settle()
+    by_json = guest.uses["ServiceClientInterface", "/set"]
+    (_, first, value, _), (_, second, decoded, _) = guest.sent
+    assert (value, decoded) == (b"\0\1\0\0\1", {"data": True})
+    (frame,) = guest.deliver(by_cdr, "id", first, blob=b"answer")
+    assert frame.endswith(b"cdranswer")
+    (frame,) = guest.deliver(by_json, {"success": True}, second)
+    assert frame.endswith(b'json{"success":true}')
+    assert guest.deliver(by_json, {}, second) == []
+
+
+async def test_failures_name_the_call(guest: FakeGuest) -> None:
+    calls = Calls(guest.as_guest())
+    calls.call(CDR, None)
+    calls.call(ServiceRequest(1, 12, "ros1", memoryview(b"")), OFFER)
+    guest.fails = RceError("no environment")
+    calls.call(JSON, OFFER)
+    await guest.settle()
+    assert [(each["op"], each["callId"]) for each in guest.frames] == [
+        ("serviceCallFailure", 10),
+        ("serviceCallFailure", 12),
+        ("serviceCallFailure", 11),
+    ]
+
+
+async def test_unanswered_call_does_not_keep_its_request(guest: FakeGuest) -> None:
+    payload = bytes(1000)
+    before = sys.getrefcount(payload)
+    calls = Calls(guest.as_guest())
+    calls.call(ServiceRequest(1, 10, "cdr", memoryview(payload)), OFFER)
+    await guest.settle()
+    assert len(calls._calls) == 1
+    assert sys.getrefcount(payload) == before

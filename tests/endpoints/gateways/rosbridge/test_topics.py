@@ -1,0 +1,171 @@
+"""Topics of a client of rosbridge."""
+
+from __future__ import annotations
+
+import cbor2
+import pytest
+from msgspec import Raw
+
+from endpoints.gateways.rosbridge.operations import Advertise, Publish, Subscribe, Unadvertise, Unsubscribe
+from endpoints.gateways.rosbridge.topics import MAX_IDS, Publications, Subscriptions, find_topic_type
+from rce.control.calls.watching import RosGraph, RosName
+from rce.errors import InvalidRequest, LimitExceeded, NotFound, RceError
+from tests.support.endpoints.fake_guest import FakeGuest, FakePeer
+
+STRING = "std_msgs/String"
+ONE, TWO = Raw(b'"one"'), Raw(b'"two"')
+HELLO = Raw(b'{"data":"hello"}')
+
+
+@pytest.fixture
+async def guest() -> FakeGuest:
+    return FakeGuest()
+
+
+@pytest.fixture
+def peer() -> FakePeer:
+    return FakePeer({"/known": STRING})
+
+
+@pytest.fixture
+def publications(guest: FakeGuest, peer: FakePeer) -> Publications:
+    return Publications(guest.as_guest(), peer)
+
+
+@pytest.fixture
+def subscriptions(guest: FakeGuest, peer: FakePeer) -> Subscriptions:
+    return Subscriptions(guest.as_guest(), peer)
+
+
+async def test_messages_are_published(guest: FakeGuest, publications: Publications) -> None:
+    publications.advertise(Advertise(topic="/a", type=STRING, latch=True, queue_size=3))
+    publications.publish(Publish(topic="/a", msg=HELLO))
+    assert guest.sent == [("/a", "", {"data": "hello"}, {})]
+    qos = guest.options["u0"]["qos"]
+    assert (qos.durability, qos.depth) == ("transient_local", 3)
+
+
+async def test_client_is_not_read_until_its_topic_is_ready(
+    guest: FakeGuest, peer: FakePeer, publications: Publications
+) -> None:
+    guest.auto = False
+    publications.advertise(Advertise(topic="/a", type=STRING))
+    publications.publish(Publish(topic="/a", msg=HELLO))
+    use = guest.uses["PublisherInterface", "/a"]
+    assert peer.paused is use.ready
+    assert not guest.sent
+    use.ready.set_result(None)
+    await guest.settle()
+    assert len(guest.sent) == 1
+
+
+async def test_topic_is_used_until_its_last_id_is_gone(guest: FakeGuest, publications: Publications) -> None:
+    for id in (ONE, TWO):
+        publications.advertise(Advertise(topic="/a", type=STRING, id=id))
+    assert len(guest.uses) == 1
+    publications.unadvertise(Unadvertise(topic="/a", id=ONE))
+    assert not guest.dropped
+    publications.unadvertise(Unadvertise(topic="/a", id=TWO))
+    assert guest.dropped == ["/a"]
+    publications.unadvertise(Unadvertise(topic="/a"))
+
+
+async def test_type_of_a_topic_that_exists_is_known(
+    guest: FakeGuest, peer: FakePeer, publications: Publications
+) -> None:
+    publications.publish(Publish(topic="/known", msg=HELLO))
+    publications.publish(Publish(topic="/unknown", msg=HELLO))
+    await guest.settle()
+    assert [address for address, *_ in guest.sent] == ["/known"]
+    assert peer.errors == [("/unknown has no type", None)]
+
+
+async def test_other_type_for_a_topic_in_use_is_refused(
+    publications: Publications, subscriptions: Subscriptions
+) -> None:
+    publications.advertise(Advertise(topic="/a", type=STRING))
+    with pytest.raises(InvalidRequest, match="already"):
+        publications.advertise(Advertise(topic="/a", type="std_msgs/Bool"))
+    subscriptions.subscribe(Subscribe(topic="/a", type=STRING))
+    with pytest.raises(InvalidRequest, match="already"):
+        subscriptions.subscribe(Subscribe(topic="/a", type="std_msgs/Bool"))
+
+
+async def test_failure_is_reported_with_the_id(
+    guest: FakeGuest, peer: FakePeer, publications: Publications, subscriptions: Subscriptions
+) -> None:
+    guest.fails = RceError("no such environment")
+    publications.advertise(Advertise(topic="/a", type=STRING, id=ONE))
+    subscriptions.subscribe(Subscribe(topic="/a", type=STRING, id=TWO))
+    await guest.settle()
+    assert peer.errors == [("no such environment", "one"), ("no such environment", "two")]
+
+
+async def test_subscriptions_of_a_topic_share_one_use(guest: FakeGuest, subscriptions: Subscriptions) -> None:
+    subscriptions.subscribe(Subscribe(topic="/a", type=STRING, id=ONE))
+    subscriptions.subscribe(Subscribe(topic="/a", type="std_msgs/msg/String", id=TWO))
+    (use,) = guest.uses.values()
+    assert guest.deliver(use, {"data": "x"}) == [{"op": "publish", "topic": "/a", "msg": {"data": "x"}}]
+    subscriptions.unsubscribe(Unsubscribe(topic="/a", id=ONE))
+    assert not guest.dropped
+    subscriptions.unsubscribe(Unsubscribe(topic="/a", id=TWO))
+    assert guest.dropped == ["/a"]
+
+
+async def test_subscriptions_get_the_lowest_throttle_and_the_longest_queue(subscriptions: Subscriptions) -> None:
+    subscriptions.subscribe(Subscribe(topic="/a", type=STRING, id=ONE, throttle_rate=100, queue_length=1))
+    subscriptions.subscribe(Subscribe(topic="/a", type=STRING, id=TWO, throttle_rate=50, queue_length=9))
+    merged = subscriptions._by_topic["/a"].merged()
+    assert (merged.throttle_rate, merged.queue_length) == (50, 9)
+
+
+async def test_compression_decides_the_interface(guest: FakeGuest, subscriptions: Subscriptions) -> None:
+    subscriptions.subscribe(Subscribe(topic="/a", type=STRING))
+    assert guest.options["u0"]["format"] == "rosbridge"
+    subscriptions.subscribe(Subscribe(topic="/a", type=STRING, id=ONE, compression="cbor"))
+    assert guest.options["u1"]["format"] == "cbor"
+    subscriptions.subscribe(Subscribe(topic="/a", type=STRING, id=TWO, compression="cbor-raw"))
+    assert guest.options["u2"]["form"] == "Forwarder"
+    (frame,) = guest.deliver(guest.uses["SubscriberInterface", "/a"], "id", blob=b"\0\1\0\0")
+    assert cbor2.loads(frame)["msg"]["bytes"] == b"\0\1\0\0"
+
+
+async def test_subscription_without_a_type_takes_that_of_the_topic(
+    guest: FakeGuest, peer: FakePeer, subscriptions: Subscriptions
+) -> None:
+    subscriptions.subscribe(Subscribe(topic="/known"))
+    subscriptions.subscribe(Subscribe(topic="/unknown", id=ONE))
+    subscriptions.unsubscribe(Unsubscribe(topic="/nothing"))
+    await guest.settle()
+    assert [address for _, address in guest.uses] == ["/known"]
+    assert peer.errors == [("/unknown has no type", "one")]
+
+
+async def test_type_comes_from_the_graph() -> None:
+    guest = FakeGuest(RosGraph([RosName("/a", [STRING])], []))
+    assert await find_topic_type(guest.as_guest(), "/a") == STRING
+    with pytest.raises(NotFound, match="/b has no type"):
+        await find_topic_type(guest.as_guest(), "/b")
+
+
+async def test_ids_of_a_topic_are_bounded(publications: Publications, subscriptions: Subscriptions) -> None:
+    for number in range(MAX_IDS):
+        publications.advertise(Advertise(topic="/a", type=STRING, id=Raw(b"%d" % number)))
+        subscriptions.subscribe(Subscribe(topic="/a", type=STRING, id=Raw(b"%d" % number)))
+    with pytest.raises(LimitExceeded):
+        publications.advertise(Advertise(topic="/a", type=STRING, id=ONE))
+    with pytest.raises(LimitExceeded):
+        subscriptions.subscribe(Subscribe(topic="/a", type=STRING, id=ONE))
+    subscriptions.subscribe(Subscribe(topic="/a", type=STRING, id=Raw(b"1"), queue_length=3))
+
+
+async def test_type_of_a_later_subscription_serves_an_earlier_one(
+    guest: FakeGuest, peer: FakePeer, subscriptions: Subscriptions
+) -> None:
+    subscriptions.subscribe(Subscribe(topic="/unknown", id=ONE))
+    subscriptions.subscribe(Subscribe(topic="/unknown", type=STRING, id=TWO))
+    await guest.settle()
+    assert [use.type for use in guest.uses.values()] == [STRING]
+    assert not peer.errors
+    subscriptions.unsubscribe(Unsubscribe(topic="/unknown", id=TWO))
+    assert not guest.dropped

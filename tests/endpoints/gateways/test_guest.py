@@ -1,0 +1,121 @@
+"""Guests of gateways at a real Master: login, rights, and the end of everything with the socket."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from typing import Any
+
+import pytest
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import InvalidStatus
+
+from endpoints.gateways.guest import Guest
+from endpoints.gateways.uses import SUBSCRIBE
+from endpoints.robot.session import MAX_COMMANDS
+from rce.control.calls.robots import ReadGraphFor
+from rce.control.calls.watching import RosGraph
+from rce.protocol.messages import ConnectionEvent
+from tests.support.endpoints.platforms import Platform
+from tests.support.endpoints.raw_robot import PASSWORD, USER, eventually
+
+
+def url(platform: Platform, path: str = "rosbridge/brain", query: str = f"userID={USER}&password={PASSWORD}") -> str:
+    return f"ws://127.0.0.1:{platform.port}/{path}?{query}"
+
+
+@pytest.fixture
+def brain(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the environment brain exist as far as its graph is asked for."""
+    call = platform.endpoint.master.call
+
+    async def answer(asked: Any, *args: Any, **options: Any) -> Any:
+        if isinstance(asked, ReadGraphFor) and asked.environment == "brain":
+            return RosGraph([], [])
+        return await call(asked, *args, **options)
+
+    monkeypatch.setattr(platform.endpoint.master, "call", answer)
+
+
+async def ask(socket: ClientConnection, **operation: Any) -> Any:
+    await socket.send(json.dumps(operation))
+    return json.loads(await socket.recv())
+
+
+@pytest.mark.parametrize(
+    ("path", "query", "status"),
+    [
+        ("rosbridge/brain", f"userID={USER}&password={PASSWORD}", 404),
+        ("rosbridge/admin/brain", f"userID={USER}&password={PASSWORD}", 404),
+        ("rosbridge/brain", f"userID={USER}&password={'0' * 64}", 401),
+        ("rosbridge/brain", f"userID={USER}", 400),
+        ("rosbridge", f"userID={USER}&password={PASSWORD}", 404),
+    ],
+)
+async def test_handshake_is_refused(platform: Platform, path: str, query: str, status: int) -> None:
+    with pytest.raises(InvalidStatus) as refused:
+        await connect(url(platform, path, query))
+    assert refused.value.response.status_code == status
+    await eventually(lambda: not platform.endpoint.sessions)
+
+
+@pytest.mark.usefixtures("brain")
+async def test_session_of_a_guest_ends_with_its_socket(platform: Platform) -> None:
+    async with connect(url(platform)):
+        (name,) = platform.endpoint.sessions
+        assert name.startswith(f"{USER}/@rosbridge_")
+        await eventually(lambda: name in platform.master.state.robots)
+    await eventually(lambda: not platform.endpoint.sessions)
+    await eventually(lambda: not platform.master.state.robots)
+
+
+@pytest.mark.usefixtures("brain")
+async def test_guest_is_closed_when_its_session_is_ended(platform: Platform) -> None:
+    async with connect(url(platform)) as socket:
+        (name,) = platform.endpoint.sessions
+        await platform.master.sessions.disconnect(name, "the key was revoked")
+        await socket.wait_closed()
+        assert (socket.close_code, socket.close_reason) == (1008, "the key was revoked")
+
+
+@pytest.mark.usefixtures("brain")
+async def test_use_that_cannot_be_made_is_reported(platform: Platform) -> None:
+    async with connect(url(platform)) as socket:
+        await socket.send('{"op": "set_level", "level": "info"}')
+        status = await ask(socket, op="subscribe", topic="/a", type="std_msgs/String", id=7)
+        assert (status["op"], status["id"]) == ("status", 7)
+        assert "brain" in status["msg"]
+        answer = await ask(socket, op="call_service", service="/a", type="std_srvs/Empty", id="c")
+        assert (answer["result"], answer["id"]) == (False, "c")
+
+
+@pytest.mark.usefixtures("brain")
+async def test_more_uses_are_begun_at_once_than_a_session_may_have_commands(platform: Platform) -> None:
+    async with connect(url(platform)):
+        (session,) = platform.endpoint.sessions.values()
+        guest = session.socket
+        assert isinstance(guest, Guest)
+        uses = [
+            guest.use(SUBSCRIBE, f"/t{n}", "std_msgs/String", lambda _: (), lambda *_: None)
+            for n in range(MAX_COMMANDS // 2)  # each takes three
+        ]
+        await asyncio.wait([use.ready for use in uses], timeout=60)
+        assert {str(use.ready.exception()) for use in uses} == {str(uses[0].ready.exception())}
+        assert "brain" in str(uses[0].ready.exception()), "the environment, and not the number of commands"
+        await eventually(lambda: not guest._removals)
+
+
+@pytest.mark.usefixtures("brain")
+async def test_client_whose_environment_is_removed_is_closed(platform: Platform) -> None:
+    async with connect(url(platform)) as socket:
+        (session,) = platform.endpoint.sessions.values()
+        guest = session.socket
+        assert isinstance(guest, Guest)
+        use = guest.use(SUBSCRIBE, "/scan", "std_msgs/String", lambda _: (), lambda *_: None)
+        robot = guest.name.partition("/")[2]
+        session.status(ConnectionEvent("brain/x", f"{robot}/u99", "gone"))
+        session.status(ConnectionEvent(f"brain/{robot}.{use.tag}", f"{robot}/{use.tag}", "waiting"))
+        assert session.socket is guest
+        session.status(ConnectionEvent(f"brain/{robot}.{use.tag}", f"{robot}/{use.tag}", "gone"))
+        await socket.wait_closed()
+        assert socket.close_reason == "/scan: environment brain, or its interface, was removed"
