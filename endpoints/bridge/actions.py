@@ -68,7 +68,7 @@ class Actions:
         ended, self._recording = self._recording, None
         ended.end()
         self._last_recording = ended.path
-        return f"recorded {ended.messages} messages into {ended.path}"
+        return ended.summary()
 
     async def close(self) -> None:
         """End the recording and stop offloading."""

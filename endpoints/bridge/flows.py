@@ -17,7 +17,8 @@ from endpoints.bridge.local_ros import CLOUD, CloudLink, LocalRos, MakeInterface
 from endpoints.data.frames import Message
 from endpoints.data.interface import error_of
 from endpoints.environment.interfaces import RosInterface
-from endpoints.environment.services import TIMEOUT, ServiceClientInterface, ServiceProviderInterface
+from endpoints.environment.service_calls import TIMEOUT
+from endpoints.environment.services import ServiceClientInterface, ServiceProviderInterface
 from endpoints.environment.topics import PublisherInterface, SubscriberInterface
 from rce.client import Environment
 from rce.errors import ConversionError, RceError

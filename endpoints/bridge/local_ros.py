@@ -32,6 +32,7 @@ class CloudLink:
     """Link from an interface in the robot's ROS to the platform; nothing is queued in it."""
 
     name = "cloud"
+    to_environment = True  # so that what came from there is not sent back
 
     def __init__(self) -> None:
         self.opened: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -105,7 +106,7 @@ class LocalRos:
         Raises:
             UnknownType: One of the types is not installed.
         """
-        return self._definitions.describe(type_name, False)
+        return self._definitions.describe(type_name, "msg")
 
     def remove_interface(self, interface: RosInterface) -> None:
         """Remove an interface."""

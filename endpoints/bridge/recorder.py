@@ -11,25 +11,37 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
+from twisted.logger import Logger
 
 from endpoints.bridge.local_ros import CloudLink, LocalRos
 from endpoints.data.frames import Message
 from endpoints.environment.interfaces import RosInterface
 from endpoints.environment.topics import SubscriberInterface
-from rce.errors import InvalidRequest
+from rce.errors import InvalidRequest, Unavailable, disk_full
 from rce.net.outbox import Owner
 from rce.protocol.messages import Qos
 from rce.protocol.names import parse_type
 
 QOS = Qos(depth=1000)
+RETRY_INTERVAL = 1.0  # seconds after which a disk that had no room is tried again
+
+log = Logger()
 
 
 class Recording:
-    """A recording, from `begin` to `end`."""
+    """A recording, from `begin` to `end`.
+
+    Attributes:
+        path: Directory of the bag.
+        messages: Number of messages in it.
+        lost: Number of messages that could not be written.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.messages = 0
+        self.messages = self.lost = 0
+        self._reason = ""  # why messages were lost
+        self._next_try = 0.0  # monotonic time until which nothing is written
         self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
         self._interfaces: list[RosInterface] = []
         self._local: LocalRos
@@ -74,16 +86,41 @@ class Recording:
             )
 
     def write(self, connection: Connection, payload: bytes) -> None:
-        """Write a message with the present time."""
+        """Write a message with the present time; count it as lost while the disk does not take it.
+
+        A bag collects messages and writes them together. Those that could not be written stay there until the next try,
+        so that messages in between must not be added to them.
+        """
+        if time.monotonic() < self._next_try:
+            self.lost += 1
+            return
         self.messages += 1
-        self._writer.write(connection, time.time_ns(), payload)
+        try:
+            self._writer.write(connection, time.time_ns(), payload)
+        except OSError as error:
+            if not self._reason:
+                log.error("{path} cannot be written: {error}", path=str(self.path), error=str(error))
+            self._reason = str(disk_full(error) or error)
+            self._next_try = time.monotonic() + RETRY_INTERVAL
+
+    def summary(self) -> str:
+        """Return a sentence about what was recorded."""
+        missing = f"; {self.lost} are missing: {self._reason}" if self.lost else ""
+        return f"recorded {self.messages} messages into {self.path}{missing}"
 
     def end(self) -> None:
-        """End the recording and close its file."""
+        """End the recording and close its file.
+
+        Raises:
+            Unavailable: The last messages cannot be written.
+        """
         for interface in self._interfaces:
             self._local.remove_interface(interface)
         self._interfaces.clear()
-        self._writer.close()
+        try:
+            self._writer.close()
+        except OSError as error:
+            raise disk_full(error) or Unavailable(f"{self.path} cannot be completed: {error}") from None
 
 
 class _TopicRecorder(CloudLink):

@@ -22,7 +22,7 @@ from endpoints.data.frames import Message
 from endpoints.environment.interfaces import RosInterface
 from endpoints.environment.services import ServiceProviderInterface
 from endpoints.environment.topics import PublisherInterface, SubscriberInterface
-from rce.errors import ConversionError, NotFound, RceError
+from rce.errors import ConversionError, InternalError, NotFound, RceError
 from rce.net.outbox import Owner
 from rce.protocol.messages import Qos
 from rce.protocol.names import parse_type
@@ -97,7 +97,13 @@ class RequestServer:
                 f"there is no request {name[:80]!r}; the configuration has: {', '.join(self._actions) or 'none'}"
             )
         self.publish(Response(name, "accepted"))
-        return await self._perform(action)
+        try:
+            return await self._perform(action)
+        except RceError:
+            raise
+        except Exception as error:  # noqa: BLE001  # a defect; who asked waits for an answer
+            log.failure("request {name} failed", name=name)
+            raise InternalError(f"request {name} failed: {error!r}; the log of the bridge tells more") from None
 
     async def _answer(self, name: str) -> None:
         try:

@@ -14,20 +14,45 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from enum import IntEnum
 from time import perf_counter
 
 from endpoints.memory import uninitialized
 from rce.errors import LimitExceeded
 
 HEAD = struct.Struct("!BBIII")
-FIRST, DESTINATION, ERROR = 1, 2, 4
+FIRST, DESTINATION, ERROR, NUMBERED = 1, 2, 4, 8
+PHASE = 4  # the bits of the flags above these: the phase
 PART = 256 * 1024
 MAX_MESSAGE = 80 * 1024 * 1024  # a 64 MB WebSocket message grows a little when it is converted to CDR
 MAX_UNFINISHED = 4 * MAX_MESSAGE
 MAX_STREAMS = 4096
-SCRATCH = 256 * 1024
+SCRATCH = 16 * 1024  # bytes of small frames that are parsed at a stretch; larger payloads are read past this buffer
 
 Buffer = bytes | bytearray | memoryview
+
+
+class Phase(IntEnum):
+    """Phase of a goal to which a message belongs; topics and services have none.
+
+    The side that asks sends the first four, the side that carries out the goal sends the others, and CANCEL when it has
+    accepted to cancel. A leased goal is canceled when its asker is lost. RESULT asks for the result again.
+    """
+
+    NONE = 0
+    GOAL = 1
+    LEASED_GOAL = 2
+    CANCEL = 3
+    RESULT = 4
+    ACCEPTED = 5
+    REJECTED = 6
+    FEEDBACK = 7
+    SUCCEEDED = 8
+    CANCELED = 9
+    ABORTED = 10
+
+
+_PHASES = tuple(Phase)
 
 
 @dataclass(slots=True)
@@ -39,7 +64,9 @@ class Message:
         msg_id: Message id, which connects a response with its request.
         payload: Serialized ROS message (CDR with its encapsulation header); with `error`, an ErrorInfo as msgpack.
         destination: Id of the only peer that gets the message; None for all peers.
-        error: True for the answer to a service request that failed.
+        error: True for the answer to a service request that failed, or the end of a goal that failed.
+        numbered: True if the platform gave the message id to a message that had none.
+        phase: Phase of a message of an action; its `msg_id` is the goal's UUID in hex digits.
         entered_at: `time.perf_counter` when the message came into this process; not transmitted.
 
     Raises:
@@ -51,6 +78,8 @@ class Message:
     payload: Buffer
     destination: bytes | None = None
     error: bool = False
+    phase: Phase = Phase.NONE
+    numbered: bool = False
     entered_at: float = field(default_factory=perf_counter, compare=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -67,6 +96,7 @@ def pieces(message: Message, stream: int) -> Iterator[list[Buffer]]:
     total = len(payload)
     name = message.msg_id.encode()
     flags = FIRST | (ERROR if message.error else 0) | (DESTINATION if message.destination else 0)
+    flags |= (NUMBERED if message.numbered else 0) | message.phase << PHASE
     first = min(total, PART)
     head = HEAD.pack(flags, len(name), stream, first, total) + message.source + (message.destination or b"") + name
     if total <= 16 * 1024:
@@ -155,7 +185,11 @@ class FrameReader:
             destination = bytes(self._view[body + 16 : ends]) if flags & DESTINATION else None
             name = str(self._view[ends : ends + name_length], "utf-8")
             body = ends + name_length
-            message = Message(source, name, b"", destination, bool(flags & ERROR))
+            phase = flags >> PHASE
+            if phase >= len(_PHASES):
+                raise LimitExceeded("a data link sent a message of an unknown phase")
+            error, numbered = bool(flags & ERROR), bool(flags & NUMBERED)
+            message = Message(source, name, b"", destination, error, _PHASES[phase], numbered)
             if size == total and self._have - body >= size:
                 message.payload = bytes(self._view[body : body + size])
                 done.append(message)

@@ -8,12 +8,12 @@ from abc import ABC, abstractmethod
 import msgspec
 from twisted.logger import Logger
 
-from endpoints.data.frames import Message
+from endpoints.data.frames import Message, Phase
 from endpoints.data.hops import HopRecorder
 from endpoints.data.link import Link
 from endpoints.data.traffic import InterfaceCounter
 from rce.control.calls.endpoints import InterfaceSpec
-from rce.errors import ErrorInfo, LimitExceeded, NotConnected, RceError
+from rce.errors import MALFORMED, ErrorInfo, LimitExceeded, NotConnected, RceError
 from rce.net.budget import INTERFACE, MB, Budget
 from rce.protocol.messages.commands import DEEP, SHALLOW
 
@@ -62,6 +62,9 @@ class Interface(ABC):
 
     def joined(self, peer: bytes) -> None:
         """Handle a new peer."""
+
+    def left(self, peer: bytes) -> None:
+        """Handle the departure of a peer."""
 
     def started(self) -> None:
         """Handle the arrival of the first peer; called before `joined`."""
@@ -132,11 +135,12 @@ class Interface(ABC):
             )
         self._deliver(message, None)
 
-    def fail(self, request: Message, error: RceError) -> None:
-        """Answer the request of a peer with an error."""
+    def fail(self, request: Message, error: RceError, phase: Phase = Phase.NONE) -> None:
+        """Answer the request of a peer, or end its goal, with an error; with CANCEL only its request to cancel it."""
         payload = msgspec.msgpack.encode(error.info)
         try:
-            self.request(Message(self.id, request.msg_id, payload, destination=request.source, error=True))
+            answer = Message(self.id, request.msg_id, payload, request.source, True, phase, request.numbered)
+            self.request(answer)
         except RceError as undelivered:  # the peer is gone or its queue is full: its call will time out
             log.info(
                 "the answer to a request was not delivered ({undelivered}): {error}",
@@ -149,5 +153,5 @@ def error_of(message: Message) -> RceError:
     """Return the error that a message with `error` set carries."""
     try:
         return RceError.from_info(msgspec.msgpack.decode(message.payload, type=ErrorInfo))
-    except msgspec.DecodeError:
+    except MALFORMED:
         return RceError("the service failed, and its error message is malformed")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Generic, Protocol, TypeVar
 
@@ -11,6 +13,7 @@ from twisted.logger import Logger
 
 from endpoints.data.frames import Buffer, FrameReader, Message, pieces
 from endpoints.data.throttle import Throttle
+from endpoints.data.turns import SLICE, Turns
 from rce.errors import LimitExceeded, Unavailable
 from rce.net.budget import OVERHEAD
 from rce.net.outbox import Outbox, Owner
@@ -28,6 +31,7 @@ class Link(Protocol):
 
     name: str
     opened: asyncio.Future[None]
+    to_environment: bool  # False for a link to a Robot endpoint
 
     def send(self, message: Message, keep: int | None, owner: Owner | None = None) -> int:
         """Queue a message.
@@ -78,6 +82,8 @@ class _QueuedLink(Generic[P]):
 class LoopLink(_QueuedLink[Message]):
     """Link between interfaces of one process; messages wait only while a receiver has paused it."""
 
+    to_environment = True  # this one, where that matters
+
     def __init__(self, name: str, deliver: Callable[[Message, Link], None], sent: Callable[[Message], None]) -> None:
         """Create an open link; `sent` is called right before each message is delivered."""
         self.name = name
@@ -123,6 +129,8 @@ class StreamLink(_QueuedLink[list[Buffer]], asyncio.BufferedProtocol):
         broken: Reason for which the link broke; empty while it has not.
     """
 
+    to_environment = False
+
     def __init__(
         self,
         name: str,
@@ -130,6 +138,8 @@ class StreamLink(_QueuedLink[list[Buffer]], asyncio.BufferedProtocol):
         lost: Callable[[StreamLink, str], None],
         sent: Callable[[Message], None],
         throttle: Throttle | None = None,
+        turns: Turns | None = None,
+        user: str = "",
     ) -> None:
         """Create a link that is not open yet.
 
@@ -139,6 +149,8 @@ class StreamLink(_QueuedLink[list[Buffer]], asyncio.BufferedProtocol):
             lost: Called once with the reason when the link breaks or cannot be opened; not after `close`.
             sent: Called with each message right before its first frame goes out.
             throttle: Rate limit for received bytes, which several links may share.
+            turns: Turns of the users whose links are received by this process.
+            user: User of the other side.
         """
         self.name = name
         self.opened: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -156,6 +168,10 @@ class StreamLink(_QueuedLink[list[Buffer]], asyncio.BufferedProtocol):
         self._throttle = throttle
         self._strays = Throttle(STRAYS)
         self._pauses = 0  # number of futures that must be done before reading resumes
+        self._turns = turns or Turns()
+        self._user = user
+        self._received: deque[Message] = deque()  # not delivered yet
+        self._turn: asyncio.Future[None] | None = None  # done when these are delivered; no more is read meanwhile
 
     def attach(self, transport: asyncio.Transport) -> None:
         """Open the link over `transport`, on which the handshake is complete."""
@@ -231,6 +247,7 @@ class StreamLink(_QueuedLink[list[Buffer]], asyncio.BufferedProtocol):
         """Close the link and drop all waiting messages; `lost` is not called."""
         self._end("closed")
         self._outbox.clear()
+        self._received.clear()
         if self._transport is not None:
             self._transport.close()
 
@@ -261,12 +278,44 @@ class StreamLink(_QueuedLink[list[Buffer]], asyncio.BufferedProtocol):
         if self._throttle is not None and (wait := self._throttle.consume(nbytes)):
             self._pause_for(wait)
         try:
-            for message in self._reader.buffer_updated(nbytes):
-                self._deliver(message, self)
+            self._received.extend(self._reader.buffer_updated(nbytes))
         except (LimitExceeded, UnicodeDecodeError) as error:
-            self.fail(str(error))
-            if self._transport is not None:
-                self._transport.abort()
+            self._abort(str(error))
+            return
+        if not self._received or self._turn is not None:
+            return
+        if self._turns.busy(self._user):
+            self._wait_for_turn()
+        else:
+            self._deliver_slice()
+
+    def _deliver_slice(self) -> None:
+        """Deliver received messages for one slice of time; the rest waits for a turn."""
+        end = time.monotonic() + SLICE
+        try:
+            while self._received:
+                self._deliver(self._received.popleft(), self)
+                if time.monotonic() > end and self._received:
+                    self._wait_for_turn()
+                    return
+        except LimitExceeded as error:
+            self._abort(str(error))
+        if self._turn is not None:
+            self._turn.set_result(None)
+            self._turn = None
+
+    def _wait_for_turn(self) -> None:
+        if self._turn is None:
+            self._turn = asyncio.get_running_loop().create_future()
+            self.pause(self._turn)
+        self._turns.wait(self._user, self._deliver_slice)
+
+    def _abort(self, reason: str) -> None:
+        """Break the link, because the other side violates a limit."""
+        self._received.clear()
+        self.fail(reason)
+        if self._transport is not None:
+            self._transport.abort()
 
     def _write(self, buffers: list[Buffer]) -> bool:
         assert self._transport is not None

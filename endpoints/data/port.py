@@ -71,13 +71,16 @@ class _Handshake(asyncio.BufferedProtocol):
 class _AcceptingHandshake(_Handshake):
     """Accepting side: attaches the connection to the link with the presented key."""
 
-    def __init__(self, expected: dict[bytes, StreamLink]) -> None:
+    def __init__(self, expected: dict[bytes, StreamLink], tls: Tls | None) -> None:
         super().__init__()
         self._expected = expected
+        self._tls = tls
         self._timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
+        if self._tls is not None:
+            self._tls.watch(transport)
         self._timer = asyncio.get_running_loop().call_later(OPEN_TIMEOUT, transport.abort)  # type: ignore[attr-defined]
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -180,7 +183,7 @@ class DataPort:
         if is_exposed(host, self._tls):
             log.warn(PLAINTEXT_WARNING, what="data", host=host)
         context = self._tls.server if self._tls else None
-        server = await loop.create_server(lambda: _AcceptingHandshake(self.expected), host, port, ssl=context)
+        server = await loop.create_server(self._accept, host, port, ssl=context)
         self._servers.append(server)
         bound_port: int = server.sockets[0].getsockname()[1]
         return bound_port
@@ -189,7 +192,10 @@ class DataPort:
         """Listen on a UNIX socket, which replaces an earlier one at `path` or is received at `offer`."""
         listener = await asyncio.to_thread(receive_socket, offer) if offer else bind_unix_socket(path)
         loop = asyncio.get_running_loop()
-        self._servers.append(await loop.create_unix_server(lambda: _AcceptingHandshake(self.expected), sock=listener))
+        self._servers.append(await loop.create_unix_server(self._accept, sock=listener))
+
+    def _accept(self) -> _AcceptingHandshake:
+        return _AcceptingHandshake(self.expected, self._tls)
 
     def expect(self, link: StreamLink, key: bytes) -> None:
         """Attach the next connection with `key` to `link`; the link fails when none comes in time."""
@@ -252,7 +258,10 @@ class DataPort:
                 await loop.create_unix_connection(lambda: handshake, path)
         else:
             host, port = parse_host_port(target)
-            await loop.create_connection(lambda: handshake, host, port, ssl=self._tls.client if self._tls else None)
+            context = self._tls.client if self._tls else None
+            transport, _ = await loop.create_connection(lambda: handshake, host, port, ssl=context)
+            if self._tls is not None:
+                self._tls.watch(transport)
 
     async def close(self) -> None:
         """Stop listening."""

@@ -16,6 +16,7 @@ from endpoints.data.link import Link, LoopLink, StreamLink
 from endpoints.data.port import DataPort
 from endpoints.data.throttle import Throttle
 from endpoints.data.traffic import TrafficTotals
+from endpoints.data.turns import Turns
 from rce.control.calls.endpoints import (
     AddRoute,
     Bind,
@@ -47,6 +48,7 @@ class Switchboard:
         self.interfaces: dict[bytes, Interface] = {}
         self.links: dict[str, Link] = {}
         self.hops = HopRecorder()
+        self.turns = Turns()
         self._totals = TrafficTotals()
         # For each remote source: the local interfaces that receive its messages, and the link over which they do.
         self._listeners: dict[bytes, dict[Interface, str]] = {}
@@ -161,6 +163,7 @@ class Switchboard:
             self._listeners.pop(peer, None)
         if link not in interface.peers.values():
             link.discard(interface.id)
+        interface.left(peer)
         if not interface.peers:
             interface.stopped()
 
@@ -294,7 +297,9 @@ class Switchboard:
         if not spec.key:
             self.links[spec.name] = LoopLink(spec.name, self.deliver, self.hops.sent)
             return
-        link = StreamLink(spec.name, self.deliver, self._lost, self.hops.sent, self._throttle(spec))
+        user = spec.sender.partition("/")[0]
+        link = StreamLink(spec.name, self.deliver, self._lost, self.hops.sent, self._throttle(spec), self.turns, user)
+        link.to_environment = "/" in spec.sender  # user/tag
         self.links[spec.name] = link
         key = bytes.fromhex(spec.key)
         if spec.dial:

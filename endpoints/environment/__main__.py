@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import secrets
 import sys
 import time
 from collections.abc import Coroutine
@@ -38,7 +39,7 @@ class Endpoint:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._token = settings.token
-        self._addresses: list[str] = []
+        self._credential = secrets.token_hex(32)
         self._master: ControlClient
         self._reports: set[asyncio.Task[None]] = set()
 
@@ -51,12 +52,14 @@ class Endpoint:
         tls = load_tls(self._settings.tls)
         port = DataPort(self._settings.relay, tls)
         socket = self._settings.socket or self._settings.data_dir.absolute() / "data.sock"
-        self._addresses = await port.listen(socket, self._settings.listen, offer=self._settings.listener)
+        await port.listen(socket, offer=self._settings.listener)
         ros = RosThread(asyncio.get_running_loop())
         await ros.start()
-        output = OutputLog(self._settings.data_dir / "environment.log")
-        logs.add_text_observer(lambda line: output.write(line.encode()))
-        environment = Environment(self._settings, ros, port, self.report, output)
+        of_user = OutputLog(self._settings.data_dir / "environment.log")
+        whole = OutputLog(self._settings.data_dir / "internal.log")
+        logs.add_text_observer(lambda line: of_user.write(line.encode()), "endpoints.environment.")
+        logs.add_text_observer(lambda line: whole.write(line.encode()))
+        environment = Environment(self._settings, ros, port, self.report, of_user, whole)
         self._master = ControlClient(
             reactor, self._settings.master, self._hello, environment.handlers(), self._welcomed, tls
         )
@@ -86,22 +89,9 @@ class Endpoint:
             log.warn("{call} could not be reported to the Master: {error}", call=type(call).__name__, error=str(error))
 
     def _hello(self) -> Hello:
-        return Hello(
-            "environment",
-            self._settings.name,
-            self._token,
-            __version__,
-            host=self._settings.host or host_identity(),
-            addresses=[*self._addresses, *self._relay_address()],
-        )
-
-    def _relay_address(self) -> list[str]:
-        """Return the address by way of the relay of this machine, if the relay has written its own beside the gate.
-
-        Only relays that are not part of a task set do so.
-        """
-        file = self._settings.relay.with_suffix(".address") if self._settings.relay else None
-        return [f"{file.read_text()}/{self._settings.name}"] if file and file.exists() else []
+        host = self._settings.host or host_identity()
+        name, own = self._settings.name, self._credential
+        return Hello("environment", name, self._token, __version__, host=host, credential=own)
 
     def _welcomed(self, welcome: Welcome) -> None:
         self._token = welcome.credential

@@ -1,4 +1,4 @@
-"""Texts of the installed message and service definitions, with all definitions that they use."""
+"""Texts of the installed definitions of messages, services and actions, with all definitions that they use."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from rce.control.calls.robots import Sort
 from rce.errors import UnknownType
 from rce.protocol.names import TYPE, parse_type
 
@@ -29,6 +30,7 @@ _BUILT_IN = frozenset(
         "uint64",
     ]
 )
+SORTS: dict[Sort, str] = {"msg": "message", "srv": "service", "action": "action"}
 
 
 class InstalledTypes:
@@ -42,26 +44,25 @@ class InstalledTypes:
     def __init__(self, prefixes: Sequence[Path], sources: Sequence[Path] = ()) -> None:
         self._places = [prefix / "share" for prefix in prefixes] + list(sources)
 
-    def find(self, package: str, sort: str, name: str) -> Path:
-        """Return the `.msg` or `.srv` file of a type; raise UnknownType if it is not installed."""
+    def find(self, package: str, sort: Sort, name: str) -> Path:
+        """Return the file that defines a type; raise UnknownType if it is not installed."""
         for place in self._places:
             path = place / package / sort / f"{name}.{sort}"
             if path.is_file():
                 return path
         raise UnknownType(
-            f"this environment has no {'service' if sort == 'srv' else 'message'} type {package}/{name}: "
-            "check the spelling, or install its package",
+            f"this environment has no {SORTS[sort]} type {package}/{name}: check the spelling, or install its package",
             field="className",
         )
 
-    def describe(self, name: str, service: bool) -> dict[str, str]:
-        """Return the definitions of a type and of all types that it uses, by `pkg/msg/Name` and `pkg/srv/Name`.
+    def describe(self, name: str, sort: Sort) -> dict[str, str]:
+        """Return the definitions of a type and of all types that it uses, by `pkg/SORT/Name`.
 
         Raises:
             UnknownType: One of the types is not installed.
         """
         package, base = parse_type(name)
-        wanted = [(package, "srv" if service else "msg", base)]
+        wanted: list[tuple[str, Sort, str]] = [(package, sort, base)]
         texts: dict[str, str] = {}
         while wanted:
             package, sort, base = wanted.pop()

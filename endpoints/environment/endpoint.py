@@ -11,6 +11,9 @@ from twisted.logger import Logger
 from endpoints.data.interface import Interface
 from endpoints.data.port import DataPort
 from endpoints.data.switchboard import Switchboard
+from endpoints.environment.action_client import ActionClientInterface
+from endpoints.environment.action_provider import ActionProviderInterface
+from endpoints.environment.dead_participants import tell_of_dead
 from endpoints.environment.definitions import InstalledTypes
 from endpoints.environment.interfaces import RosContext, RosInterface
 from endpoints.environment.live_parameters import LiveParameters
@@ -18,7 +21,7 @@ from endpoints.environment.nodes import Nodes
 from endpoints.environment.output_log import OutputLog
 from endpoints.environment.packages import Packages
 from endpoints.environment.parameters import Parameters, validate
-from endpoints.environment.process_environment import install_prefixes, node_variables
+from endpoints.environment.process_environment import LOOPBACK, install_prefixes, node_variables
 from endpoints.environment.ros import RosThread
 from endpoints.environment.ros_graph import read_graph
 from endpoints.environment.services import ServiceClientInterface, ServiceProviderInterface
@@ -30,6 +33,7 @@ from rce.control.calls.endpoints import (
     DropParameter,
     InterfaceSpec,
     LinkLost,
+    NodeDied,
     NodeSpec,
     ParameterSpec,
     PutParameter,
@@ -39,7 +43,7 @@ from rce.control.calls.endpoints import (
     Sync,
 )
 from rce.control.calls.robots import Definitions, DescribeType
-from rce.control.calls.watching import Log, ReadGraph, ReadLog, RosGraph
+from rce.control.calls.watching import Log, ReadGraph, ReadLog, ReadPackages, RosGraph, RosPackage, RosPackages
 from rce.control.connection import Handlers
 from rce.errors import ErrorInfo, InvalidRequest, RceError
 from rce.process.metrics import Family, gauge_family
@@ -49,6 +53,8 @@ KINDS: dict[str, type[RosInterface]] = {
     "SubscriberInterface": SubscriberInterface,
     "ServiceClientInterface": ServiceClientInterface,
     "ServiceProviderInterface": ServiceProviderInterface,
+    "ActionClientInterface": ActionClientInterface,
+    "ActionProviderInterface": ActionProviderInterface,
 }
 TICK = 1.0  # seconds
 
@@ -59,7 +65,15 @@ ReportCall = Callable[[Call[Nothing]], None]
 class Environment:
     """Interfaces, nodes and parameters of one environment."""
 
-    def __init__(self, settings: Settings, ros: RosThread, port: DataPort, report: ReportCall, log: OutputLog) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        ros: RosThread,
+        port: DataPort,
+        report: ReportCall,
+        log: OutputLog,
+        internal_log: OutputLog,
+    ) -> None:
         """Create an empty environment.
 
         Args:
@@ -67,19 +81,23 @@ class Environment:
             ros: Thread of ROS, which `run` stops at the end.
             port: Data port of the process.
             report: Sends a call to the Master as soon as it can be reached.
-            log: Log of this process, which users can read.
+            log: Log of what concerns users.
+            internal_log: Log of everything in this process, as the Master's calls.
         """
         installed = install_prefixes(settings)
         packages = Packages(installed, settings.package_path)
+        self._packages = packages
         self._send_report = report
         self._log = log
+        self._internal_log = internal_log
         self._ros = ros
         self._definitions = InstalledTypes(installed + packages.prefixes, packages.sources)
         self._parameters = Parameters()
         self._live_parameters = LiveParameters(ros)
-        self._nodes = Nodes(settings.data_dir, packages, self._parameters, node_variables(settings), report)
+        self._nodes = Nodes(settings.data_dir, packages, self._parameters, node_variables(settings), self._node_died)
         self._switchboard = Switchboard(port, lambda link, reason: report(LinkLost(link, reason[:MAX_TEXT])))
         self._context = RosContext(ros, self._switchboard.hops, self._definitions, self._report_error)
+        self._hosts = list(filter(None, [LOOPBACK, settings.address, *settings.peers]))
         self._reported_drops: dict[str, int] = {}  # by interface id
 
     def handlers(self) -> Handlers:
@@ -94,6 +112,7 @@ class Environment:
         handlers.on(ReadLog, self._read_log)
         handlers.on(DescribeType, self._describe)
         handlers.on(ReadGraph, self._read_graph)
+        handlers.on(ReadPackages, self._read_packages)
         handlers.serve_metrics("environment", board.families, self._families)
         return handlers
 
@@ -164,21 +183,33 @@ class Environment:
             raise
 
     async def _read_log(self, call: ReadLog) -> Log:
-        log = self._nodes.log(call.node) if call.node else self._log
+        own = self._internal_log if call.verbose else self._log
+        log = self._nodes.log(call.node) if call.node else own
         if call.after:
             return Log(*await log.wait_since(call.after, call.wait))
         return Log(log.last_lines(call.lines), log.end)
 
     async def _describe(self, call: DescribeType) -> Definitions:
-        return Definitions(self._definitions.describe(call.type, call.service))
+        return Definitions(self._definitions.describe(call.type, call.sort))
 
     async def _read_graph(self, call: ReadGraph) -> RosGraph:
         return await self._ros.run(lambda: read_graph(self._ros.node))
+
+    async def _read_packages(self, call: ReadPackages) -> RosPackages:
+        found = await asyncio.to_thread(self._packages.executables)
+        return RosPackages([RosPackage(name, executables) for name, executables in found.items()])
 
     def _families(self) -> list[Family]:
         return [gauge_family("rce_nodes", "Nodes that run", [], {(): len(self._nodes.specs)})]
 
     # reports
+
+    def _node_died(self, report: NodeDied) -> None:
+        self._ros.post(self._tell_of_dead)
+        self._send_report(report)
+
+    def _tell_of_dead(self) -> None:
+        tell_of_dead(self._ros.node, self._ros.prefix, self._hosts)
 
     def _report_error(self, spec: InterfaceSpec, error: RceError) -> None:
         self._send_report(Report(spec.owner, spec.tag, error.info))

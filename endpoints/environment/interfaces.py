@@ -13,7 +13,8 @@ from twisted.logger import Logger
 from endpoints.data.hops import HopRecorder
 from endpoints.data.interface import Interface
 from endpoints.environment.definitions import InstalledTypes
-from endpoints.environment.ros import RosThread, Waitable
+from endpoints.environment.ros import RosThread
+from endpoints.environment.shared_topics import SharedTopics
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import InvalidRequest, RceError
 from rce.net.budget import MB, Budget
@@ -21,7 +22,7 @@ from rce.net.budget import MB, Budget
 log = Logger()
 QUEUES = 128 * MB  # bytes of all messages of an environment that wait
 MAX_REPORTED = 100  # different errors that one interface reports
-W = TypeVar("W", bound=Waitable)
+W = TypeVar("W")
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class RosContext:
     definitions: InstalledTypes
     report: Callable[[InterfaceSpec, RceError], None]
     budget: Budget = field(default_factory=lambda: Budget(QUEUES))
+    shared: SharedTopics = field(default_factory=SharedTopics)
 
 
 class RosInterface(Interface):

@@ -17,11 +17,14 @@ from endpoints.environment.parameters import ros_form
 from endpoints.environment.ros import NODE, RosThread
 from endpoints.environment.ros_services import RawClient
 from rce.control.calls.endpoints import ParameterSpec
-from rce.errors import InvalidRequest
+from rce.errors import InvalidRequest, TimedOut
 from rce.protocol.messages import ParameterValue
 
-TIMEOUT = 2.0  # seconds for a node to appear and to answer
+TIMEOUT = 2.0  # seconds for a node, and its services, to appear
+ANSWER_TIMEOUT = 10.0  # seconds for a node to answer
 POLL_INTERVAL = 0.02  # seconds
+
+WRONG_TYPE = "Wrong parameter type"  # begins the reason of rclpy, which names types by numbers
 
 log = Logger()
 _fields = {
@@ -47,17 +50,25 @@ class _Client:
         self._waiting: dict[int, asyncio.Future[bytes]] = {}
 
     async def call(self, request: Any) -> Any:
-        """Call the service; return None when it does not answer in time."""
+        """Call the service; return None if the node does not offer it.
+
+        Raises:
+            TimedOut: The node offers it, but does not answer in time.
+        """
         answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
         payload = serialize_message(request)
         try:
             async with asyncio.timeout(TIMEOUT):
                 while not await self._ros.run(self.raw.available):  # noqa: ASYNC110  # ROS has no event for it
                     await asyncio.sleep(POLL_INTERVAL)
-                self._ros.post(lambda: self._send(payload, answer))
-                return deserialize_message(await answer, self._kind.Response)
         except TimeoutError:
             return None
+        self._ros.post(lambda: self._send(payload, answer))
+        try:
+            async with asyncio.timeout(ANSWER_TIMEOUT):
+                return deserialize_message(await answer, self._kind.Response)
+        except TimeoutError:
+            raise TimedOut(f"it did not answer within {ANSWER_TIMEOUT:g} s") from None
 
     def _send(self, payload: bytes, answer: asyncio.Future[bytes]) -> None:
         self._waiting = {number: waiting for number, waiting in self._waiting.items() if not waiting.done()}
@@ -86,12 +97,12 @@ class LiveParameters:
             starting: Tags of nodes that may not have appeared in the ROS graph yet, and are waited for.
 
         Raises:
-            InvalidRequest: Nodes refuse the value; the message has the reason of each.
+            InvalidRequest: Nodes refuse the value or do not answer; the message has the reason of each.
         """
         async with self._lock:
             nodes = await self._wait_for_nodes(spec.node, starting)
             refused = await asyncio.gather(*(self._put(node, spec) for node in nodes))
-        reasons = [reason for reason in refused if reason]
+        reasons = [f"node {node}: {reason}" for node, reason in zip(nodes, refused, strict=True) if reason]
         if reasons:
             raise InvalidRequest(f"parameter {spec.name} was rejected: {'; '.join(reasons)}", field="value")
 
@@ -124,19 +135,30 @@ class LiveParameters:
         return found
 
     async def _put(self, node: str, spec: ParameterSpec) -> str:
-        """Return why a node refuses the value; empty if it accepts it, does not declare it, or does not answer."""
+        """Return why a node has not taken the value; empty if it has, or if it declares no such parameter."""
         types_of, setter = self._clients[node]
-        known = await types_of.call(GetParameterTypes.Request(names=[spec.name]))
-        if known is None:
-            log.warn("parameter {name} not set: node {node} does not answer", node=node, name=spec.name)
-            return ""
-        if not known.types or known.types[0] == ParameterType.PARAMETER_NOT_SET:
-            return ""
-        value = ros_value(spec.value, known.types[0])
-        answer = await setter.call(SetParameters.Request(parameters=[Parameter(name=spec.name, value=value)]))
-        if answer is None or answer.results[0].successful:
-            return ""
-        return f"node {node}: {answer.results[0].reason}"
+        try:
+            known = await types_of.call(GetParameterTypes.Request(names=[spec.name]))
+            if known is None:
+                log.info("node {node} has no parameters that can be set", node=node)
+                return ""
+            if not known.types or known.types[0] == ParameterType.PARAMETER_NOT_SET:
+                return ""
+            value = ros_value(spec.value, known.types[0])
+            answer = await setter.call(SetParameters.Request(parameters=[Parameter(name=spec.name, value=value)]))
+        except TimedOut as error:
+            return str(error)
+        if answer is None:
+            return "it does not let its parameters be set"
+        reason = "" if answer.results[0].successful else answer.results[0].reason or "it gave no reason"
+        if reason.startswith(WRONG_TYPE):
+            return f"it declares {_type_name(known.types[0])}, not {_type_name(value.type)}"
+        return reason
+
+
+def _type_name(number: int) -> str:
+    """Return how people name a type of parameters, as `integer_array`."""
+    return _fields[number][0].removesuffix("_value") if number in _fields else f"type {number}"
 
 
 def ros_value(value: ParameterValue, declared: int) -> RosValue:

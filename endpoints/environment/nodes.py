@@ -17,6 +17,7 @@ from endpoints.environment.parameters import Parameters
 from endpoints.environment.process_environment import user_node_variables
 from rce.control.calls.endpoints import NodeDied, NodeSpec, ParameterSpec
 from rce.errors import NotFound, StartFailed, disk_full
+from rce.spelling import did_you_mean
 
 log = Logger()
 LAST_LINES = 20
@@ -103,7 +104,8 @@ class Nodes:
         """Return the log of a node that runs or has ended; raise NotFound if it was never started."""
         output = self._logs.get(tag)
         if output is None:
-            raise NotFound(f"no node {tag} was started in this environment: check the tag", field="nodeTag")
+            hint = did_you_mean(tag, self._logs) or "check the tag"
+            raise NotFound(f"no node {tag[:80]} was started in this environment: {hint}", field="nodeTag")
         return output
 
     def resolve(self, parameter: ParameterSpec) -> ParameterSpec:

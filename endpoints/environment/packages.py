@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rce.errors import InvalidName, NotFound
+from rce.spelling import did_you_mean
 
 SHIPPED = Path(__file__).parents[2] / "containers" / "nodes"
 """Packages that come with RCE; their nodes may import `rce`."""
@@ -45,9 +46,10 @@ class Packages:
             if (path / "package.xml").is_file():
                 return path
         places = ", ".join(str(path) for path in (*self.prefixes, *self.sources))
+        hint = did_you_mean(package, self._shares()) or "check its name."
         raise NotFound(
-            f"this environment has no package {package} in {places}; a pushed package is available only if "
-            "the environment was created with it (`packages` in containerData, `--package` of `rce env create`)",
+            f"this environment has no package {package} in {places}: {hint} A pushed package is available only if the "
+            "environment was created with it (`packages` in containerData, `--package` of `rce env create`)",
             field="pkg",
         )
 
@@ -65,14 +67,26 @@ class Packages:
                 path = directory / name
                 if path.is_file():
                     return _command(path)
-        known = sorted({path.name for directory in self._directories(package, share) for path in _programs(directory)})
-        raise NotFound(
-            f"package {package} has no executable {executable}; it has {', '.join(known) or 'none'}", field="exe"
-        )
+        known = ", ".join(self._executables(package, share)) or "none"
+        raise NotFound(f"package {package} has no executable {executable}; it has {known}", field="exe")
+
+    def executables(self) -> dict[str, list[str]]:
+        """Return the names of executables by package, both sorted; packages without any are left out."""
+        found = {name: self._executables(name, share) for name, share in sorted(self._shares().items())}
+        return {name: executables for name, executables in found.items() if executables}
 
     def is_shipped(self, package: str) -> bool:
         """Return True if the package comes with RCE."""
         return self.share(package).is_relative_to(SHIPPED)
+
+    def _shares(self) -> dict[str, Path]:
+        """Return the directory of each package; of several with one name, that of the first place."""
+        files = [file for prefix in self.prefixes for file in (prefix / "share").glob("*/package.xml")]
+        files += [file for root in self.sources for file in root.glob("*/package.xml")]
+        return {file.parent.name: file.parent for file in reversed(files)}
+
+    def _executables(self, package: str, share: Path) -> list[str]:
+        return sorted({path.name for directory in self._directories(package, share) for path in _programs(directory)})
 
     def _directories(self, package: str, share: Path) -> list[Path]:
         if share.parent in self.sources:
@@ -101,8 +115,12 @@ def _command(path: Path) -> list[str]:
 
 
 def _programs(directory: Path) -> list[Path]:
+    """Return the programs in a directory. Python files elsewhere than in `scripts` and `nodes` may be modules."""
     if not directory.is_dir():
         return []
+    python = directory.name in ("scripts", "nodes")
     return [
-        path for path in directory.iterdir() if path.is_file() and (path.suffix == ".py" or os.access(path, os.X_OK))
+        path
+        for path in directory.iterdir()
+        if path.is_file() and (os.access(path, os.X_OK) or (python and path.suffix == ".py"))
     ]

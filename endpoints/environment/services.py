@@ -3,51 +3,33 @@
 from __future__ import annotations
 
 import time
-from collections import deque
-from dataclasses import dataclass
 from uuid import uuid4
 
 from endpoints.data.frames import Message
 from endpoints.data.interface import MAX_REQUESTS, error_of
 from endpoints.data.link import Link
 from endpoints.environment.interfaces import RosContext, RosInterface, as_bytes
-from endpoints.environment.ros_services import Header, RawClient, RawService
-from endpoints.environment.ros_topics import SETTLING_TIME
+from endpoints.environment.ros_services import Header, RawService
 from endpoints.environment.ros_types import service_class
+from endpoints.environment.service_calls import TIMEOUT, ServiceCall, ServiceCaller
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import ConversionError, LimitExceeded, NotConnected, NotFound, RceError, TimedOut
 from rce.net.budget import INTERFACE, MB
-
-TIMEOUT = 30.0  # seconds for a response
-DISCOVERY_TIMEOUT = 5.0  # seconds for which a request waits until its service appears
-MAX_IN_FLIGHT = 8  # ROS 2 servers queue 10 requests and lose all beyond
-
-
-@dataclass
-class _Request:
-    """Request of a peer, with the monotonic time at which it came."""
-
-    message: Message
-    since: float
 
 
 class ServiceClientInterface(RosInterface):
     """Calls a ROS service for its peers, which get the response or an error."""
 
-    _client: RawClient
+    _caller: ServiceCaller
 
     def __init__(self, spec: InterfaceSpec, context: RosContext) -> None:
         super().__init__(spec, context)
         self._unanswered = self._unanswered_size = 0
-        # The ROS thread owns these:
-        self._waiting: deque[_Request] = deque()
-        self._in_flight: dict[int, _Request] = {}
-        self._settled = self._settling = False
 
     async def open(self) -> None:
         """Create the ROS entity."""
         kind = service_class(self.spec.type, self._context.definitions)
-        self._client = await self._create(lambda: RawClient(self._ros, kind, self.spec.addr, self._answered))
+        self._caller = await self._create(lambda: ServiceCaller(self._ros, kind, self.spec.addr, self._label))
 
     def receive(self, message: Message, link: Link) -> None:
         """Queue a request, or refuse it when too many are unanswered."""
@@ -56,81 +38,33 @@ class ServiceClientInterface(RosInterface):
         if self._unanswered > MAX_REQUESTS or (self._unanswered > 1 and self._unanswered_size > INTERFACE):
             most = f"{MAX_REQUESTS} unanswered requests, or {INTERFACE // MB} MB of them"
             self._refuse(message, LimitExceeded(f"{self._label} has {most}: send fewer"))
-        else:
-            self._ros.post(lambda: self._accept(_Request(message, time.monotonic())))
+            return
+        call = ServiceCall(
+            as_bytes(message.payload),
+            lambda answer: self._answered(message, answer),
+            lambda: self.hops.delivered(self.id, message),
+        )
+        self._ros.post(lambda: self._caller.call(call))
 
     def tick(self, now: float) -> None:
         """End requests that have timed out."""
-        self._ros.post(lambda: self._expire(now))
+        self._ros.post(lambda: self._caller.expire(now))
 
     def close(self) -> None:
         """Destroy the client; its requests get no answer."""
-        self._ros.post(self._destroy)
+        self._ros.post(lambda: self._caller.destroy())
 
     @property
     def _label(self) -> str:
         return f"interface {self.spec.tag}: service {self.spec.addr}"
 
-    # in the ROS thread
-
-    def _accept(self, request: _Request) -> None:
-        self._waiting.append(request)
-        self._send()
-
-    def _send(self) -> None:
-        while self._waiting and len(self._in_flight) < MAX_IN_FLIGHT:
-            if not self._client.available():
-                self._settled = False
-                self._wait_for_service()
-                return
-            if not self._settled:
-                self._settle()
-                return
-            request = self._waiting.popleft()
-            try:
-                self._in_flight[self._client.call(as_bytes(request.message.payload))] = request
-                self.hops.delivered(self.id, request.message)
-            except ConversionError as error:
-                self._fail(request, error)
-
-    def _settle(self) -> None:
-        """Wait until a server that was just discovered has discovered this client: earlier responses would be lost."""
-        if not self._settling:
-            self._settling = True
-            self._ros.call_later(SETTLING_TIME, self._settling_over)
-
-    def _settling_over(self) -> None:
-        self._settling, self._settled = False, True
-        self._send()
-
-    def _wait_for_service(self) -> None:
-        while self._waiting and self._waiting[0].since + DISCOVERY_TIMEOUT < time.monotonic():
-            error = NotFound(f"{self._label} did not appear within {DISCOVERY_TIMEOUT:g} s")
-            self._fail(self._waiting.popleft(), error)
-        self._ros.retry(self._send)
-
-    def _answered(self, number: int, payload: bytes) -> None:
-        request = self._in_flight.pop(number, None)
-        if request is not None:  # else it has timed out
-            since = time.perf_counter()
-            self._ros.deliver(lambda: self._respond(request.message, payload, since))
-            self._send()
-
-    def _expire(self, now: float) -> None:
-        late = [number for number, request in self._in_flight.items() if request.since + TIMEOUT < now]
-        for number in late:
-            self._fail(self._in_flight.pop(number), TimedOut(f"{self._label} did not answer within {TIMEOUT:g} s"))
-        while self._waiting and self._waiting[0].since + TIMEOUT < now:
-            self._fail(self._waiting.popleft(), TimedOut(f"{self._label} was busy for {TIMEOUT:g} s"))
-        self._send()
-
-    def _destroy(self) -> None:
-        self._waiting.clear()
-        self._in_flight.clear()
-        self._ros.remove_waitable(self._client)
-
-    def _fail(self, request: _Request, error: RceError) -> None:
-        self._ros.deliver(lambda: self._refuse(request.message, error))
+    def _answered(self, request: Message, answer: bytes | RceError) -> None:
+        """Pass an answer on; called in the ROS thread."""
+        since = time.perf_counter()
+        if isinstance(answer, RceError):
+            self._ros.deliver(lambda: self._refuse(request, answer))
+        else:
+            self._ros.deliver(lambda: self._respond(request, answer, since))
 
     # in the loop
 

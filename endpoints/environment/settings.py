@@ -19,7 +19,6 @@ class Settings(Struct, frozen=True):
     token: Annotated[str, Meta(description="one-time join token; better given as RCE_TOKEN, which stays private")]
     master: Annotated[str, Meta(description="Twisted client endpoint of the Master, e.g. tcp:127.0.0.1:8080")]
     data_dir: Annotated[Path, Meta(description="directory for logs, sockets and the home directory of nodes")]
-    listen: Annotated[str, Meta(description="address for data links over TCP; empty: none are accepted")] = ""
     host: Annotated[str, Meta(description="identity of the machine; needed in a container, which hides it")] = ""
     socket: Annotated[
         Path | None, Meta(description="UNIX socket for data links; its path must be the same for dialling endpoints")

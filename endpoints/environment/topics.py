@@ -11,7 +11,8 @@ from endpoints.data.frames import Buffer, Message
 from endpoints.data.interface import error_of
 from endpoints.data.link import Link
 from endpoints.environment.interfaces import RosContext, RosInterface
-from endpoints.environment.ros_topics import SETTLING_TIME, RawPublisher, RawSubscription, Topic
+from endpoints.environment.ros_publisher import RawPublisher
+from endpoints.environment.ros_topics import SETTLING_TIME, RawSubscription, Topic
 from endpoints.environment.ros_types import message_class
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import ConversionError, InvalidRequest, LimitExceeded
@@ -36,6 +37,10 @@ class _TopicInterface(RosInterface):
             lambda reason: self._report_from_ros(InvalidRequest, reason),
         )
 
+    def _lost(self, count: int) -> None:
+        """Count messages that the middleware dropped; called in the ROS thread."""
+        self._ros.deliver(lambda: self.evicted(count))
+
 
 class PublisherInterface(_TopicInterface):
     """Publishes the messages of its peers.
@@ -53,7 +58,7 @@ class PublisherInterface(_TopicInterface):
     async def open(self) -> None:
         """Create the ROS entity."""
         topic = self._topic()
-        self._publisher = await self._create(lambda: RawPublisher(self._ros, topic, self._published))
+        self._publisher = await self._create(lambda: RawPublisher(self._ros, topic, self._published, self._lost))
 
     def receive(self, message: Message, link: Link) -> None:
         """Queue a message for the ROS thread to publish."""
@@ -61,6 +66,7 @@ class PublisherInterface(_TopicInterface):
         if len(payload) < 4 or payload[:2] not in ENCAPSULATIONS or message.error:
             self._report_once(ConversionError(f"interface {self.spec.tag}: a message is not serialized as CDR"))
             return
+        self._context.shared.publish(self.spec, message, link, self.qos.durability == "transient_local")
         waiting = self._publisher.waiting
         waiting.append(bytes(payload) if isinstance(payload, memoryview) else payload)
         self._largest = max(self._largest, len(payload)) if len(waiting) > 1 else len(payload)
@@ -133,6 +139,7 @@ class SubscriberInterface(_TopicInterface):
         """Create the ROS entity."""
         topic = self._topic()
         self._subscription = await self._create(lambda: RawSubscription(self._ros, topic, self._take, self._lost))
+        self._context.shared.add(self)
         if self._subscription.had_publishers:
             # Messages that they publish before they discover the subscription would be lost after the status is true.
             await asyncio.sleep(SETTLING_TIME)
@@ -143,6 +150,26 @@ class SubscriberInterface(_TopicInterface):
             self._report_once(error_of(message))
         else:
             self._report_once(InvalidRequest(f"interface {self.spec.tag} sends messages and cannot receive any"))
+
+    def receive_shared(self, message: Message, link: Link, latched: bool) -> None:
+        """Send a message that another interface of the environment publishes.
+
+        What came from an environment goes to robots only: environments that are connected in a circle would pass a
+        message on for ever.
+        """
+        payload = bytes(message.payload)
+        if latched or self._subscription.latched:
+            self._keep_latched(payload, message.source)
+        links = {each for each in self.peers.values() if not (link.to_environment and each.to_environment)}
+        if not links:
+            return
+        passed_on = Message(self.id, uuid4().hex, payload)
+        for each in links:
+            self._put(passed_on, each, self.keep)
+        self.traffic.sent.count(len(payload))
+        room = self.wait_for_room()
+        if room is not None:
+            link.pause(room)
 
     def started(self) -> None:
         """Start taking messages."""
@@ -165,10 +192,6 @@ class SubscriberInterface(_TopicInterface):
         more = self._taken - self._handled < MAX_UNHANDLED
         self._ros.deliver(lambda: self._handle(payload, publisher, more, since))
         return more
-
-    def _lost(self, count: int) -> None:
-        """Count messages that the middleware dropped; called in the ROS thread."""
-        self._ros.deliver(lambda: self.evicted(count))
 
     def _handle(self, payload: bytes, publisher: bytes, more: bool, since: float) -> None:
         self._handled += 1
@@ -211,4 +234,5 @@ class SubscriberInterface(_TopicInterface):
 
     def close(self) -> None:
         """Destroy the subscription."""
+        self._context.shared.remove(self)
         self._ros.post(lambda: self._ros.remove_waitable(self._subscription))

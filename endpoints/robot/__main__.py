@@ -6,7 +6,7 @@ import os
 import secrets
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 from twisted.internet.base import ReactorBase
@@ -14,11 +14,12 @@ from twisted.logger import Logger
 
 import rce
 from endpoints.data.port import DataPort
+from endpoints.gateways.paths import gateways
 from endpoints.memory import keep_large_blocks
 from endpoints.robot.endpoint import Options, RobotEndpoint
 from endpoints.robot.frame_receiver import ServerLimits
 from endpoints.robot.server import listen
-from rce.control.calls.joining import Hello, Welcome
+from rce.control.calls.joining import Hello, SetRemovedMachines, Welcome
 from rce.control.client import ControlClient
 from rce.control.credential import Credential, stay_joined
 from rce.net.tls import load_tls, public_tls_context
@@ -63,6 +64,13 @@ class Settings(Struct):
     queue_size: Annotated[
         int, Meta(ge=320, description="size of all messages that wait, in MB; a user has a half, a robot a quarter")
     ] = 512
+    converters: Annotated[
+        str, Meta(description="Python file, or directory of files, with converters of your own; see the guide")
+    ] = ""
+    original_forwarders: Annotated[
+        Literal["cdr", "ros1"],
+        Meta(description="what Forwarders of robots without features carry: CDR, or messages as ROS 1 serializes them"),
+    ] = "cdr"
 
 
 def robot_url(options: Settings, port: int, host: str = "") -> str:
@@ -75,6 +83,12 @@ def robot_url(options: Settings, port: int, host: str = "") -> str:
     """
     scheme = "wss" if options.certificate else "ws"
     return options.public_url or f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}/"
+
+
+def _options(options: Settings, limits: ServerLimits) -> Options:
+    queues = options.queue_size * MEGABYTE
+    converters, forwarders = options.converters, options.original_forwarders
+    return Options(limits, options.grace, options.service_timeout, queues, converters, forwarders)
 
 
 async def serve(reactor: ReactorBase, options: Settings) -> None:
@@ -91,11 +105,10 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
         options.unfinished_blobs,
         options.unfinished_size * MEGABYTE,
     )
-    queues = options.queue_size * MEGABYTE
-    endpoint = RobotEndpoint(port, Options(limits, options.grace, options.service_timeout, queues))
-    server = await listen(
-        endpoint, options.ws_host, options.ws_port, public_tls_context(options.certificate, options.private_key)
-    )
+    endpoint = RobotEndpoint(port, _options(options, limits))
+    await endpoint.load_converters()
+    tls_context = public_tls_context(options.certificate, options.private_key)
+    server = await listen(endpoint, options.ws_host, options.ws_port, tls_context, gateways(endpoint))
     ws_port = server.port
     url = robot_url(options, ws_port)
     incarnation = secrets.token_hex(16)
@@ -112,13 +125,20 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
             url,
             robots=list(endpoint.sessions),
             away=endpoint.away(),
+            credential=credential.own,
         )
 
     def welcomed(welcome: Welcome) -> None:
         credential.keep(welcome)
         announce(Ready("robot", url))
 
-    endpoint.master = ControlClient(reactor, options.master, hello, endpoint.handlers(), welcomed, tls)
+    def refuse_removed(call: SetRemovedMachines) -> None:
+        if tls is not None:
+            tls.set_removed(call.machines)
+
+    handlers = endpoint.handlers()
+    handlers.do(SetRemovedMachines, refuse_removed)
+    endpoint.master = ControlClient(reactor, options.master, hello, handlers, welcomed, tls)
     log.info(
         "Robot endpoint {name} serves robots at {url}",
         name=options.name,

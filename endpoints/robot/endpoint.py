@@ -5,17 +5,20 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Coroutine
 from functools import partial
+from typing import Literal
 from weakref import WeakValueDictionary
 
 from msgspec import Struct
 from twisted.logger import Logger
 
+from converters.definition import Definition
 from endpoints.data.interface import Interface
 from endpoints.data.port import DataPort
 from endpoints.data.switchboard import Switchboard
+from endpoints.robot.formats import Formats
 from endpoints.robot.frame_receiver import ServerLimits
 from endpoints.robot.handshake import LoginRequest
-from endpoints.robot.interfaces import make_interface
+from endpoints.robot.kinds import make_interface
 from endpoints.robot.session import RobotSession
 from endpoints.robot.types import UserTypes
 from endpoints.robot.workers import Workers
@@ -30,6 +33,7 @@ from rce.control.calls.robots import (
     SendStatus,
     SessionExpired,
     SocketStatus,
+    Sort,
 )
 from rce.control.client import ControlClient
 from rce.control.connection import Handlers
@@ -39,6 +43,7 @@ from rce.process import logs
 from rce.process.metrics import Family, gauge_family
 from rce.protocol.blobs import Buffer
 from rce.protocol.messages import DataMessage, DropEvent
+from rce.protocol.names import parse_type
 
 EXPIRY_RETRY = 1.0  # seconds
 LOGIN_WAIT = 5.0  # seconds for the Master to come back; shorter than robots wait, so that they get the reason
@@ -47,12 +52,18 @@ log = Logger()
 
 
 class Options(Struct, frozen=True):
-    """Options of a Robot endpoint; times in seconds, `queues` is the size of all messages that wait, in bytes."""
+    """Options of a Robot endpoint; times in seconds, `queues` is the size of all messages that wait, in bytes.
+
+    `converters` is the path of users' converters. `original_forwarders` says what Forwarders of robots without features
+    carry.
+    """
 
     limits: ServerLimits
     grace: float
     service_timeout: float
     queues: int = 512 * MB
+    converters: str = ""
+    original_forwarders: Literal["cdr", "ros1"] = "cdr"
 
 
 class LoginResult(Struct, frozen=True):
@@ -79,7 +90,8 @@ class RobotEndpoint:
         self.grace = options.grace
         self._timeout = options.service_timeout
         self.switchboard = Switchboard(port, self._link_lost)
-        self.workers = Workers()
+        self.workers = Workers(converters=options.converters)
+        self._formats = Formats(original_forwarders=options.original_forwarders)
         self.sessions: dict[str, RobotSession] = {}
         self._queues = options.queues
         self._budget = Budget(options.queues)
@@ -88,6 +100,17 @@ class RobotEndpoint:
         self._grace_timers: dict[str, asyncio.TimerHandle] = {}  # of sessions without a socket
         self._expiring: dict[str, asyncio.Task[None]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
+
+    async def load_converters(self) -> None:
+        """Find the users' converters.
+
+        Raises:
+            StartFailed: One cannot be loaded; the message has file, line and remedy.
+        """
+        found = await self.workers.converters()
+        self._formats = Formats(found, self._formats.original_forwarders)
+        for each in found:
+            log.info("converter {name} for {type}", name=each.name, type=each.type)
 
     def handlers(self) -> Handlers:
         """Return the handlers of the Master's calls."""
@@ -239,14 +262,25 @@ class RobotEndpoint:
         user = spec.owner.partition("/")[0]
         types = self._types.setdefault(user, UserTypes(partial(self._describe_type, user)))
         registry = await types.registry_for(spec)
-        return make_interface(spec, self.switchboard.hops, session, self.workers, registry, self._timeout)
+        return make_interface(
+            spec, self.switchboard.hops, session, self.workers, registry, self._timeout, self._formats
+        )
 
-    async def _describe_type(self, user: str, name: str, service: bool) -> Definitions:
-        return await self.master.call(DescribeType(user, name, service))
+    async def definitions(self, user: str, type: str, sort: Sort) -> dict[str, Definition]:
+        """Return the definition of a type of a user, its parts and the types in it, by name.
+
+        Raises:
+            UnknownType: Neither this endpoint nor an environment of the user has it.
+        """
+        types = self._types.setdefault(user, UserTypes(partial(self._describe_type, user)))
+        name = parse_type(type)
+        return (await types.registry_of(name, sort)).definitions(name, sort)
+
+    async def _describe_type(self, user: str, name: str, sort: Sort) -> Definitions:
+        return await self.master.call(DescribeType(user, name, sort))
 
     def _send_status(self, call: SendStatus) -> None:
-        session = self.sessions.get(call.robot)
-        if session is not None:
+        for session in filter(None, map(self.sessions.get, call.robots)):
             if isinstance(call.status, DropEvent):  # with those of the robot's own interfaces, and to every robot
                 session.dropped(call.status.iTag, call.status.count, call.status.where)
             elif call.status is not None:

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-from collections import deque
 from collections.abc import Callable
 from typing import Annotated
 
 from msgspec import UNSET, Meta, Struct
 
+from endpoints.robot.intake import BadMessages, Conversions
 from endpoints.robot.session import RobotSession
-from rce.errors import InvalidRequest, NotConnected, RceError
+from rce.errors import InvalidRequest, RceError
 from rce.protocol import messages as m
 from rce.protocol.assembler import Assembler, AssemblyLimits, AssemblyResult
 from rce.protocol.blobs import Buffer
-
-BAD_WINDOW = 60.0  # seconds
-
-MAX_CONVERSIONS = 16  # messages of one robot that are not converted yet, above which no more are read
-MAX_CONVERTED = 32 * 1024 * 1024  # bytes of these
 
 Handle = Callable[[RobotSession, m.DataMessage, dict[str, Buffer]], asyncio.Task[None] | None]
 
@@ -46,17 +41,14 @@ class FrameReceiver:
             end: Called with a reason to close the socket.
         """
         self._session = session
-        self._bad_limit = limits.bad_messages
+        self._bad = BadMessages(limits.bad_messages, end)
+        self._conversions = Conversions(session.pause_reading)
         self._handle = handle
-        self._end = end
         self._assembler = Assembler(
             asyncio.get_running_loop().time,
             parts=session.parts,
             limits=AssemblyLimits(limits.blobs, limits.blob_memory, limits.message, limits.blob_age),
         )
-        self._bad: deque[float] = deque()  # times of the bad messages within BAD_WINDOW
-        self._conversions: dict[asyncio.Task[None], int] = {}  # with the bytes of their messages
-        self._room: asyncio.Future[None] | None = None  # set while no more messages are read because of them
 
     def text(self, payload: bytes) -> None:
         """Handle a text message, which is a frame."""
@@ -104,29 +96,14 @@ class FrameReceiver:
         if conversion is None:
             self._acknowledge(frame)
             return
-        self._conversions[conversion] = len(memoryview(frame.data)) + sum(map(len, blobs.values()))
-        conversion.add_done_callback(lambda done: self._converted(done, frame, message))
-        if self._room is None and not self._has_room():
-            self._room = asyncio.get_running_loop().create_future()
-            self._session.pause_reading(self._room)
+        size = len(memoryview(frame.data)) + sum(map(len, blobs.values()))
+        self._conversions.add(conversion, size, lambda error: self._converted(error, frame, message))
 
-    def _converted(self, conversion: asyncio.Task[None], frame: m.Frame, message: m.DataMessage) -> None:
-        del self._conversions[conversion]
-        if self._room is not None and self._has_room():
-            self._room.set_result(None)
-            self._room = None
-        if conversion.cancelled():
-            return
-        error = conversion.exception()
+    def _converted(self, error: RceError | None, frame: m.Frame, message: m.DataMessage) -> None:
         if error is None:
             self._acknowledge(frame)
-        elif isinstance(error, RceError):
-            self._reject(_of_message(error, message), frame)
         else:
-            raise error
-
-    def _has_room(self) -> bool:
-        return len(self._conversions) < MAX_CONVERSIONS and sum(self._conversions.values()) < MAX_CONVERTED
+            self._reject(_of_message(error, message), frame)
 
     def _acknowledge(self, frame: m.Frame) -> None:
         if frame.id is not UNSET and "ack" in self._session.features:
@@ -135,15 +112,7 @@ class FrameReceiver:
     def _reject(self, error: RceError, frame: m.Frame | None) -> None:
         """Send an error to the robot; close the socket after too many of them within a minute."""
         self._session.error(error, frame.id if frame is not None and "ack" in self._session.features else UNSET)
-        limit = self._bad_limit
-        if not limit or isinstance(error, NotConnected):  # the robot cannot know that its peer has just gone
-            return
-        now = asyncio.get_running_loop().time()
-        self._bad.append(now)
-        while self._bad[0] < now - BAD_WINDOW:
-            self._bad.popleft()
-        if len(self._bad) > limit:
-            self._end(f"more than {limit} bad messages within a minute; the last: {error}")
+        self._bad.count(error)
 
 
 def _of_message(error: RceError, message: m.DataMessage) -> RceError:

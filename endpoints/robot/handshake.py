@@ -54,21 +54,28 @@ def parse_login(request: Request) -> LoginRequest:
     Raises:
         InvalidRequest: A parameter is missing, repeated or has an unknown value.
     """
-    header = str(request.headers.get("authorization", ""))
-    scheme, _, bearer = header.partition(" ")
-    secret = bearer.strip() if scheme.lower() == "bearer" else _one(request, "password", "key")
     offered = _optional(request, "features").split(",")
     user = _one(request, "userID")
     return LoginRequest(
         user=user,
         robot=_one(request, "robotID"),
-        secret=secret,
+        secret=_secret(request),
         features=FEATURES & frozenset(offered),
         resume=_optional(request, "resume"),
         compress=_compress(_optional(request, "compress")),
         address=str(request.peer),
         owner=_optional(request, "owner") or user,
     )
+
+
+def parse_guest(request: Request) -> tuple[str, str]:
+    """Return the userID and the secret of a request without a robotID; raises InvalidRequest."""
+    return _one(request, "userID"), _secret(request)
+
+
+def _secret(request: Request) -> str:
+    scheme, _, bearer = str(request.headers.get("authorization", "")).partition(" ")
+    return bearer.strip() if scheme.lower() == "bearer" else _one(request, "password", "key")
 
 
 def _one(request: Request, *names: str) -> str:

@@ -1,4 +1,4 @@
-"""WebSocket server for robots.
+"""WebSocket server for robots and for clients of gateways.
 
 This is the only module that uses Autobahn.
 """
@@ -7,21 +7,24 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import txaio
 from twisted.logger import Logger
 from websockets.speedups import apply_mask
 
-from endpoints.robot.endpoint import LoginResult, RobotEndpoint
-from endpoints.robot.frame_receiver import FrameReceiver
-from endpoints.robot.handshake import parse_login, refusal_status, wants_close_code
-from endpoints.robot.session import Piece, RobotSession
+from endpoints.data.turns import SLICE, Turns
+from endpoints.robot.client import Client, RobotClient
+from endpoints.robot.endpoint import RobotEndpoint
+from endpoints.robot.handshake import refusal_status, wants_close_code
+from endpoints.robot.session import Piece
 from rce.errors import RceError
 from rce.net.listener import Listener, bind
 from rce.net.pending_logins import PendingLogin
 from rce.net.sockets import tune
-from rce.protocol.blobs import BinaryFrame, Buffer
+from rce.protocol.blobs import BinaryFrame, Buffer, TextFrame
 
 txaio.use_asyncio()  # before Autobahn is imported, which chooses its framework then
 from autobahn.asyncio.websocket import WebSocketServerFactory, WebSocketServerProtocol  # noqa: E402
@@ -33,10 +36,11 @@ HIGH_WATER = 256 * 1024  # bytes; while the transport holds more, messages wait 
 HANDSHAKE_TIMEOUT = 30.0  # seconds for the opening handshake, with the login
 MAX_REQUEST = 64 * 1024  # bytes of the opening HTTP request
 CHUNK = 64 * 1024  # bytes; smaller fragments of a message are joined as they come
-SLICE = 0.0005  # seconds for which the frames of one robot may be processed at a stretch
 TICK = 10.0  # seconds; a robot that is silent for one tick is pinged, after two its socket is closed
 NORMAL = 1000  # close code of a normal closure (RFC 6455, section 7.4.1)
 TEXT, BINARY = b"\x81", b"\x82"  # first bytes of final frames
+Choose = Callable[[str], Client]
+NO_GATEWAYS: Mapping[str, Choose] = MappingProxyType({})
 REFUSED = 4000  # plus the HTTP status: close code of a refusal after the handshake
 
 log = Logger()
@@ -66,20 +70,30 @@ class _Unmasker:
 protocol.create_xor_masker = _Unmasker  # type: ignore[attr-defined, assignment]  # its parser takes the function from there
 
 
-class RobotSocket(WebSocketServerProtocol):
-    """WebSocket of one robot."""
+class ClientSocket(WebSocketServerProtocol):
+    """WebSocket of one client: a robot, or a client of a gateway."""
 
-    def __init__(self, endpoint: RobotEndpoint, pending: PendingLogin) -> None:
+    def __init__(self, turns: Turns, choose: Choose, pending: PendingLogin) -> None:
+        """Create the socket of a new connection.
+
+        Args:
+            turns: Turns of users at the event loop.
+            choose: Returns the client for the path of the request.
+            pending: Counts the connection until it is logged in.
+        """
         super().__init__()
-        self._endpoint = endpoint
+        self._turns = turns
+        self._choose = choose
         self._pending = pending
-        self._login: LoginResult | None = None
-        self._session: RobotSession | None = None
+        self._logging_in = False
+        self._opened = False
+        self._client: Client | None = None
+        self._user = ""
         self._denied: ConnectionDeny | None = None  # refusal to be sent as a close code
         self._full = False
         self._reason = ""
         self._timer: asyncio.TimerHandle | None = None
-        self._paused_until: asyncio.Future[None] | None = None  # set while reading is paused
+        self._pauses: set[asyncio.Future[None]] = set()  # reading is paused until all are done
         self._data_received = False  # since the last tick
         self._silent_ticks = 0
         self._unsent = 0  # bytes in the write buffer at the last tick
@@ -94,60 +108,60 @@ class RobotSocket(WebSocketServerProtocol):
 
     async def onConnect(  # type: ignore[override]  # Autobahn accepts a coroutine
         self, request: ConnectionRequest
-    ) -> tuple[None, dict[str, str]]:
-        """Log the robot in, or refuse the handshake."""
-        features: frozenset[str] = frozenset()
+    ) -> tuple[str | None, dict[str, str]]:
+        """Log the client in, or refuse the handshake."""
+        self._logging_in = True
+        client = self._choose(str(request.path))
         try:
-            login = parse_login(request)
-            features = login.features
-            self._login = await self._endpoint.login(login)
+            accepted = await client.login(request)
         except RceError as error:
-            denial = ConnectionDeny(refusal_status(error, features), str(error))
-            if not wants_close_code(request):
+            denial = ConnectionDeny(refusal_status(error, client.features), str(error))
+            if not wants_close_code(request) or self._gone:
                 raise denial from None
             self._denied = denial
             return None, {}
-        if login.compress:  # only on request: browsers always offer it, and it helps only on slow networks
+        self._client = client
+        if accepted.compress:  # only on request: browsers always offer it, and it helps only on slow networks
             self.perMessageCompressionAccept = _accept_deflate
-        session = self._login.session
-        if self.transport is None:
-            self._endpoint.disconnected(session)
-            raise ConnectionDeny(400, "the robot closed its connection during the login")
-        return None, {"RCE-Features": ",".join(sorted(session.features))} if session.features else {}
+        if self._gone:
+            client.abandoned()
+            raise ConnectionDeny(400, "the client closed its connection during the login")
+        return accepted.subprotocol or None, accepted.headers
+
+    @property
+    def _gone(self) -> bool:
+        """True if the connection was lost or dropped during the login; Autobahn would open it again."""
+        return self.transport is None or self.state == self.STATE_CLOSED
+
+    def succeedHandshake(self, res: Any) -> None:
+        """Open the connection, unless it was lost just after the login."""
+        if not self._gone:
+            super().succeedHandshake(res)
 
     def onOpen(self) -> None:
-        """Attach the socket to its session, or close it if the login was refused."""
+        """Hand the socket to its client, or close it if the login was refused."""
         if self._denied is not None:
             self._close(REFUSED + self._denied.code, str(self._denied.reason))
             return
-        assert self._login is not None
+        assert self._client is not None
         self._pending.end()
-        session = self._session = self._login.session
-        self._receiver = FrameReceiver(session, self._endpoint.limits, self._endpoint.data, self.end)
+        self._opened = True
+        self._user = self._client.user
         self._timer = asyncio.get_running_loop().call_later(TICK, self._tick)
         self.transport.set_write_buffer_limits(high=HIGH_WATER)
         tune(self.transport)
-        previous = session.socket
-        if previous is not None:
-            previous.end("the robot has a newer connection")
-        session.attach(self, self._login.token, self._login.resumed, self._endpoint.grace)
-        self._endpoint.connected(session)
+        self._client.opened(self)
 
     def onClose(self, wasClean: bool, code: int | None, reason: str | None) -> None:
-        """Detach the socket from its session; a normal closure ends the session of a client with features."""
+        """Tell the client that its socket is closed."""
         if self._timer is not None:
             self._timer.cancel()
-        session = self._session
-        if session is None and self._login is not None:
-            session = self._login.session  # logged in, but the handshake was not completed
-            if session.socket is None:
-                self._endpoint.disconnected(session)
-        elif session is not None and session.detach(self):
-            if wasClean and code == NORMAL and session.features:
-                self._endpoint.finished(session)  # clients of the original protocol always have the grace time
-                return
-            log.info("robot {robot} lost its socket: {reason}", robot=session.name, reason=self._reason or reason)
-            self._endpoint.disconnected(session)
+        if self._client is None:
+            return
+        if self._opened:
+            self._client.closed(wasClean and code == NORMAL, self._reason or reason or "")
+        else:  # logged in, but the handshake was not completed
+            self._client.abandoned()
 
     # --- from the robot -----------------------------------------------------------------------------------------------
 
@@ -159,10 +173,15 @@ class RobotSocket(WebSocketServerProtocol):
             return
         try:
             if self.state == self.STATE_CONNECTING:
-                self._dataReceived(data)
+                if self._logging_in:
+                    self.data += data  # of the first messages; Autobahn would take it for another request
+                else:
+                    self._dataReceived(data)
                 return
             if data:  # a view, because the parser slices it for every frame
                 self.data = memoryview(b"".join((self.data, data)) if self.data else data)  # type: ignore[assignment]
+                if self._turns.busy(self._user):
+                    self._wait_for_turn()
             self.consumeData()
         except Exception:  # noqa: BLE001  # a defect closes this socket only, as in Autobahn's adapter
             log.failure("defect while reading from {peer}", peer=self.peer)
@@ -192,17 +211,17 @@ class RobotSocket(WebSocketServerProtocol):
 
     def onMessage(self, payload: bytes, isBinary: bool) -> None:
         """Handle a complete message."""
-        if self._session is None or self._reason:
+        if self._client is None or not self._opened or self._reason:
             return
         if isBinary:
-            self._receiver.binary(payload)
+            self._client.binary(payload)
         else:
-            self._receiver.text(payload)
+            self._client.text(payload)
 
     def _tick(self) -> None:
         self._timer = asyncio.get_running_loop().call_later(TICK, self._tick)
-        if self._session is not None:
-            self._receiver.sweep()
+        if self._client is not None:
+            self._client.sweep()
         if self.state == self.STATE_OPEN:
             self._check_liveness()
 
@@ -213,7 +232,7 @@ class RobotSocket(WebSocketServerProtocol):
         frame over a slow network.
         """
         unsent = self.transport.get_write_buffer_size()
-        not_reading = not unsent and self._paused_until is not None
+        not_reading = not unsent and bool(self._pauses)
         alive = self._data_received or not_reading or unsent < self._unsent
         self._silent_ticks = 0 if alive else self._silent_ticks + 1
         self._data_received, self._unsent = False, unsent
@@ -232,13 +251,15 @@ class RobotSocket(WebSocketServerProtocol):
                 return False
             if isinstance(frame, BinaryFrame):
                 self._send_large(frame, BINARY)
+            elif isinstance(frame, TextFrame):
+                self._send_large(frame, TEXT)
             elif len(frame) > CHUNK:
-                self._send_large(BinaryFrame(b"", memoryview(frame)), TEXT)
+                self._send_large(TextFrame(b"", memoryview(frame)), TEXT)
             else:
                 self.sendMessage(bytes(frame))
         return not self._full
 
-    def _send_large(self, frame: BinaryFrame, kind: bytes) -> None:
+    def _send_large(self, frame: BinaryFrame | TextFrame, kind: bytes) -> None:
         """Send one final, unmasked frame (RFC 6455, section 5.2); `sendMessage` would copy it twice."""
         if self._perMessageCompress is not None:
             self.sendMessage(frame.join(), kind == BINARY)
@@ -253,32 +274,39 @@ class RobotSocket(WebSocketServerProtocol):
         self.transport.writelines((kind + length + frame.head, frame.data))
 
     def pause_reading(self, until: asyncio.Future[None]) -> None:
-        """Stop reading from the robot until the future is done."""
+        """Stop reading from the client until this future, and all others that were given, are done."""
         transport = self.transport
-        if self._paused_until is None and transport is not None and not transport.is_closing():
-            self._paused_until = until
+        if until in self._pauses or transport is None or transport.is_closing():
+            return
+        if not self._pauses:
             transport.pause_reading()
-            until.add_done_callback(self._continue_reading)
+        self._pauses.add(until)
+        until.add_done_callback(self._continue_reading)
 
-    def _continue_reading(self, _: asyncio.Future[None]) -> None:
-        self._paused_until = None
+    def _continue_reading(self, done: asyncio.Future[None]) -> None:
+        self._pauses.discard(done)
+        if self._pauses:
+            return
         transport = self.transport
         if transport is not None and not transport.is_closing():
             transport.resume_reading()
             self.data_received(b"")
 
     def consumeData(self) -> None:
-        """Process received frames for one slice of time, then let other robots have their turn."""
+        """Process received frames for one slice of time, then let other users have their turn."""
         if self.state == self.STATE_CONNECTING:
             super().consumeData()
             return
-        loop = asyncio.get_running_loop()
         end = time.monotonic() + SLICE
-        while self._paused_until is None and self.state != self.STATE_CLOSED and self.processData():
+        while not self._pauses and self.state != self.STATE_CLOSED and self.processData():
             if time.monotonic() > end:
-                turn = loop.create_future()
-                loop.call_soon(turn.set_result, None)
-                self.pause_reading(turn)
+                self._wait_for_turn()
+
+    def _wait_for_turn(self) -> None:
+        if not self._pauses:
+            turn = asyncio.get_running_loop().create_future()
+            self.pause_reading(turn)
+            self._turns.wait(self._user, lambda: turn.set_result(None))
 
     def end(self, reason: str) -> None:
         """Close the socket with this reason."""
@@ -292,8 +320,8 @@ class RobotSocket(WebSocketServerProtocol):
 
     def sendCloseFrame(self, *args: Any, **more: Any) -> None:
         """Keep messages for the robot's next socket once either side begins to close this one."""
-        if self._session is not None and self._session.socket is self:
-            self._session.outbox.pause()
+        if self._client is not None and self._opened:
+            self._client.hold()
         super().sendCloseFrame(*args, **more)
 
     def sendData(self, data: bytes, sync: bool = False, chopsize: int | None = None) -> None:
@@ -304,8 +332,8 @@ class RobotSocket(WebSocketServerProtocol):
     def pause_writing(self) -> None:
         """Keep messages in the outbox while the transport is full."""
         self._full = True
-        if self._session is not None and self._session.socket is self:
-            self._session.outbox.pause()
+        if self._client is not None and self._opened:
+            self._client.hold()
 
     def resume_writing(self) -> None:
         """Answer a pending ping and let messages leave the outbox again."""
@@ -313,37 +341,46 @@ class RobotSocket(WebSocketServerProtocol):
         if self._pending_pong is not None:
             payload, self._pending_pong = self._pending_pong, None
             self.onPing(payload)
-        if self._session is not None and self._session.socket is self and self.state == self.STATE_OPEN:
-            self._session.outbox.resume()
+        if self._client is not None and self._opened and self.state == self.STATE_OPEN:
+            self._client.proceed()
 
 
 class _Factory(WebSocketServerFactory):
-    def __init__(self, endpoint: RobotEndpoint, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, turns: Turns, choose: Choose, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__(server="RCE", loop=loop)
-        self._endpoint = endpoint
+        self._turns = turns
+        self._choose = choose
 
-    def make(self, pending: PendingLogin) -> RobotSocket:
+    def make(self, pending: PendingLogin) -> ClientSocket:
         """Return the protocol of a new connection."""
-        socket = RobotSocket(self._endpoint, pending)
+        socket = ClientSocket(self._turns, self._choose, pending)
         socket.factory = self  # type: ignore[attr-defined]  # as the base class does
         return socket
 
 
-async def listen(endpoint: RobotEndpoint, host: str, port: int, tls: Any) -> Listener:
-    """Serve robots at `host:port`.
+async def listen(
+    endpoint: RobotEndpoint, host: str, port: int, tls: Any, gateways: Mapping[str, Choose] = NO_GATEWAYS
+) -> Listener:
+    """Serve robots and clients of gateways at `host:port`.
 
     Args:
-        endpoint: The endpoint, which has the robots' sessions.
+        endpoint: The endpoint, which has the sessions.
         host: Local address.
         port: Port; 0 for any free one.
         tls: SSLContext for wss; None for ws.
+        gateways: By the first part of a path: makes the client for the rest of the path. Other paths are robots'.
 
     Raises:
         Unavailable: The port cannot be bound.
     """
     loop = asyncio.get_running_loop()
     txaio.config.loop = loop  # type: ignore[attr-defined]  # Autobahn's ping and handshake timers run on it
-    factory = _Factory(endpoint, loop)
+
+    def choose(path: str) -> Client:
+        name, _, rest = path.strip("/").partition("/")
+        return gateways[name](rest) if name in gateways else RobotClient(endpoint)
+
+    factory = _Factory(endpoint.switchboard.turns, choose, loop)
     factory.setProtocolOptions(
         maxMessagePayloadSize=endpoint.limits.message,
         maxFramePayloadSize=endpoint.limits.message,

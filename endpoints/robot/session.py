@@ -25,10 +25,10 @@ from rce.net.outbox import Outbox
 from rce.process import logs
 from rce.process.metrics import errors
 from rce.protocol import messages as m
-from rce.protocol.blobs import BinaryFrame, Buffer
+from rce.protocol.blobs import BinaryFrame, Buffer, TextFrame
 
-Piece = Sequence[Buffer | BinaryFrame]
-"""WebSocket messages that are written together: text as a buffer, binary messages as BinaryFrame."""
+Piece = Sequence[Buffer | BinaryFrame | TextFrame]
+"""WebSocket messages that are written together: text as a buffer or TextFrame, binary messages as BinaryFrame."""
 
 CONTROL = b""  # source of statuses and errors in the outbox
 MAX_COMMANDS = 1000  # of one robot that are in progress
@@ -159,14 +159,14 @@ class RobotSession:
     def status(self, data: m.StatusData, id: m.FrameId | UnsetType = UNSET) -> None:
         """Send an ST; topics other than `iu` and acknowledgements go only to robots with the feature `events`."""
         if isinstance(data, m.InterfaceStatus | m.Ack) or "events" in self.features:
-            self._send(_piece(m.Status(data, id)))
+            self.send(_piece(m.Status(data, id)))
 
     def error(self, error: RceError, id: m.FrameId | UnsetType = UNSET) -> None:
         """Send an ER about a malformed or rejected frame of the robot."""
-        self._send(self.error_piece(error, id))
+        self.send(self.error_piece(error, id))
 
-    def _send(self, piece: Piece) -> None:
-        """Send a status or an error, which is never dropped; while too many wait, the robot's frames are not read."""
+    def send(self, piece: Piece) -> None:
+        """Send a status, an error or the like, which is never dropped; while too many wait, the robot is not read."""
         self.outbox.put(CONTROL, iter([piece]), None)
         if (room := self.outbox.wait_for_room(CONTROL)) is not None:
             self.pause_reading(room)
@@ -239,7 +239,8 @@ class RobotSession:
         items: list[tuple[str, m.Command]] = []
         complete = False
         try:
-            items.extend(islice(_items(frame), room + 1))  # keeps the items before a malformed one
+            found = _items(frame, strict=bool(self.features))
+            items.extend(islice(found, room + 1))  # keeps the items before a malformed one
             if len(items) > room:
                 items.clear()
                 raise LimitExceeded(f"more than {MAX_COMMANDS} commands would be in progress: wait until some complete")
@@ -273,7 +274,7 @@ class RobotSession:
     def _failed(self, error: RceError, frame: m.Frame) -> None:
         """Send an ER about a command that the Master could not execute."""
         piece = self._failure(str(error), error, frame.id if "ack" in self.features else UNSET)
-        self._send(piece)
+        self.send(piece)
 
     async def _issue(self, item: str, command: m.Command) -> asyncio.Task[None]:
         log.info("robot {robot}: {command}", robot=self.name, command=type(command).__name__)
@@ -306,31 +307,37 @@ def _piece(message: m.Status | m.Failure) -> Piece:
     return [msgspec.json.encode(message)]
 
 
-def _items(frame: m.Frame) -> Iterator[tuple[str, m.Command]]:
+def _items(frame: m.Frame, *, strict: bool) -> Iterator[tuple[str, m.Command]]:
     """Yield the commands of a frame in order, each with its position in the frame.
+
+    Args:
+        frame: The frame.
+        strict: Refuse unknown keys.
 
     Raises:
         InvalidRequest: The next command is malformed.
     """
     if frame.type == "CC":
-        yield "", m.decode_as(m.CreateContainer, frame.data, "data")
+        yield "", m.decode_as(m.CreateContainer, frame.data, "data", strict=strict)
     elif frame.type == "DC":
-        yield "", m.decode_as(m.DestroyContainer, frame.data, "data")
+        yield "", m.decode_as(m.DestroyContainer, frame.data, "data", strict=strict)
     elif frame.type == "CN":
-        lists = m.decode_as(m.ConfigureComponents, frame.data, "data")
-        yield from _listed(m.CN_ITEMS, {name: getattr(lists, name) for name in m.CN_ITEMS})
+        lists = m.decode_as(m.ConfigureComponents, frame.data, "data", strict=strict)
+        yield from _listed(m.CN_ITEMS, {name: getattr(lists, name) for name in m.CN_ITEMS}, strict)
     elif frame.type == "CX":
-        pairs = m.decode_as(m.ConfigureConnections, frame.data, "data")
-        yield from _listed(m.CX_ITEMS, {name: getattr(pairs, name) for name in m.CX_ITEMS})
+        pairs = m.decode_as(m.ConfigureConnections, frame.data, "data", strict=strict)
+        yield from _listed(m.CX_ITEMS, {name: getattr(pairs, name) for name in m.CX_ITEMS}, strict)
     else:
         raise InvalidRequest(f"message type {frame.type[:40]!r} is not supported: use CC, DC, CN, CX or DM")
 
 
-def _listed(kinds: dict[str, type[m.Command]], lists: dict[str, list[Raw]]) -> Iterator[tuple[str, m.Command]]:
+def _listed(
+    kinds: dict[str, type[m.Command]], lists: dict[str, list[Raw]], strict: bool
+) -> Iterator[tuple[str, m.Command]]:
     for name, kind in kinds.items():
         for index, raw in enumerate(lists[name]):
             item = f"{name}[{index}]"
             try:
-                yield item, m.decode_as(kind, raw, item)
+                yield item, m.decode_as(kind, raw, item, strict=strict)
             except InvalidRequest as error:
                 raise error.with_item(item) from None

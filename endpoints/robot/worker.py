@@ -1,7 +1,8 @@
-"""Process that converts messages for a Robot endpoint: `python -P -m endpoints.robot.worker DESCRIPTOR`.
+"""Process that converts messages for a Robot endpoint: `python -P -m endpoints.robot.worker DESCRIPTOR PATH`.
 
 It converts what it reads from its socket, one request at a time, until the endpoint closes the other end. Pictures and
-JSON of strangers are decoded here: a decoder that crashes, or takes all memory, costs one message.
+JSON of strangers are decoded here: a decoder that crashes, or takes all memory, costs one message. So does a converter
+of a user; PATH is that of such converters, or empty.
 
 A request and its answer are each a head as msgpack, followed by buffers:
 
@@ -17,13 +18,16 @@ import socket
 import struct
 import sys
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import cv2
 import msgspec
 from msgspec import Struct
 
-from converters import Codec, Recipe, TypeRegistry, Wire
+from converters import Codec, Converter, Recipe, TypeRegistry, Wire, custom_files
+from converters.custom import CustomCodec
+from converters.custom_files import Description
+from converters.ros1 import ROS1, Ros1Codec
 from endpoints.memory import keep_large_blocks, uninitialized
 from rce.errors import ErrorInfo, LimitExceeded, RceError
 from rce.protocol.blobs import Buffer
@@ -49,6 +53,16 @@ class Decode(Struct, frozen=True, tag=True):
     start: bytes  # of the text frame
 
 
+class Describe(Struct, frozen=True, tag=True):
+    """Request for the users' converters."""
+
+
+class Described(Struct, frozen=True, tag=True):
+    """Answer: the users' converters."""
+
+    converters: list[Description]
+
+
 class Converted(Struct, frozen=True, tag=True):
     """Answer: CDR in one buffer, or a text frame and blobs in several."""
 
@@ -61,8 +75,8 @@ class Failed(Struct, frozen=True, tag=True):
     error: ErrorInfo
 
 
-Request = Encode | Decode
-Answer = Converted | Failed
+Request = Encode | Decode | Describe
+Answer = Converted | Described | Failed
 
 
 def send(sock: socket.socket, head: Request | Answer, buffers: Sequence[Buffer]) -> None:
@@ -103,14 +117,24 @@ def data_frame(start: bytes, wire: Wire) -> bytes:
 
 
 @lru_cache(MAX_CODECS)
-def _codec(recipe: Recipe) -> Codec:
-    return TypeRegistry.codec_of(recipe)
+def _codec(recipe: Recipe, converters: str) -> Codec | CustomCodec | Ros1Codec:
+    codec = TypeRegistry.codec_of(recipe)
+    if recipe.converter == ROS1:
+        return Ros1Codec(codec)
+    return CustomCodec(codec, _custom(converters)[recipe.converter]) if recipe.converter else codec
 
 
-def convert(request: Request, buffers: Sequence[Buffer]) -> tuple[Answer, list[Buffer]]:
-    """Return the answer to a request and its buffers."""
+@cache
+def _custom(converters: str) -> dict[str, Converter]:
+    return custom_files.load(converters)
+
+
+def convert(request: Request, buffers: Sequence[Buffer], converters: str = "") -> tuple[Answer, list[Buffer]]:
+    """Return the answer to a request and its buffers; `converters` is the path of users' converters."""
     try:
-        codec = _codec(request.recipe)
+        if isinstance(request, Describe):
+            return Described(custom_files.describe(_custom(converters))), []
+        codec = _codec(request.recipe, converters)
         if isinstance(request, Encode):
             raw, *blobs = buffers
             return Converted(), [codec.encode(Wire(request.is_blob, raw, dict(zip(request.blobs, blobs, strict=True))))]
@@ -123,13 +147,13 @@ def convert(request: Request, buffers: Sequence[Buffer]) -> tuple[Answer, list[B
         return Failed(error.info), []
 
 
-def serve(sock: socket.socket) -> None:
+def serve(sock: socket.socket, converters: str = "") -> None:
     """Answer requests until the other end closes the socket."""
     decoder: msgspec.msgpack.Decoder[Request] = msgspec.msgpack.Decoder(Request)
     while True:
         try:
             head, buffers = receive(sock)
-            answer, results = convert(decoder.decode(head), buffers)
+            answer, results = convert(decoder.decode(head), buffers, converters)
             del buffers
             send(sock, answer, results)
             del results
@@ -137,15 +161,27 @@ def serve(sock: socket.socket) -> None:
             return
 
 
+def silence_decoders() -> None:
+    """Discard what libpng and libjpeg print about bad pictures: strangers could fill the log with it.
+
+    They write to the descriptor; Python's own messages still go to standard error.
+    """
+    sys.stderr = os.fdopen(os.dup(2), "w", buffering=1)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    os.close(nowhere)
+
+
 def main() -> None:
     """Run the program."""
+    silence_decoders()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the endpoint, which closes the socket
     resource.setrlimit(resource.RLIMIT_DATA, (MAX_MEMORY, MAX_MEMORY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     os.nice(NICENESS)
     cv2.setNumThreads(1)
     keep_large_blocks()
-    serve(socket.socket(fileno=int(sys.argv[1])))
+    serve(socket.socket(fileno=int(sys.argv[1])), sys.argv[2])
 
 
 if __name__ == "__main__":

@@ -20,10 +20,11 @@ from dataclasses import dataclass
 import msgspec
 from twisted.logger import Logger
 
-from converters import Recipe, Wire
+from converters import Recipe, Wire, custom_files
+from converters.custom_files import Description
 from endpoints.robot import worker
-from endpoints.robot.worker import Answer, Decode, Encode, Failed, Request
-from rce.errors import LimitExceeded, RceError
+from endpoints.robot.worker import Answer, Converted, Decode, Describe, Described, Encode, Failed, Request
+from rce.errors import MALFORMED, LimitExceeded, RceError
 from rce.process.metrics import Family, gauge_family
 from rce.protocol.blobs import Buffer
 
@@ -37,7 +38,8 @@ log = Logger()
 class Worker:
     """One process, which starts with its first request and again after it has failed. `call` is used in a thread."""
 
-    def __init__(self) -> None:
+    def __init__(self, converters: str = "") -> None:
+        self._converters = converters
         self._process: subprocess.Popen[bytes] | None = None
         self._socket: socket.socket | None = None
 
@@ -52,7 +54,7 @@ class Worker:
             worker.send(sock, request, buffers)
             head, results = worker.receive(sock)
             return msgspec.msgpack.decode(head, type=Answer), results
-        except (OSError, EOFError, msgspec.DecodeError) as error:
+        except (OSError, EOFError, *MALFORMED) as error:
             self.stop()
             reason = f"took more than {MAX_SECONDS} s" if isinstance(error, BlockingIOError) else "ended the converter"
             raise LimitExceeded(f"the conversion of this message {reason}: send less at a time") from None
@@ -65,7 +67,7 @@ class Worker:
             for end in (ours, theirs):
                 end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BUFFER)
             self._process = subprocess.Popen(
-                [sys.executable, *PROGRAM, str(theirs.fileno())],
+                [sys.executable, *PROGRAM, str(theirs.fileno()), self._converters],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
@@ -99,15 +101,32 @@ class _Job:
 class Workers:
     """A few workers, shared by all users."""
 
-    def __init__(self, count: int = 0) -> None:
-        """Make workers, which start when they are needed; by default as many as there are processors, from 2 to 4."""
+    def __init__(self, count: int = 0, converters: str = "") -> None:
+        """Make workers, which start when they are needed.
+
+        Args:
+            count: Number of workers; by default that of the processors, from 2 to 4.
+            converters: Path of users' converters.
+        """
+        self._converters = converters
         self._count = count or max(2, min(4, os.cpu_count() or 2))
         self._threads = ThreadPoolExecutor(self._count, "worker")
-        self._idle = [Worker() for _ in range(self._count)]
+        self._idle = [Worker(converters) for _ in range(self._count)]
         self._all = list(self._idle)
         self._waiting: OrderedDict[str, deque[_Job]] = OrderedDict()  # by user, whose turn is next first
         self._running: Counter[str] = Counter()  # by user
         self._tasks: set[asyncio.Task[None]] = set()
+
+    async def converters(self) -> list[Description]:
+        """Return the users' converters.
+
+        Raises:
+            StartFailed: One cannot be loaded.
+        """
+        if not custom_files.wanted(self._converters):
+            return []
+        answer, _ = await self._ask("", Describe(), [])
+        return answer.converters if isinstance(answer, Described) else []
 
     async def encode(self, user: str, recipe: Recipe, wire: Wire) -> Buffer:
         """Convert a message to CDR.
@@ -116,7 +135,7 @@ class Workers:
             ConversionError: The message does not fit its type.
             LimitExceeded: The conversion takes too much time or memory.
         """
-        _, (cdr,) = await self._run(
+        _, (cdr,) = await self._ask(
             user,
             Encode(recipe, wire.is_blob, list(wire.blobs)),
             [memoryview(wire.raw), *wire.blobs.values()],
@@ -125,12 +144,10 @@ class Workers:
 
     async def decode(self, user: str, recipe: Recipe, cdr: Buffer, start: bytes) -> tuple[Buffer, dict[str, Buffer]]:
         """Convert CDR to the text frame that begins with `start`, and its blobs; raises the errors of `encode`."""
-        converted, (text, *blobs) = await self._run(user, Decode(recipe, start), [cdr])
-        return text, dict(zip(converted.blobs, blobs, strict=True))
+        answer, (text, *blobs) = await self._ask(user, Decode(recipe, start), [cdr])
+        return text, dict(zip(answer.blobs if isinstance(answer, Converted) else [], blobs, strict=True))
 
-    async def _run(
-        self, user: str, request: Request, buffers: Sequence[Buffer]
-    ) -> tuple[worker.Converted, list[bytearray]]:
+    async def _ask(self, user: str, request: Request, buffers: Sequence[Buffer]) -> tuple[Answer, list[bytearray]]:
         done = asyncio.get_running_loop().create_future()
         self._waiting.setdefault(user, deque()).append(_Job(request, buffers, done))
         self._pump()

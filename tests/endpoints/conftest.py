@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,17 +19,8 @@ from tests.support.certificates import certify
 from tests.support.endpoints.ends import KEY, End, Listener
 from tests.support.endpoints.platforms import Platform, Processes
 from tests.support.endpoints.raw_robot import WAIT
-from tests.support.master.hand_turned import HandTurnedLoop
 
 MakePlatform = Callable[..., Any]
-
-
-@pytest.fixture
-def hand() -> Iterator[HandTurnedLoop]:
-    """Event loop whose time is turned by hand."""
-    loop = HandTurnedLoop()
-    yield loop
-    loop.close()
 
 
 @pytest.fixture

@@ -19,7 +19,8 @@ from endpoints.bridge.filters import TF
 from endpoints.bridge.flows import CalledService, OfferedService, ReceivedTopic, SentTopic, make_flows
 from endpoints.bridge.local_ros import CLOUD
 from endpoints.data.interface import error_of
-from endpoints.environment.services import TIMEOUT, ServiceClientInterface, ServiceProviderInterface
+from endpoints.environment.service_calls import TIMEOUT
+from endpoints.environment.services import ServiceClientInterface, ServiceProviderInterface
 from endpoints.environment.topics import PublisherInterface, SubscriberInterface
 from rce.client import Environment
 from rce.errors import ConversionError, NotFound, RceError

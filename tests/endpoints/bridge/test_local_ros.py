@@ -18,7 +18,7 @@ from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import InvalidRequest, UnknownType
 from rce.net.outbox import Owner
 from rce.protocol.messages import Qos
-from tests.support.master.hand_turned import HandTurnedLoop
+from tests.support.hand_turned import HandTurnedLoop
 
 
 class Recorder(RosInterface):

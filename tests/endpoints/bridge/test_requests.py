@@ -10,6 +10,7 @@ from typing import Any
 
 import msgspec
 import pytest
+from twisted.logger import LogEvent
 
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 
@@ -108,6 +109,20 @@ async def test_failed_action_is_reported_with_its_reason(robot: Robot) -> None:
     robot.ask("enough")
     assert await robot.responses(2) == [("enough", "accepted", ""), ("enough", "failed", reason)]
     assert await robot.call("enough") == {"success": False, "message": reason}
+
+
+async def test_defect_of_an_action_is_reported_too(
+    robot: Robot, failures: list[LogEvent], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def break_down() -> None:
+        raise IndexError("list index out of range")
+
+    monkeypatch.setattr(robot.gate, "wait", break_down)
+    robot.ask("rec")
+    _, (name, state, message) = await robot.responses(2)
+    assert (name, state) == ("rec", "failed")
+    assert "IndexError" in message
+    failures.clear()
 
 
 async def test_unknown_request_fails_and_names_the_known_ones(robot: Robot) -> None:

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from endpoints.data import frames
-from endpoints.data.frames import FIRST, HEAD, PART, FrameReader, Message, pieces
+from endpoints.data.frames import FIRST, HEAD, PART, FrameReader, Message, Phase, pieces
 from rce.errors import LimitExceeded
 
 SIZES = st.one_of(
@@ -28,7 +28,8 @@ def messages(draw: st.DrawFn) -> Message:
     text = draw(st.text(max_size=60).filter(lambda text: len(text.encode("utf-8", "replace")) <= 255))
     text = text.encode("utf-8", "ignore").decode()
     payload = random.Random(draw(st.integers(0, 1000))).randbytes(draw(SIZES))
-    return Message(draw(ID), text, payload, draw(st.none() | ID), draw(st.booleans()))
+    error, phase, numbered = draw(st.booleans()), draw(st.sampled_from(Phase)), draw(st.booleans())
+    return Message(draw(ID), text, payload, draw(st.none() | ID), error, phase, numbered)
 
 
 def feed(reader: FrameReader, data: bytes, cuts: itertools.cycle[int]) -> list[Message]:
@@ -46,7 +47,8 @@ def feed(reader: FrameReader, data: bytes, cuts: itertools.cycle[int]) -> list[M
 
 
 def plain(message: Message) -> tuple[object, ...]:
-    return message.source, message.msg_id, bytes(message.payload), message.destination, message.error
+    flags = message.error, message.phase, message.numbered
+    return message.source, message.msg_id, bytes(message.payload), message.destination, flags
 
 
 @settings(max_examples=25, deadline=None)
@@ -85,6 +87,12 @@ def test_large_payload_is_read_into_final_buffer() -> None:
     assert len(buffer.obj) == 10 * PART  # type: ignore[arg-type]  # it is the bytearray of the whole payload
 
 
+def test_unknown_phase_is_refused() -> None:
+    with pytest.raises(LimitExceeded, match="unknown phase"):
+        feed(FrameReader(), HEAD.pack(0xF1, 0, 0, 0, 0) + bytes(16), itertools.cycle([100]))
+
+
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(st.data())
 def test_hostile_bytes_raise_only_expected_errors(data: st.DataObject) -> None:

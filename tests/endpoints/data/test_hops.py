@@ -10,7 +10,7 @@ from endpoints.data import hops
 from endpoints.data.frames import Message
 from endpoints.data.hops import HopRecorder
 from rce.control.calls.watching import FollowMessages, HopRecord
-from tests.support.master.hand_turned import HandTurnedLoop
+from tests.support.hand_turned import HandTurnedLoop
 
 OUT, IN, OTHER = bytes([1] * 16), bytes([2] * 16), bytes([3] * 16)
 

@@ -172,7 +172,7 @@ async def test_error_for_peer_that_is_gone_is_left_out(links: tuple[FakeLink, Fa
     assert (near.sent, far.sent) == ([], [])
 
 
-@pytest.mark.parametrize("payload", [b"", b"\xff\x00", b"\x01"])
+@pytest.mark.parametrize("payload", [b"", b"\xff\x00", b"\x01", b"\x81\xa4code\xa1\xff"], ids=repr)
 async def test_malformed_error_is_an_error_too(payload: bytes) -> None:
     assert "malformed" in str(error_of(message("call", payload)))
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import secrets
+import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -73,6 +75,40 @@ async def test_tls_rejects_certificates_of_other_authorities(tls: Tls, tmp_path:
             assert here.lost
             assert not there.link.opened.done()
             there.link.close()
+    await relay.close()
+    await listener.close()
+
+
+@pytest.mark.parametrize("way", ["data port", "relay"])
+async def test_certificate_of_a_removed_machine_is_refused(tmp_path: Path, way: str) -> None:
+    authority, now = Authority.make("test"), time.time()
+    here = Tls(certify(tmp_path / "here", authority, ["127.0.0.1"], "here"))
+    gone = Tls(certify(tmp_path / "gone", authority, ["127.0.0.1"], "gone"))
+    again = Tls(certify(tmp_path / "again", authority, ["127.0.0.1"], "gone", after=now - 60))
+    listener, relay = Listener(tls=here), DataRelay(here)
+    _, address = await listener.start(tmp_path)
+    await relay.listen("127.0.0.1", 0)
+    await relay.add_environment("ann/far", tmp_path / "data.sock", tmp_path)
+    dialled = address if way == "data port" else f"{relay.address}/ann/far"
+
+    async def opened(tls: Tls) -> tuple[End, End]:
+        one, other, key = End(), End(), secrets.token_bytes(16)
+        listener.expect(other.link, key)
+        await DataPort(tls=tls).dial(one.link, key, [dialled])
+        return one, other
+
+    open_before = await opened(gone)
+    assert not open_before[0].lost
+    here.set_removed({"gone": now - 60, "other": now})
+    await open_before[0].until(lambda: bool(open_before[0].lost))
+    one, other = await opened(gone)
+    assert one.lost
+    assert not other.link.opened.done()
+    other.link.close()
+    one, other = await opened(again)
+    assert not one.lost
+    for link in (one.link, other.link):
+        link.close()
     await relay.close()
     await listener.close()
 

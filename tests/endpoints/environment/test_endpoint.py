@@ -38,7 +38,7 @@ from rce.control.calls.endpoints import (
     Unbind,
 )
 from rce.control.calls.robots import DescribeType
-from rce.control.calls.watching import Log, ReadGraph, ReadLog, RosName
+from rce.control.calls.watching import Log, ReadGraph, ReadLog, ReadPackages, RosName
 from rce.control.connection import decode_pages, encode_pages
 from rce.errors import ErrorInfo, InvalidRequest
 from tests.support.endpoints.environment_driver import FakeMaster, is_alive, wait_for_line
@@ -82,7 +82,9 @@ class Trial:
         settings = Settings("ann/env", "0" * 32, "token", "tcp:127.0.0.1:1", directory)
         self.reports: list[Call[Any]] = []
         self.log = OutputLog(directory / "environment.log")
-        self.environment = Environment(settings, cast(Any, InstantRos()), DataPort(), self.reports.append, self.log)
+        self.environment = Environment(
+            settings, cast(Any, InstantRos()), DataPort(), self.reports.append, self.log, self.log
+        )
         self.parameters = FakeLiveParameters()
         self.environment._live_parameters = cast(LiveParameters, self.parameters)
         self.handlers = self.environment.handlers()
@@ -191,7 +193,7 @@ async def test_running_nodes_are_counted(trial: Trial) -> None:
 
 
 async def test_definition_of_type_is_read(master: FakeMaster) -> None:
-    described = await master.call(DescribeType("user", "sensor_msgs/Image", service=False))
+    described = await master.call(DescribeType("user", "sensor_msgs/Image", "msg"))
     assert {"sensor_msgs/msg/Image", "std_msgs/msg/Header", "builtin_interfaces/msg/Time"} == set(described.texts)
 
 
@@ -202,6 +204,12 @@ async def test_ros_graph_is_read(master: FakeMaster) -> None:
     (topic,) = [each for each in graph.topics if each.name == "/read/here"]
     assert (topic.types, topic.publishers, topic.subscribers) == (["std_msgs/msg/String"], 0, 1)
     assert RosName("/read/asked", ["std_srvs/srv/SetBool"]) in graph.services
+
+
+async def test_packages_with_executables_are_read(master: FakeMaster) -> None:
+    found = {each.name: each.executables for each in (await master.call(ReadPackages())).packages}
+    assert found["rce_demo"] == ["echo.py"]
+    assert "echo.py" in found["probe"]
 
 
 async def test_sync_reconciles_nodes_and_reports_failures(master: FakeMaster) -> None:

@@ -81,4 +81,6 @@ async def test_parameters_of_running_nodes(master: FakeMaster) -> None:
     await master.call(PutParameter(ParameterSpec("undeclared", 1)))
     with pytest.raises(InvalidRequest, match="too fast"):
         await master.call(PutParameter(ParameterSpec("speed", 11)))
+    with pytest.raises(InvalidRequest, match="node /other/echo: it declares double, not string"):
+        await master.call(PutParameter(ParameterSpec("speed", "fast")))
     await master.call(StopNode("other"))

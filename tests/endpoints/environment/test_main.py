@@ -39,9 +39,9 @@ async def test_nodes_end_with_endpoint(reactor: ReactorBase, tmp_path: Path, num
 
 
 async def test_endpoint_joins_with_token_and_rejoins_with_credential(reactor: ReactorBase, tmp_path: Path) -> None:
-    async with driven(reactor, tmp_path, listen="127.0.0.1") as (master, _):
+    async with driven(reactor, tmp_path) as (master, _):
         assert (master.hello.role, master.hello.name, master.hello.token) == ("environment", NAME, "token")
-        assert [address.partition(":")[0] for address in master.hello.addresses] == ["unix", "tcp"]
+        assert master.hello.addresses == []  # the Master knows the way to it from the task set
         pid = await start_node(master)
         (await master.joined).close()
         async with asyncio.timeout(10):

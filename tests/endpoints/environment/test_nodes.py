@@ -104,6 +104,9 @@ async def test_node_that_a_full_disk_refuses_is_rejected(tmp_path: Path, monkeyp
 async def test_log_of_unknown_node_is_not_found(master: FakeMaster) -> None:
     with pytest.raises(NotFound):
         await master.call(ReadLog("never"))
+    await master.call(StartNode(NodeSpec("talker", "probe", "say")))
+    with pytest.raises(NotFound, match=r"did you mean talker\?"):
+        await master.call(ReadLog("talkr"))
 
 
 async def test_parameters_set_before_start(master: FakeMaster) -> None:

@@ -93,6 +93,16 @@ def test_python_file_without_execute_permission_is_run_by_our_python(sources: Pa
     assert Packages([], [sources]).command("talk", "mute") == [sys.executable, path]
 
 
+def test_executables_are_listed_by_package_without_modules(prefix: Path, sources: Path) -> None:
+    (prefix / "share" / "empty").mkdir()
+    (prefix / "share" / "empty" / "package.xml").touch()
+    (sources / "talk" / "talk" / "module.py").touch()
+    found = Packages([prefix], [sources]).executables()
+    assert {name: found[name] for name in ("talk", "walk")} == {"talk": ["chat.py", "mute.py"], "walk": ["legs"]}
+    assert "empty" not in found
+    assert found["rce_demo"] == ["echo.py"]
+
+
 def test_other_file_needs_execute_permission(sources: Path) -> None:
     with pytest.raises(NotFound, match="chmod"):
         Packages([], [sources]).command("talk", "plain")

@@ -34,5 +34,18 @@ async def test_topics_and_services_of_nodes_are_sorted_and_counted(world: RosWor
     await world.until(complete)
 
 
+async def test_nodes_have_their_topics_and_services(world: RosWorld) -> None:
+    node = world.other
+    node.create_subscription(String, "/nodes/in", print, 10)
+    node.create_publisher(String, "/nodes/out", 10)
+    node.create_service(SetBool, "/nodes/flip", lambda request, response: response)
+
+    def complete() -> bool:
+        found = [each for each in read_graph(world.ros.node).nodes if "/nodes/out" in each.publishes]
+        return any("/nodes/in" in each.subscribes and "/nodes/flip" in each.serves for each in found)
+
+    await world.until(complete)
+
+
 def _ours(names: list[RosName]) -> list[RosName]:
     return [each for each in names if each.name.startswith("/read/")]

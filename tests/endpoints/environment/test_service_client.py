@@ -13,8 +13,10 @@ pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 from endpoints.data.frames import Message
 from endpoints.data.interface import MAX_REQUESTS, error_of
 from endpoints.data.link import LoopLink
-from endpoints.environment.ros_services import RawClient
-from endpoints.environment.services import MAX_IN_FLIGHT, TIMEOUT, ServiceClientInterface
+from endpoints.environment import service_calls
+from endpoints.environment.ros import RosThread
+from endpoints.environment.service_calls import MAX_IN_FLIGHT, TIMEOUT, ServiceCaller
+from endpoints.environment.services import ServiceClientInterface
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import RceError
 from rce.net.budget import INTERFACE
@@ -51,11 +53,12 @@ class Robot:
 
 
 @pytest.fixture
-async def parts() -> tuple[ServiceClientInterface, Service, Robot]:
+async def parts(monkeypatch: pytest.MonkeyPatch) -> tuple[ServiceClientInterface, Service, Robot]:
     service, robot = Service(), Robot()
     spec = InterfaceSpec("11" * 16, "user/env", "tag", "ServiceClientInterface", "a/B", "/name")
     interface = ServiceClientInterface(spec, service.context())
-    interface._client = cast(RawClient, service)
+    monkeypatch.setattr(service_calls, "RawClient", lambda *arguments: service)
+    interface._caller = ServiceCaller(cast(RosThread, service), None, "/name", "service /name")
     interface.peers[PEER] = LoopLink("loop", lambda message, _: robot.received.append(message), lambda message: None)
     return interface, service, robot
 
@@ -73,7 +76,7 @@ async def test_requests_in_flight_are_limited(parts: Parts) -> None:
     send_requests(interface, 20)
     assert len(service.requests) == MAX_IN_FLIGHT
     for number in range(1, 21):
-        interface._answered(number, b"answer")
+        interface._caller._answered(number, b"answer")
     assert service.requests == [str(number).encode() for number in range(20)]
     assert [message.msg_id for message in robot.received] == [str(number) for number in range(20)]
     assert {message.destination for message in robot.received} == {PEER}
@@ -82,12 +85,12 @@ async def test_requests_in_flight_are_limited(parts: Parts) -> None:
 async def test_unanswered_requests_time_out_and_make_room(parts: Parts) -> None:
     interface, service, robot = parts
     send_requests(interface, MAX_IN_FLIGHT + 1)
-    for request in interface._in_flight.values():
+    for request in interface._caller._in_flight.values():
         request.since -= TIMEOUT
     interface.tick(time.monotonic() + 0.1)
     assert robot.errors() == ["timed_out"] * MAX_IN_FLIGHT
     assert len(service.requests) == MAX_IN_FLIGHT + 1
-    interface._answered(1, b"too late")
+    interface._caller._answered(1, b"too late")
     assert len(robot.received) == MAX_IN_FLIGHT
 
 
@@ -104,7 +107,7 @@ async def test_bytes_of_unanswered_requests_are_limited(parts: Parts) -> None:
     for number in range(6):
         interface.receive(Message(PEER, str(number), bytes(size)), interface.peers[PEER])
     assert robot.errors() == ["limit_exceeded"] * 2
-    interface._answered(1, b"answer")
+    interface._caller._answered(1, b"answer")
     interface.receive(Message(PEER, "later", bytes(size)), interface.peers[PEER])
     assert [message.msg_id for message in robot.received if not message.error] == ["0"]
     assert robot.errors() == ["limit_exceeded"] * 2
@@ -114,7 +117,7 @@ async def test_unanswered_requests_are_limited(parts: Parts) -> None:
     interface, _, robot = parts
     send_requests(interface, MAX_REQUESTS + 1)
     assert robot.errors() == ["limit_exceeded"]
-    interface._answered(1, b"answer")
+    interface._caller._answered(1, b"answer")
     send_requests(interface, 1)
     assert robot.errors() == ["limit_exceeded"]
 

@@ -13,7 +13,8 @@ pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 from endpoints.data.frames import Message
 from endpoints.data.link import LoopLink
 from endpoints.environment.ros_services import Header, RawService
-from endpoints.environment.services import TIMEOUT, ServiceProviderInterface
+from endpoints.environment.service_calls import TIMEOUT
+from endpoints.environment.services import ServiceProviderInterface
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import ConversionError, NotFound, RceError
 from tests.support.endpoints.fake_ros import InstantRos

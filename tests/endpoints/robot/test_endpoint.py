@@ -30,7 +30,7 @@ from rce.control.client import ControlClient
 from rce.control.connection import decode_pages, encode_pages
 from rce.errors import ErrorInfo, NotFound, Unauthorized, Unavailable
 from rce.protocol.messages import DataMessage, InterfaceStatus, NodeEvent
-from tests.support.master.hand_turned import HandTurnedLoop
+from tests.support.hand_turned import HandTurnedLoop
 
 GRACE = 10.0
 NAME = "ann/r"
@@ -247,7 +247,7 @@ def test_interface_is_bound_before_login_is_answered(trial: Trial) -> None:
 def test_definition_of_own_type_is_requested_from_master(trial: Trial) -> None:
     trial.connect()
     trial.call(Bind(msgspec.structs.replace(TAG, type="mine/Thing")))
-    assert trial.master.of(DescribeType) == [DescribeType("ann", "mine/msg/Thing", False)]
+    assert trial.master.of(DescribeType) == [DescribeType("ann", "mine/msg/Thing", "msg")]
 
 
 def test_dropped_robot_gets_reason_and_loses_its_interfaces(trial: Trial) -> None:
@@ -262,14 +262,14 @@ def test_dropped_robot_gets_reason_and_loses_its_interfaces(trial: Trial) -> Non
 def test_status_goes_to_robot_and_its_error_only_with_events(trial: Trial) -> None:
     session, socket = trial.connect("events")
     socket.frames.clear()
-    call = SendStatus(NAME, InterfaceStatus("in", True), NotFound("lost").info)
+    call = SendStatus([NAME], InterfaceStatus("in", True), NotFound("lost").info)
     trial.call(call)
     assert [frame["type"] for frame in socket.frames] == ["ST", "ER"]
     session.features = frozenset()
     trial.call(call)
-    trial.call(SendStatus(NAME, NodeEvent("sky", "brain", 1, [])))
+    trial.call(SendStatus([NAME], NodeEvent("sky", "brain", 1, [])))
     assert [frame["type"] for frame in socket.frames] == ["ST", "ER", "ST"]
-    trial.call(SendStatus("ann/unknown", InterfaceStatus("in", True)))
+    trial.call(SendStatus(["ann/unknown"], InterfaceStatus("in", True)))
 
 
 def test_sync_ends_sessions_and_interfaces_that_master_does_not_have(trial: Trial) -> None:

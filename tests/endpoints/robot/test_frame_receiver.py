@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import Callable
 from typing import Any, cast
@@ -9,12 +10,13 @@ from typing import Any, cast
 import pytest
 from msgspec import UNSET
 
-from endpoints.robot.frame_receiver import BAD_WINDOW, FrameReceiver, ServerLimits
+from endpoints.robot.frame_receiver import FrameReceiver, ServerLimits
+from endpoints.robot.intake import BAD_WINDOW
 from endpoints.robot.session import RobotSession
 from rce.errors import InvalidRequest, NotConnected, NotFound, RceError
 from rce.protocol.blobs import Buffer
 from rce.protocol.messages import Ack, DataMessage, Frame, StatusData
-from tests.support.master.hand_turned import HandTurnedLoop
+from tests.support.hand_turned import HandTurnedLoop
 
 BLOB = "0a" * 16
 
@@ -34,6 +36,9 @@ class FakeSession:
         if self.refusal is not None:
             raise self.refusal
         self.commands.append(frame.type)
+
+    def pause_reading(self, until: asyncio.Future[None]) -> None:
+        """Read on: no test sends too much."""
 
     def error(self, error: RceError, id: Any = UNSET) -> None:
         self.errors.append((error, id))

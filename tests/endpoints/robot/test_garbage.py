@@ -19,6 +19,8 @@ import pytest
 from tests.support.endpoints.platforms import Processes
 from tests.support.endpoints.raw_robot import Robot, dm, eventually, status
 
+pytestmark = pytest.mark.slow  # sends thousands of frames
+
 COUNT = int(os.environ.get("RCE_GARBAGE", "5000"))
 MEMORY = 20 * 1024 * 1024
 WINDOW = 50  # unanswered frames

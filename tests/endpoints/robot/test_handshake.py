@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+from collections import Counter
 from contextlib import suppress
 
 import pytest
+from autobahn.websocket.types import ConnectionDeny, ConnectionRequest
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 
+from endpoints.robot.client import RobotClient
+from endpoints.robot.endpoint import LoginResult
+from endpoints.robot.handshake import LoginRequest
+from endpoints.robot.server import ClientSocket
 from master.access.throttle import Throttle
+from rce.net.pending_logins import PendingLogin
 from tests.support.endpoints.platforms import Platform
-from tests.support.endpoints.raw_robot import LOGIN_QUERY, PASSWORD, USER, WAIT, WEBSOCKET_HEADERS
+from tests.support.endpoints.raw_robot import LOGIN_QUERY, PASSWORD, USER, WAIT, WEBSOCKET_HEADERS, eventually
+from tests.support.fuzz.robot_frames import frame
 
 GUEST_QUERY = LOGIN_QUERY.replace("robotID=r", "robotID=%40r")
 ADMIN = f"userID=admin&password={hashlib.sha256(b'admin').hexdigest()}"
@@ -103,6 +111,43 @@ async def test_api_key_is_accepted_for_its_user_only(platform: Platform) -> None
     assert (await handshake(platform.port, f"userID={USER}&robotID=a&key={secret}"))[0] == 101
     assert (await handshake(platform.port, f"userID=admin&robotID=a&key={secret}"))[0] == 401
     assert (await handshake(platform.port, f"userID=&robotID=b&key={secret}"))[0] == 400  # a robot has its user's name
+
+
+async def test_refused_connection_that_is_lost_is_not_opened(platform: Platform) -> None:
+    """Autobahn would open it, close it with the code, and fail to drop it a second later."""
+    endpoint = platform.endpoint
+    socket = ClientSocket(endpoint.switchboard.turns, lambda _: RobotClient(endpoint), PendingLogin(Counter(), ""))
+    socket.transport = None
+    request = ConnectionRequest("tcp4:x", {}, "", "/", {"refuse": ["close"]}, 13, "", [], [])
+    with pytest.raises(ConnectionDeny):
+        await socket.onConnect(request)
+    socket.succeedHandshake((None, {}))  # it would fail if it sent an answer
+
+
+async def test_messages_that_come_during_the_login_are_no_second_request(
+    platform: Platform, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    logins, go = [], asyncio.Event()
+    login = platform.endpoint.login
+
+    async def slow(request: LoginRequest) -> LoginResult:
+        logins.append(request)
+        await go.wait()
+        return await login(request)
+
+    monkeypatch.setattr(platform.endpoint, "login", slow)
+    reader, writer = await asyncio.open_connection("127.0.0.1", platform.port)
+    request = f"GET /?{LOGIN_QUERY} HTTP/1.1\r\n{WEBSOCKET_HEADERS}\r\n".encode()
+    writer.write(request)
+    await eventually(lambda: bool(logins))
+    writer.write(frame(b"no JSON\r\n\r\n") + frame(b"last", 9))
+    await asyncio.sleep(0.01)  # so that it arrives before the login ends; the test passes without it too
+    go.set()
+    answer = await asyncio.wait_for(reader.readuntil(b"last"), WAIT)  # the pong
+    assert answer.startswith(b"HTTP/1.1 101")
+    assert b"not a JSON object" in answer
+    assert len(logins) == 1
+    writer.close()
 
 
 async def test_robot_id_in_use_is_refused(platform: Platform) -> None:

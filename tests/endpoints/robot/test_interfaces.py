@@ -15,11 +15,14 @@ import cv2
 import numpy as np
 import pytest
 
-from endpoints.robot.frame_receiver import MAX_CONVERSIONS
-from rce.net.budget import INTERFACE
+from endpoints.data.frames import Message
+from endpoints.data.link import Link
+from endpoints.robot.intake import MAX_CONVERSIONS
+from endpoints.robot.interfaces import Publisher
+from rce.net.budget import INTERFACE, OVERHEAD
 from rce.protocol.blobs import PART
 from tests.support.endpoints.platforms import Platform, pair
-from tests.support.endpoints.raw_robot import USER, Json, Robot, eventually
+from tests.support.endpoints.raw_robot import USER, Json, Robot, dm, eventually
 
 ID, OTHER = "0a" * 16, "0b" * 16
 BYTES = "std_msgs/UInt8MultiArray"
@@ -34,6 +37,24 @@ async def test_blob_and_frame_come_in_any_order(platform: Platform, blob_first: 
     got = await b.receive()
     assert got["type"] == "DM", got
     await a.expect_silence()
+
+
+async def test_messages_without_an_id_have_one_each_within_the_platform(
+    platform: Platform, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    a, b = await pair(platform, BYTES)
+    ids: list[str] = []
+    receive = Publisher.receive
+
+    def record(self: Publisher, message: Message, link: Link) -> None:
+        ids.append(message.msg_id)
+        receive(self, message, link)
+
+    monkeypatch.setattr(Publisher, "receive", record)
+    for id in ("nil", "nil", "nil-1"):
+        await a.send(json.dumps(dm("out", {"data": []}, BYTES, id)))
+    assert [each["data"]["msgID"] for each in await b.receive_all(3)] == ["nil", "nil", "nil-1"], "its own stays"
+    assert ids == ["nil-1", "nil-2", "nil-1"]
 
 
 HEADER = "std_msgs/Header"
@@ -171,25 +192,6 @@ async def test_robot_without_events_gets_summaries_of_all_drops(platform: Platfo
     await b.expect_silence()
 
 
-async def test_call_of_robot_that_does_not_read_is_refused_when_its_queue_has_too_many_bytes(
-    platform: Platform,
-) -> None:
-    caller, server = await platform.robot("caller"), await platform.robot("server")
-    await caller.add("ask", "ServiceProviderForwarder", "std_srvs/SetBool")
-    await caller.add("serve", "ServiceClientForwarder", "std_srvs/SetBool", of="server")
-    await caller.connect("caller/ask", "server/serve")
-    await caller.receive()
-    await server.receive()
-    server.socket.transport.pause_reading()
-    for number in range(INTERFACE // 1_000_000 + 10):
-        name = f"{number:032x}"
-        frame = {"iTag": "ask", "type": "std_srvs/SetBool", "msgID": name, "msg*": name}
-        await caller.send({"type": "DM", "data": frame}, name.encode() + bytes(1_000_000))
-    answer = await caller.receive()
-    assert answer["type"] == "ER"
-    assert "too many bytes wait for robot testUser/server" in answer["data"]
-
-
 async def test_keep_all_slows_down_sender_and_drops_nothing(platform: Platform) -> None:
     a, b = await forwarders(platform, qos={"history": "keep_all"})
     c = await platform.robot("c")
@@ -203,7 +205,7 @@ async def test_keep_all_slows_down_sender_and_drops_nothing(platform: Platform) 
 
     sending = asyncio.create_task(stream())
     session = platform.endpoint.sessions[f"{USER}/a"]
-    await eventually(lambda: session.socket._paused_until is not None)  # type: ignore[union-attr]
+    await eventually(lambda: bool(session.socket._pauses))  # type: ignore[union-attr]
     held = sum(len(queue.waiting) for queue in platform.endpoint.sessions[f"{USER}/b"].outbox._queues.values())
     assert held < 20, "the queue is bounded"
     assert not sending.done(), "the sender has to wait"
@@ -215,73 +217,6 @@ async def test_keep_all_slows_down_sender_and_drops_nothing(platform: Platform) 
         numbers.append(int.from_bytes((await b.receive())[32:36], "big"))
     assert numbers == list(range(count))
     await sending
-
-
-async def service(platform: Platform, features: str = "") -> tuple[Robot, Robot]:
-    """Return a robot that calls a service by its interface `ask`, and one that answers at `serve`."""
-    caller, server_ = await platform.robot("caller", features), await platform.robot("server", features)
-    if features:
-        await caller.receive()
-        await server_.receive()
-    await caller.add("ask", "ServiceProviderConverter", "std_srvs/SetBool")
-    await caller.add("serve", "ServiceClientConverter", "std_srvs/SetBool", of="server")
-    await caller.connect("caller/ask", "server/serve")
-    await caller.receive()
-    await server_.receive()
-    return caller, server_
-
-
-async def test_service_calls_between_robots(platform: Platform) -> None:
-    caller, provider = await service(platform)
-    kind = "std_srvs/SetBool"
-    for number in range(5):
-        await caller.data("ask", {"data": True}, kind, f"call{number}")
-    requests = await provider.receive_all(5)
-    assert len({request["data"]["msgID"] for request in requests}) == 5
-    for number, request in reversed(list(enumerate(requests))):
-        answer = {"success": True, "message": str(number)}
-        await provider.data("serve", answer, kind, request["data"]["msgID"])
-    answers = await caller.receive_all(5)
-    assert {(each["data"]["msgID"], each["data"]["msg"]["message"]) for each in answers} == {
-        (f"call{number}", str(number)) for number in range(5)
-    }
-    await provider.data("serve", {"success": True}, kind, requests[0]["data"]["msgID"])
-    assert "no unanswered call" in (await provider.receive())["data"], "only the first answer counts"
-
-
-async def test_failed_service_calls_are_reported(make_platform: Any) -> None:
-    platform = await make_platform(service_timeout=0.2)
-    caller, provider = await service(platform, "ack")
-    kind = "std_srvs/SetBool"
-
-    async def failure() -> tuple[str, str]:
-        answer = await caller.receive()
-        assert answer["type"] == "ER", answer
-        assert answer["error"]["fields"]["iTag"] == "ask"
-        return answer["error"]["fields"]["msgID"], answer["error"]["code"]
-
-    await caller.data("ask", {"data": True}, kind, "late")
-    late = (await provider.receive())["data"]["msgID"]
-    assert await failure() == ("late", "timed_out")
-    await provider.data("serve", {"success": True}, kind, late)
-    assert (await provider.receive())["error"]["code"] == "not_connected"
-
-    await caller.data("ask", {"data": True}, kind, "refused")
-    name = (await provider.receive())["data"]["msgID"]
-    await provider.send({"type": "DM", "data": {"iTag": "serve", "type": kind, "msgID": name, "error": "no motor"}})
-    assert (await failure())[0] == "refused"
-
-    await caller.data("ask", {"data": True}, kind, "wrong")
-    name = (await provider.receive())["data"]["msgID"]
-    await provider.data("serve", {"success": "perhaps"}, kind, name)
-    assert (await failure()) == ("wrong", "conversion")
-    assert (await provider.receive())["error"]["code"] == "conversion"
-
-    await caller.data("ask", {"data": True}, kind, "cut")
-    await provider.receive()
-    await provider.send({"type": "CX", "data": {"disconnect": [{"tagA": "caller/ask", "tagB": "server/serve"}]}})
-    frames = await caller.receive_all(2)
-    assert {frame["type"] for frame in frames} == {"ER", "ST"}
 
 
 IMAGE = "sensor_msgs/Image"
@@ -379,7 +314,7 @@ async def test_reading_pauses_while_many_pictures_are_converted(
         await send_picture(a, "out", png(8), str(number))
     session = platform.endpoint.sessions[f"{USER}/a"]
     await eventually(lambda: begun == MAX_CONVERSIONS)
-    assert session.socket._paused_until is not None  # type: ignore[union-attr]
+    assert session.socket._pauses  # type: ignore[union-attr]
     go.set()
     numbers = []
     for _ in range(MAX_CONVERSIONS + 5):
@@ -414,18 +349,13 @@ async def test_large_blob_is_delivered_in_parts_where_granted(platform: Platform
     assert len(await b.receive()) == 40 + 2000
 
 
-async def test_service_message_too_large_for_its_receiver_fails_the_call(platform: Platform) -> None:
-    caller, provider = await service(platform, "ack")
-    kind = "std_srvs/SetBool"
-    sessions = platform.endpoint.sessions
-    sessions[f"{USER}/server"].limit = 10
-    await caller.data("ask", {"data": True}, kind, "request")
-    answer = await caller.receive()
-    assert (answer["error"]["code"], answer["error"]["fields"]["msgID"]) == ("limit_exceeded", "request")
-    await provider.receive()
-    sessions[f"{USER}/server"].limit, sessions[f"{USER}/caller"].limit = 1000, 10
-    await caller.data("ask", {"data": True}, kind, "response")
-    name = (await provider.receive())["data"]["msgID"]
-    await provider.data("serve", {"success": True}, kind, name)
-    answer = await caller.receive()
-    assert (answer["error"]["code"], answer["error"]["fields"]["msgID"]) == ("limit_exceeded", "response")
+async def test_change_of_the_pace_drops_what_waits(platform: Platform) -> None:
+    a, _ = await pair(platform)
+    interface = platform.endpoint.sessions[f"{USER}/b"].interfaces["in"]
+    assert isinstance(interface, Publisher)
+    interface.set_pace(3600.0, 5)
+    for number in range(4):
+        await a.data("out", {"data": str(number)})
+    await eventually(lambda: interface.budget.used > 3 * OVERHEAD)
+    interface.set_pace(3600.0, 4)
+    assert interface.budget.used == 0

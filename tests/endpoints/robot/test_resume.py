@@ -165,13 +165,22 @@ async def test_session_ends_after_grace_time(make_platform: Any) -> None:
     assert not platform.endpoint.sessions[f"{USER}/b"].interfaces
 
 
-async def test_robot_id_is_in_use_during_grace_time(platform: Platform) -> None:
+async def test_login_takes_the_place_of_a_robot_without_a_socket(platform: Platform) -> None:
+    """A program that was killed can be started again at once."""
     b = await platform.robot("b")
+    await b.add("in", "PublisherConverter")
+    session = platform.endpoint.sessions[f"{USER}/b"]
     b.socket.transport.abort()
-    await socket_lost(platform.endpoint.sessions[f"{USER}/b"])
+    await socket_lost(session)
+    await platform.robot("b")
+    assert platform.endpoint.sessions[f"{USER}/b"] is not session
+    assert not platform.endpoint.sessions[f"{USER}/b"].interfaces
+
+
+async def test_robot_id_is_in_use_while_its_socket_is_open(platform: Platform) -> None:
+    await platform.robot("b")
     with pytest.raises(InvalidStatus, match="400"):
         await platform.robot("b")
-    assert f"{USER}/b" in platform.endpoint._grace_timers, "the grace time goes on"
 
 
 async def test_disconnect_during_login_leaves_nothing_behind(make_platform: Any) -> None:
@@ -205,6 +214,7 @@ def interface(tag: str, type: str = "std_msgs/String") -> Json:
     return {"endpointTag": "a", "interfaceTag": tag, "interfaceType": "PublisherConverter", "className": type}
 
 
+@pytest.mark.slow
 async def test_killed_master_loses_no_commands_and_stops_no_data(processes: Processes) -> None:
     """Commands in progress when the Master is killed are repeated at the next one; data flows meanwhile."""
     control = await processes.start_master()

@@ -48,6 +48,7 @@ async def test_too_many_bad_messages_close_socket_with_reason(make_platform: Any
     await b.expect_silence()
 
 
+@pytest.mark.slow
 async def test_reading_pauses_while_robot_does_not_take_its_errors(make_platform: Any) -> None:
     platform = await make_platform(bad_messages=0)
     a = await platform.robot("a")
@@ -60,12 +61,26 @@ async def test_reading_pauses_while_robot_does_not_take_its_errors(make_platform
             await a.send(junk)
 
     flooding = asyncio.create_task(flood())
-    await eventually(lambda: session.outbox.backlog(b"") >= 8 and session.socket._paused_until is not None)
+    await eventually(lambda: session.outbox.backlog(b"") >= 8 and bool(session.socket._pauses))
     for _ in range(50):
         await asyncio.sleep(0)
     assert session.outbox.backlog(b"") < 50
     flooding.cancel()
     a.socket.transport.abort()
+
+
+async def test_reading_pauses_until_all_who_asked_for_it_have_room(platform: Platform) -> None:
+    await platform.robot("a")
+    socket: Any = platform.endpoint.sessions[f"{USER}/a"].socket
+    first, second = (asyncio.get_running_loop().create_future() for _ in range(2))
+    socket.pause_reading(first)
+    socket.pause_reading(second)
+    first.set_result(None)
+    await asyncio.sleep(0)
+    assert not socket.transport.is_reading()
+    second.set_result(None)
+    await asyncio.sleep(0)
+    assert socket.transport.is_reading()
 
 
 async def test_only_last_ping_is_answered_while_write_buffer_is_full(platform: Platform) -> None:

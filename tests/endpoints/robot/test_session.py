@@ -15,7 +15,7 @@ from rce.errors import NotFound
 from rce.protocol import messages as m
 from tests.support.endpoints.platforms import Platform, pair
 from tests.support.endpoints.raw_robot import USER, dm, status
-from tests.support.master.hand_turned import HandTurnedLoop
+from tests.support.hand_turned import HandTurnedLoop
 
 
 async def test_success_is_not_acknowledged_without_features(platform: Platform) -> None:
@@ -125,3 +125,13 @@ def test_errors_of_commands_are_retrieved_when_the_session_ends_before_them(hand
     hand.do(lambda: answers[1].set_exception(NotFound("there is no such node")))
     gc.collect()
     hand.settle()
+
+
+async def test_unknown_key_of_a_command_is_refused_unless_the_robot_is_one_of_the_original(platform: Platform) -> None:
+    old, new = await platform.robot("old"), await platform.robot("new", "events")
+    await new.receive()
+    command = {"type": "CN", "data": {"setParam": [{"containerTag": "none", "name": "x", "value": 1, "nodeTga": "n"}]}}
+    await new.send(command)
+    assert "nodeTga: there is no such key: did you mean nodeTag?" in (await new.receive())["error"]["message"]
+    await old.send(command)
+    assert "nodeTga" not in (await old.receive())["data"]

@@ -9,7 +9,7 @@ from converters.types import TypeRegistry
 from converters.wire import Wire
 from endpoints.robot.types import UserTypes
 from rce.control.calls.endpoints import InterfaceSpec
-from rce.control.calls.robots import Definitions
+from rce.control.calls.robots import Definitions, Sort
 from rce.errors import AlreadyExists, UnknownType
 from rce.protocol.names import parse_type
 
@@ -21,7 +21,7 @@ class Environments:
         self.texts: dict[str, str] = {}
         self.lookups: list[str] = []
 
-    async def describe(self, name: str, service: bool) -> Definitions:
+    async def describe(self, name: str, sort: Sort) -> Definitions:
         self.lookups.append(name)
         if name not in self.texts:
             raise UnknownType(name)
@@ -74,7 +74,7 @@ async def test_last_known_definition_is_used_without_environments(types: UserTyp
 async def test_redefinition_of_common_type_is_rejected(types: UserTypes, environments: Environments) -> None:
     environments.texts[NAME] = "int32 a"
 
-    async def describe(name: str, service: bool) -> Definitions:
+    async def describe(name: str, sort: Sort) -> Definitions:
         return Definitions({name: "int32 a", "std_msgs/msg/String": "int32 data"})
 
     with pytest.raises(AlreadyExists):

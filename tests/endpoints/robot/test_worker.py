@@ -76,7 +76,7 @@ def test_message_that_does_not_fit_is_refused_and_the_next_is_converted(served: 
 
 
 def test_too_much_memory_refuses_one_message(monkeypatch: pytest.MonkeyPatch) -> None:
-    def exhausted(_: Recipe) -> None:
+    def exhausted(_: Recipe, converters: str) -> None:
         raise MemoryError
 
     monkeypatch.setattr(worker, "_codec", exhausted)

@@ -117,6 +117,16 @@ async def test_pictures_are_converted_and_refused_in_a_process(real: Workers) ->
         await real.encode("a", IMAGE, Wire(True, f'"{ID}"'.encode(), {ID: b"?"}))
 
 
+async def test_bad_picture_is_refused_without_a_line_in_the_log(
+    real: Workers, capfd: pytest.CaptureFixture[str]
+) -> None:
+    png = bytearray(cv2.imencode(".png", np.zeros((3, 4), np.uint8))[1].tobytes())
+    png[-14] ^= 1  # the checksum of the pixels
+    with pytest.raises(ConversionError, match="damaged"):
+        await real.encode("a", IMAGE, Wire(True, f'"{ID}"'.encode(), {ID: png}))
+    assert capfd.readouterr().err == ""
+
+
 async def test_worker_that_dies_costs_one_message() -> None:
     worker = Worker()
     request, buffers = Encode(STRING, False, []), [b'{"data":"x"}']

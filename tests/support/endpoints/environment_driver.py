@@ -83,6 +83,7 @@ class FakeMaster:
         self.hello: Hello
         self.reports: asyncio.Queue[Call[Any]] = asyncio.Queue()
         self.refuse = False
+        self.socket = Path()  # of the environment, for data links
         self.joined: asyncio.Future[Control] = asyncio.get_running_loop().create_future()
         self.board = Switchboard(port, lambda link, reason: self.reports.put_nowait(LinkLost(link, reason)))
         self.listening: IListeningPort
@@ -112,7 +113,7 @@ class FakeMaster:
             await asyncio.shield(self.joined)
             self._link, key = "link", secrets.token_hex(16)
             await self.call(OpenLink(LinkSpec(self._link, key)))
-            self.board.open_link(LinkSpec(self._link, key, self.hello.addresses))
+            self.board.open_link(LinkSpec(self._link, key, [f"unix:{self.socket}"]))
         return self._link
 
     async def bind(self, kind: str, type: str, addr: str, qos: Qos | None = None) -> InterfaceSpec:
@@ -193,6 +194,7 @@ async def driven(
 ) -> AsyncIterator[tuple[FakeMaster, asyncio.subprocess.Process]]:
     """Run a Master and an Environment endpoint that has joined it; stop the endpoint unless the test has done so."""
     master = FakeMaster(DataPort())
+    master.socket = directory / "data.sock"
     master.listening = await listen(reactor, "tcp:0:interface=127.0.0.1", master)
     port = master.listening.getHost().port  # type: ignore[misc]  # zope declares it without self
     settings = {

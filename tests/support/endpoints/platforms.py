@@ -16,6 +16,7 @@ from twisted.internet.base import ReactorBase
 
 import rce
 from endpoints.data.port import DataPort
+from endpoints.gateways.paths import gateways
 from endpoints.robot import server
 from endpoints.robot.endpoint import Options, RobotEndpoint
 from endpoints.robot.frame_receiver import ServerLimits
@@ -51,7 +52,7 @@ class Platform(RobotClients):
         self._control = await listen(self.reactor, "tcp:0:interface=127.0.0.1", self.master)
         description = f"tcp:127.0.0.1:{self._control.getHost().port}"  # type: ignore[misc]
         joined = asyncio.Event()
-        self.server = await server.listen(self.endpoint, "127.0.0.1", 0, None)
+        self.server = await server.listen(self.endpoint, "127.0.0.1", 0, None, gateways(self.endpoint))
         port = self.server.port
         credential = ["token"]
 
@@ -121,16 +122,17 @@ class Processes(RobotClients):
                     return announced
         raise AssertionError(f"{program} ended: {(self.directory / f'{program}.log').read_text()}")
 
-    async def start_master(self, control: str = "tcp:0:interface=127.0.0.1") -> str:
-        """Start the Master; return the address of its control port."""
+    async def start_master(self, control: str = "tcp:0:interface=127.0.0.1", tokens: str = "") -> str:
+        """Start the Master; return the address of its control port. It also accepts processes with these tokens."""
         announced = await self._run(
             "master",
             "--dev",
             *("--data-dir", str(self.directory / "m")),
             *("--http", "tcp:0:interface=127.0.0.1"),
             *("--control", control),
-            RCE_TOKENS="robot:robot-1:abc",
+            RCE_TOKENS=f"robot:robot-1:abc{tokens and ','}{tokens}",
         )
+        self.url = announced.url
         return announced.control
 
     async def start_robot(self, control: str, *options: str) -> None:

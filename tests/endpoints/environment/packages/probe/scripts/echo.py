@@ -20,7 +20,7 @@ class Echo(Node):
     def __init__(self) -> None:
         super().__init__("echo")
         qos = QoSProfile(
-            depth=20_000 if "deep" in sys.argv else 10,
+            depth=4000 if "deep" in sys.argv else 10,
             history=HistoryPolicy.KEEP_ALL if "keep_all" in sys.argv else HistoryPolicy.KEEP_LAST,
             reliability=ReliabilityPolicy.BEST_EFFORT if "best_effort" in sys.argv else ReliabilityPolicy.RELIABLE,
             durability=DurabilityPolicy.TRANSIENT_LOCAL if "latched" in sys.argv else DurabilityPolicy.VOLATILE,

@@ -1,0 +1,41 @@
+"""Turns of users at the event loop, so that the flood of one user delays nobody else's messages for long.
+
+Received messages are processed in slices of time. What is left after a slice waits for its user's next turn. One turn
+is given in each pass of the loop, of all users in a circle; a user's links and robots share the turns of that user.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import OrderedDict, deque
+from collections.abc import Callable
+
+SLICE = 0.0005  # seconds for which the messages of one link or robot may be processed at a stretch
+
+Work = Callable[[], None]
+
+
+class Turns:
+    """Work that waits for a turn of its user."""
+
+    def __init__(self) -> None:
+        self._waiting: OrderedDict[str, deque[Work]] = OrderedDict()  # by user, whose turn is next first
+
+    def busy(self, user: str) -> bool:
+        """Return True if work of a user waits; new work of that user waits behind it."""
+        return user in self._waiting
+
+    def wait(self, user: str, work: Work) -> None:
+        """Call `work` when its turn comes; it may wait for another one."""
+        if not self._waiting:
+            asyncio.get_running_loop().call_soon(self._give)
+        self._waiting.setdefault(user, deque()).append(work)
+
+    def _give(self) -> None:
+        user, works = self._waiting.popitem(last=False)
+        work = works.popleft()
+        if works:
+            self._waiting[user] = works  # behind the others
+        if self._waiting:
+            asyncio.get_running_loop().call_soon(self._give)
+        work()

@@ -1,0 +1,124 @@
+"""Calls of one ROS service: they wait until it is there, and go out in order, a few at a time."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from endpoints.environment.ros import RosThread
+from endpoints.environment.ros_services import RawClient, ServiceType
+from endpoints.environment.ros_topics import SETTLING_TIME
+from rce.errors import ConversionError, NotFound, RceError, TimedOut
+
+TIMEOUT = 30.0  # seconds for a response
+DISCOVERY_TIMEOUT = 5.0  # seconds for which a call waits until its service appears
+MAX_IN_FLIGHT = 8  # ROS 2 servers queue 10 requests and lose all beyond
+
+
+@dataclass(eq=False)
+class ServiceCall:
+    """A call.
+
+    Attributes:
+        request: The serialized request.
+        done: Called in the ROS thread with the serialized response, or with the error.
+        sent: Called when the request has been handed to ROS.
+        since: Monotonic time at which the call was made.
+    """
+
+    request: bytes
+    done: Callable[[bytes | RceError], None]
+    sent: Callable[[], None] = lambda: None
+    since: float = field(default_factory=time.monotonic)
+
+
+class ServiceCaller:
+    """Calls of one service. All methods run in the ROS thread.
+
+    Args:
+        ros: The ROS thread.
+        kind: Class of the service.
+        name: Name of the service.
+        label: Name of the service for errors.
+        endless: The service answers when it is done, however long that takes: no timeout, and any number in flight.
+    """
+
+    def __init__(self, ros: RosThread, kind: ServiceType, name: str, label: str, endless: bool = False) -> None:
+        self._ros = ros
+        self._label = label
+        self._endless = endless
+        self._client = RawClient(ros, kind, name, self._answered)
+        self._waiting: deque[ServiceCall] = deque()
+        self._in_flight: dict[int, ServiceCall] = {}
+        self._settled = self._settling = False
+
+    def available(self) -> bool:
+        """Return True if a server of the service is there."""
+        return self._client.available()
+
+    def call(self, call: ServiceCall) -> None:
+        """Make a call as soon as the service is there and not too many are in flight."""
+        self._waiting.append(call)
+        self._send()
+
+    def expire(self, now: float) -> None:
+        """End the calls that have timed out."""
+        if self._endless:
+            return
+        late = [number for number, call in self._in_flight.items() if call.since + TIMEOUT < now]
+        for number in late:
+            self._in_flight.pop(number).done(TimedOut(f"{self._label} did not answer within {TIMEOUT:g} s"))
+        while self._waiting and self._waiting[0].since + TIMEOUT < now:
+            self._waiting.popleft().done(TimedOut(f"{self._label} was busy for {TIMEOUT:g} s"))
+        self._send()
+
+    def forget(self, call: ServiceCall) -> None:
+        """Take no answer to a call any more."""
+        self._in_flight = {number: each for number, each in self._in_flight.items() if each is not call}
+
+    def destroy(self) -> None:
+        """Destroy the client; its calls get no answer."""
+        self._waiting.clear()
+        self._in_flight.clear()
+        self._ros.remove_waitable(self._client)
+
+    def _send(self) -> None:
+        while self._waiting and (self._endless or len(self._in_flight) < MAX_IN_FLIGHT):
+            if not self._client.available():
+                self._settled = False
+                self._wait_for_service()
+                return
+            if not self._settled:
+                self._settle()
+                return
+            call = self._waiting.popleft()
+            try:
+                self._in_flight[self._client.call(call.request)] = call
+            except ConversionError as error:
+                call.done(error)
+            else:
+                call.sent()
+
+    def _settle(self) -> None:
+        """Wait until a server that was just discovered has discovered this client: earlier responses would be lost."""
+        if not self._settling:
+            self._settling = True
+            self._ros.call_later(SETTLING_TIME, self._settling_over)
+
+    def _settling_over(self) -> None:
+        self._settling, self._settled = False, True
+        self._send()
+
+    def _wait_for_service(self) -> None:
+        while self._waiting and self._waiting[0].since + DISCOVERY_TIMEOUT < time.monotonic():
+            error = NotFound(f"{self._label} did not appear within {DISCOVERY_TIMEOUT:g} s")
+            self._waiting.popleft().done(error)
+        self._ros.retry(self._send)
+
+    def _answered(self, number: int, payload: bytes) -> None:
+        call = self._in_flight.pop(number, None)
+        if call is not None:  # else it has timed out
+            call.done(payload)
+            self._send()

@@ -1,0 +1,161 @@
+"""Formats of interfaces: which codec converts between the robot's form of a message and CDR."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Callable, Sequence
+from typing import Literal, NoReturn
+
+import msgspec
+from msgspec import Struct
+
+from converters import Codec as JsonCodec
+from converters import Recipe, Wire
+from converters.custom_files import Description
+from converters.dialect import Dialect
+from converters.ros1 import ROS1, Ros1Codec, one_blob
+from endpoints.robot.conversion import Codec
+from endpoints.robot.session import RobotSession
+from rce.control.calls.endpoints import InterfaceSpec
+from rce.errors import ConversionError, InvalidRequest, RceError
+from rce.protocol.blobs import Buffer
+from rce.protocol.messages import IMAGE_FORMATS
+from rce.protocol.names import parse_type
+
+ENCAPSULATIONS = (b"\0\0", b"\0\1")  # CDR, big and little endian
+DEFAULT = "png"  # of interfaces that name no format
+FOREIGN = ("rosbridge", "cbor")  # dialects that an interface has by its format
+
+Codecs = Callable[[], Codec]
+"""Returns the codec for the present features of the robot."""
+
+
+class PassThroughCodec:
+    """Codec of Forwarders, for which the blob of a message is its CDR.
+
+    Other bytes reach the Forwarders of other robots, as with the original, but nobody else; the robot is told once.
+    """
+
+    recipe = Recipe("", "json")  # for no worker
+
+    def __init__(self, tag: str, report: Callable[[RceError], None]) -> None:
+        self._tag = tag
+        self._report = report
+        self._reported = False
+
+    def encodes_fast(self, wire: Wire) -> bool:
+        """Return True: nothing is converted."""
+        return True
+
+    def decodes_fast(self, cdr: Buffer) -> bool:
+        """Return True: nothing is converted."""
+        return True
+
+    def encode(self, wire: Wire) -> Buffer:
+        """Return the blob of a message; raise InvalidRequest if it is not exactly one blob."""
+        blob = one_blob(wire)
+        if not self._reported and (len(blob) < 4 or bytes(blob[:2]) not in ENCAPSULATIONS):
+            self._reported = True
+            self._report(
+                ConversionError(
+                    f"interface {self._tag}: the blob is not CDR, the serialized form of ROS 2: it begins with "
+                    f"{bytes(blob[:4]).hex()!r}. Only Forwarders of other robots get it. If it is ROS 1, add the "
+                    "interface with the format ros1; if it is compressed, set gzip_lvl to 0",
+                    field="msg",
+                )
+            )
+        return blob
+
+    def decode(self, cdr: Buffer) -> Wire:
+        """Return the CDR as a blob with a new id."""
+        name = uuid.uuid4().hex
+        return Wire(True, b'"%b"' % name.encode(), {name: cdr})
+
+
+class WorkerCodec:
+    """Codec that only the workers have: a user's converter, which runs nowhere else."""
+
+    def __init__(self, recipe: Recipe) -> None:
+        self.recipe = recipe
+
+    def encodes_fast(self, wire: Wire) -> bool:
+        """Return False: nobody knows how long it takes."""
+        return False
+
+    def decodes_fast(self, cdr: Buffer) -> bool:
+        """Return False: nobody knows how long it takes."""
+        return False
+
+    def encode(self, wire: Wire) -> NoReturn:
+        """Fail: a worker does this."""
+        raise NotImplementedError
+
+    def decode(self, cdr: Buffer) -> NoReturn:
+        """Fail: a worker does this."""
+        raise NotImplementedError
+
+
+class Formats(Struct, frozen=True):
+    """Formats that this endpoint has.
+
+    Attributes:
+        custom: Converters of users.
+        original_forwarders: What Forwarders of robots without features carry.
+    """
+
+    custom: Sequence[Description] = ()
+    original_forwarders: Literal["cdr", "ros1"] = "cdr"
+
+    def codecs(self, spec: InterfaceSpec, session: RobotSession, codec: Callable[[Dialect], JsonCodec]) -> Codecs:
+        """Return the codec of an interface as a function, because the features of a session may change when it resumes.
+
+        A robot without features is a client of the original and gets its JSON.
+
+        Args:
+            spec: The interface.
+            session: The robot's session.
+            codec: Returns the type's codec in a dialect; raises UnknownType.
+
+        Raises:
+            InvalidRequest: There is no such format for this interface.
+            UnknownType: The type is not known, and its messages are converted.
+        """
+        if spec.kind.endswith("Forwarder"):
+            return self._of_forwarder(spec, session, codec)
+        if spec.format in FOREIGN:
+            foreign = codec(spec.format)  # type: ignore[arg-type]
+            return lambda: foreign
+        custom = self._custom(spec)
+        if custom is not None:
+            by_worker = WorkerCodec(msgspec.structs.replace(codec("plain").recipe, converter=custom))
+            return lambda: by_worker
+        if spec.format not in IMAGE_FORMATS:
+            known = sorted({each.name for each in self.custom if each.type == parse_type(spec.type).msg})
+            raise InvalidRequest(
+                f"there is no format {spec.format[:40]!r} for {spec.type[:80]}: "
+                f"a {spec.kind[:40]} has {', '.join((*IMAGE_FORMATS, *FOREIGN, *known))}",
+                field="format",
+            )
+        codec("plain")  # raises UnknownType
+        return lambda: codec("plain" if session.features else "original")
+
+    def _of_forwarder(
+        self, spec: InterfaceSpec, session: RobotSession, codec: Callable[[Dialect], JsonCodec]
+    ) -> Codecs:
+        if spec.format not in (*IMAGE_FORMATS, "cdr", ROS1):
+            raise InvalidRequest(
+                f"there is no format {spec.format[:40]!r} for a {spec.kind}: it has cdr and ros1", field="format"
+            )
+        plain = PassThroughCodec(spec.tag, session.error)
+        by_default = self.original_forwarders == ROS1 and spec.format != "cdr" and not session.features
+        if spec.format != ROS1 and not by_default:
+            return lambda: plain
+        ros1 = Ros1Codec(codec("plain"))
+        return lambda: ros1 if spec.format == ROS1 or not session.features else plain
+
+    def _custom(self, spec: InterfaceSpec) -> str | None:
+        """Return the name of the user's converter that an interface uses."""
+        if spec.kind not in ("PublisherConverter", "SubscriberConverter"):
+            return None
+        fitting = [each for each in self.custom if each.type == parse_type(spec.type).msg]
+        return next((e.name for e in fitting if e.name == spec.format or (e.default and spec.format == DEFAULT)), None)

@@ -1,0 +1,81 @@
+"""Pace of a topic for one receiver: at most one message in an interval, before any is converted."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+
+from endpoints.data.frames import Message
+from rce.net.budget import OVERHEAD, Budget
+
+
+class Pace:
+    """Pace of messages.
+
+    Args:
+        interval: Seconds between two messages.
+        length: Number of messages that wait for their turn, the newest; with 0 those that come too early are dropped.
+        budget: Bytes that the messages which wait may hold; while it is exceeded, only one of them waits.
+    """
+
+    droppable = True
+
+    def __init__(self, interval: float, length: int, budget: Budget) -> None:
+        self.charged = 0
+        self._interval = interval
+        self._length = length
+        self._budget = budget
+        self._waiting: deque[tuple[Message, Callable[[Message], None]]] = deque()
+        self._next = 0.0  # time of the loop from which a message may pass
+        self._timer: asyncio.TimerHandle | None = None
+
+    def admits(self, message: Message, deliver: Callable[[Message], None]) -> bool:
+        """Return True if a message may pass now; one that waits is delivered later."""
+        loop = asyncio.get_running_loop()
+        now = loop.time()
+        if now >= self._next and not self._waiting:
+            self._next = now + self._interval
+            return True
+        if self._length:
+            self._waiting.append((message, deliver))
+            self._charge(len(message.payload) + OVERHEAD)
+            while (len(self._waiting) > self._length or self._budget.full) and self.drop_oldest(1):
+                pass
+            if self._timer is None:
+                self._timer = loop.call_at(self._next, self._deliver)
+        return False
+
+    def drop_oldest(self, spare: int) -> bool:
+        """Drop the oldest message; return False if no more than `spare` messages wait."""
+        if len(self._waiting) <= spare:
+            return False
+        self._take()
+        return True
+
+    def close(self) -> None:
+        """Drop the messages that wait."""
+        while self.drop_oldest(0):
+            pass
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _charge(self, amount: int) -> None:
+        self.charged += amount
+        self._budget.charge(self, amount)
+
+    def _take(self) -> tuple[Message, Callable[[Message], None]]:
+        taken = self._waiting.popleft()
+        self._charge(-len(taken[0].payload) - OVERHEAD)
+        return taken
+
+    def _deliver(self) -> None:
+        self._timer = None
+        if not self._waiting:  # dropped, because a larger budget was exceeded
+            return
+        loop = asyncio.get_running_loop()
+        message, deliver = self._take()
+        self._next = loop.time() + self._interval
+        if self._waiting:
+            self._timer = loop.call_at(self._next, self._deliver)
+        deliver(message)
