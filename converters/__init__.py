@@ -4,8 +4,9 @@ This package knows message definitions, their CDR layout and image files; it kno
 """
 
 from converters.codec import Codec, Recipe
+from converters.custom import Converter
 from converters.images import ImageFormat
-from converters.types import ServiceCodec, TypeRegistry
+from converters.types import ActionCodec, ServiceCodec, TypeRegistry
 from converters.wire import Wire
 
-__all__ = ["Codec", "ImageFormat", "Recipe", "ServiceCodec", "TypeRegistry", "Wire"]
+__all__ = ["ActionCodec", "Codec", "Converter", "ImageFormat", "Recipe", "ServiceCodec", "TypeRegistry", "Wire"]

@@ -15,8 +15,9 @@ from typing import NoReturn, cast
 
 import msgspec
 
-from converters import json_text, original
+from converters import cbor, json_text, original, rosbridge, unknown_fields
 from converters.definition import STRINGS, Definition, Shape
+from converters.dialect import Dialect
 from converters.images import ImageFormat
 from converters.model import IMAGE, Message
 from converters.reader import Readers, image_reader
@@ -39,28 +40,32 @@ class Recipe(msgspec.Struct, frozen=True):
         name: Name of the type, `pkg/msg/Name`.
         image_format: Format in which it produces images.
         added: Definitions that are not common, by name.
-        original: It reads and writes JSON as the original's server did (see the module `original`).
+        dialect: Form of what it reads and writes.
+        converter: What converts instead: `ros1`, or the name of a user's converter; empty for JSON.
     """
 
     name: str
     image_format: ImageFormat
     added: tuple[tuple[str, Definition], ...] = ()
-    original: bool = False
+    dialect: Dialect = "plain"
+    converter: str = ""
 
 
 class Codec:
     """Codec of one message type; made by `TypeRegistry`.
 
-    Accepted JSON: missing fields get their defaults, unknown ones are ignored, and 1.0 is accepted for the integer 1.
+    Accepted JSON: missing fields get their defaults, and 1.0 is accepted for the integer 1.
     Byte arrays are base64, lists of numbers or, under the key `field*`, blobs. Floats may be "NaN", "Infinity",
     "-Infinity" or the bare tokens. Times may be ISO 8601 (UTC without a zone), durations a number of seconds. Images
     may be PNG or JPEG blobs whatever the image format.
 
     Produced JSON: byte arrays as base64, non-finite floats as the strings above, times and durations as
-    `{sec, nanosec}`, images as blobs in the image format.
+    `{sec, nanosec}`, images as blobs in the image format. See `original`, `rosbridge` and `cbor` for
+    the other dialects.
 
     Attributes:
         name: Name of the type, `pkg/msg/Name`.
+        message: The type.
         recipe: What another process needs to make the same codec.
     """
 
@@ -68,7 +73,7 @@ class Codec:
         image_format = recipe.image_format
         self.name = message.name
         self.recipe = recipe
-        self._message = message
+        self.message = message
         self._fast_size, self._pictures = _fast_size(message, image_format)
         self._decoder = cast(
             "msgspec.json.Decoder[msgspec.Struct]",
@@ -77,6 +82,7 @@ class Codec:
         self._encoder = msgspec.json.Encoder()
         self._write = writers.top(message)
         self._read = readers.top(message)
+        self._lenient = _LENIENT.get(recipe.dialect)
         self._as_blob = message.name == IMAGE and image_format != "json"
         self._source = image_source(message) if message.name == IMAGE else None
         if message.name == IMAGE and image_format != "json":
@@ -103,11 +109,12 @@ class Codec:
             try:
                 return self._encode(wire, self._decode_json)
             except FieldError:
-                if not self.recipe.original or wire.is_blob:
+                if self._lenient is None or wire.is_blob:
                     raise
-            return self._encode(wire, lambda raw: original.decode(self._message, raw))
+            lenient = self._lenient
+            return self._encode(wire, lambda raw: lenient(self.message, raw))
         except FieldError as error:
-            self._refuse(error)
+            self._refuse(unknown_fields.explained(error, self.message))
 
     def _encode(self, wire: Wire, decode: Callable[[Buffer | msgspec.Raw], msgspec.Struct]) -> bytes:
         blobs = Incoming(wire.blobs)
@@ -136,8 +143,12 @@ class Codec:
             message, _ = self._read(data[4:], 0, blobs)
         except FieldError as error:
             self._refuse(error)
+        if self.recipe.dialect == "cbor":
+            return Wire(True, msgspec.json.encode(blobs.add(cbor.encode(message))), blobs)
         text = self._encoder.encode(message)
-        return Wire(self._as_blob, original.with_bare_tokens(text) if self.recipe.original else text, blobs)
+        return Wire(
+            self._as_blob, original.with_bare_tokens(text) if self.recipe.dialect == "original" else text, blobs
+        )
 
     def _decode_image(self, raw: Buffer | msgspec.Raw, blobs: Incoming) -> msgspec.Struct:
         """Decode a message that is a single blob."""
@@ -152,6 +163,14 @@ class Codec:
     def _refuse(self, error: FieldError) -> NoReturn:
         place = f"{self.name} {error.path}" if error.path else self.name
         raise ConversionError(f"{place}: {error.reason}", field=error.path) from error
+
+
+_LENIENT: dict[Dialect, Callable[[Message, Buffer | msgspec.Raw], msgspec.Struct]] = {
+    "original": original.decode,
+    "rosbridge": rosbridge.decode,
+    "cbor": rosbridge.decode,
+}
+"""Decoders of JSON that the plain one refuses."""
 
 
 def _fast_size(message: Message, image_format: ImageFormat) -> tuple[int, bool]:

@@ -7,6 +7,7 @@ two defaults of the common packages that are not zero are in `DEFAULTS`.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, TypeAlias
@@ -137,10 +138,30 @@ def parse_service(name: str, text: str) -> tuple[Definition, Definition]:
     Raises:
         InvalidRequest: The text is not a service definition.
     """
+    request, response = _parts(name, text, ("_Request", "_Response"), "a service definition: it needs exactly one line")
+    return request, response
+
+
+def parse_action(name: str, text: str) -> tuple[Definition, Definition, Definition]:
+    """Parse the text of a `.action` file into the definitions of goal, result and feedback.
+
+    Args:
+        name: Name of the type, `pkg/action/Name`.
+        text: Content of the file.
+
+    Raises:
+        InvalidRequest: The text is not an action definition.
+    """
+    sections = ("_Goal", "_Result", "_Feedback")
+    goal, result, feedback = _parts(name, text, sections, "an action definition: it needs exactly two lines")
+    return goal, result, feedback
+
+
+def _parts(name: str, text: str, sections: Sequence[str], what: str) -> list[Definition]:
     parts = re.split(r"^---[ \t\r]*$", text, flags=re.MULTILINE)
-    if len(parts) != 2:
-        raise InvalidRequest(f"the definition of {name} is not a service definition: it needs exactly one line ---")
-    return parse_message(name + "_Request", parts[0]), parse_message(name + "_Response", parts[1])
+    if len(parts) != len(sections):
+        raise InvalidRequest(f"the definition of {name} is not {what} ---")
+    return [parse_message(name + section, part) for section, part in zip(sections, parts, strict=True)]
 
 
 def from_rosbags(name: str, fields: Fielddefs) -> Definition:

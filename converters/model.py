@@ -8,6 +8,7 @@ the id of the blob (f2b, with the key `data*`).
 from __future__ import annotations
 
 import struct
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Literal, TypeAlias
@@ -21,6 +22,7 @@ from rce.errors import InvalidRequest
 
 TIME = "builtin_interfaces/msg/Time"
 DURATION = "builtin_interfaces/msg/Duration"
+HEADER = "std_msgs/msg/Header"
 IMAGE = "sensor_msgs/msg/Image"
 
 # An empty JSON object takes the memory of its type's defaults. No type of ROS comes near these limits.
@@ -70,6 +72,7 @@ class Message:
         default: Message with all defaults, for the JSON `{}`.
         smallest: Minimum size in CDR.
         width: Number of its fields including those of inlined messages.
+        has_stamp: Its default holds the time at which it is made, so that it is made anew for each message.
     """
 
     name: str
@@ -78,6 +81,7 @@ class Message:
     default: msgspec.Struct
     smallest: int
     width: int
+    has_stamp: bool = False
 
     @property
     def annotation(self) -> object:
@@ -88,10 +92,14 @@ class Message:
 
 
 class Models:
-    """Cache of the message types of one set of definitions, built on first use."""
+    """Cache of the message types of one set of definitions, built on first use.
 
-    def __init__(self, lookup: Lookup) -> None:
+    With `stamped` the stamp of a header is by default the time at which the message is decoded.
+    """
+
+    def __init__(self, lookup: Lookup, *, stamped: bool = False) -> None:
         self._lookup = lookup
+        self._stamped = stamped
         self._known: dict[str, Message] = {}
         self._open: list[str] = []
 
@@ -122,9 +130,14 @@ class Models:
             raise InvalidRequest(
                 f"the type {name} is too large: even empty it has {smallest} bytes, and the limit is {MAX_SMALLEST}"
             )
-        model = _model(name, members)
+        model = _model(name, members, stamped=self._stamped and name == HEADER)
         width = sum(member.inlined.width if member.inlined else 1 for member in members)
-        return Message(name, members, model, model(), smallest, max(width, 1))
+        has_stamp = self._stamped and (name == HEADER or any(_stamp_inside(member) for member in members))
+        return Message(name, members, model, model(), smallest, max(width, 1), has_stamp)
+
+
+def _stamp_inside(member: Member) -> bool:
+    return member.type.shape is Shape.SINGLE and member.message is not None and member.message.has_stamp
 
 
 def _smallest(member: Member) -> int:
@@ -136,9 +149,9 @@ def _smallest(member: Member) -> int:
     return one * (kind.size if kind.shape is Shape.ARRAY else 1)
 
 
-def _model(name: str, members: tuple[Member, ...]) -> type[msgspec.Struct]:
+def _model(name: str, members: tuple[Member, ...], *, stamped: bool) -> type[msgspec.Struct]:
     try:
-        fields: list[tuple[str, object, object]] = [(m.attr, _annotation(m), _default(m)) for m in members]
+        fields: list[tuple[str, object, object]] = [(m.attr, _annotation(m), _default(m, stamped)) for m in members]
     except FieldError as error:
         raise InvalidRequest(f"{name}.{error.path} has a default that it cannot hold: {error.reason}") from error
     for m in members:
@@ -147,7 +160,9 @@ def _model(name: str, members: tuple[Member, ...]) -> type[msgspec.Struct]:
             blob = msgspec.field(default=UNSET, name=m.field.name + "*")
             fields.append((m.attr + "b", (list[str] if many else str) | UnsetType, blob))
     keys = {m.attr: m.field.name for m in members}
-    return msgspec.defstruct(name.rpartition("/")[2], fields, rename=keys, frozen=True, gc=False)
+    return msgspec.defstruct(
+        name.rpartition("/")[2], fields, rename=keys, frozen=True, gc=False, forbid_unknown_fields=True
+    )
 
 
 def _annotation(member: Member) -> object:
@@ -166,9 +181,13 @@ def _annotation(member: Member) -> object:
     return Annotated[list[one], Meta(min_length=low, max_length=high)]  # type: ignore[valid-type]
 
 
-def _default(member: Member) -> object:
-    """Return the default value of a field, which is immutable because all messages share it."""
+def _default(member: Member, stamped: bool) -> object:
+    """Return the default value of a field, which is immutable because all messages share it, or the way to make it."""
     kind, given = member.type, member.field.default
+    if member.message and stamped and kind.base == TIME:
+        return msgspec.field(default_factory=_now(member.message.model))
+    if member.message and _stamp_inside(member):
+        return msgspec.field(default_factory=member.message.model)
     if kind.shape is Shape.SINGLE:
         return member.message.default if member.message and given is None else _scalar(member, given)
     if given is None:
@@ -182,6 +201,11 @@ def _default(member: Member) -> object:
     if kind.size and (len(values) > kind.size or (kind.shape is Shape.ARRAY and len(values) < kind.size)):
         raise FieldError(f"{len(values)} elements", member.field.name)
     return bytes(int(v) for v in values) if kind.is_bytes else values
+
+
+def _now(model: type[msgspec.Struct]) -> Callable[[], msgspec.Struct]:
+    """Return a function that returns the present time."""
+    return lambda: model(*divmod(time.time_ns(), 1_000_000_000))
 
 
 def _scalar(member: Member, given: Default) -> bool | int | float | str:

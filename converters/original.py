@@ -1,7 +1,8 @@
 """JSON as the original's server wrote and read it, for robots that know no other.
 
 It wrote times as ISO 8601, durations as a number of seconds, and NaN and infinities as bare tokens. What it read, it
-converted with Python's `int`, `float` and `bool`, so that "5" and 5.7 were accepted for the integer 5.
+converted with Python's `int`, `float` and `bool`, so that "5" and 5.7 were accepted for the integer 5. It ignored
+fields that the type does not have.
 """
 
 from __future__ import annotations
@@ -65,7 +66,9 @@ def _converted(message: Message, value: Any) -> Any:
     if not isinstance(value, dict):
         return value
     members = {member.field.name: member for member in message.members}
-    return {name: _field(members[name], item) if name in members else item for name, item in value.items()}
+    blobs = {member.field.name + "*" for member in message.members if member.accepts_blob}
+    known = {name: item for name, item in value.items() if name in members or name in blobs}
+    return {name: item if name in blobs else _field(members[name], item) for name, item in known.items()}
 
 
 def _field(member: Member, value: Any) -> Any:

@@ -15,8 +15,10 @@ from typing import TypeAlias
 
 import msgspec
 
+from converters import cbor, rosbridge
 from converters import original as original_json
 from converters.definition import CODES, Shape
+from converters.dialect import Dialect
 from converters.images import ImageFormat, Picture, PictureFormat, write_picture
 from converters.layout import Item, Run, layout
 from converters.model import DURATION, IMAGE, TIME, Member, Message
@@ -26,24 +28,32 @@ from converters.wire import Outgoing
 Step: TypeAlias = Callable[[memoryview, int, list[object], Outgoing], int]
 Read: TypeAlias = Callable[[memoryview, int, Outgoing], tuple[object, int]]
 Build: TypeAlias = Callable[[Iterator[object]], object]
-Number: TypeAlias = Callable[[float], float | str]
+Number: TypeAlias = Callable[[float], float | str | None]
 Element: TypeAlias = Callable[[memoryview, int], tuple[object, int]]
 
 _SHORT: dict[str, Callable[[int, int], object]] = {TIME: original_json.time, DURATION: original_json.duration}
+_NUMBERS: dict[str, Number] = {
+    "original": original_json.number,
+    "rosbridge": rosbridge.number,
+    "cbor": lambda value: value,
+}
 _LENGTH = struct.Struct("<I").unpack_from
 
 
 class Readers:
     """Compiled readers of one set of messages, for one image format.
 
-    With `original` times, durations and non-finite floats are as the original's server wrote them.
+    In the dialect of the original, times, durations and non-finite floats are as its server wrote them. In CBOR,
+    structs are dictionaries, and arrays of numbers are typed arrays. `number` converts floats of arrays in which some
+    are not finite, in the plain dialect.
     """
 
-    def __init__(self, image_format: ImageFormat, *, original: bool = False) -> None:
+    def __init__(self, image_format: ImageFormat, *, dialect: Dialect = "plain", number: Number = json_number) -> None:
         self._format = image_format
-        self._short = _SHORT if original else {}
-        self._number = original_json.number if original else json_number
-        self._structs: dict[str, type[msgspec.Struct]] = {}
+        self._short = _SHORT if dialect == "original" else {}
+        self._number = _NUMBERS.get(dialect, number)
+        self._cbor = dialect == "cbor"
+        self._structs: dict[str, Callable[..., object]] = {}
         self._nested: dict[str, Read] = {}
 
     def top(self, message: Message) -> Read:
@@ -82,7 +92,7 @@ class Readers:
             return _run(step, self._number)
         member = step.member
         if member.message is None:
-            return _primitive(member, self._number)
+            return _primitive(member, self._number, self._cbor)
         return _nested(member, self.nested(member.message))
 
     def _builder(self, message: Message) -> Build:
@@ -96,8 +106,10 @@ class Readers:
             return lambda values: new(*islice(values, count))
         return lambda values: new(*[build(values) if build else next(values) for build in builders])
 
-    def _struct(self, message: Message) -> type[msgspec.Struct]:
-        if message.name not in self._structs:
+    def _struct(self, message: Message) -> Callable[..., object]:
+        if message.name not in self._structs and self._cbor:
+            self._structs[message.name] = cbor.map_of([m.field.name for m in message.members])
+        elif message.name not in self._structs:
             as_blob = IMAGE if self._format != "json" else ""
             keys = {m.attr: m.field.name + ("*" if m.type.base == as_blob else "") for m in message.members}
             fields = [(m.attr, object) for m in message.members]
@@ -158,9 +170,11 @@ def _counted(member: Member, smallest: int) -> Callable[[memoryview, int], tuple
     return counted
 
 
-def _primitive(member: Member, number: Number) -> Step:
+def _primitive(member: Member, number: Number, as_cbor: bool) -> Step:
     kind = member.type
     if kind.base in CODES:
+        if as_cbor:
+            return _array(member, CODES[kind.base], cbor.array_of("B" if kind.is_bytes else CODES[kind.base]))
         return _bytes(member) if kind.is_bytes else _numbers(member, number)
     element: Element = _wide_text if kind.base == "wstring" else _text
     if kind.shape is not Shape.SINGLE:
@@ -247,6 +261,19 @@ def _numbers(member: Member, number: Number) -> Step:
         pos += -pos & (size - 1)
         found = _slice(data, pos, count * size).cast(code).tolist()  # type: ignore[call-overload]
         values.append(found if code not in "fd" or isfinite(sum(found)) else list(map(number, found)))
+        return pos + count * size
+
+    return step
+
+
+def _array(member: Member, code: str, convert: Callable[[memoryview], object]) -> Step:
+    size = struct.calcsize(code)
+    counted = _counted(member, size)
+
+    def step(data: memoryview, pos: int, values: list[object], blobs: Outgoing) -> int:
+        count, pos = counted(data, pos)
+        pos += -pos & (size - 1) if count else 0
+        values.append(convert(_slice(data, pos, count * size)))
         return pos + count * size
 
     return step

@@ -1,4 +1,4 @@
-"""Registry of message and service types: those of the common packages, and those that environments add.
+"""Registry of message, service and action types: those of the common packages, and those that environments add.
 
 The common messages come from the type store of rosbags. It has no services and no `map_msgs`; their definitions are
 text files in `definitions` (the public interfaces of ROS 2 Kilted).
@@ -14,13 +14,17 @@ from typing import NamedTuple
 from rosbags.typesys import Stores, get_typestore
 
 from converters.codec import Codec, Recipe
-from converters.definition import Definition, from_rosbags, parse_message, parse_service
+from converters.definition import Definition, from_rosbags, parse_action, parse_message, parse_service
+from converters.dialect import Dialect
 from converters.images import ImageFormat
 from converters.model import Lookup, Models
 from converters.reader import Readers
 from converters.writer import Writers
+from rce.control.calls.robots import Sort
 from rce.errors import AlreadyExists, InvalidRequest, UnknownType
 from rce.protocol.names import TypeName, parse_type
+
+ACTION_PARTS = ("_Goal", "_Result", "_Feedback")
 
 
 class ServiceCodec(NamedTuple):
@@ -28,6 +32,14 @@ class ServiceCodec(NamedTuple):
 
     request: Codec
     response: Codec
+
+
+class ActionCodec(NamedTuple):
+    """Codecs of an action type."""
+
+    goal: Codec
+    result: Codec
+    feedback: Codec
 
 
 class TypeRegistry:
@@ -43,7 +55,8 @@ class TypeRegistry:
         A type that is known with the same fields is skipped. A definition may refer to types that are added later.
 
         Args:
-            definitions: Content of the definition file by type name (`pkg/msg/Name` or `pkg/srv/Name`).
+            definitions: Content of the definition file by type name (`pkg/msg/Name`, `pkg/srv/Name` or
+                `pkg/action/Name`).
 
         Raises:
             InvalidRequest: A name or definition is malformed.
@@ -62,34 +75,58 @@ class TypeRegistry:
                 )
         self._added |= {name: new[name] for name in new.keys() - common_definitions().keys() - self._added.keys()}
 
-    def message(self, name: TypeName, image_format: ImageFormat = "png", *, original: bool = False) -> Codec:
+    def message(self, name: TypeName, image_format: ImageFormat = "png", dialect: Dialect = "plain") -> Codec:
         """Return the codec of a message type.
 
         Args:
             name: Type.
             image_format: Format in which the codec produces images.
-            original: Read and write JSON as the original's server did.
+            dialect: Form of what the codec reads and writes; only the dialects `plain` and `original` have pictures.
 
         Raises:
             UnknownType: The type, or one that it contains, is not known.
         """
-        return self._codec(name.msg, image_format, original)
+        return self._codec(name.msg, image_format, dialect)
 
-    def service(self, name: TypeName, image_format: ImageFormat = "png", *, original: bool = False) -> ServiceCodec:
+    def service(self, name: TypeName, image_format: ImageFormat = "png", dialect: Dialect = "plain") -> ServiceCodec:
         """Return the codecs of a service type; see `message`."""
-        request, response = (self._codec(name.srv + part, image_format, original) for part in ("_Request", "_Response"))
+        request, response = (self._codec(name.srv + part, image_format, dialect) for part in ("_Request", "_Response"))
         return ServiceCodec(request, response)
+
+    def action(self, name: TypeName, dialect: Dialect = "plain") -> ActionCodec:
+        """Return the codecs of an action type; raises UnknownType."""
+        goal, result, feedback = (self._codec(name.action + part, "png", dialect) for part in ACTION_PARTS)
+        return ActionCodec(goal, result, feedback)
+
+    def definitions(self, name: TypeName, sort: Sort) -> dict[str, Definition]:
+        """Return the definitions of a type, or of the parts of a service or action, and of the types in them, by name.
+
+        Raises:
+            UnknownType: The type, or one that it contains, is not known.
+        """
+        parts = {
+            "msg": [name.msg],
+            "srv": [name.srv + part for part in ("_Request", "_Response")],
+            "action": [name.action + part for part in ACTION_PARTS],
+        }
+        found, rest = dict[str, Definition](), parts[sort]
+        while rest:
+            each = rest.pop()
+            if each not in found:
+                found[each] = self._definition(each)
+                rest += (field.type.base for field in found[each] if field.type.nested)
+        return found
 
     @staticmethod
     def codec_of(recipe: Recipe) -> Codec:
         """Make the codec of a recipe."""
         registry = TypeRegistry()
         registry._added.update(recipe.added)
-        return registry._codec(recipe.name, recipe.image_format, recipe.original)
+        return registry._codec(recipe.name, recipe.image_format, recipe.dialect)
 
-    def _codec(self, name: str, image_format: ImageFormat, original: bool) -> Codec:
+    def _codec(self, name: str, image_format: ImageFormat, dialect: Dialect) -> Codec:
         codecs = _common_codecs() if name in common_definitions() else self._codecs
-        return codecs.get(name, image_format, original)
+        return codecs.get(name, "json" if dialect in ("rosbridge", "cbor") else image_format, dialect)
 
     def _definition(self, name: str) -> Definition:
         return _find(name, common_definitions() if name in common_definitions() else self._added)
@@ -100,17 +137,18 @@ class _CodecCache:
 
     def __init__(self, lookup: Lookup) -> None:
         self._lookup = lookup
-        self._models = Models(lookup)
-        self._writers = Writers()
-        self._readers: dict[tuple[ImageFormat, bool], Readers] = {}
-        self._codecs: dict[tuple[str, ImageFormat, bool], Codec] = {}
+        self._models = {stamped: Models(lookup, stamped=stamped) for stamped in (False, True)}
+        self._writers = {stamped: Writers() for stamped in (False, True)}
+        self._readers: dict[tuple[ImageFormat, Dialect], Readers] = {}
+        self._codecs: dict[tuple[str, ImageFormat, Dialect], Codec] = {}
 
-    def get(self, name: str, image_format: ImageFormat, original: bool) -> Codec:
-        key = name, image_format, original
+    def get(self, name: str, image_format: ImageFormat, dialect: Dialect) -> Codec:
+        key = name, image_format, dialect
         if key not in self._codecs:
-            readers = self._readers.setdefault(key[1:], Readers(image_format, original=original))
-            recipe = Recipe(name, image_format, tuple(_added(name, self._lookup)), original)
-            self._codecs[key] = Codec(self._models.message(name), self._writers, readers, recipe)
+            stamped = dialect in ("rosbridge", "cbor")
+            readers = self._readers.setdefault(key[1:], Readers(image_format, dialect=dialect))
+            recipe = Recipe(name, image_format, tuple(_added(name, self._lookup)), dialect)
+            self._codecs[key] = Codec(self._models[stamped].message(name), self._writers[stamped], readers, recipe)
         return self._codecs[key]
 
 
@@ -157,14 +195,15 @@ def _definition_files() -> Iterator[tuple[str, str]]:
 
 
 def _definitions(name: str, text: str) -> dict[str, Definition]:
-    """Parse a definition file into its messages: one, or the request and response of a service."""
+    """Parse a definition file into its messages: one, two of a service, or three of an action."""
     parsed = parse_type(name)
     if name == parsed.msg:
         return {name: parse_message(name, text)}
+    if name == parsed.action:
+        parts = zip(ACTION_PARTS, parse_action(name, text), strict=True)
+        return {name + part: definition for part, definition in parts}
     if name != parsed.srv:
-        raise InvalidRequest(
-            f"{name} is ambiguous, a message or a service: write pkg/msg/Name or pkg/srv/Name", field=name
-        )
+        raise InvalidRequest(f"{name} is ambiguous: write pkg/msg/Name, pkg/srv/Name or pkg/action/Name", field=name)
     request, response = parse_service(name, text)
     return {name + "_Request": request, name + "_Response": response}
 

@@ -23,8 +23,8 @@ def test_bytes_of_a_pose(codec: CodecOf) -> None:
     assert cdr == b"\0\1\0\0" + struct.pack("<iII4s", 1, 2, 4, b"map\0") + struct.pack("<7d", 1, 0, -2.5, 0, 0, 0, 1)
 
 
-def test_missing_fields_get_defaults_and_unknown_ones_are_ignored(codec: CodecOf) -> None:
-    value = round_trip(codec("geometry_msgs/Pose"), {"position": {"x": 1}, "colour": {"deep": [1, {"x": None}]}})
+def test_missing_fields_get_defaults(codec: CodecOf) -> None:
+    value = round_trip(codec("geometry_msgs/Pose"), {"position": {"x": 1}})
     assert value == {
         "position": {"x": 1.0, "y": 0.0, "z": 0.0},
         "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
@@ -142,5 +142,5 @@ def test_original_robot_gets_pictures_with_their_stamp(registry: TypeRegistry) -
     value = {"header": header, "height": 1, "width": 1, "encoding": "mono8", "step": 1, "data": [9]}
     plain = registry.message(parse_type("sensor_msgs/Image"))
     cdr = plain.encode(json_wire(json.dumps(value)))
-    wire = registry.message(parse_type("sensor_msgs/Image"), original=True).decode(cdr)
+    wire = registry.message(parse_type("sensor_msgs/Image"), dialect="original").decode(cdr)
     assert plain.encode(wire) == cdr

@@ -17,7 +17,7 @@ from tests.support.converters.conversions import json_wire, registry_with
 
 def codec(name: str, **definitions: str) -> Codec:
     registry = registry_with(**definitions) if definitions else TypeRegistry()
-    return registry.message(parse_type(name), original=True)
+    return registry.message(parse_type(name), dialect="original")
 
 
 def there_and_back(kind: Codec, value: Any) -> Any:

@@ -75,6 +75,7 @@ JSON = st.recursive(
 )
 
 
+@pytest.mark.slow
 @given(JSON)
 @settings(max_examples=300, deadline=None, derandomize=True, database=None)
 def test_random_json_is_converted_or_rejected(value: object) -> None:

@@ -81,6 +81,18 @@ def test_service_types() -> None:
     assert empty.request.encode(json_wire("{}")) == empty.response.encode(json_wire("{}")) == b"\0\1\0\0\0"
 
 
+def test_action_types() -> None:
+    registry = TypeRegistry()
+    registry.add({"demo/action/Go": "Inner to\n---\nint8 cost 3\n---\nfloat64 left\n", "demo/msg/Inner": INNER})
+    go = registry.action(parse_type("demo/action/Go"))
+    assert round_trip(go.goal, {}) == {"to": {"a": -1, "b": 0.0}}
+    assert round_trip(go.result, {}) == {"cost": 3}
+    assert round_trip(go.feedback, {"left": 0.5}) == {"left": 0.5}
+    with pytest.raises(InvalidRequest, match="needs exactly two lines ---"):
+        registry.add({"demo/action/Stop": "---\n"})
+    assert round_trip(registry.action(parse_type("example_interfaces/Fibonacci")).goal, {"order": 1}) == {"order": 1}
+
+
 def test_common_services_and_map_messages_are_known(registry: TypeRegistry) -> None:
     for name in ("std_srvs/SetBool", "nav_msgs/GetMap", "sensor_msgs/SetCameraInfo", "lifecycle_msgs/GetState",
                  "map_msgs/SaveMap", "diagnostic_msgs/SelfTest", "rcl_interfaces/SetParameters",
