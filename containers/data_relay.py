@@ -237,6 +237,7 @@ class DataRelay:
         if len(self._pending) >= MAX_PENDING:
             caller.refuse("too many links")
             return
+        self._watch(caller)
         timer = asyncio.get_running_loop().call_later(2 * TIMEOUT, caller.transport.abort)
         self._pending[caller] = timer
 
@@ -310,8 +311,13 @@ class DataRelay:
         host, port = parse_host_port(request.relay)
         context = self._tls.client if self._tls else None
         _, connection = await asyncio.get_running_loop().create_connection(_Connection, host, port, ssl=context)
+        self._watch(connection)
         connection.transport.write(RelayRequest(request.to, user=user).line())
         return connection
+
+    def _watch(self, connection: _Connection) -> None:
+        if self._tls is not None:
+            self._tls.watch(connection.transport)
 
     def _spawn(self, work: Coroutine[None, None, None]) -> None:
         task = asyncio.create_task(work)

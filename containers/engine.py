@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterable
+from collections.abc import Awaitable, Callable, Collection, Coroutine, Iterable, Mapping
 from typing import NamedTuple
 from weakref import WeakValueDictionary
 
@@ -62,13 +62,16 @@ class Engine(ABC):
     not assume that an environment still runs when `start` returns (it may already have ended, which `ended` reports),
     nor that its endpoint has joined the Master.
 
-    The task set sets `on_limit`, which is called when an environment hits a limit, and `request_ticket`, with which an
-    engine that fetches packages itself asks the Master for the download of a digest.
+    The task set sets `on_limit`, which is called when an environment hits a limit, `on_relays`, which is called when
+    `relays` may have changed, and `request_ticket`, with which an engine that fetches packages itself asks the Master
+    for the download of a digest.
 
     A subclass implements `launch`, `remove`, `recover`, `last_lines`, `usage` and `release`, and calls `report_end`.
     """
 
     fetches_packages = False  # True if the engine brings users' packages to environments itself
+    host = ""  # identity of the machine on which all environments run; empty if the engine has several
+    sockets = ""  # path of an environment's socket for data links, with {name}, {user} and {run}; empty: not dialled
 
     def __init__(self, capacity: int, features: Collection[str], ended: Callable[[EnvironmentEnded], None]) -> None:
         """Prepare an engine with `capacity` slots and these special features.
@@ -79,6 +82,7 @@ class Engine(ABC):
         self.capacity = capacity
         self.gpus = 0
         self.features = frozenset(features)
+        self.on_relays: Callable[[], None] = lambda: None
         self.on_limit: Callable[[str, str, str], None] = lambda name, run, reason: None
         self.request_ticket: Callable[[str], Awaitable[DownloadTicket]] = _no_ticket
         self._ended = ended
@@ -88,6 +92,11 @@ class Engine(ABC):
         self._tasks: set[asyncio.Task[None]] = set()
         self._opened = asyncio.Event()
         self._limit_reported: dict[str, float] = {}  # time of the last report, by run
+
+    @property
+    def not_enforced(self) -> list[str]:
+        """Options of environments that have no effect, and `egress` if programs reach more than it permits."""
+        return []
 
     # --- for the task set ---------------------------------------------------------------------------------------------
 
@@ -169,9 +178,9 @@ class Engine(ABC):
         await self.release()
 
     @property
-    def relays(self) -> list[str]:
-        """Data relays of the engine's machines, `relay:HOST:PORT`; empty if it uses that of the task set."""
-        return []
+    def relays(self) -> dict[str, str]:
+        """Data relays of the engine's hosts, HOST:PORT; empty if it uses that of the task set."""
+        return {}
 
     async def metrics(self) -> dict[str, list[Family]]:
         """Return the metrics of processes on the engine's machines by machine; empty if it has no machines."""
@@ -179,6 +188,9 @@ class Engine(ABC):
 
     def set_relays(self, relays: Collection[str]) -> None:
         """Set the data relays of other machines, HOST:PORT, to which the engine's own relays may connect."""
+
+    def set_removed_machines(self, machines: Mapping[str, float]) -> None:
+        """Set when machines were removed; the engine's own relays refuse their certificates (see `rce.net.tls`)."""
 
     # --- for subclasses -----------------------------------------------------------------------------------------------
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import socket
 from ipaddress import ip_address
@@ -72,6 +73,7 @@ class Settings(Struct, frozen=True):
     package_path: Annotated[list[str], Meta(description="directories with ROS 2 packages, comma-separated")] = []
     typesupport: Annotated[str, Meta(description="directory with built type support of messages and services")] = ""
     allow_unisolated: Annotated[bool, Meta(description="process engine: serve a Master on another machine too")] = False
+    allow_root: Annotated[bool, Meta(description="process engine: run the nodes of all users as root")] = False
     stop_environments: Annotated[
         bool, Meta(description="stop the environments at exit, else the next start adopts them")
     ] = False
@@ -83,11 +85,17 @@ class Settings(Struct, frozen=True):
 
 
 def check_isolation(settings: Settings) -> None:
-    """Check that the process engine, which does not isolate users, only serves a Master on this machine.
+    """Check that the process engine, which does not isolate, serves only a Master on this machine, and not as root.
 
     Raises:
-        InvalidRequest: Users from elsewhere could run programs as this user.
+        InvalidRequest: Users from elsewhere could run programs as this user, or any user as root.
     """
+    if settings.engine == "process" and not settings.allow_root and os.geteuid() == 0:
+        raise InvalidRequest(
+            "the process engine would run the nodes of all users as root: start it as another user, use another "
+            "engine, or --allow-root",
+            field="allow_root",
+        )
     if settings.engine == "process" and not settings.allow_unisolated and not is_local(settings.master):
         raise InvalidRequest(
             f"the process engine runs users' programs as this user, so it serves a Master on this machine only, and "

@@ -22,11 +22,12 @@ from rce.control.calls.environments import (
     FetchPackage,
     KeepEnvironments,
     LimitReached,
+    ReportRelays,
     SetRelays,
     StartEnvironment,
     StopEnvironment,
 )
-from rce.control.calls.joining import Hello, Welcome
+from rce.control.calls.joining import Hello, SetRemovedMachines, Welcome
 from rce.control.calls.watching import EnvironmentUsage, MeasureUsage, Metrics, ReadMetrics, Usage
 from rce.control.client import ControlClient
 from rce.control.connection import Handlers
@@ -70,17 +71,21 @@ class TaskSet:
             tls: Certificate and CA for the connection to the Master.
         """
         self._name = name
+        self._tls = tls
         self._relay = relay or DataRelay()
         self._credential = credential
         self._incarnation = uuid4().hex
         self._engine = make_engine(self._ended)
         self._engine.on_limit = self._limit_hit
+        self._engine.on_relays = self._report_relays
+        self._reported_relays: dict[str, str] = {}
         self._reports: set[asyncio.Task[None]] = set()
         handlers = Handlers()
         handlers.on(StartEnvironment, self._start)
         handlers.on(StopEnvironment, self._stop)
         handlers.on(KeepEnvironments, self._keep)
         handlers.on(SetRelays, self._know)
+        handlers.do(SetRemovedMachines, self._refuse_removed)
         handlers.on(MeasureUsage, self._measure)
         handlers.on(ReadMetrics, self._read_metrics)
         self._link = ControlClient(reactor, master, self._hello, handlers, self._welcomed, tls)
@@ -112,17 +117,32 @@ class TaskSet:
         self._credential.keep(welcome)
         announce(Ready("container"))
 
+    def _relays(self) -> dict[str, str]:
+        own = self._relay.address.removeprefix("relay:")
+        return {self._engine.host: own} if own else self._engine.relays
+
+    def _report_relays(self) -> None:
+        relays = self._relays()
+        if relays != self._reported_relays:
+            self._reported_relays = relays
+            self._send_report(ReportRelays(relays))
+
     def _hello(self) -> Hello:
+        self._reported_relays = self._relays()
         return Hello(
             role="container",
             name=self._name,
             token=self._credential.secret,
+            credential=self._credential.own,
             version=version("rce"),
             incarnation=self._incarnation,
-            addresses=[*([self._relay.address] if self._relay.address else []), *self._engine.relays],
+            host=self._engine.host,
+            sockets=self._engine.sockets,
+            relays=self._reported_relays,
             capacity=self._engine.capacity,
             features=sorted(self._engine.features),
             gpus=self._engine.gpus,
+            not_enforced=self._engine.not_enforced,
             environments={name: each.run for name, each in self._engine.running().items()},
         )
 
@@ -163,6 +183,11 @@ class TaskSet:
         self._engine.set_relays(call.relays)
         return Nothing()
 
+    def _refuse_removed(self, call: SetRemovedMachines) -> None:
+        if self._tls is not None:
+            self._tls.set_removed(call.machines)
+        self._engine.set_removed_machines(call.machines)
+
     async def _measure(self, _: MeasureUsage) -> Usage:
         return Usage(await self._engine.usage())
 
@@ -197,14 +222,14 @@ class TaskSet:
         log.info("{name}: {reason}", name=name, run=run, reason=reason)
         self._send_report(LimitReached(name, run, reason))
 
-    def _send_report(self, call: EnvironmentDied | LimitReached) -> None:
+    def _send_report(self, call: EnvironmentDied | LimitReached | ReportRelays) -> None:
         report = asyncio.create_task(self._report(call))
         self._reports.add(report)
         report.add_done_callback(self._reports.discard)
 
-    async def _report(self, call: EnvironmentDied | LimitReached) -> None:
+    async def _report(self, call: EnvironmentDied | LimitReached | ReportRelays) -> None:
         try:
             await self._link.call(call)
         except RceError as error:
-            # When this task set joins again, the Master learns of an end because the run is missing in the Hello.
-            log.info("a report about {name} was not sent to the Master: {error}", name=call.name, error=str(error))
+            # When this task set joins again, the Master learns it by the Hello: a run that ended is missing there.
+            log.info("{call} was not sent to the Master: {error}", call=type(call).__name__, error=str(error))

@@ -16,6 +16,7 @@ from twisted.logger import Logger
 from rce.errors import Unavailable
 
 log = Logger()
+DOCKER_SOCKET = "/var/run/docker.sock"
 ANSWER_TIMEOUT = 60  # seconds for one answer of the daemon
 THREADS = 8
 R = TypeVar("R")
@@ -55,14 +56,18 @@ class AsyncDocker:
             raise Unavailable(f"Docker: {explanation(error)}") from None
 
 
+def docker_host() -> str:
+    """Return the address of the daemon."""
+    return os.environ.get("DOCKER_HOST") or f"unix://{DOCKER_SOCKET}"
+
+
 def _connect() -> docker.APIClient:
     try:
         return docker.APIClient(**docker.utils.kwargs_from_env(), version="auto", timeout=ANSWER_TIMEOUT)
     except DockerException as error:
-        host = os.environ.get("DOCKER_HOST") or "unix:///var/run/docker.sock"
         raise Unavailable(
-            f"no Docker answers at {host}: start it, set DOCKER_HOST to another one, or add this user to the group "
-            f"docker; {explanation(error)}"
+            f"no Docker answers at {docker_host()}: start it, set DOCKER_HOST to another one, or add this user to the "
+            f"group docker; {explanation(error)}"
         ) from None
 
 

@@ -28,7 +28,7 @@ VERSION = "rce.version"  # of images
 LONGEST_HOSTNAME = 63
 STOP_TIMEOUT = 12  # seconds; the endpoint stops its nodes by SIGINT, SIGTERM and SIGKILL in less time
 KILLED = 128 + 9  # exit status of a process that was killed, by the kernel or a person
-STATE_TRIES, STATE_INTERVAL = 5, 0.2  # seconds
+STATE_TRIES, STATE_INTERVAL = 10, 0.2  # seconds
 CONFLICT = 409  # HTTP status if another removal of the same container is under way
 
 
@@ -101,7 +101,7 @@ class Daemon(AsyncDocker):
     async def state(self, run: str) -> State | None:
         """Return the state of a container; None if it does not exist.
 
-        After a kill this waits up to a second for Docker to learn that the container was out of memory.
+        After a kill this waits up to two seconds for Docker to learn that the container was out of memory.
         """
         for _ in range(STATE_TRIES):
             state = await self._call(lambda: self._state(run))

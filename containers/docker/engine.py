@@ -46,7 +46,7 @@ from containers.settings import EGRESS_POOL, NAMESERVERS
 from containers.trash import Trash
 from rce.control.calls.environments import EnvironmentSpec
 from rce.control.calls.watching import EnvironmentUsage
-from rce.errors import NoCapacity, StartFailed, Unavailable
+from rce.errors import NoCapacity, StartFailed, Unavailable, disk_full
 from rce.process.host import host_identity
 
 log = Logger()
@@ -94,11 +94,12 @@ class DockerEngine(Engine):
         self._setup = setup
         self._root = setup.directory / "environments"
         self._sockets = setup.directory / "sockets"
+        self.sockets = f"{self._sockets}/{{user}}/{{run}}.sock"
         self._packages = setup.directory / "packages"
         self._trash = Trash(setup.directory / "trash")
         self._settings = {**setup.settings, "relay": f"{CONTROL}/{GATE}"}
         self._data_relay = relay or DataRelay()
-        self._host = host or host_identity()
+        self.host = host or host_identity()
         self._daemon = Daemon(setup.labels)
         self._networks = Networks(self._daemon.call, setup.labels, egress_pool, nameservers)
         self._environments: dict[str, _Environment] = {}
@@ -128,7 +129,7 @@ class DockerEngine(Engine):
                     Found("", spec.name, spec.run, spec.options.size, running=False, gpus=gpus),
                     reference(spec.options.image) if spec.options.image else self._setup.image,
                     self._setup.command,
-                    variables(spec, environment.paths, self._host, self._settings | with_packages),
+                    variables(spec, environment.paths, self.host, self._settings | with_packages),
                     container_options(
                         self._user(spec.name), granted, environment.paths, read_only, networks, disk, self._machine
                     ),
@@ -138,7 +139,8 @@ class DockerEngine(Engine):
                 if disk is not None:  # the device stays as long as it is mounted
                     await asyncio.to_thread(disks.detach, disk)
         except (OSError, Unavailable) as error:
-            raise StartFailed(f"environment {spec.name} did not start: {error}") from None
+            reason = (disk_full(error) if isinstance(error, OSError) else None) or error
+            raise StartFailed(f"environment {spec.name} did not start: {reason}") from None
 
     def _free_gpus(self, spec: EnvironmentSpec) -> list[str]:
         """Choose GPUs that no other environment uses; return their numbers.

@@ -1,13 +1,15 @@
 """The engine `process`: each environment is a process tree with a directory and a ROS domain of its own.
 
 It is meant for development and for single robots. Programs in an environment run as this user: they can read what this
-user can read, no limits are enforced (options.py), and a program can escape from being killed with its environment by
-changing its environment variables (tree.py).
+user can read. Limits of memory, processes and cores are enforced where this user may make control groups (cgroups.py);
+elsewhere a program can also escape from being killed with its environment by changing its environment variables
+(tree.py).
 """
 
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import os
 import signal
 import subprocess
@@ -25,14 +27,16 @@ from containers.data_relay import GATE, DataRelay
 from containers.engine import LAST_LINES, Engine, EnvironmentEnded, RunningEnvironment
 from containers.packages import package_directories, package_path
 from containers.process import shared_memory
+from containers.process.cgroups import ControlGroups
 from containers.process.domains import Domains
-from containers.process.options import check_options
+from containers.process.options import NEVER_ENFORCED, check_options
 from containers.process.tree import KILL_TIMEOUT, MARKER, Watch, describe_end, has_marker, kill_marked
 from containers.process.usage import used_below
 from containers.trash import Trash
 from rce.control.calls.environments import EnvironmentSpec
 from rce.control.calls.watching import EnvironmentUsage
-from rce.errors import StartFailed, TimedOut
+from rce.errors import StartFailed, TimedOut, disk_full
+from rce.process.host import host_identity
 
 log = Logger()
 COMMAND: Sequence[str] = (sys.executable, "-P", "-m", "endpoints.environment")
@@ -101,15 +105,24 @@ class ProcessEngine(Engine):
         self._packages = packages
         self._trash = Trash(root.with_name("trash"))
         self._settings = dict(settings)
+        self.host = self._settings.get("host") or host_identity()
+        self.sockets = f"{root}/{{name}}/{{run}}/{SOCKET}"
         self._command = command or COMMAND
         self._domains = domains or Domains()
         self._relay = relay or DataRelay()
         self._environments: dict[str, _Environment] = {}
+        self._groups = ControlGroups(f"rce-{hashlib.sha256(bytes(root)).hexdigest()[:16]}")
+        self._killed: dict[str, int] = {}  # processes that exceeded the memory limit, by run
         self._trimmer: asyncio.Task[None] | None = None
+
+    @property
+    def not_enforced(self) -> list[str]:
+        """Options that have no effect: what control groups cannot limit, and what this user may not limit by them."""
+        return [*NEVER_ENFORCED, *sorted({"cpu", "memory", "pids"} - self._groups.enforced)]
 
     async def launch(self, spec: EnvironmentSpec) -> None:
         """Start the process in a ROS domain that no other environment uses."""
-        check_options(spec)
+        check_options(spec, self.not_enforced)
         try:
             domain, lock = self._domain(spec)
             state = self._start_process(spec, domain, lock)
@@ -117,7 +130,7 @@ class ProcessEngine(Engine):
             _write(directory / "state.json", msgspec.json.encode(state))
             await self._relay.add_environment(spec.name, directory / SOCKET, directory)
         except OSError as error:
-            raise StartFailed(f"environment {spec.name} did not start: {error}") from None
+            raise StartFailed(f"environment {spec.name} did not start: {disk_full(error) or error}") from None
 
     async def remove(self, name: str) -> None:
         """Stop the process, kill what it left running, and remove its directory and shared memory."""
@@ -127,6 +140,8 @@ class ProcessEngine(Engine):
             await self._terminate(environment)
         for directory in _directories(self._root / name):
             await kill_marked(directory.name)
+            await asyncio.to_thread(self._groups.remove, directory.name)
+            self._killed.pop(directory.name, None)
             await self._trash.discard(directory)
         self._remove_empty(self._root / name)
         if environment is not None:
@@ -156,6 +171,8 @@ class ProcessEngine(Engine):
                     await kill_marked(directory.name)
                     self._trash.take(directory)
             self._remove_empty(parent)
+        runs = [each.state.run for each in self._environments.values()]
+        await asyncio.to_thread(self._groups.open, runs)
         await asyncio.to_thread(shared_memory.clean)  # of processes killed while no task set ran
         self._trimmer = asyncio.create_task(self._trim())
         return {name: RunningEnvironment(each.state.run, each.state.size) for name, each in self._environments.items()}
@@ -179,6 +196,7 @@ class ProcessEngine(Engine):
             name, environment = self._environments.popitem()
             self._relay.remove_environment(name)
             self._release(environment)
+        self._groups.close()
         await self._trash.close()
 
     def _release(self, environment: _Environment) -> None:
@@ -203,6 +221,7 @@ class ProcessEngine(Engine):
         directory = self._root / spec.name / spec.run
         try:
             (directory / "home").mkdir(parents=True, mode=0o700)
+            self._groups.create(spec.run, spec.options)  # after the directory, by which it is found and removed
             with _log_file(directory).open("ab") as output:
                 child = subprocess.Popen(
                     self._command,
@@ -220,6 +239,7 @@ class ProcessEngine(Engine):
             raise
         state = _State(spec.name, spec.run, spec.options.size, child.pid, domain, spec.group.name if spec.group else "")
         self._watch(state, directory, child, lock)
+        self._groups.add(spec.run, child.pid)
         return state
 
     def _environ(self, spec: EnvironmentSpec, directory: Path, domain: int) -> dict[str, str]:
@@ -294,6 +314,13 @@ class ProcessEngine(Engine):
                     logfile.trim(_log_file(environment.directory))
                 except OSError as error:  # most likely the disk is full; the next round may succeed
                     log.error("the log of {name} cannot be trimmed: {error}", name=name, error=str(error))
+                self._report_killed(name, environment.state.run)
+
+    def _report_killed(self, name: str, run: str) -> None:
+        killed = self._groups.killed(run)
+        if killed > self._killed.get(run, 0):
+            self.report_limit(name, run, "it reached its memory limit, and the kernel killed one of its processes")
+        self._killed[run] = killed
 
 
 def _clean_shared_memory(domain: int | None) -> None:

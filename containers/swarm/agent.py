@@ -19,7 +19,7 @@ from twisted.internet.base import ReactorBase
 from twisted.logger import Logger
 
 from containers.control_relay import ControlRelay
-from containers.data_relay import GATE, DataRelay
+from containers.data_relay import DataRelay
 from containers.data_socket import DataSocket
 from containers.docker.daemon import RUN, describe
 from containers.docker.events import Event
@@ -44,7 +44,7 @@ from rce.control.calls.agents import (
 )
 from rce.control.calls.call import Call, Nothing
 from rce.control.calls.environments import SetRelays
-from rce.control.calls.joining import Hello, Welcome
+from rce.control.calls.joining import Hello, SetRemovedMachines, Welcome
 from rce.control.calls.watching import MeasureUsage, Usage
 from rce.control.client import ControlClient
 from rce.control.connection import Handlers
@@ -109,6 +109,7 @@ class Agent:
         handlers = Handlers()
         handlers.on(RemoveRun, self._remove_run)
         handlers.on(SetRelays, self._set_relays)
+        handlers.do(SetRemovedMachines, self._refuse_removed)
         handlers.on(MeasureUsage, self._measure_usage)
         handlers.on(SetGroupMembers, self._set_group_members)
         handlers.on(PullImage, self._pull_image)
@@ -225,9 +226,7 @@ class Agent:
         await self._data_relay.add_environment(task.name, path, control)
         self._served[task.run] = _Served(task.name, relay, data_socket)
         data_socket.offer(control)
-        (control / GATE).with_suffix(".address").write_text(self._data_relay.address)
-        # Last, because an endpoint that has reached the Master announces the addresses of its data links.
-        await relay.open(control)
+        await relay.open(control)  # last, because an endpoint that has reached the Master may be dialled
 
     def _stop_serving(self, run: str) -> None:
         served = self._served.pop(run, None)
@@ -265,6 +264,10 @@ class Agent:
     async def _set_relays(self, call: SetRelays) -> Nothing:
         self._data_relay.set_relays(call.relays)
         return Nothing()
+
+    def _refuse_removed(self, call: SetRemovedMachines) -> None:
+        if self._tls is not None:
+            self._tls.set_removed(call.machines)
 
     async def _measure_usage(self, _: MeasureUsage) -> Usage:
         return Usage(await self._docker.usage())

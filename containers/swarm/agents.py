@@ -7,7 +7,7 @@ import hmac
 import os
 import secrets
 from collections import Counter
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,7 +22,7 @@ from containers.ports import close_port
 from rce.control.calls.agents import NodeReport, PullImage, RemoveRun, SetGroupMembers
 from rce.control.calls.call import Call, Nothing
 from rce.control.calls.environments import Group, SetRelays
-from rce.control.calls.joining import Hello, Welcome
+from rce.control.calls.joining import Hello, SetRemovedMachines, Welcome
 from rce.control.calls.watching import EnvironmentUsage, MeasureUsage, ReadMetrics
 from rce.control.connection import Control, Handlers
 from rce.control.server import listen
@@ -77,6 +77,7 @@ class _Agent:
 class Agents:
     """The agents that have joined with `secret`, at most one for each node.
 
+    `relays` has the data relay of each node whose agent has ever reported, as HOST:PORT.
     `reported` is called with the id of the node after each NodeReport; `add_handlers` adds the handlers of all other
     calls that agents make.
     """
@@ -88,7 +89,9 @@ class Agents:
         self._agents: dict[str, _Agent] = {}
         self._changed = asyncio.Event()
         self._port: IListeningPort | None = None
+        self.relays: dict[str, str] = {}
         self._other_relays: list[str] = []
+        self._removed = SetRemovedMachines({})
         self._notifying: set[asyncio.Task[None]] = set()
 
     async def listen(self, reactor: ReactorBase, description: str, tls: Tls | None = None) -> int:
@@ -127,12 +130,6 @@ class Agents:
         """Return the newest report of a node's agent; None if no agent has reported."""
         agent = self._agents.get(node)
         return agent.report if agent else None
-
-    @property
-    def relays(self) -> list[str]:
-        """The data relays of the nodes, HOST:PORT."""
-        reports = [agent.report for agent in self._agents.values() if agent.report is not None]
-        return sorted(report.relay for report in reports)
 
     def image_id(self, tag: str) -> str | None:
         """Return the id that a tag has on most of the nodes that have such an image; None if no node has one."""
@@ -184,6 +181,13 @@ class Agents:
         self._other_relays = list(relays)
         self._send_relays()
 
+    def set_removed_machines(self, machines: Mapping[str, float]) -> None:
+        """Send the agents when machines were removed."""
+        self._removed = SetRemovedMachines(dict(machines))
+        for agent in self._agents.values():
+            if agent.control is not None:
+                self._notify_later(agent.control, self._removed)
+
     async def pull_image(self, node: str, call: PullImage) -> None:
         """Have a node pull an image; return when it has it.
 
@@ -231,12 +235,16 @@ class Agents:
         agent.control = joined
         self._agents[agent.node] = agent
         joined.lost.add_done_callback(lambda _: self._left(agent))
+        if self._removed.machines:
+            self._notify_later(joined, self._removed)
         if agent.report is not None:
             self._handle_report(agent)
 
     def _handle_report(self, agent: _Agent) -> None:
         if self._agents.get(agent.node) is agent:
             self._changed.set()
+            if agent.report is not None:
+                self.relays[agent.node] = agent.report.relay
             self._send_relays()
             self._reported(agent.node)
 
@@ -246,13 +254,16 @@ class Agents:
             log.info("lost the agent of node {node}", node=agent.node)
 
     def _send_relays(self) -> None:
-        relays = sorted({*self._other_relays, *self.relays})
+        relays = sorted({*self._other_relays, *self.relays.values()})
         for agent in self._agents.values():
             if agent.control is not None and agent.relays != relays:
                 agent.relays = relays
-                task = asyncio.create_task(_notify(agent.control, SetRelays(relays)))
-                self._notifying.add(task)
-                task.add_done_callback(self._notifying.discard)
+                self._notify_later(agent.control, SetRelays(relays))
+
+    def _notify_later(self, agent: Control, call: Call[Nothing]) -> None:
+        task = asyncio.create_task(_notify(agent, call))
+        self._notifying.add(task)
+        task.add_done_callback(self._notifying.discard)
 
 
 async def _metrics(agent: Control) -> list[Family]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import Callable, Collection, Coroutine, Sequence
+from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from twisted.logger import Logger
@@ -27,7 +27,7 @@ from containers.engine import Engine, EnvironmentEnded, RunningEnvironment
 from containers.limits import limits
 from containers.swarm.fleet import Fleet
 from containers.swarm.manager import Found, Manager, Network
-from containers.swarm.spec import AgentService, Names, check, environment_task, task_variables
+from containers.swarm.spec import SOCKETS, AgentService, Names, check, environment_task, task_variables
 from rce.control.calls.agents import ContainerEnded, EnvironmentUnusable
 from rce.control.calls.call import Nothing
 from rce.control.calls.environments import EnvironmentSpec, FetchPackage
@@ -74,6 +74,7 @@ class SwarmEngine(Engine):
     """
 
     fetches_packages = True
+    sockets = f"{SOCKETS}/{{run}}.sock"
 
     def __init__(
         self,
@@ -98,13 +99,17 @@ class SwarmEngine(Engine):
         self._following = asyncio.Event()  # set when Docker's event stream has begun
 
     @property
-    def relays(self) -> list[str]:
-        """Data relays of the nodes."""
-        return [f"relay:{address}" for address in self._fleet.agents.relays]
+    def relays(self) -> dict[str, str]:
+        """Data relays of the nodes, also of those whose agent is away for a moment."""
+        return {node: relay for node, relay in self._fleet.agents.relays.items() if node in self._fleet.nodes}
 
     def set_relays(self, relays: Collection[str]) -> None:
         """Send the agents the data relays of other machines."""
         self._fleet.agents.set_relays(relays)
+
+    def set_removed_machines(self, machines: Mapping[str, float]) -> None:
+        """Send the agents when machines were removed."""
+        self._fleet.agents.set_removed_machines(machines)
 
     async def launch(self, spec: EnvironmentSpec) -> None:
         """Create the service and wait until an agent serves its environment."""
@@ -268,6 +273,7 @@ class SwarmEngine(Engine):
                 "/etc/docker/daemon.json",
                 node=self._fleet.nodes[node].name if node in self._fleet.nodes else node,
             )
+        self.on_relays()
         # Distribute the default image early, so that most environments need not wait for a pull.
         self._spawn_into(self._background, self._fleet.distribute(reference(self._setup.image)))
         for name, placement in self._placements.items():

@@ -11,6 +11,7 @@ from twisted.internet.base import ReactorBase
 from twisted.internet.error import CannotListenError
 from twisted.logger import Logger
 
+from containers.docker.api import docker_host
 from containers.docker.options import reference
 from containers.limits import Size
 from containers.ports import listen_again
@@ -18,7 +19,7 @@ from containers.settings import is_local
 from containers.swarm.agents import AgentAccess, Agents
 from containers.swarm.images import NAME, USER, ImageRegistry
 from containers.swarm.manager import Manager, Node
-from containers.swarm.spec import AGENT, FEATURE, AgentService, Names, agent_task
+from containers.swarm.spec import AGENT, FEATURE, AgentService, Names, agent_socket, agent_task
 from rce import __version__
 from rce.control.calls.agents import PullImage
 from rce.control.calls.environments import EnvironmentSpec
@@ -157,7 +158,9 @@ class Fleet:
             image = await self._image_source(image)
         own = {f"RCE_{key.partition('.')[2].upper()}": value for key, value in self._labels.items()}
         labels = {**self._labels, AGENT: "yes"}
-        task = agent_task(self._agent, image, {**self._agent_settings, **own}, labels, self._manager.root, self._tls)
+        variables = {**self._agent_settings, **own}
+        socket = agent_socket(docker_host(), len(self.nodes))
+        task = agent_task(self._agent, image, variables, labels, self._manager.root, self._tls, socket)
         await self._manager.update_agent_service(self.service, task)
 
     async def _await_agents(self) -> None:
@@ -173,6 +176,7 @@ class Fleet:
             name = self.nodes[node].name
             log.warn("node {node} takes no environments until its agent has joined: {reason}", node=name, reason=reason)
         if lacking and lacking == set(self.usable):
+            await self._manager.remove_service(self.service)
             raise Unavailable(
                 f"no agent of the swarm has joined ({reason}); `provisioning/provision image` builds their image"
             )

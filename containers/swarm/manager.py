@@ -22,7 +22,7 @@ from containers.limits import Size
 from containers.swarm import images
 from containers.swarm.spec import AGENT, GPU, swarm_range
 from rce import __version__
-from rce.errors import InvalidRequest, NoCapacity, StartFailed, TimedOut, Unavailable
+from rce.errors import InvalidRequest, NoCapacity, StartFailed, TimedOut, Unavailable, disk_full
 
 API = "1.41"  # Docker 20.10, the first with services without capabilities and limits of processes and open files
 POLL_INTERVAL = 0.05  # seconds between queries of a task that starts or ends: Swarm has no events for tasks
@@ -194,7 +194,8 @@ class Manager(AsyncDocker):
         try:
             return await self._call(lambda: images.export(self._api, image, directory))
         except OSError as error:
-            raise Unavailable(f"an image cannot be exported from Docker for other nodes: {error}") from None
+            reason = disk_full(error) or error
+            raise Unavailable(f"an image cannot be exported from Docker for other nodes: {reason}") from None
 
     async def sweep_exports(self, directory: Path) -> None:
         """Remove exports of images that no longer exist from `directory`."""

@@ -11,16 +11,16 @@ from docker.errors import APIError, NotFound
 from docker.types import Mount
 from msgspec import Struct
 
-from containers.docker.api import explanation
+from containers.docker.api import DOCKER_SOCKET, explanation
 from containers.docker.daemon import CONFLICT, RUN, VERSION, Daemon
 from containers.docker.events import Event, Events
 from containers.docker.networks import ENVIRONMENT
 from containers.swarm.privileged import COMMAND, REQUEST_VARIABLE, LimitRequest
-from containers.swarm.spec import AGENT, DOCKER_SOCKET, SPEC
+from containers.swarm.spec import AGENT, SPEC
 from rce import __version__
 from rce.control.calls.agents import PullImage
 from rce.control.calls.environments import EnvironmentSpec
-from rce.errors import ErrorInfo, RceError, StartFailed
+from rce.errors import MALFORMED, ErrorInfo, RceError, StartFailed
 from rce.protocol.slots import MB
 
 # To mount disks, to enter other containers, and to limit the bandwidth of their networks.
@@ -106,7 +106,7 @@ class NodeDaemon(Daemon):
             lines = output.splitlines() or [f"exit status {status} without output"]
             try:
                 raise RceError.from_info(msgspec.json.decode(lines[-1], type=ErrorInfo))
-            except msgspec.DecodeError:
+            except MALFORMED:
                 raise StartFailed(f"its limits cannot be applied: {lines[-1]}") from None
 
     async def pull(self, call: PullImage) -> None:
@@ -168,7 +168,7 @@ class NodeDaemon(Daemon):
         mounts = [
             Mount(each["Target"], each["Source"], type="bind", read_only=each.get("ReadOnly", False))
             for each in seen["HostConfig"]["Mounts"]
-            if each["Type"] == "bind" and each["Source"] != DOCKER_SOCKET
+            if each["Type"] == "bind" and each["Target"] != DOCKER_SOCKET
         ]
         mounts += [Mount(path, path, type="bind") for path in ("/dev", "/sys/fs/cgroup")]
         made = self._api.create_container(

@@ -14,6 +14,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from containers.docker import disks, seccomp
+from containers.docker.api import DOCKER_SOCKET
 from containers.docker.networks import EGRESS, NO_NAMESERVER
 from containers.docker.options import (
     CONTROL,
@@ -46,7 +47,6 @@ STOP_TIMEOUT = 12  # seconds; the endpoint stops its nodes in less time
 SOCKETS_SIZE, SOCKETS_INODES = 64 * 1024, 1000
 FEATURE = "node.labels.rce.feature."  # prefix of node labels, which have the value `true` for each special feature
 GPU = "NVIDIA-GPU"  # name of the generic resource, as in Docker's manual
-DOCKER_SOCKET = "/var/run/docker.sock"
 NODE = "{{.Node.ID}}"  # Swarm replaces this by the id of the task's node
 NANO = 1_000_000_000
 AGENT_MEMORY, AGENT_PROCESSES = 1024 * MB, 512
@@ -112,7 +112,7 @@ class Names(Struct, frozen=True):
     @property
     def paths(self) -> EndpointPaths:
         """Paths as the environment sees them."""
-        return EndpointPaths(Path(CONTROL), Path(SOCKETS) / f"{self.run}.sock")
+        return EndpointPaths(Path(CONTROL), Path(SOCKETS) / f"{self.run}.sock")  # `SwarmEngine.sockets`
 
 
 def check(spec: EnvironmentSpec) -> None:
@@ -227,8 +227,23 @@ def environment_task(
     }
 
 
+def agent_socket(host: str, nodes: int) -> str:
+    """Return the path of Docker's socket on the nodes of a swarm.
+
+    The only node of a swarm is the one of the manager, whose DOCKER_HOST is `host`. Others have the usual path: nobody
+    knows another one.
+    """
+    return host.removeprefix("unix://") if nodes == 1 and host.startswith("unix://") else DOCKER_SOCKET
+
+
 def agent_task(
-    agent: AgentService, image: str, settings: Mapping[str, str], labels: Mapping[str, str], root: str, tls: Tls | None
+    agent: AgentService,
+    image: str,
+    settings: Mapping[str, str],
+    labels: Mapping[str, str],
+    root: str,
+    tls: Tls | None,
+    socket: str = DOCKER_SOCKET,
 ) -> Spec:
     """Return the task of the agents, which run in the network of their node.
 
@@ -239,6 +254,7 @@ def agent_task(
         labels: Labels of the containers.
         root: Docker's data directory, the same on all nodes.
         tls: Directory in which each node has its own certificate, the same on all nodes.
+        socket: Docker's socket on the nodes.
     """
     variables = {
         **settings,
@@ -264,7 +280,7 @@ def agent_task(
             "Init": True,
             "StopGracePeriod": NANO,
             "Mounts": [
-                _bind(DOCKER_SOCKET),
+                {**_bind(socket), "Target": DOCKER_SOCKET},
                 # Volumes in memory are mounted when an environment starts, so their mounts must propagate to the agent.
                 {**_bind(f"{root}/volumes"), "BindOptions": {"Propagation": "rslave"}},
                 _bind(f"{root}/containers"),  # with the hosts files of containers

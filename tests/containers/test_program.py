@@ -16,6 +16,8 @@ from tests.support.containers.engine_contract import spec
 from tests.support.containers.fake_master import FakeMaster, joined
 from tests.support.containers.process_world import STAND_IN, ProcessWorld
 
+pytestmark = pytest.mark.slow  # starts the program many times
+
 # Runs containers.__main__ with the stand-in instead of the Environment endpoint.
 PROGRAM = """
 import sys

@@ -1,3 +1,4 @@
+import os
 from pathlib import Path
 
 import pytest
@@ -28,7 +29,16 @@ def test_local_addresses_are_recognized(description: str, local: bool) -> None:
 
 def test_process_engine_serves_a_local_master_only() -> None:
     far = "tcp:10.0.0.1:8080"
-    check_isolation(Settings(Path("d")))
-    check_isolation(Settings(Path("d"), master=far, allow_unisolated=True))
+    check_isolation(Settings(Path("d"), allow_root=True))
+    check_isolation(Settings(Path("d"), master=far, allow_unisolated=True, allow_root=True))
     with pytest.raises(InvalidRequest, match=r"10\.0\.0\.1.*--allow-unisolated"):
-        check_isolation(Settings(Path("d"), master=far))
+        check_isolation(Settings(Path("d"), master=far, allow_root=True))
+
+
+def test_process_engine_runs_as_root_only_on_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    check_isolation(Settings(Path("d"), engine="docker"))
+    with pytest.raises(InvalidRequest, match=r"as root.*--allow-root"):
+        check_isolation(Settings(Path("d")))
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    check_isolation(Settings(Path("d")))

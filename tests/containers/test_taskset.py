@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Mapping
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
@@ -11,7 +13,6 @@ from prometheus_client.parser import text_string_to_metric_families
 from containers.engine import RunningEnvironment
 from containers.fake import FailingEngine, FakeEngine, FakeMachine
 from containers.taskset import TaskSet
-from rce.control.calls.call import Ping
 from rce.control.calls.endpoints import StopNode
 from rce.control.calls.environments import (
     EnvironmentDied,
@@ -20,11 +21,15 @@ from rce.control.calls.environments import (
     StartEnvironment,
     StopEnvironment,
 )
+from rce.control.calls.joining import SetRemovedMachines
 from rce.control.calls.watching import EnvironmentUsage, MeasureUsage, ReadMetrics, Usage
 from rce.control.credential import Credential
 from rce.errors import InvalidRequest, StartFailed, Unauthorized
+from rce.net.certificates import Authority
+from rce.net.tls import Tls
 from rce.process.exposition import prometheus_text
 from rce.process.metrics import Family, gauge_family
+from tests.support.certificates import certify
 from tests.support.containers.engine_contract import spec
 from tests.support.containers.fake_master import FakeMaster, joined
 
@@ -102,6 +107,50 @@ async def test_metrics_include_those_of_agents(
     assert values["rce_slots", "used"] == 1
     assert values["rce_environment_cpu_seconds_total", None] == 1.5
     assert values["rce_relay_connections", "taken"] == 0
+
+
+class EngineOnHosts(FakeEngine):
+    """Engine of several hosts, with a relay on each."""
+
+    sockets = "/e/{run}"
+    hosts: ClassVar[dict[str, str]] = {}
+    removed: ClassVar[list[Mapping[str, float]]] = []
+
+    @property
+    def relays(self) -> dict[str, str]:
+        return dict(self.hosts)
+
+    def set_removed_machines(self, machines: Mapping[str, float]) -> None:
+        self.removed.append(machines)
+
+
+async def test_task_set_tells_how_its_environments_are_dialled(
+    master: FakeMaster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(EngineOnHosts, "hosts", {"n1": "n1:1"})
+    async with Running(master, tmp_path, EngineOnHosts) as running:
+        await joined(master)
+        hello = master.hellos[-1]
+        assert (hello.host, hello.sockets, hello.relays, hello.addresses) == ("", "/e/{run}", {"n1": "n1:1"}, [])
+        engine = running.task_set._engine
+        engine.on_relays()  # as nothing has changed, nothing is reported
+        monkeypatch.setattr(EngineOnHosts, "hosts", {"n1": "n1:1", "n2": "n2:1"})
+        engine.on_relays()
+        assert (await asyncio.wait_for(master.relays.get(), 10)).relays == {"n1": "n1:1", "n2": "n2:1"}
+        assert master.relays.empty()
+
+
+async def test_removals_of_machines_reach_the_certificates_and_the_engine(
+    master: FakeMaster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(EngineOnHosts, "removed", [])
+    async with Running(master, tmp_path, EngineOnHosts) as running:
+        control = await joined(master)
+        await control.call(SetRemovedMachines({"m7": 5.0}))  # without TLS there are no certificates
+        tls = running.task_set._tls = Tls(certify(tmp_path / "tls", Authority.make("test"), ["127.0.0.1"]))
+        await control.call(SetRemovedMachines({"m8": 5.0}))
+        assert tls.is_removed("m8", 4.0)
+        assert EngineOnHosts.removed == [{"m7": 5.0}, {"m8": 5.0}]
 
 
 async def test_failed_start_has_a_reason(master: FakeMaster, tmp_path: Path) -> None:
@@ -207,7 +256,7 @@ async def test_refused_token_ends_the_task_set(master: FakeMaster, tmp_path: Pat
 async def test_token_is_used_if_the_credential_is_refused(master: FakeMaster, tmp_path: Path) -> None:
     (tmp_path / "credential").write_text("of an earlier Master")
     async with Running(master, tmp_path) as running:
-        await (await joined(master)).call(Ping())  # when it is answered, the task set has received its welcome
+        await (await joined(master)).call(ReadMetrics())  # when it is answered, the task set has received its welcome
         assert [hello.token for hello in master.hellos] == ["of an earlier Master", "token"]
         assert running.file.read_text() == "credential"
         assert running.file.stat().st_mode & 0o777 == 0o600

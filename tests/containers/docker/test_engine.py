@@ -40,6 +40,11 @@ class TestDockerEngine(ContainerEngineContract):
     pass
 
 
+async def test_socket_of_an_environment_is_where_the_task_set_says(world: DockerWorld, engine: DockerEngine) -> None:
+    path = engine.sockets.replace("{user}", "ann").replace("{run}", spec().run)
+    assert path == str(engine._paths("ann/map", spec().run).socket)
+
+
 async def test_container_is_confined(world: DockerWorld, engine: DockerEngine) -> None:
     seen = await start_confined(world, engine)
     host = seen["HostConfig"]

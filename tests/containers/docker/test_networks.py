@@ -72,8 +72,9 @@ def networks(world: DockerWorld) -> dict[str, dict[str, Any]]:
 
 
 def rules() -> list[str]:
-    """Return the packet filter rules of environments."""
-    return [line for line in output("iptables", "-S").splitlines() if "--comment rce-" in line]
+    """Return the packet filter rules of environments, by network: the order of networks does not matter."""
+    lines = [line for line in output("iptables", "-S").splitlines() if "--comment rce-" in line]
+    return sorted(lines, key=lambda line: line.partition("--comment ")[2].split()[0])
 
 
 def output(*command: str) -> str:

@@ -1,6 +1,7 @@
 """The process engine: the contract, environment variables, domains, directories and child processes."""
 
 import asyncio
+import errno
 import json
 import os
 import signal
@@ -18,7 +19,8 @@ from rce.control.calls.environments import Group
 from rce.errors import NoCapacity, StartFailed
 from rce.net.relay_handshake import RelayRequest, refusal_reason
 from rce.net.sockets import unix_socket_path
-from tests.support.containers.engine_contract import Endings, EngineContract, opened, spec
+from rce.process.host import host_identity
+from tests.support.containers.engine_contract import Endings, EngineContract, opened, spec, with_options
 from tests.support.containers.process_world import ProcessWorld
 
 
@@ -29,6 +31,13 @@ def world(tmp_path: Path) -> ProcessWorld:
 
 class TestProcessEngine(EngineContract):
     pass
+
+
+async def test_socket_of_an_environment_is_where_the_task_set_says(engine: ProcessEngine) -> None:
+    await engine.start(spec("ann/map"))
+    path = engine.sockets.replace("{name}", "ann/map").replace("{run}", spec("ann/map").run)
+    assert Path(path) == engine._environments["ann/map"].directory / process.SOCKET
+    assert engine.host == host_identity()
 
 
 async def test_endpoint_gets_its_settings_and_no_secrets(
@@ -205,8 +214,53 @@ async def test_failed_start_has_a_reason(world: ProcessWorld, engine: ProcessEng
         await engine.start(spec())
 
 
+async def test_start_without_room_on_the_disk_says_so(
+    world: ProcessWorld, engine: ProcessEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path, content: bytes) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as full:
+        full.setattr(process, "_write", refuse)
+        with pytest.raises(StartFailed, match="ann/map did not start: disk full"):
+            await engine.start(spec())
+    await engine.start(spec())
+
+
 async def test_opening_cleans_shared_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cleaned: list[bool] = []
     monkeypatch.setattr("containers.process.shared_memory.clean", lambda: cleaned.append(True))
     async with opened(ProcessWorld(tmp_path).engine(Endings())):
         assert cleaned
+
+
+async def test_limits_are_those_of_a_control_group(world: ProcessWorld, engine: ProcessEngine) -> None:
+    if "memory" in engine.not_enforced:
+        pytest.skip("this user cannot make control groups")
+    assert engine.not_enforced == ["bandwidth", "disk", "egress", "io"]
+    await engine.start(with_options(memory=2**30))
+    run = world.alive()["ann/map"]
+    pid = engine._environments["ann/map"].state.pid
+    group = engine._groups._groups["memory"] / run
+    assert str(pid) in (group / "cgroup.procs").read_text().split()
+    await engine.stop("ann/map")
+    assert not group.exists()
+
+
+async def test_start_that_fails_leaves_no_control_group(world: ProcessWorld, engine: ProcessEngine) -> None:
+    world.break_start(engine)
+    with pytest.raises(StartFailed):
+        await engine.start(with_options(memory=2**30))
+    assert not [run for group in engine._groups._groups.values() for run in group.iterdir() if run.is_dir()]
+
+
+async def test_process_beyond_its_memory_limit_is_reported(
+    engine: ProcessEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reported: list[tuple[str, str]] = []
+    engine.on_limit = lambda name, run, reason: reported.append((name, reason))
+    await engine.start(spec())
+    monkeypatch.setattr(engine._groups, "killed", lambda run: 1)
+    for _ in range(2):
+        engine._report_killed("ann/map", spec().run)
+    assert reported == [("ann/map", "it reached its memory limit, and the kernel killed one of its processes")]

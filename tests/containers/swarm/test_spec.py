@@ -10,7 +10,9 @@ from msgspec.structs import replace
 
 pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
-from containers.swarm.spec import AgentService, Names, agent_task, check, spec_label, task_variables
+from containers.docker.api import DOCKER_SOCKET
+from containers.swarm.engine import SwarmEngine
+from containers.swarm.spec import AgentService, Names, agent_socket, agent_task, check, spec_label, task_variables
 from rce.control.calls.environments import EnvironmentSpec, Group
 from rce.errors import InvalidRequest
 from rce.protocol.messages import ContainerData
@@ -29,6 +31,10 @@ def test_templates_in_user_variables_are_escaped() -> None:
     """Go templates expand `{{"{{"}}` to two braces."""
     assert values(env={"X": "{{.Node.ID}}"})["RCE_ENV"] == '{"X":"{{"{{"}}.Node.ID}}"}'
     assert values()["RCE_HOST"] == "{{.Node.ID}}"
+
+
+def test_socket_of_an_environment_is_where_the_task_set_says() -> None:
+    assert SwarmEngine.sockets.replace("{run}", RUN) == str(Names.of(LABELS, "ann/map", RUN).paths.socket)
 
 
 def grouped(address: str) -> EnvironmentSpec:
@@ -62,3 +68,18 @@ def test_socket_volumes_differ_by_user_and_task_set() -> None:
 def test_agents_have_limits() -> None:
     task = agent_task(AgentService("rce/agent:1"), "rce/agent:1", {}, LABELS, "/var/lib/docker", None)
     assert task["Resources"]["Limits"].keys() == {"MemoryBytes", "Pids"}
+
+
+@pytest.mark.parametrize(
+    ("host", "nodes", "socket"),
+    [
+        ("unix:///run/user/1000/docker.sock", 1, "/run/user/1000/docker.sock"),
+        ("unix:///run/user/1000/docker.sock", 2, DOCKER_SOCKET),
+        ("tcp://10.0.0.1:2376", 1, DOCKER_SOCKET),
+    ],
+)
+def test_agents_use_the_socket_of_the_manager_where_it_is_the_only_node(host: str, nodes: int, socket: str) -> None:
+    path = agent_socket(host, nodes)
+    task = agent_task(AgentService("rce/agent:1"), "rce/agent:1", {}, LABELS, "/var/lib/docker", None, path)
+    (mount,) = [each for each in task["ContainerSpec"]["Mounts"] if each["Target"] == DOCKER_SOCKET]
+    assert mount["Source"] == path == socket

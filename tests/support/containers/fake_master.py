@@ -14,6 +14,7 @@ from rce.control.calls.call import Nothing
 from rce.control.calls.environments import (
     EnvironmentDied,
     LimitReached,
+    ReportRelays,
 )
 from rce.control.calls.joining import Hello, Welcome
 from rce.control.connection import Control, Handlers
@@ -34,6 +35,7 @@ class FakeMaster:
         self.joined: asyncio.Queue[Control] = asyncio.Queue()
         self.deaths: asyncio.Queue[EnvironmentDied] = asyncio.Queue()
         self.limits: asyncio.Queue[LimitReached] = asyncio.Queue()
+        self.relays: asyncio.Queue[ReportRelays] = asyncio.Queue()
         self.controls: list[Control] = []
         self._reserved = socket.socket()
         self._reserved.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -64,6 +66,7 @@ class FakeMaster:
         handlers = Handlers()
         handlers.on(EnvironmentDied, self._died)
         handlers.on(LimitReached, self._limit)
+        handlers.do(ReportRelays, self.relays.put_nowait)
         return Welcome("credential"), handlers, self._joined
 
     def _joined(self, control: Control) -> None:
