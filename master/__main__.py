@@ -73,7 +73,8 @@ class Settings(Struct):
     ] = 400
     dev: Annotated[bool, Meta(description="create the users admin/admin and testUser/testUser")] = False
     limits: Annotated[
-        list[str], Meta(description="limits of users who have none of their own, key=value as in `rce user limits`")
+        list[str],
+        Meta(description="limits of users without own ones: key=value as in `rce user limits`; key=- is none"),
     ] = []
     images: Annotated[list[str], Meta(description="images that all users may run, beside the platform's own")] = []
     machines: Annotated[str, Meta(description="Twisted server endpoint where machines join (tcp:8081); needs tls")] = ""
@@ -97,9 +98,8 @@ async def _serve(reactor: ReactorBase, options: Settings) -> None:
     store = Store(options.database or f"sqlite:///{options.data_dir / 'master.db'}")
     await store.open()
     depot = Depot(options.data_dir / "packages")
-    master = Master(store, options.grace, platform_policy(options), options.machine_grace, depot)
+    master = Master(store, options.grace, platform_policy(options), options.machine_grace, depot, tls)
     master.state.group_pool = _pool(options.group_pool)
-    await create_first_users(master.users, options.dev)
     for entry in options.tokens:
         role, process, token = _parse_token(entry)
         await master.join_tokens.allow(process, role, token)
@@ -119,6 +119,7 @@ async def _serve(reactor: ReactorBase, options: Settings) -> None:
             enrolment = _enrolment_server(options, master.join_tokens)
             stack.push_async_callback(enrolment.stop)
             await enrolment.start(_enrolment_endpoint(options))
+        await create_first_users(master.users, options.dev)  # last: a start that fails must not use up the password
         master.entry = (endpoint.scheme, port)
         address: IPv4Address | IPv6Address = control.getHost()  # type: ignore[misc]  # as above
         inside, outside = f"{address.host}:{address.port}", f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
@@ -167,7 +168,7 @@ async def create_first_users(users: Users, dev: bool) -> None:
         return
     password = secrets.token_urlsafe(15)
     await users.add(ADMIN, password, "admin")
-    print(f"The administrator is 'admin' with password '{password}'. It is not shown again.", flush=True)
+    print(f"The administrator is 'admin' with password '{password}'. Keep it: it is not shown again.", flush=True)
 
 
 async def _warn_of_development_users(users: Users) -> None:

@@ -18,7 +18,7 @@ from rce.errors import InvalidRequest, Unavailable
 from rce.protocol.messages import CURRENT_VERSION, MINIMAL_VERSION
 from rce.web.requests import host_name, raw_query
 
-BAD_REQUEST, METHOD_NOT_ALLOWED, GONE, NOT_IMPLEMENTED, UNAVAILABLE = 400, 405, 410, 501, 503
+BAD_REQUEST, NOT_FOUND, METHOD_NOT_ALLOWED, GONE, NOT_IMPLEMENTED, UNAVAILABLE = 400, 404, 405, 410, 501, 503
 
 
 class Entry:
@@ -39,6 +39,8 @@ class Entry:
 
     def _answer(self, request: web.BaseRequest) -> web.Response:
         parameters = query_parameters(raw_query(request))
+        if not parameters and "text/html" in request.headers.get("Accept", ""):  # a person's browser, and no robot
+            return text_response(NOT_FOUND, "there is no such page: the dashboard is at /ui/")
         try:
             version = _single(parameters, "version")
             if version < MINIMAL_VERSION:

@@ -7,12 +7,12 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TypeVar
 
-import sqlalchemy as sa
 from twisted.logger import Logger
 
 import rce
+from master.access import rights
 from master.access.audit import Audit
-from master.access.guard import REFRESH, Guard
+from master.access.guard import Guard
 from master.access.join_tokens import JoinTokens
 from master.access.service_calls import ServiceCalls
 from master.access.user_limits import UserLimits
@@ -22,8 +22,9 @@ from master.execution.effect_runner import EffectRunner
 from master.execution.lifecycle import Lifecycle
 from master.execution.links import Links
 from master.execution.process_tracker import ProcessTracker
+from master.execution.removals import Removals
 from master.execution.robot_sessions import RobotSessions
-from master.graph import packages
+from master.graph import packages, reconcile
 from master.graph.limits import UNLIMITED, Policy
 from master.graph.records import Environment, Process, ref, user_of
 from master.graph.state import State, at
@@ -38,12 +39,13 @@ from master.storage.depot import FETCH_PATH, Depot
 from master.storage.store import Store
 from rce.control.calls.call import Call, Nothing
 from rce.control.calls.endpoints import Report
-from rce.control.calls.environments import DownloadTicket, FetchPackage
+from rce.control.calls.environments import DownloadTicket, FetchPackage, ReportRelays
 from rce.control.calls.joining import Hello, Welcome
-from rce.control.calls.robots import Definitions, DescribeType
-from rce.control.calls.watching import ReadMetrics
+from rce.control.calls.robots import Definitions, DescribeType, ReadGraphFor
+from rce.control.calls.watching import ReadGraph, ReadMetrics, RosGraph
 from rce.control.connection import Control, Handlers
 from rce.errors import InvalidRequest, NotFound, RceError, Unauthorized, Unavailable, UnknownType, clipped
+from rce.net.tls import Tls
 from rce.process import metrics
 from rce.protocol.messages import DropEvent
 
@@ -58,7 +60,7 @@ class Master:
 
     `grace` is the grace period of robots that lost their socket, `machine_grace` that of machines before their
     environments are lost, in seconds. `policy` is that of users who have none of their own. Archives of the `depot` are
-    fetched at the HTTP entry, whose scheme and port are in `entry`.
+    fetched at the HTTP entry, whose scheme and port are in `entry`. `tls` are the certificates of the control port.
     """
 
     def __init__(
@@ -68,6 +70,7 @@ class Master:
         policy: Policy = UNLIMITED,
         machine_grace: float = 30.0,
         depot: Depot | None = None,
+        tls: Tls | None = None,
     ) -> None:
         self.state = State()
         self.users = Users(store)
@@ -96,15 +99,17 @@ class Master:
         self.process_tracker = ProcessTracker(
             self._runner, self._lifecycle, self.events, self.feed.view_cache, grace, machine_grace
         )
+        self.removals = Removals(self.state, self.join_tokens, self.process_tracker, self._lifecycle, tls)
 
     async def start(self) -> None:
         """Load what an earlier Master stored, and wait for its processes to join again."""
         await self._store.load(self.state)
+        await self.removals.read()
         await self.join_tokens.keep_environments({environment.name for environment in self.state.environments})
         await self.limits.open()
         self._runner.keep(asyncio.create_task(self.limits.follow()))
         self._runner.keep(asyncio.create_task(self.guard.follow()))
-        self._runner.keep(asyncio.create_task(self._follow_removals()))
+        self._runner.keep(asyncio.create_task(self.removals.follow()))
         packages.drop_strays(self.state, set(await self.users.names()))
         self._runner.remove_unused_archives()
         self.process_tracker.begin()
@@ -126,47 +131,18 @@ class Master:
         Raises:
             InvalidRequest: It has another version than the Master.
             Unauthorized: Its token or credential is not valid, or its environment was removed.
+            Unavailable: Its task set has not told yet how the host of this environment is reached; it tries again.
         """
         if hello.version != rce.__version__:
             raise InvalidRequest(f"{hello.role} {hello.name} is version {hello.version}, the Master {rce.__version__}")
-        credential = await self.join_tokens.admit(hello.name, hello.role, hello.token)
+        credential = await self.join_tokens.admit(hello.name, hello.role, hello.token, hello.credential)
         environment = self.state.environments.get(hello.name)
         if hello.role == "environment" and environment is None:
             await self.join_tokens.forget(hello.name)
             raise Unauthorized(f"environment {hello.name} was removed")
-        process = Process(
-            hello.name,
-            hello.role,  # type: ignore[arg-type]  # admitted: so it is one of the roles
-            environment.run if environment else hello.incarnation,
-            hello.host,
-            hello.addresses,
-            hello.url,
-            hello.capacity,
-            hello.features,
-            hello.gpus,
-        )
+        process = reconcile.process_of(self.state, hello)
         handlers = self._handlers(process)
         return Welcome(credential), handlers, lambda control: self.process_tracker.joined(process, hello, control)
-
-    async def _follow_removals(self) -> None:
-        while True:
-            await asyncio.sleep(REFRESH)
-            try:
-                await self.evict_removed()
-            except sa.exc.SQLAlchemyError as error:
-                log.warn("credentials of processes could not be checked: {error}", error=str(error))
-
-    async def evict_removed(self) -> None:
-        """Disconnect processes whose credentials were revoked, as `rce machine remove` does beside the Master."""
-        present = [
-            process.name
-            for process in self.state.processes
-            if process.role != "environment" and not self.state.gone(process.name)
-        ]
-        known = set(await self.join_tokens.names())
-        for name in present:
-            if name not in known and not self.state.gone(name):
-                await self.process_tracker.evict(name)
 
     def _handlers(self, process: Process) -> Handlers:
         handlers = Handlers()
@@ -175,6 +151,7 @@ class Master:
                 self.sessions.add_handlers(handlers, process)
                 self.commands.add_handlers(handlers, process)
                 handlers.on(DescribeType, self._describe_type)
+                handlers.on(ReadGraphFor, lambda call: self._read_graph(process, call))
             case "service":
                 self._service_calls.add_handlers(handlers, process)
             case "environment":
@@ -182,6 +159,7 @@ class Master:
                 handlers.on(Report, lambda call: self._report(process, call))
             case "container":
                 self._lifecycle.add_machine_handlers(handlers)
+                handlers.do(ReportRelays, lambda call: self._relays_changed(process, call))
                 handlers.on(FetchPackage, lambda call: self._fetch_package(process, call))
         self._links.add_handlers(handlers, process)
         return handlers
@@ -200,6 +178,18 @@ class Master:
                         log.debug("{name} does not know {type}: {error}", name=name, type=call.type, error=error)
         raise UnknownType(f"type {call.type} is known neither here nor in an environment of {call.user}")
 
+    async def _read_graph(self, process: Process, call: ReadGraphFor) -> RosGraph:
+        """Ask an environment for its graph, within the rights of who opened the robot's session."""
+        robot = self.state.robots.get(call.robot)
+        if robot is None or robot.endpoint != process.name:
+            raise NotFound(f"robot {call.robot} has no session at {process.name}")
+        owner = user_of(robot.name)
+        rights.check(robot.by, "interface.read", owner, environment=call.environment)
+        environment = self.state.environments.get(f"{owner}/{call.environment}")
+        if environment is None:
+            raise NotFound(f"there is no environment {call.environment[:80]!r}", field="containerTag")
+        return await self.ask(environment, ReadGraph())
+
     async def _report(self, process: Process, call: Report) -> Nothing:
         if call.error is not None:  # an environment reaches its own user only
             self._runner.tell(user_of(process.name), error=clipped(call.error))
@@ -210,6 +200,10 @@ class Master:
                 DropEvent(f"{tag}/{call.interface}", call.drops, f"in environment {tag}"),
             )
         return Nothing()
+
+    def _relays_changed(self, process: Process, call: ReportRelays) -> None:
+        if process.name in self.state.processes:
+            self._lifecycle.apply(reconcile.relays_changed(self.state, process.name, call.relays))
 
     async def _fetch_package(self, process: Process, call: FetchPackage) -> DownloadTicket:
         """Give a task set a ticket for a package that one of its environments needs."""

@@ -16,7 +16,8 @@ from master.access.audit import Audit, Origin
 from master.access.passwords import check_password
 from master.access.user_limits import UserLimits
 from master.access.users import Users
-from master.graph.limits import parse
+from master.graph.limits import NO_LIMIT, parse
+from master.storage.directory import DATABASE, existing_master_directory, master_directory
 from master.storage.store import Store
 from rce.api.roles import Principal, Scopes, UserRole
 from rce.errors import NotFound, RceError
@@ -34,6 +35,7 @@ def parser() -> argparse.ArgumentParser:
     add = commands.add_parser("add", help="add a user; the password is asked for, or read from standard input")
     add.add_argument("user")
     add.add_argument("--role", choices=get_args(UserRole), default="user")
+    add.add_argument("--create", action="store_true", help="make the database of a Master that was never started")
     passwd = commands.add_parser("passwd", help="change a user's password; it is asked for as by `add`")
     passwd.add_argument("user")
     remove = commands.add_parser("remove", help="remove a user with all API keys")
@@ -46,7 +48,7 @@ def parser() -> argparse.ArgumentParser:
         "changes",
         nargs="*",
         metavar="key=value",
-        help="as memory=2GiB; `memory=` resets it to the platform's; images+=NAME",
+        help="as memory=2GiB; `memory=-` is no limit; `memory=` resets it to the platform's; images+=NAME",
     )
     limits.add_argument("--json", action="store_true")
     key_add = commands.add_parser("key-add", help="create an API key and print it; it is shown only once")
@@ -68,7 +70,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _add_database_options(to: argparse.ArgumentParser, directory: Path | str, database: str) -> None:
-    to.add_argument("--data-dir", type=Path, default=directory, help="the Master's data directory")
+    to.add_argument("--data-dir", type=Path, default=directory, help="data directory of the Master, or of `rce up`")
     to.add_argument("--database", default=database, help="SQLAlchemy URL, if the Master's is not in its data directory")
 
 
@@ -109,15 +111,19 @@ async def run(words: argparse.Namespace) -> None:
     Raises:
         RceError: It failed; the message says why.
     """
-    directory = words.data_dir.expanduser()
-    if not words.database and not directory.is_dir():
-        raise RceError(f"there is no directory {directory}: give the Master's with --data-dir")
-    store = Store(words.database or f"sqlite:///{directory / 'master.db'}")
+    store = Store(words.database or f"sqlite:///{_directory(words) / DATABASE}")
     await store.open()
     try:
         await _run_audited(store, words)
     finally:
         await store.close()
+
+
+def _directory(words: argparse.Namespace) -> Path:
+    given: Path = words.data_dir.expanduser()
+    if words.command == "add" and words.create and given.is_dir():
+        return master_directory(given)
+    return existing_master_directory(given)
 
 
 async def _run_audited(store: Store, words: argparse.Namespace) -> None:
@@ -143,8 +149,8 @@ async def _limits(store: Store, words: argparse.Namespace) -> None:
     added = [change.removeprefix(ADD_IMAGE) for change in words.changes if change.startswith(ADD_IMAGE)]
     changes = parse(change for change in words.changes if not change.startswith(ADD_IMAGE))
     if added:
-        present = changes["images"] if "images" in changes else limits.own(words.user).get("images")
-        changes["images"] = list(dict.fromkeys([*(present or []), *added]))
+        present = changes.get("images", limits.own(words.user).get("images")) or []
+        changes["images"] = list(dict.fromkeys([*present, *added]))
     if changes:
         await limits.change(words.user, changes)
     own, whole = limits.own(words.user), msgspec.structs.asdict(limits.of(words.user))
@@ -152,7 +158,7 @@ async def _limits(store: Store, words: argparse.Namespace) -> None:
         print(msgspec.json.encode(whole).decode())
         return
     for name, value in whole.items():
-        text = ", ".join(value) if isinstance(value, list) else str(value or "-")
+        text = ", ".join(value) if isinstance(value, list) else NO_LIMIT if value is None else str(value)
         print(f"{name:18} {text:16} {'own' if name in own else ''}".rstrip())
 
 

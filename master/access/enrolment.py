@@ -6,6 +6,7 @@ world; this port has the platform's own certificate, by whose fingerprint a new 
 
 from __future__ import annotations
 
+import hmac
 import secrets
 import time
 from collections.abc import Sequence
@@ -20,8 +21,8 @@ import rce
 from master.access.join_tokens import JoinTokens
 from rce.api.joining import Invitation, JoinCode, JoinRequest, Membership, Role, process_name
 from rce.api.views import KeyView
-from rce.errors import InternalError, InvalidRequest, RceError, Unauthorized
-from rce.net.certificates import Authority, fingerprint
+from rce.errors import MALFORMED, InternalError, InvalidRequest, RceError, Unauthorized
+from rce.net.certificates import Authority, fingerprint, requested_key_digest
 from rce.net.tls import CA
 from rce.web.requests import peer_address, read_accepted_body
 from rce.web.server import Endpoint, listen, serve_application
@@ -121,6 +122,8 @@ class Registrar:
     async def admit(self, application: JoinRequest, peer: str) -> Membership:
         """Return the certificate and join tokens of a machine, and use up its invitation.
 
+        A machine that missed the answer asks again with the same key, and gets the same tokens.
+
         Raises:
             Unauthorized: The invitation is not from this Master, was used, or has expired.
             InvalidRequest: The request is wrong; the invitation stays valid.
@@ -132,17 +135,25 @@ class Registrar:
             )
         check_name(invitation.name)  # it comes from outside, and goes into the certificate
         address = invitation.address or peer
-        certificate = self.authority.issue(application.request, invitation.name, [invitation.name, address, peer])
-        if invitation.expires < time.time() or not await self._join_tokens.redeem(invitation.name, invitation.digest):
+        hosts, removed = [invitation.name, address, peer], await self._join_tokens.removals()
+        certificate = self.authority.issue(application.request, invitation.name, hosts, removed.get(invitation.name, 0))
+        key = requested_key_digest(application.request)
+        is_valid = invitation.expires >= time.time()
+        if not is_valid or not await self._join_tokens.redeem(invitation.name, invitation.digest, key):
             raise Unauthorized(
                 "this join code is unknown, was used or has expired: get a new one with `provision machine add`"
             )
         names = {role: process_name(invitation.name, role) for role in invitation.roles}
-        tokens = {role: secrets.token_hex(32) for role in invitation.roles}
+        tokens = {role: _token(invitation, role, key) for role in invitation.roles}
         for role, token in tokens.items():
             await self._join_tokens.allow(names[role], role, token)
         log.info("machine {name} joined from {peer}", name=invitation.name, peer=peer)
         return Membership(certificate, self._address, address, tokens, names)
+
+
+def _token(invitation: Invitation, role: Role, key: str) -> str:
+    """Return the join token of a process of the machine with this key."""
+    return hmac.digest(invitation.secret.encode(), f"{role} {key}".encode(), "sha256").hex()
 
 
 class EnrolmentServer:
@@ -179,7 +190,7 @@ class EnrolmentServer:
             body = await read_accepted_body(request)
             try:
                 application = msgspec.json.decode(body, type=JoinRequest)
-            except msgspec.DecodeError as error:
+            except MALFORMED as error:
                 raise InvalidRequest(f"the body is not a request to join: {error}") from None
             membership = await self._registrar.admit(application, peer)
             return web.Response(body=msgspec.json.encode(membership), content_type=JSON)

@@ -36,7 +36,7 @@ def parser() -> argparse.ArgumentParser:
     add.add_argument("--role", action="append", choices=ROLES, help="the processes that it runs (default: all)")
     add.add_argument("--address", default="", help="by which others reach it (default: its source address)")
     add.add_argument("--hours", type=float, default=HOURS, help="of validity of the code (default: %(default)g)")
-    remove = commands.add_parser("remove", help="revoke the credentials of a machine")
+    remove = commands.add_parser("remove", help="revoke the credentials and the certificate of a machine")
     remove.add_argument("name")
     listing = commands.add_parser("list", help="list the machines, whether they run or not")
     listing.add_argument("--json", action="store_true")

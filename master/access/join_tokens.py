@@ -6,6 +6,7 @@ Tokens are random, so that the database has their SHA-256: a slow hash would add
 from __future__ import annotations
 
 import secrets
+import time
 from collections.abc import Collection
 from typing import get_args
 
@@ -17,8 +18,11 @@ from master.storage import tables as db
 from master.storage.store import Store
 from rce.api.joining import Role as MachineRole
 from rce.api.joining import process_name
-from rce.errors import NotFound, Unauthorized
+from rce.errors import InvalidRequest, NotFound, Unauthorized
+from rce.net.certificates import MACHINE_DAYS
 
+DAY = 86_400.0  # seconds
+LEAST_LENGTH = 32  # characters of a credential that a process made
 MACHINE = "machine"  # role of the invitation of a machine
 
 
@@ -58,31 +62,41 @@ class JoinTokens:
         except sa.exc.IntegrityError:
             raise Unauthorized("the API key was revoked") from None
 
-    async def redeem(self, machine: str, invitation: str) -> bool:
-        """Use up an invitation; return whether it was valid."""
+    async def redeem(self, machine: str, invitation: str, public_key: str) -> bool:
+        """Use up an invitation; return whether it was valid.
+
+        It stays valid for the key of this digest, whose owner may have missed the answer.
+        """
         where = sa.and_(
             db.tokens.c.digest == invitation,
             db.tokens.c.process == machine,
             db.tokens.c.role == MACHINE,
-            db.tokens.c.used.is_(False),
+            sa.or_(db.tokens.c.used.is_(False), db.tokens.c.public_key == public_key),
         )
-        statement = db.tokens.update().where(where).values(used=True)
+        statement = db.tokens.update().where(where).values(used=True, public_key=public_key)
         return bool(await self._store.run(lambda connection: connection.execute(statement).rowcount))
 
-    async def admit(self, process: str, role: str, secret: str) -> str:
-        """Return the credential of a process that presents a join token or its earlier credential.
+    async def admit(self, process: str, role: str, secret: str, own: str = "") -> str:
+        """Return the credential of a process that presents a join token or its credential.
+
+        With a join token it may present its `own` credential, which it made itself. Then it may repeat this until it
+        gets the answer; without, the answer has the only copy of a new one.
 
         Raises:
             Unauthorized: The secret is unknown or was used.
+            InvalidRequest: The process's own credential can be guessed.
         """
-        fresh = secrets.token_hex(32)
+        if own and len(own) < LEAST_LENGTH:
+            raise InvalidRequest(f"a credential has at least {LEAST_LENGTH} random characters", field="credential")
+        fresh = own or secrets.token_hex(32)
         if role == MACHINE:
             raise Unauthorized("an invitation is for a machine, not for a process")
 
         def check(connection: sa.Connection) -> str | None:
             known = connection.execute(sa.select(db.credentials).where(db.credentials.c.process == process)).first()
-            if known is not None and known.role == role and secrets.compare_digest(known.digest, digest(secret)):
-                return secret
+            for presented in (secret, own):
+                if known is not None and known.role == role and secrets.compare_digest(known.digest, digest(presented)):
+                    return presented
             token = sa.and_(
                 db.tokens.c.digest == digest(secret),
                 db.tokens.c.process == process,
@@ -107,15 +121,31 @@ class JoinTokens:
         return await self._store.run(lambda connection: sorted(connection.scalars(query)))
 
     async def remove_machine(self, machine: str) -> None:
-        """Revoke the credentials of a machine's processes and its invitation.
+        """Revoke the credentials of a machine's processes, its invitation, and its certificate.
 
         Raises:
             NotFound: There is no such machine.
         """
-        if not await self.forget(machine, *(process_name(machine, role) for role in get_args(MachineRole))):
+        processes = [machine, *(process_name(machine, role) for role in get_args(MachineRole))]
+        removed, now = db.removed_machines, time.time()
+
+        def remove(connection: sa.Connection) -> bool:
+            if not _drop(connection, processes):
+                return False
+            expired = removed.c.time < now - MACHINE_DAYS * DAY  # as all certificates from before
+            connection.execute(removed.delete().where(sa.or_(removed.c.name == machine, expired)))
+            connection.execute(removed.insert(), {"name": machine, "time": now})
+            return True
+
+        if not await self._store.run(remove):
             raise NotFound(
                 f"there is no machine {machine[:80]!r}: `rce machine list` names those that have joined", field="name"
             )
+
+    async def removals(self) -> dict[str, float]:
+        """Return when machines were removed, in seconds since 1970: their certificates from before are refused."""
+        query = sa.select(db.removed_machines)
+        return await self._store.run(lambda connection: {row.name: row.time for row in connection.execute(query)})
 
     async def forget(self, *processes: str) -> bool:
         """Revoke the credentials and the tokens of processes; return whether there were any."""

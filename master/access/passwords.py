@@ -7,8 +7,12 @@ a few run at once.
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import re
-from collections.abc import AsyncIterator
+import secrets
+import time
+from collections import OrderedDict
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
 import argon2
@@ -19,6 +23,8 @@ from rce.errors import InvalidRequest
 MAX_CHECKS = 2
 MIN_LENGTH, MAX_LENGTH = 10, 1000  # characters
 MIN_BESIDE_NAME = 6  # characters beside the user's name
+REMEMBER = 600.0  # seconds for which a verified password need not be hashed again
+MAX_REMEMBERED = 20_000  # passwords; the oldest are forgotten first
 HASH = re.compile(r"[0-9a-fA-F]{64}", re.ASCII)
 _DECOY = "$argon2id$v=19$m=19456,t=2,p=1$MDEyMzQ1Njc4OWFiY2RlZg$1tTS0Sl0WxSQqvnBzLCbWa2CKYGFyN8s0mN0Pa6yjgk"
 # The most frequent passwords of ten and more characters in lists of broken ones; shorter ones are refused anyway.
@@ -39,11 +45,19 @@ COMMON = frozenset(
 
 
 class Passwords:
-    """Makes and verifies hashes, a few at a time."""
+    """Makes and verifies hashes, a few at a time. `now` is the clock by which verified passwords are forgotten.
 
-    def __init__(self) -> None:
+    A fleet of robots logs in again after each restart of a Robot endpoint, so a password that was just verified is
+    accepted without argon2. What is remembered of it is a digest under a key that this process alone has. The digest
+    covers the hash in the database, so a changed password is forgotten at once.
+    """
+
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self.hasher = argon2.PasswordHasher(time_cost=2, memory_cost=19_456, parallelism=1)  # OWASP's minimum
         self._checks = asyncio.Semaphore(MAX_CHECKS)
+        self._now = now
+        self._key = secrets.token_bytes(32)
+        self._verified: OrderedDict[bytes, float] = OrderedDict()  # digest -> when it is forgotten
 
     async def hash(self, password: str) -> str:
         """Return the hash of a password, in a thread."""
@@ -58,7 +72,23 @@ class Passwords:
     async def verify(self, hashed: str | None, secret: str) -> bool:
         """Return whether `secret`, the SHA-256 hex, matches. Without a hash it takes as long to fail."""
         good = await asyncio.to_thread(self._verify, hashed or _DECOY, secret.lower())
-        return good and hashed is not None
+        if not good or hashed is None:
+            return False
+        self._remember(self._digest(hashed, secret))
+        return True
+
+    def was_verified(self, hashed: str, secret: str) -> bool:
+        """Return whether `verify` accepted the same arguments a short while ago."""
+        return self._verified.get(self._digest(hashed, secret), 0.0) > self._now()
+
+    def _remember(self, digest: bytes) -> None:
+        self._verified[digest] = self._now() + REMEMBER
+        self._verified.move_to_end(digest)
+        while len(self._verified) > MAX_REMEMBERED or next(iter(self._verified.values())) <= self._now():
+            self._verified.popitem(last=False)
+
+    def _digest(self, hashed: str, secret: str) -> bytes:
+        return hashlib.blake2b(f"{hashed} {secret.lower()}".encode(), key=self._key, digest_size=32).digest()
 
     def _verify(self, hashed: str, secret: str) -> bool:
         try:

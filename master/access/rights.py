@@ -67,8 +67,11 @@ package.remove      -      -      -      own    own      all
 package.share       -      -      -      own    own      all
 job.read            -      own    own    own    own      own
 job.submit          -      own    -      own    own      -
+knowledge.read      own    own    own    own    own      all
+knowledge.write     -      own    -      own    own      all
 machine.read        -      -      -      -      all      all
 machine.invite      -      -      -      -      all      all
+machine.remove      -      -      -      -      all      all
 metrics.read        -      -      -      -      all      all
 """
 RIGHTS: dict[str, dict[str, str]] = {

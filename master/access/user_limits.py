@@ -56,9 +56,9 @@ class UserLimits:
         return dict(self._own.get(user, {}))
 
     async def change(self, user: str, changes: dict[str, Any]) -> None:
-        """Change some limits of a user; None resets one to the platform's."""
+        """Change some limits of a user; None is no limit, and UNSET resets one to the platform's."""
         await self._load()
-        own = {name: value for name, value in (self.own(user) | changes).items() if value is not None}
+        own = {name: value for name, value in (self.own(user) | changes).items() if value is not msgspec.UNSET}
         await self._put(user, own)
         await self._load()
 

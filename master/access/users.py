@@ -41,12 +41,12 @@ class Standing(Struct, frozen=True):
 
 
 class Users:
-    """Users in the database. `now` is the clock of the throttle."""
+    """Users in the database. `now` is the clock of the throttle and of verified passwords."""
 
     def __init__(self, store: Store, now: Callable[[], float] = time.monotonic) -> None:
         self.grants = Grants(store)
         self.keys = Keys(store)
-        self.passwords = Passwords()
+        self.passwords = Passwords(now)
         self.throttle = Throttle(now)
         self._store = store
         self._changes: dict[str, int] = {}  # number of changes of password and role: a check that overlaps one fails
@@ -170,15 +170,18 @@ class Users:
     async def check_password(self, name: str, secret: str, address: str) -> Principal:
         """Authenticate a user by the SHA-256 hex of the password; see `check`."""
         self.throttle.check(name, address)
-        async with self.passwords.slot():
-            self.throttle.check(name, address)  # other attempts may have failed meanwhile
-            change = self._changes.get(name)
-            query = sa.select(db.users.c.password, db.users.c.role).where(db.users.c.name == name)
-            row = await self._store.run(lambda connection: connection.execute(query).first())
-            good = await self.passwords.verify(row.password if row else None, secret)
-            if row is None or not good or self._changes.get(name) != change:
-                self.throttle.wrong(name, address)
-                raise Unauthorized("user or password is wrong")
+        query = sa.select(db.users.c.password, db.users.c.role).where(db.users.c.name == name)
+        change = self._changes.get(name)
+        row = await self._store.run(lambda connection: connection.execute(query).first())
+        if row is None or not self.passwords.was_verified(row.password, secret):
+            async with self.passwords.slot():
+                self.throttle.check(name, address)  # other attempts may have failed meanwhile
+                good = await self.passwords.verify(row.password if row else None, secret)
+        else:
+            good = True
+        if row is None or not good or self._changes.get(name) != change:
+            self.throttle.wrong(name, address)
+            raise Unauthorized("user or password is wrong")
         self.throttle.right(name, address)
         return Principal(name, row.role)
 

@@ -9,7 +9,7 @@ from msgspec import Meta
 
 from master.access import rights
 from master.api.commands import Commands, created
-from master.api.principals import authorize_list, find_environment, page_of_records, principal_of
+from master.api.principals import authorize_list, find_environment, page_of_records, page_of_views, principal_of
 from master.api.request import Answer, Call, ListQuery, Owner, OwnerQuery, PageQuery
 from master.api.router import Api, Route
 from master.graph.records import Node, user_of
@@ -18,6 +18,7 @@ from rce.api.views import EnvironmentView, NewEnvironment, NewNode, NewParameter
 from rce.api.views.resources import EnvironmentState
 from rce.errors import NotFound
 from rce.protocol import messages as m
+from rce.spelling import tags, unknown
 
 AT = "/environments/{environment}"
 
@@ -34,6 +35,12 @@ class ContentQuery(PageQuery, frozen=True, forbid_unknown_fields=True):
     """Query of a list of what is in one environment."""
 
     user: Owner = ""
+
+
+class NodesQuery(ContentQuery, frozen=True, forbid_unknown_fields=True):
+    """Filter of nodes."""
+
+    all: Annotated[bool, Meta(description="those too that have ended and are not started again")] = False
 
 
 class ParametersQuery(ContentQuery, frozen=True, forbid_unknown_fields=True):
@@ -73,7 +80,7 @@ class EnvironmentsApi:
                 OwnerQuery,
                 status=204,
             ),
-            Route("GET", nodes, self._list_nodes, "Its nodes", ContentQuery, answer=Page[NodeView]),
+            Route("GET", nodes, self._list_nodes, "Its nodes", NodesQuery, answer=Page[NodeView]),
             Route(
                 "POST",
                 nodes,
@@ -138,10 +145,11 @@ class EnvironmentsApi:
         )
 
     async def _list_nodes(self, call: Call) -> Answer:
-        query = call.query(ContentQuery)
-        environment = find_environment(call, self._state, "node.read", query.user)
-        records = self._state.nodes.by(environment.name)
-        return page_of_records(records, user_of(environment.name), query, self._master.presenter.node)
+        query, presenter = call.query(NodesQuery), self._master.presenter
+        name = find_environment(call, self._state, "node.read", query.user).name
+        found = {each.key: presenter.node(each) for each in self._state.nodes.by(name)}
+        ended = {each.key: presenter.ended_node(each) for each in self._state.ends.by(name)} if query.all else {}
+        return page_of_views((ended | found).items(), query)
 
     async def _add_node(self, call: Call) -> Answer:
         tag, wanted = call.path["environment"], call.body(NewNode)
@@ -157,16 +165,17 @@ class EnvironmentsApi:
 
     async def _show_node(self, call: Call) -> Answer:
         environment = find_environment(call, self._state, "node.read", call.query(OwnerQuery).user)
-        return Answer(
-            self._master.presenter.node(
-                self._find_node(user_of(environment.name), call.path["environment"], call.path["node"])
-            )
-        )
+        end = self._state.ends.get(f"{environment.name}/{call.path['node']}")
+        if end is not None and end.key not in self._state.nodes:
+            return Answer(self._master.presenter.ended_node(end))
+        node = self._find_node(user_of(environment.name), call.path["environment"], call.path["node"])
+        return Answer(self._master.presenter.node(node))
 
     def _find_node(self, owner: str, environment: str, tag: str) -> Node:
         node = self._state.nodes.get(f"{owner}/{environment}/{tag}")
         if node is None:
-            raise NotFound(f"{environment} has no node {tag[:80]!r}", field="node")
+            known = tags(each.key for each in self._state.nodes.by(f"{owner}/{environment}"))
+            raise NotFound(f"in {environment} {unknown('node', tag, known)}", field="node")
         return node
 
     async def _list_parameters(self, call: Call) -> Answer:
@@ -195,5 +204,6 @@ class EnvironmentsApi:
         environment = find_environment(call, self._state, "parameter.read", query.user)
         parameter = self._state.parameters.get(f"{environment.name}/{query.node}:{name}")
         if parameter is None:
-            raise NotFound(f"there is no parameter {name[:80]!r}", field="name")
+            known = [each.name for each in self._state.parameters.by(environment.name)]
+            raise NotFound(unknown("parameter", name, known), field="name")
         return Answer(self._master.presenter.parameter(parameter))

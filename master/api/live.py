@@ -72,8 +72,8 @@ class LiveFeed:
         )
         try:
             await socket.prepare(request)
-        except web.HTTPException as error:
-            return problem_response(InvalidRequest(f"WebSocket handshake: {error.text}"))
+        except (web.HTTPException, ValueError) as error:  # of aiohttp; of a key that is not ASCII
+            return problem_response(InvalidRequest(f"WebSocket handshake: {getattr(error, 'text', None) or error}"))
         watcher = _Watcher(self, socket, peer_address(request))
         task = asyncio.current_task()
         assert task is not None

@@ -29,6 +29,12 @@ class LogQuery(OwnerQuery, frozen=True, forbid_unknown_fields=True):
     after: Annotated[str, Meta(max_length=40, description="`next` of an earlier answer: lines that came since")] = ""
 
 
+class EnvironmentLogQuery(LogQuery, frozen=True, forbid_unknown_fields=True):
+    """Query of the log of an environment itself."""
+
+    verbose: Annotated[bool, Meta(description="with what is internal, as the Master's calls")] = False
+
+
 class LogsApi:
     """Routes of logs."""
 
@@ -41,24 +47,34 @@ class LogsApi:
         read = (LogLines, AsyncIterator[LogLines])
         of_node = "Output of a node, also after its end"
         api.add(
-            Route("GET", AT + "/log", self._read_environment, "Log of the environment itself", LogQuery, answer=read),
+            Route(
+                "GET",
+                AT + "/log",
+                self._read_environment,
+                "Log of the environment itself",
+                EnvironmentLogQuery,
+                answer=read,
+            ),
             Route("GET", AT + "/nodes/{node}/log", self._read_node, of_node, LogQuery, answer=read),
         )
 
     async def _read_environment(self, call: Call) -> Answer:
-        return await self._read(call, "environment.log", "")
+        query = call.query(EnvironmentLogQuery)
+        return await self._read(call, "environment.log", "", query, query.verbose)
 
     async def _read_node(self, call: Call) -> Answer:
-        return await self._read(call, "node.log", call.path["node"])
+        return await self._read(call, "node.log", call.path["node"], call.query(LogQuery))
 
-    async def _read(self, call: Call, operation: str, node: str) -> Answer:
-        query, tag = call.query(LogQuery), call.path["environment"]
+    async def _read(self, call: Call, operation: str, node: str, query: LogQuery, verbose: bool = False) -> Answer:
+        tag = call.path["environment"]
         user = authorize(call, operation, query.user, environment=tag)
         name = f"{user}/{tag}"
-        log = await self._ask(name, ReadLog(node, query.lines, call.header(LAST_EVENT_ID) or query.after))
+        log = await self._ask(
+            name, ReadLog(node, query.lines, call.header(LAST_EVENT_ID) or query.after, verbose=verbose)
+        )
         if not query.follow:
             return Answer(LogLines(log.lines, log.next))
-        return Answer(self._streams.stream(principal_of(call), self._follow(name, node, log)))
+        return Answer(self._streams.stream(principal_of(call), self._follow(name, node, log, verbose)))
 
     async def _ask(self, name: str, question: ReadLog) -> Log:
         environment = self._master.state.environments.get(name)
@@ -66,8 +82,8 @@ class LogsApi:
             raise NotFound(f"there is no environment {name.partition('/')[2][:80]!r}", field="environment")
         return await self._master.ask(environment, question, ASK_TIMEOUT + question.wait)
 
-    async def _follow(self, name: str, node: str, log: Log) -> AsyncIterator[ServerSentEvent]:
+    async def _follow(self, name: str, node: str, log: Log, verbose: bool) -> AsyncIterator[ServerSentEvent]:
         while True:
             if log.lines:
                 yield ServerSentEvent(log.next, "", LogLines(log.lines, log.next))
-            log = await self._ask(name, ReadLog(node, after=log.next, wait=POLL_TIMEOUT))
+            log = await self._ask(name, ReadLog(node, after=log.next, wait=POLL_TIMEOUT, verbose=verbose))

@@ -47,6 +47,7 @@ class MachinesApi:
                 Page[MachineView],
             ),
             Route("GET", "/machines/{name}", self._show, "A task set, Robot endpoint or service", answer=MachineView),
+            Route("DELETE", "/machines/{name}", self._remove, "Disconnect a machine for good", status=204),
             Route(
                 *("POST", "/machines/invitations", self._invite, "Create a join code for a machine"),
                 *(None, NewInvitation, Invited, 201),
@@ -70,6 +71,11 @@ class MachinesApi:
         if machine is None or machine.role not in ROLES:
             raise NotFound(f"there is no machine {call.path['name'][:80]!r}", field="name")
         return Answer(self._master.presenter.process(machine))
+
+    async def _remove(self, call: Call) -> Answer:
+        authorize_platform(call, "machine.remove")
+        await self._master.removals.remove(call.path["name"])
+        return Answer(status=204)
 
     async def _invite(self, call: Call) -> Answer:
         authorize_platform(call, "machine.invite")

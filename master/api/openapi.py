@@ -57,7 +57,13 @@ def document(api: Api) -> dict[str, Any]:
     """Return the OpenAPI 3.1 document of the routes of an API."""
     schemes = {"key": openapi.KEY, "password": openapi.PASSWORD, "ticket": TICKET}
     table = [*map(_operation, api.routes), _live()]
-    return openapi.document("RCE", DESCRIPTION, table, schemes, ("key", "password"))
+    found = openapi.document("RCE", DESCRIPTION, table, schemes, ("key", "password"))
+    bodies = [each.body for each in table if isinstance(each.body, type) and issubclass(each.body, msgspec.Struct)]
+    for name in msgspec.json.schema_components(bodies)[1]:  # `Call.body` refuses unknown keys, also within
+        schema = found["components"]["schemas"][name]
+        if "properties" in schema:
+            schema["additionalProperties"] = False
+    return found
 
 
 def _operation(route: Route) -> Operation:

@@ -13,6 +13,7 @@ from master.graph.records import Environment, Record, user_of
 from master.graph.state import State
 from rce.api.views import Page
 from rce.errors import NotFound, Unauthorized
+from rce.spelling import tags, unknown
 
 R = TypeVar("R", bound=Record)
 V = TypeVar("V")
@@ -66,9 +67,11 @@ def find_environment(call: Call, state: State, operation: str, user: str) -> Env
         NotFound: As `authorize`, or there is none of this name.
     """
     tag = call.path["environment"]
-    environment = state.environments.get(f"{authorize(call, operation, user, environment=tag)}/{tag}")
+    owner = authorize(call, operation, user, environment=tag)
+    environment = state.environments.get(f"{owner}/{tag}")
     if environment is None:
-        raise NotFound(f"there is no environment {tag[:80]!r}", field="environment")
+        known = tags(each.name for each in state.environments.by(owner))
+        raise NotFound(unknown("environment", tag, known), field="environment")
     return environment
 
 

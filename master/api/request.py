@@ -14,6 +14,7 @@ from master.access.audit import names_of
 from master.access.rights import Principal
 from master.api.streams import EventStream
 from master.storage.depot import Upload
+from rce.choices import with_choices
 from rce.errors import InvalidRequest
 from rce.protocol.messages import decode_as
 from rce.protocol.names import TAG
@@ -103,7 +104,7 @@ class Call(NamedTuple):
         Raises:
             InvalidRequest: It is malformed; `field` is the path of the value at fault.
         """
-        found = decode_as(kind, self.content, "body")
+        found = decode_as(kind, self.content, "body", strict=True)
         self.audit.names = names_of(found)
         return found
 
@@ -127,8 +128,7 @@ class Call(NamedTuple):
         try:
             found = msgspec.convert(self.parameters, kind, strict=False)
         except msgspec.ValidationError as error:
-            reason, _, path = str(error).partition(" - at `$")
-            name = path.rstrip("`").lstrip(".")
+            reason, name = with_choices(error, kind)
             raise InvalidRequest(f"query{'.' if name else ''}{name}: {reason}", field=name) from None
         for name in self.parameters:
             if getattr(found, name) is None:  # msgspec takes the word null for it

@@ -18,6 +18,7 @@ from master.api.packages import PackagesApi
 from master.api.robots import RobotsApi
 from master.api.ros import RosApi
 from master.api.router import Api
+from master.api.services import ServicesApi
 from master.api.streams import EventStreams
 from master.api.traces import TracesApi
 from master.api.users import UsersApi
@@ -28,7 +29,8 @@ from master.storage.depot import Depot
 def make_api(master: Master, depot: Depot, inviter: Inviter | None = None) -> Api:
     """Return the API of this Master; without an inviter no machines can be invited."""
     api = Api(master.users, master.audit)
-    for family in (UsersApi, KeysApi, AuditApi, RobotsApi, EnvironmentsApi, InterfacesApi, RosApi, JobsApi):
+    families = (UsersApi, KeysApi, AuditApi, RobotsApi, EnvironmentsApi, InterfacesApi, RosApi, JobsApi, ServicesApi)
+    for family in families:
         family(master).add_to(api)
     MachinesApi(master, inviter).add_to(api)
     PackagesApi(master, depot).add_to(api)

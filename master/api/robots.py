@@ -14,6 +14,7 @@ from master.graph.records import Robot
 from master.service import Master
 from rce.api.views import Page, RobotView
 from rce.errors import NotFound
+from rce.spelling import tags, unknown
 
 
 class RobotsQuery(ListQuery, frozen=True, forbid_unknown_fields=True):
@@ -63,9 +64,8 @@ class RobotsApi:
 
     def _find(self, call: Call, operation: str) -> Robot:
         tag = call.path["robot"]
-        robot = self._master.state.robots.get(
-            f"{authorize(call, operation, call.query(OwnerQuery).user, robot=tag)}/{tag}"
-        )
+        owner, robots = authorize(call, operation, call.query(OwnerQuery).user, robot=tag), self._master.state.robots
+        robot = robots.get(f"{owner}/{tag}")
         if robot is None:
-            raise NotFound(f"there is no robot {tag[:80]!r}", field="robotID")
+            raise NotFound(unknown("robot", tag, tags(each.name for each in robots.by(owner))), field="robotID")
         return robot

@@ -50,7 +50,7 @@ class UsersApi:
                     "PATCH",
                     USER + "/limits",
                     self._change_limits,
-                    "Change limits: a number, an amount such as 2GiB, or null for the default",
+                    "Change limits: a number, an amount such as 2GiB, null for no limit, an empty text for the default",
                 ),
                 body=LimitChanges,
                 answer=Policy,

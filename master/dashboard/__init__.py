@@ -27,12 +27,14 @@ MEDIA_TYPES = {
     ".css": "text/css; charset=utf-8",
     ".svg": "image/svg+xml",
     ".ts": "text/plain; charset=utf-8",
+    ".txt": "text/plain; charset=utf-8",
 }
 FOLDERS = {"": Path(__file__).parent / "web", "rce/": Path(rce.__file__).parent / "js"}
 CONTENT_SECURITY_POLICY = (
     "default-src 'self'; script-src 'self' {scripts}; connect-src {sources}; base-uri 'none'; form-action 'self'; "
-    "frame-ancestors 'none'; object-src 'none'"
+    "frame-ancestors 'none'; object-src 'none'; style-src 'self'{styles}"
 )
+INLINE_STYLES = frozenset({"terminal.html"})  # xterm.js writes its colours and sizes into style elements
 
 
 INLINE_SCRIPT = re.compile(rb"<script>(.*?)</script>", re.DOTALL)
@@ -67,7 +69,7 @@ def _source(script: bytes) -> str:
 
 
 class Dashboard:
-    """Files of the dashboard. Pages may connect to this Master and to the Robot endpoints of `state` only."""
+    """Files of the dashboard, whose pages may connect to this Master, Robot endpoints and services only."""
 
     def __init__(self, state: State) -> None:
         self._state = state
@@ -83,7 +85,11 @@ class Dashboard:
         file = self._files.get(name)
         if file is None:
             return text_response(404, f"the dashboard has no {name[:200]}".encode("ascii", "replace").decode())
-        policy = CONTENT_SECURITY_POLICY.format(scripts=file.scripts, sources=self._connect_sources(request))
+        policy = CONTENT_SECURITY_POLICY.format(
+            scripts=file.scripts,
+            sources=self._connect_sources(request),
+            styles=" 'unsafe-inline'" if name in INLINE_STYLES else "",
+        )
         headers = {
             "Content-Type": file.media_type,
             "Content-Security-Policy": policy,
@@ -106,7 +112,8 @@ class Dashboard:
         if HOST.fullmatch(host):  # otherwise it could add directives to the policy
             sources.append(f"{'wss' if request.secure else 'ws'}://{host}")
             name = host_name(request)
-            sources += (absolute_url(each.url, name).rstrip("/") for each in self._state.processes.by("robot"))
+            found = [*self._state.processes.by("robot"), *self._state.processes.by("service")]
+            sources += (absolute_url(each.url, name).rstrip("/") for each in found)
         return " ".join(dict.fromkeys(sources))
 
 

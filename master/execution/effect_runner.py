@@ -15,8 +15,8 @@ from master.execution.dispatcher import Dispatcher, Turn
 from master.execution.readiness import Readiness
 from master.graph import packages
 from master.graph.effects import MarkReady, Plan, Send
-from master.graph.records import Robot, ref, user_of
-from master.graph.state import State
+from master.graph.records import Ref, Robot, user_of
+from master.graph.state import State, followers
 from master.storage.depot import Depot
 from master.storage.store import Store
 from rce.control.calls.call import Call
@@ -167,12 +167,9 @@ class EffectRunner:
     # --- robots -------------------------------------------------------------------------------------------------------
 
     def tell(self, user: str, status: StatusData | None = None, error: ErrorInfo | None = None) -> None:
-        """Send a status or an error to all robots of a user; endpoints filter by what a robot asked for."""
-        if status is not None:
-            for observer in self.status_observers:
-                observer(user, status)
-        for robot in self.state.robots.by(user):
-            self._tell(robot, status, error)
+        """Send a status or an error to the robots of a user that asked for events."""
+        self._observe(user, status)
+        self._tell(self.state.robots.by(followers(user)), status, error)
 
     def tell_connected(self, interface: str, status: StatusData) -> None:
         """Send a status to the robots to which an interface is connected; to all of its user's if there is none."""
@@ -180,13 +177,23 @@ class EffectRunner:
         owners = {found.owner for end in ends if (found := self.state.interfaces.get(end)) is not None}
         robots = [robot for owner in sorted(owners) if (robot := self.state.robots.get(owner)) is not None]
         if not robots:
-            self.tell(user_of(interface), status)
-        for robot in robots:
-            self._tell(robot, status, None)
+            self._observe(user_of(interface), status)
+        self._tell(robots or self.state.robots.by(user_of(interface)), status, None)
 
-    def _tell(self, robot: Robot, status: StatusData | None, error: ErrorInfo | None) -> None:
-        if robot.endpoint in self.state.joined:
-            self.run([[Send(robot.endpoint, SendStatus(robot.name, status, error), ref(robot))]])
+    def _observe(self, user: str, status: StatusData | None) -> None:
+        if status is not None:
+            for observer in self.status_observers:
+                observer(user, status)
+
+    def _tell(self, robots: Iterable[Robot], status: StatusData | None, error: ErrorInfo | None) -> None:
+        """Make one call to each endpoint of the robots, which belong to one user."""
+        names: dict[str, list[str]] = {}
+        for robot in robots:
+            if robot.endpoint in self.state.joined:
+                names.setdefault(robot.endpoint, []).append(robot.name)
+        for endpoint, of_endpoint in names.items():
+            about = Ref("user", user_of(of_endpoint[0]))  # so that a user's statuses keep their order
+            self.run([[Send(endpoint, SendStatus(of_endpoint, status, error), about)]])
 
     # --- background tasks ---------------------------------------------------------------------------------------------
 

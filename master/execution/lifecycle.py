@@ -9,16 +9,17 @@ from typing import Literal
 from twisted.logger import Logger
 
 from master.execution.effect_runner import Answer, EffectRunner, new_id, raise_first_error
+from master.execution.node_ends import NodeEnds
 from master.graph import reconcile, wiring
-from master.graph.effects import Plan, Send
+from master.graph.effects import Plan
 from master.graph.records import Environment, Process, Ref, ref, user_of
 from master.graph.translation import node_spec, parameter_spec
 from rce.control.calls.call import BatchResult, Nothing
-from rce.control.calls.endpoints import NodeDied, StartNode, Sync
+from rce.control.calls.endpoints import NodeDied, Sync
 from rce.control.calls.environments import EnvironmentDied, LimitReached, StartEnvironment
 from rce.control.connection import Handlers
 from rce.errors import ErrorInfo, RceError, StartFailed, clipped
-from rce.protocol.messages import EnvironmentEvent, LimitEvent, NodeEvent
+from rce.protocol.messages import EnvironmentEvent, LimitEvent
 
 RETRY_FIRST, RETRY_MOST = 0.5, 30.0  # seconds
 STEADY = 5.0  # seconds; what ran this long before it died did start, so it is started again
@@ -35,7 +36,7 @@ class Lifecycle:
         self._readiness = runner.readiness
         self._retries: dict[str, float] = {}  # seconds to the next start of environments that keep dying
         self._state.environments.watchers.append(self._environment_changed)
-        self._restarting: set[str] = set()  # nodes that ended, until they are started again
+        self._node_ends = NodeEnds(runner, self.apply)
 
     def add_machine_handlers(self, handlers: Handlers) -> None:
         """Answer the reports of a task set."""
@@ -44,7 +45,7 @@ class Lifecycle:
 
     def add_environment_handlers(self, handlers: Handlers, process: Process) -> None:
         """Answer the reports of an Environment endpoint."""
-        handlers.on(NodeDied, lambda call: self._node_died(process, call))
+        handlers.on(NodeDied, lambda call: self._node_ends.node_died(process, call))
 
     # --- plans --------------------------------------------------------------------------------------------------------
 
@@ -168,35 +169,3 @@ class Lifecycle:
             tag = call.name.partition("/")[2]
             self._runner.tell(user_of(call.name), LimitEvent(f"environment {tag}: {call.reason}"))
         return Nothing()
-
-    # --- nodes that end -----------------------------------------------------------------------------------------------
-
-    async def _node_died(self, process: Process, call: NodeDied) -> Nothing:
-        node = self._state.nodes.get(f"{process.name}/{call.node}")
-        environment = self._state.environments.get(process.name)
-        if node is None or environment is None or node.key in self._restarting:
-            return Nothing()
-        if process.incarnation != environment.run:
-            return Nothing()  # a report of an earlier life: the next one has its own node of this tag
-        tag = process.name.partition("/")[2]
-        self._runner.tell(user_of(process.name), NodeEvent(tag, call.node, call.status, call.lines))
-        if call.status == 0 or environment.options.restart == "no" or call.seconds < STEADY:
-            self._state.nodes.drop(node.key)  # it ended by itself or never worked: its tag is free
-            self.apply([])
-        else:
-            self._restarting.add(node.key)
-            self._runner.later(RETRY_FIRST, lambda: self._restart_node(node.key))
-        return Nothing()
-
-    async def _restart_node(self, key: str) -> None:
-        self._restarting.discard(key)
-        node = self._state.nodes.get(key)
-        if node is None:
-            return
-        try:
-            raise_first_error(await self._runner.run([[Send(node.owner, StartNode(node_spec(node)), ref(node))]]))
-        except RceError as error:
-            if self._state.nodes.get(key) == node:
-                self._state.nodes.drop(key)
-                self.apply([])
-            self._runner.tell(user_of(key), error=error.info)

@@ -105,6 +105,8 @@ class ProcessTracker:
         if process is not None and process.role == "robot":
             await self._endpoint_gone(name)
         else:
+            reconcile.machine_removed(self._state, name)
+            self._view_cache.process_moved(name)
             self._refuse_unplaceable()
             self._runner.later(RETRY_FIRST, self._resettle)
 

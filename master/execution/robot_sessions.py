@@ -64,7 +64,8 @@ class RobotSessions:
         owner = call.owner or call.user
         token = secrets.token_hex(32)
         resume = digest(call.resume) if call.resume else ""
-        robot = Robot(f"{owner}/{call.robot}", process.name, digest(token), principal, address)
+        events = "events" in call.features
+        robot = Robot(f"{owner}/{call.robot}", process.name, digest(token), principal, address, events=events)
         outcome, resumed = reconcile.robot_arrived(self._state, robot, resume, new_id, self._limits.of(owner))
         saved, running = self._runner.save(), self._runner.run(outcome.plan)
         # A DropRobot of an earlier session of this name may be under way to the endpoint: it must not end this one.

@@ -36,6 +36,8 @@ def remove_environment(state: State, environment: Environment, away: bool = Fals
     plan = remove_interfaces(state, name, away)
     for node in state.nodes.by(name):
         state.nodes.drop(node.key)
+    for end in state.ends.by(name):
+        state.ends.drop(end.key)
     for parameter in state.parameters.by(name):
         state.parameters.drop(parameter.key)
     state.environments.drop(name)

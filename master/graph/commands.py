@@ -27,6 +27,7 @@ from rce.errors import AlreadyExists, InvalidRequest, NotConnectable, NotFound
 from rce.protocol import messages as m
 from rce.protocol.names import check_new_name, check_tag, is_guest, parse_type, split_interface
 from rce.protocol.variables import check_variables
+from rce.spelling import tags, unknown, with_article
 
 KINDS = get_args(m.InterfaceType)
 
@@ -58,7 +59,8 @@ class CommandContext(NamedTuple):
         """
         environment = self.state.environments.get(f"{self.user}/{tag}")
         if environment is None:
-            raise NotFound(f"there is no environment {tag[:80]!r}", field=field)
+            known = tags(each.name for each in self.state.environments.by(self.user))
+            raise NotFound(unknown("environment", tag, known), field=field)
         return environment
 
 
@@ -112,12 +114,14 @@ def add_node(context: CommandContext, command: m.AddNode) -> Outcome:
     check_new_name(command.nodeTag, "nodeTag", context.guest)
     node = node_from(owner, command)
     present = state.nodes.get(node.key)
-    if present is not None:
-        if context.repeated and present == node:
-            return Outcome([], [ref(node)])
+    if present == node and (context.repeated or command.existOk):
+        return Outcome([], [ref(node)])
+    if present is not None and not command.existOk:
         raise AlreadyExists(f"nodeTag {command.nodeTag} is in use in {command.containerTag}", field="nodeTag")
-    hard_limits.check_count(state.nodes, owner, hard_limits.NODES, "nodeTag")
+    if present is None:
+        hard_limits.check_count(state.nodes, owner, hard_limits.NODES, "nodeTag")
     state.nodes.put(node)
+    state.ends.drop(node.key)
     return Outcome(call_host(state, node, StartNode(node_spec(node))), [ref(node)])
 
 
@@ -167,6 +171,8 @@ def add_interface(context: CommandContext, command: m.AddInterface) -> Outcome:
     owner = _owner_of_new_interface(context, command, kind)
     parse_type(command.className)
     interface = interface_from(context.ids(), owner, kind, command)
+    if context.robot and owner in state.environments:
+        interface = replace(interface, by=f"{context.user}/{context.robot}")
     present = state.interfaces.get(interface.key)
     if present is not None:
         if context.repeated and (present.kind, present.type) == (kind, command.className):
@@ -191,10 +197,16 @@ def _owner_of_new_interface(context: CommandContext, command: m.AddInterface, ki
     if split_kind(kind)[1] == "Interface":
         owner = context.environment(command.endpointTag, "endpointTag").name
         check_new_name(command.interfaceTag, "interfaceTag", context.guest)
+        if command.format not in m.IMAGE_FORMATS:
+            raise InvalidRequest(
+                f"the format {command.format} is one of robots' interfaces: give it to the interface at the robot",
+                field="format",
+            )
         return owner
     owner = f"{context.user}/{command.endpointTag}"
     if owner not in context.state.robots:
-        raise NotFound(f"there is no robot {command.endpointTag[:80]!r} to take a {kind}", field="endpointTag")
+        wanted = with_article(str(kind))
+        raise NotFound(f"there is no robot {command.endpointTag[:80]!r} to take {wanted}", field="endpointTag")
     check_tag(command.interfaceTag, "interfaceTag")
     return owner
 

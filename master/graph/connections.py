@@ -9,7 +9,7 @@ from __future__ import annotations
 from msgspec.structs import replace
 
 from master.graph.effects import Plan, Send
-from master.graph.hard_limits import WAITING
+from master.graph.hard_limits import WAITING, check_keep_all
 from master.graph.limits import Policy, check_connections
 from master.graph.records import Connection, Interface, Waiting, ref, user_of
 from master.graph.state import State, all_of
@@ -18,9 +18,11 @@ from rce.control.calls.robots import SendStatus
 from rce.errors import InvalidRequest, NotConnectable, RceError
 from rce.protocol.messages import ConnectionEvent, ConnectionState
 from rce.protocol.names import parse_type
+from rce.spelling import with_article
 
-OPPOSITE = {"Publisher": "Subscriber", "ServiceClient": "ServiceProvider"}
-SENDERS = {"Subscriber", "ServiceProvider"}  # the side that topic messages, or requests, come from
+OPPOSITE = {"Publisher": "Subscriber", "ServiceClient": "ServiceProvider", "ActionClient": "ActionProvider"}
+ASKERS = ("ServiceProvider", "ActionProvider")  # the side that requests or goals come from
+SENDERS = {"Subscriber", *ASKERS}
 
 
 def split_kind(kind: str) -> tuple[str, str]:
@@ -44,8 +46,9 @@ def joining(one: Interface, other: Interface) -> Connection:
     (prefix, _), (opposite, _) = split_kind(one.kind), split_kind(other.kind)
     if OPPOSITE.get(prefix) != opposite and OPPOSITE.get(opposite) != prefix:
         raise NotConnectable(
-            f"{_tag(one.key)} is a {one.kind} and {_tag(other.key)} a {other.kind}: "
-            "a Publisher goes with a Subscriber, a ServiceClient with a ServiceProvider"
+            f"{_tag(one.key)} is {with_article(one.kind)} and {_tag(other.key)} {with_article(other.kind)}: "
+            "a Publisher goes with a Subscriber, a ServiceClient with a ServiceProvider, an ActionClient with an "
+            "ActionProvider"
         )
     if parse_type(one.type) != parse_type(other.type):
         raise NotConnectable(f"{_tag(one.key)} has type {one.type} and {_tag(other.key)} {other.type}")
@@ -57,12 +60,13 @@ def check_new(state: State, connection: Connection, policy: Policy) -> None:
     """Check that a connection may be added.
 
     Raises:
-        NotConnectable: It is a further one of a service provider.
-        LimitExceeded: The user has all connections that `policy` allows.
+        NotConnectable: It is a further one of a service or action provider.
+        LimitExceeded: The user has all connections that `policy` allows, or all that must not drop.
     """
     sender, receiver = state.interfaces[connection.sender], state.interfaces[connection.receiver]
-    if sender.kind.startswith("ServiceProvider") and state.connections.by(sender.key):
-        raise NotConnectable(f"{_tag(sender.key)} is a {sender.kind}: it takes one connection only")
+    if sender.kind.startswith(ASKERS) and state.connections.by(sender.key):
+        raise NotConnectable(f"{_tag(sender.key)} is {with_article(sender.kind)}: it takes one connection only")
+    check_keep_all(state, connection)
     if not any(state.visits(interface.owner) for interface in (sender, receiver)):
         check_connections(state, user_of(sender.owner), policy)
 
@@ -119,7 +123,7 @@ def _tell(state: State, connection: Connection | Waiting, event: ConnectionState
     if robot is None or robot.endpoint not in state.joined:
         return []
     status = ConnectionEvent(_tag(connection.sender), _tag(connection.receiver), event, reason)
-    return [[Send(robot.endpoint, SendStatus(robot.name, status), ref(robot))]]
+    return [[Send(robot.endpoint, SendStatus([robot.name], status), ref(robot))]]
 
 
 def _tag(key: str) -> str:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from master.graph.records import Parameter, ParameterValue
-from master.graph.state import State, Table
+from master.graph.records import Connection, Parameter, ParameterValue, user_of
+from master.graph.state import State, Table, all_of
 from rce.errors import LimitExceeded
 
 NODES = 1000  # of one environment, as are those below
@@ -13,6 +13,7 @@ PARAMETERS = 10_000
 PARAMETER_TEXT = 16 * 1024 * 1024  # characters and items of lists, in all of its parameters together
 INTERFACES = 10_000  # of one robot or environment
 WAITING = 1000  # connections of one user that wait for an end that is away
+KEEP_ALL = 100  # connections of one user that must not drop: each has a data link of its own
 SMALL = 1024  # smaller parameters are bounded by their number alone
 
 
@@ -44,6 +45,29 @@ def check_parameter(state: State, parameter: Parameter) -> None:
             f"the parameters of {parameter.owner.partition('/')[2]} would have more than {PARAMETER_TEXT} characters",
             field="value",
             limit=PARAMETER_TEXT,
+        )
+
+
+def keeps_all(state: State, connection: Connection) -> bool:
+    """Return True if a connection must not drop messages."""
+    return any(state.interfaces[key].qos.history == "keep_all" for key in (connection.sender, connection.receiver))
+
+
+def check_keep_all(state: State, connection: Connection) -> None:
+    """Check that a connection may be added if it must not drop messages.
+
+    Raises:
+        LimitExceeded: Its user has `KEEP_ALL` of them already.
+    """
+    if not keeps_all(state, connection):
+        return
+    others = state.connections.by(all_of(user_of(connection.sender)))
+    if sum(keeps_all(state, each) for each in others) >= KEEP_ALL:
+        raise LimitExceeded(
+            f"you have {KEEP_ALL} connections with history keep_all, each of which takes a data link of its own: "
+            "use keep_last with a depth, or remove some",
+            field="tagA",
+            limit=KEEP_ALL,
         )
 
 

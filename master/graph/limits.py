@@ -10,43 +10,45 @@ from fnmatch import fnmatchcase
 from typing import Annotated, Any
 
 import msgspec
-from msgspec import Meta, Struct
+from msgspec import UNSET, Meta, Struct
 from msgspec.structs import replace
 
 from master.graph import packages
 from master.graph.records import Egress, EnvironmentOptions, IoRates
-from master.graph.state import State
+from master.graph.state import State, cores, memory
 from rce.api import quantities
 from rce.api.views import UsageView
 from rce.errors import InvalidRequest, LimitExceeded
-from rce.protocol import slots
 
 Number = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Cores = Annotated[float, Meta(ge=0)]
-IMAGES = ("rce/base", "rce/mapping")  # what `provisioning/provision image` builds
+Some = Annotated[int, Meta(gt=0, le=2**63 - 1)]
+SomeCores = Annotated[float, Meta(gt=0)]
+NO_LIMIT = "-"
+IMAGES = ("rce/base", "rce/mapping", "rce/mapping3d")  # what `provisioning/provision image` builds
 _AMOUNTS = ("cpu", "memory", "pids", "disk", "bandwidth")  # each has a default and a maximum
 
 
 class Policy(Struct, frozen=True, forbid_unknown_fields=True):
-    """Limits of one user; 0 means no limit. Sizes are in bytes, rates in bytes a second."""
+    """Limits of one user; None is no limit. Sizes are in bytes, rates in bytes a second."""
 
     # maximum of one environment, and its value where neither the user nor a default gives one
-    size: Number = 0
-    cpu: Cores = 0
-    memory: Number = 0
-    pids: Number = 0
-    disk: Number = 0
-    bandwidth: Number = 0
-    io: Number = 0
-    gpus: Number = 0
+    size: Number | None = None
+    cpu: Cores | None = None
+    memory: Number | None = None
+    pids: Number | None = None
+    disk: Number | None = None
+    bandwidth: Number | None = None
+    io: Number | None = None
+    gpus: Number | None = None
 
-    # defaults; 0: in proportion to the slots (rce.protocol.slots)
-    default_cpu: Cores = 0
-    default_memory: Number = 0
-    default_pids: Number = 0
-    default_disk: Number = 0
-    default_bandwidth: Number = 0
-    default_io: Number = 0
+    # defaults; None: in proportion to the slots (rce.protocol.slots), or no limit of rates
+    default_cpu: SomeCores | None = None
+    default_memory: Some | None = None
+    default_pids: Some | None = None
+    default_disk: Some | None = None
+    default_bandwidth: Some | None = None
+    default_io: Some | None = None
 
     # network access of environments, beside their group
     egress: Egress = "none"
@@ -55,13 +57,13 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
     images: list[str] = []
 
     # totals of the user
-    environments: Number = 0
-    cores: Cores = 0
-    total_memory: Number = 0
-    total_bandwidth: Number = 0
-    robots: Number = 0
-    connections: Number = 0
-    package_bytes: Number = 0
+    environments: Number | None = None
+    cores: Cores | None = None
+    total_memory: Number | None = None
+    total_bandwidth: Number | None = None
+    robots: Number | None = None
+    connections: Number | None = None
+    package_bytes: Number | None = None
 
 
 UNLIMITED = Policy()
@@ -96,39 +98,31 @@ def check_totals(state: State, user: str, policy: Policy, options: EnvironmentOp
     Raises:
         LimitExceeded: A total is above its limit; the error has the numbers.
     """
-    wanted = [*(other.options for other in state.environments.by(user)), options]
+    has = usage(state, user)
     subject = "all of your environments together"
-    _check_total("environments", len(wanted), policy.environments, "you")
-    _check_total("cores", _cores(wanted), policy.cores, subject)
-    _check_total("total_memory", _memory(wanted), policy.total_memory, subject)
-    _check_total("total_bandwidth", sum(each.bandwidth for each in wanted), policy.total_bandwidth, subject)
+    _check_total("environments", has.environments + 1, policy.environments, "you")
+    _check_total("cores", has.cores + cores(options), policy.cores, subject)
+    _check_total("total_memory", has.total_memory + memory(options), policy.total_memory, subject)
+    _check_total("total_bandwidth", has.total_bandwidth + options.bandwidth, policy.total_bandwidth, subject)
 
 
 def usage(state: State, user: str) -> UsageView:
     """Return what a user has of everything that totals limit."""
-    options = [environment.options for environment in state.environments.by(user)]
+    environments = state.environments
     return UsageView(
-        environments=len(options),
-        cores=_cores(options),
-        total_memory=_memory(options),
-        total_bandwidth=sum(each.bandwidth for each in options),
+        environments=environments.count(user),
+        cores=environments.total(user, "cores"),
+        total_memory=int(environments.total(user, "memory")),
+        total_bandwidth=int(environments.total(user, "bandwidth")),
         robots=state.robots_of_user(user),
         connections=state.connections_of_user(user),
         package_bytes=packages.usage(state, user),
     )
 
 
-def _cores(wanted: Iterable[EnvironmentOptions]) -> float:
-    return sum(each.cpu or each.size * slots.CORES for each in wanted)
-
-
-def _memory(wanted: Iterable[EnvironmentOptions]) -> int:
-    return sum(each.memory or each.size * slots.MEMORY for each in wanted)
-
-
-def _least(one: int, other: int) -> int:
-    """Return the smaller of two limits, where 0 means none."""
-    return min(one or other, other or one)
+def _least(*limits: int | None) -> int | None:
+    """Return the smallest of some limits, of which None is no limit."""
+    return min((each for each in limits if each is not None), default=None)
 
 
 def check_robots(state: State, user: str, policy: Policy) -> None:
@@ -158,7 +152,7 @@ def is_allowed(image: str, patterns: Iterable[str]) -> bool:
 def parse(assignments: Iterable[str]) -> dict[str, Any]:
     """Parse assignments such as `memory=2Gi`, `images=rce/base,mine/*` or `cpu=` into fields of a Policy.
 
-    An empty value becomes None.
+    The value is None for `-`, which is no limit, and UNSET for an empty text, which resets a limit.
 
     Raises:
         InvalidRequest: An assignment is malformed or names no limit.
@@ -173,7 +167,9 @@ def parse(assignments: Iterable[str]) -> dict[str, Any]:
 
 
 def changes(wanted: dict[str, Any]) -> dict[str, Any]:
-    """Return fields of a Policy from values or from text as people write it; None or empty text resets a limit.
+    """Return fields of a Policy from values or from text as people write it.
+
+    None and `-` stand for no limit. Empty text resets a limit to the platform's: its value is UNSET.
 
     Raises:
         InvalidRequest: There is no such limit, or the value does not fit.
@@ -184,13 +180,15 @@ def changes(wanted: dict[str, Any]) -> dict[str, Any]:
             raise InvalidRequest(f"there is no limit {name[:80]!r}; there are {', '.join(NAMES)}", field=name[:80])
         try:
             meant = _value(name, value) if isinstance(value, str) else value
-            found[name] = None if value in (None, "") else msgspec.convert(meant, NAMES[name], strict=False)
+            found[name] = UNSET if value == "" else msgspec.convert(meant, NAMES[name], strict=isinstance(meant, bool))
         except (msgspec.ValidationError, ValueError) as error:
             raise InvalidRequest(f"{name}={str(value)[:80]}: {error}", field=name) from None
     return found
 
 
 def _value(name: str, text: str) -> Any:
+    if text == NO_LIMIT:
+        return None
     if isinstance(getattr(UNLIMITED, name), list):
         return [item for item in text.split(",") if item]
     amount = quantities.parse_number(text)
@@ -198,8 +196,8 @@ def _value(name: str, text: str) -> Any:
 
 
 def with_changes(policy: Policy, changes: dict[str, Any]) -> Policy:
-    """Return a policy with some fields changed, ignoring None and fields that this version does not know."""
-    known = {name: value for name, value in changes.items() if name in Policy.__struct_fields__ and value is not None}
+    """Return a policy with some fields changed, ignoring UNSET and fields that this version does not know."""
+    known = {name: value for name, value in changes.items() if name in Policy.__struct_fields__ and value is not UNSET}
     return replace(policy, **known)
 
 
@@ -213,14 +211,21 @@ def _check_image(policy: Policy, image: str) -> None:
         )
 
 
-def _grant(name: str, asked: float, maximum: float, default: float) -> Any:
+def _grant(name: str, asked: float, maximum: float | None, default: float | None) -> Any:
     _check(name, asked, maximum)
-    value = asked or default
-    return min(value, maximum) if value and maximum else value or maximum
+    if maximum is None:
+        return asked or default or 0
+    if not maximum:
+        raise LimitExceeded(
+            f"{name}: an environment of yours may have 0, and none can do without",
+            field=f"containerData.{name}",
+            limit=0,
+        )
+    return min(asked or default or maximum, maximum)
 
 
-def _check(name: str, asked: float, maximum: float) -> None:
-    if maximum and asked > maximum:
+def _check(name: str, asked: float, maximum: float | None) -> None:
+    if maximum is not None and asked > maximum:
         raise LimitExceeded(
             f"{name} {_amount(asked)} is more than an environment of yours may have: {_amount(maximum)}",
             field=f"containerData.{name}",
@@ -229,8 +234,8 @@ def _check(name: str, asked: float, maximum: float) -> None:
         )
 
 
-def _check_total(name: str, total: float, limit: float, subject: str, field: str = "containerData") -> None:
-    if limit and total > limit:
+def _check_total(name: str, total: float, limit: float | None, subject: str, field: str = "containerData") -> None:
+    if limit is not None and total > limit:
         raise LimitExceeded(
             f"{name}: {_amount(total)} with this one; {subject} may have {_amount(limit)}",
             field=field,

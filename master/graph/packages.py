@@ -74,14 +74,14 @@ def usage(state: State, user: str) -> int:
     return sum(sizes.values())
 
 
-def check_quota(state: State, user: str, digest: str, size: int, quota: int, reserved: int = 0) -> None:
+def check_quota(state: State, user: str, digest: str, size: int, quota: int | None, reserved: int = 0) -> None:
     """Check that an archive of `size` bytes fits into the quota, beside what is used and `reserved`.
 
     Raises:
-        LimitExceeded: The sum is above `quota` bytes (0: no limit).
+        LimitExceeded: The sum is above `quota` bytes (None: no limit).
     """
     used = usage(state, user) + reserved
-    if quota and find(state, user, digest) is None and used + size > quota:
+    if quota is not None and find(state, user, digest) is None and used + size > quota:
         raise LimitExceeded(
             f"your packages take {used} bytes, with this one {used + size}; you may have {quota}: remove some, or "
             "versions that are not needed any more (`rce package remove NAME@VERSION`)",

@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 from master.graph.groups import machine_of
-from master.graph.records import Environment, EnvironmentOptions, Process
-from master.graph.state import State, at
+from master.graph.records import EnvironmentOptions, Process
+from master.graph.state import State, amounts, at, user_at
 from rce.errors import NoCapacity, Unavailable
 
 
 def free_slots(state: State, machine: Process, moving: str = "") -> int:
     """Return the free slots of a machine; those of the environment `moving` count as free."""
-    return machine.capacity - sum(other.options.size for other in _others(state, machine, moving))
+    return machine.capacity - _used(state, machine, moving, "size")
 
 
 def free_gpus(state: State, machine: Process, moving: str = "") -> int:
     """Return the free GPUs of a machine; those of the environment `moving` count as free."""
-    return machine.gpus - sum(other.options.gpus for other in _others(state, machine, moving))
+    return machine.gpus - _used(state, machine, moving, "gpus")
 
 
-def _others(state: State, machine: Process, moving: str) -> list[Environment]:
-    return [other for other in state.environments.by(at(machine.name)) if other.name != moving]
+def _used(state: State, machine: Process, moving: str, amount: str) -> int:
+    """Return what environments other than `moving` use of a machine."""
+    used = state.environments.total(at(machine.name), amount)
+    mover = state.environments.get(moving)
+    if mover is not None and mover.machine == machine.name:
+        used -= amounts(mover)[amount]
+    return int(used)
 
 
 def place(state: State, user: str, options: EnvironmentOptions, moving: str = "") -> str:
@@ -34,8 +39,11 @@ def place(state: State, user: str, options: EnvironmentOptions, moving: str = ""
     """
     fitting = _fitting(state, user, options, moving)
     there = {name: free for name, free in fitting.items() if name in state.joined}
-    own = {environment.machine for environment in state.environments.by(user) if environment.name != moving}
-    return min(there, key=lambda name: (name not in own, -there[name], name), default="")
+    mover = state.environments.get(moving)
+    own = {name: state.environments.count(user_at(user, name)) for name in there}
+    if mover is not None and mover.machine in own:
+        own[mover.machine] -= 1
+    return min(there, key=lambda name: (own[name] == 0, -there[name], name), default="")
 
 
 def _fitting(state: State, user: str, options: EnvironmentOptions, moving: str) -> dict[str, int]:
@@ -87,4 +95,4 @@ def robot_endpoint(state: State) -> Process:
     endpoints = [process for process in state.processes.by("robot") if process.name in state.joined]
     if not endpoints:
         raise Unavailable("no Robot endpoint is connected to the Master at present; try again in a moment")
-    return min(endpoints, key=lambda process: (len(state.robots.by(at(process.name))), process.name))
+    return min(endpoints, key=lambda process: (state.robots.count(at(process.name)), process.name))

@@ -13,7 +13,6 @@ from master.graph.records import Environment, Process, Ref, Robot, ref, user_of
 from master.graph.state import State, all_of, at
 from master.graph.translation import interface_spec, node_spec, parameter_spec
 from master.graph.wiring import (
-    RELAY,
     Ids,
     bring_up,
     connections_of,
@@ -25,10 +24,47 @@ from master.graph.wiring import (
 )
 from rce.control.calls.endpoints import Bind, Sync
 from rce.control.calls.environments import KeepEnvironments, SetRelays
-from rce.control.calls.joining import Hello
+from rce.control.calls.joining import Hello, SetRemovedMachines
 from rce.control.calls.robots import DropRobot
-from rce.errors import AlreadyExists, NoCapacity
+from rce.errors import AlreadyExists, NoCapacity, Unavailable
 from rce.protocol.names import check_robot_id, is_guest
+
+
+def process_of(state: State, hello: Hello) -> Process:
+    """Return the record of a process that joins.
+
+    Programs in an environment may send the Hello of their endpoint, so nothing in it decides what others dial.
+
+    Raises:
+        Unavailable: The task set has not told yet how the host of an environment is reached.
+    """
+    environment = state.environments.get(hello.name) if hello.role == "environment" else None
+    if environment is not None:
+        return Process(environment.name, "environment", environment.run, _host_of(state, environment, hello.host))
+    return Process(
+        hello.name,
+        hello.role,  # type: ignore[arg-type]  # admitted: so it is one of the roles
+        hello.incarnation,
+        hello.host,
+        hello.addresses,
+        hello.url,
+        hello.capacity,
+        hello.features,
+        hello.gpus,
+        hello.sockets,
+        hello.relays,
+        hello.not_enforced,
+    )
+
+
+def _host_of(state: State, environment: Environment, told: str) -> str:
+    """Return the host of an environment; it tells which, if its task set has several."""
+    machine = state.processes.get(environment.machine)
+    if machine is None or machine.host or not machine.relays:
+        return machine.host if machine else ""
+    if told not in machine.relays:
+        raise Unavailable(f"{machine.name} has not told yet how the host of {environment.name} is reached")
+    return told
 
 
 def joined(state: State, process: Process, hello: Hello, ids: Ids) -> Plan:
@@ -41,6 +77,8 @@ def joined(state: State, process: Process, hello: Hello, ids: Ids) -> Plan:
     state.processes.put(process)
     state.joined.add(process.name)
     state.expected.discard(process.name)
+    if state.removed_machines and process.role in ("robot", "container"):  # those that accept data links
+        plan.append([_removed_machines(state, process.name)])
     if process.role == "container":
         plan += _machine_joined(state, process, hello, ids)
         return plan + resettle(state, ids) + _announce_relays(state, process, relays)
@@ -52,6 +90,23 @@ def joined(state: State, process: Process, hello: Hello, ids: Ids) -> Plan:
     # Its Sync goes first; the sequences of connections that waited for it begin with links.
     plan.append([Send(process.name, _sync(state, process, owners), None)])
     return plan + bring_up(state, owners, ids)
+
+
+def announce_removals(state: State) -> Plan:
+    """Tell all connected processes that accept data links which machines were removed."""
+    processes = [*state.processes.by("robot"), *state.processes.by("container")]
+    return [[_removed_machines(state, each.name)] for each in processes if each.name in state.joined]
+
+
+def _removed_machines(state: State, process: str) -> Send:
+    return Send(process, SetRemovedMachines(state.removed_machines), Ref("removed", ""))
+
+
+def machine_removed(state: State, name: str) -> None:
+    """Forget a task set that was removed; the environments that it had wait for another machine."""
+    for environment in state.environments.by(at(name)):
+        state.environments.put(replace(environment, machine=""))
+    state.forget(name)
 
 
 def owners_at(state: State, process: Process) -> list[str]:
@@ -97,12 +152,14 @@ def _machine_joined(state: State, process: Process, hello: Hello, ids: Ids) -> P
 
 def known_relays(state: State) -> list[str]:
     """Return the addresses of the data relays of all machines, as HOST:PORT."""
-    return sorted(
-        address.removeprefix(RELAY)
-        for machine in state.processes.by("container")
-        for address in machine.addresses
-        if address.startswith(RELAY)
-    )
+    return sorted({relay for machine in state.processes.by("container") for relay in machine.relays.values()})
+
+
+def relays_changed(state: State, machine: str, relays: dict[str, str]) -> Plan:
+    """Take the relays of a task set with several hosts, and tell all machines if they changed."""
+    before, process = known_relays(state), state.processes[machine]
+    state.processes.put(replace(process, relays=relays))
+    return _announce_relays(state, process, before) if known_relays(state) != before else []
 
 
 def _announce_relays(state: State, process: Process, before: list[str]) -> Plan:
@@ -174,10 +231,11 @@ def robot_arrived(
     """Add a robot whose socket is open at its endpoint; `resume` is the digest of the token that it presents.
 
     Returns:
-        The effects that must be complete before the robot may go on, and whether it resumed its session.
+        The effects that must be complete before the robot may go on, and whether it resumed its session. A robot that
+        does not resume takes the place of the session that the same user's robot of this name has without a socket.
 
     Raises:
-        AlreadyExists: The robotID is in use, by an environment or by a session that was not resumed.
+        AlreadyExists: The robotID is in use, by an environment or by a session with a socket.
         LimitExceeded: The user has all robots that `policy` allows.
     """
     name, (user, _, tag) = robot.name, robot.name.partition("/")
@@ -191,10 +249,13 @@ def robot_arrived(
         state.robots.put(robot)
         return Outcome([]), False
     if not resume or resume not in (present.session, present.previous):
-        raise AlreadyExists(
-            f"robotID {tag} is in use: by another socket, or until its grace time ends; a session token resumes it",
-            field="robotID",
-        )
+        if robot.by.user != present.by.user or (present.endpoint and name not in state.away):
+            raise AlreadyExists(
+                f"robotID {tag} is in use by another socket; a session token resumes it", field="robotID"
+            )
+        plan = robot_dismissed(state, name, "a robot of the same name took the place of this session")
+        state.robots.put(robot)
+        return Outcome(plan), False
     socket_moved(state, name, True)
     moved = present.endpoint != robot.endpoint
     plan = _leave_endpoint(state, present) if moved else []
@@ -220,14 +281,28 @@ def _leave_endpoint(state: State, robot: Robot) -> Plan:
 def robot_left(state: State, name: str) -> Plan:
     """Remove a robot with its interfaces and connections; with a guest also what it added to environments.
 
-    The connections that others asked for wait for its return.
+    The interfaces of environments that it added for its own are removed too, unless others use them. The connections
+    that others asked for wait for its return.
     """
     if name not in state.robots:
         return []
+    counterparts = _counterparts(state, name)
     plan = remove_interfaces(state, name, away=True) + _remove_guest_items(state, name)
     state.away.discard(name)
     state.robots.drop(name)
-    return plan + drop_waiting(state, name)
+    plan += drop_waiting(state, name)
+    for key in counterparts:
+        interface = state.interfaces.get(key)
+        if interface is not None and not state.connections.by(key) and not state.waiting.by(key):
+            plan += remove_interface(state, interface)
+    return plan
+
+
+def _counterparts(state: State, robot: str) -> list[str]:
+    """Return the keys of the interfaces that a robot added to environments and connected with its own."""
+    connections = connections_of(state, robot)
+    keys = dict.fromkeys(key for each in connections for key in (each.sender, each.receiver))
+    return [key for key in keys if state.interfaces[key].by == robot]
 
 
 def _remove_guest_items(state: State, name: str) -> Plan:

@@ -1,7 +1,7 @@
 """Records of the command graph: everything that users asked for and that must outlive the Master.
 
     User 1─* Environment, Robot      (one name space of tags per user)
-    Environment 1─* Node, Parameter
+    Environment 1─* Node, Parameter; Node 1─? NodeEnd, which outlives it
     Environment, Robot 1─* Interface
     Connection: two Interfaces of one user
     Waiting: a Connection of which an Interface is away
@@ -24,6 +24,7 @@ from rce.api.roles import Principal
 
 Role = Literal["robot", "container", "environment", "service"]
 Egress = Literal["none", "internet", "all"]
+NodeRestart = Literal["", "on-failure", "always", "no"]
 ParameterValue = bool | int | float | str | list[Any] | dict[str, Any]
 
 
@@ -102,6 +103,7 @@ class Robot(Struct, frozen=True):
     principal: Principal | None = None
     address: str = ""  # from which the socket was opened
     previous: str = ""  # SHA-256 of the token before, valid until the new one is used: the robot may not have got it
+    events: bool = False  # it asked for the feature `events`, and so for statuses of its user's things
 
     @property
     def by(self) -> Principal:
@@ -124,11 +126,32 @@ class Node(Struct, frozen=True):
     arguments: str = ""
     name: str = ""
     namespace: str = ""
+    restart: NodeRestart = ""
 
     @property
     def key(self) -> str:
         """Return the key of the record in its table."""
         return f"{self.owner}/{self.tag}"
+
+
+class NodeEnd(Struct, frozen=True):
+    """The last end of a node that was not stopped; of one that still exists, it was started again."""
+
+    node: Node
+    status: int  # negative: the signal that killed it
+    lines: list[str]  # the last ones of its output
+    time: float  # seconds since 1970
+    count: int = 1  # ends since a user started it
+
+    @property
+    def owner(self) -> str:
+        """Return the environment."""
+        return self.node.owner
+
+    @property
+    def key(self) -> str:
+        """Return the key of the record in its table."""
+        return self.node.key
 
 
 class Parameter(Struct, frozen=True):
@@ -157,7 +180,8 @@ class Qos(Struct, frozen=True, omit_defaults=True):
 class Interface(Struct, frozen=True):
     """An interface of a robot or an environment; its `owner` exists.
 
-    `id` (32 hex) identifies it in data frames: an interface that is added again under its old name has another.
+    `id` (32 hex) identifies it in data frames: an interface that is added again under its old name has another. `by` is
+    the robot that added it to an environment, else empty.
     """
 
     id: str
@@ -168,6 +192,7 @@ class Interface(Struct, frozen=True):
     address: str = ""  # topic or service name
     qos: Qos = Qos()
     format: str = "png"
+    by: str = ""
 
     @property
     def key(self) -> str:
@@ -210,7 +235,12 @@ class Waiting(Struct, frozen=True):
 
 
 class Process(Struct, frozen=True):
-    """A process of the platform, as it last joined; `incarnation` tells a restarted process from its predecessor."""
+    """A process of the platform, as it last joined; `incarnation` tells a restarted process from its predecessor.
+
+    A task set knows how its environments are dialled: `sockets` is the path of an environment's socket, with {name},
+    {user} and {run}, and `relays` has the HOST:PORT of the data relay on each host. Its `host` is empty if it has
+    several hosts. `not_enforced` are the options of environments that have no effect there.
+    """
 
     name: str
     role: Role
@@ -221,6 +251,9 @@ class Process(Struct, frozen=True):
     capacity: int = 0
     features: list[str] = []
     gpus: int = 0
+    sockets: str = ""
+    relays: dict[str, str] = {}
+    not_enforced: list[str] = []
 
     @property
     def key(self) -> str:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from ipaddress import IPv4Network
 from typing import Any, Generic, TypeVar
 
 from master.graph.records import (
     Connection,
     Environment,
+    EnvironmentOptions,
     Interface,
     Link,
     Node,
+    NodeEnd,
     Package,
     Parameter,
     Process,
@@ -21,6 +24,7 @@ from master.graph.records import (
     Waiting,
     user_of,
 )
+from rce.protocol import slots
 
 GROUP_POOL = IPv4Network("10.128.0.0/10")  # the upper half of 10/8 is seldom used; 16384 groups
 
@@ -30,16 +34,24 @@ T = TypeVar("T", bound=Record)
 class Table(Generic[T]):
     """Records of one kind, indexed by key and by the terms that `terms` returns for a record.
 
-    `changed` collects keys for the store. Each of `watchers` is called with the record before and after a change.
+    It keeps the sums, by term, of the amounts that `amounts` returns for a record. `changed` collects keys for the
+    store. Each of `watchers` is called with the record before and after a change.
     """
 
-    def __init__(self, kind: type[T], terms: Callable[[T], Iterable[str]]) -> None:
+    def __init__(
+        self,
+        kind: type[T],
+        terms: Callable[[T], Iterable[str]],
+        amounts: Callable[[T], Mapping[str, float]] = lambda _: {},
+    ) -> None:
         self.kind = kind
         self.changed: set[str] = set()
         self.watchers: list[Callable[[T | None, T | None], None]] = []
         self._records: dict[str, T] = {}
         self._terms = terms
+        self._amounts = amounts
         self._index: dict[str, dict[str, None]] = {}  # a dict as an ordered set keeps the order of effects fixed
+        self._sums: dict[str, Counter[str]] = {}  # by term
 
     def get(self, key: str) -> T | None:
         """Return a record, or None."""
@@ -65,6 +77,10 @@ class Table(Generic[T]):
         """Count the records that `by` would return."""
         return len(self._index.get(term, ()))
 
+    def total(self, term: str, amount: str) -> float:
+        """Return the sum of an amount over the records that `by` would return."""
+        return round(self._sums[term][amount], 6) if term in self._sums else 0.0  # sums of fractions are not exact
+
     def put(self, record: T) -> None:
         """Add or replace a record."""
         before = self._records.get(record.key)
@@ -76,8 +92,11 @@ class Table(Generic[T]):
         """Add a record that comes from the store, which is not a change."""
         self._forget(record.key)
         self._records[record.key] = record
+        amounts = self._amounts(record)
         for term in self._terms(record):
             self._index.setdefault(term, {})[record.key] = None
+            if amounts:
+                self._sums.setdefault(term, Counter()).update(amounts)
 
     def drop(self, key: str) -> T | None:
         """Remove a record and return it, or None if there is none."""
@@ -98,10 +117,14 @@ class Table(Generic[T]):
     def _forget(self, key: str) -> T | None:
         record = self._records.pop(key, None)
         if record is not None:
+            amounts = self._amounts(record)
             for term in self._terms(record):
                 self._index[term].pop(key)
+                if amounts:
+                    self._sums[term].subtract(amounts)
                 if not self._index[term]:
                     del self._index[term]
+                    self._sums.pop(term, None)
         return record
 
 
@@ -115,14 +138,73 @@ def all_of(user: str) -> str:
     return f"user {user}"
 
 
+def visitors(user: str) -> str:
+    """Return the index term of a user's robots that are guests of other users."""
+    return f"visitors {user}"
+
+
+def followers(user: str) -> str:
+    """Return the index term of a user's robots that asked for events."""
+    return f"followers {user}"
+
+
+def user_at(user: str, machine: str) -> str:
+    """Return the index term of a user's environments on a machine."""
+    return f"{user} {at(machine)}"
+
+
+def pair(one: str, other: str) -> str:
+    """Return the index term of the links between two processes, in any order."""
+    return " ".join(sorted((one, other)))
+
+
+def amounts(environment: Environment) -> dict[str, float]:
+    """Return what an environment takes: slots and GPUs, cores, bytes of memory, bytes a second."""
+    options = environment.options
+    return {
+        "size": options.size,
+        "gpus": options.gpus,
+        "cores": cores(options),
+        "memory": memory(options),
+        "bandwidth": options.bandwidth,
+    }
+
+
+def cores(options: EnvironmentOptions) -> float:
+    """Return the cores of an environment."""
+    return options.cpu or options.size * slots.CORES
+
+
+def memory(options: EnvironmentOptions) -> int:
+    """Return the bytes of memory of an environment."""
+    return options.memory or options.size * slots.MEMORY
+
+
+def _terms_of_environment(environment: Environment) -> set[str]:
+    user = user_of(environment.name)
+    return {user, at(environment.machine), user_at(user, environment.machine)}
+
+
+def _terms_of_robot(robot: Robot) -> set[str]:
+    user = user_of(robot.name)
+    visits = {visitors(user)} if robot.by.user != user else set()
+    follows = {followers(user)} if robot.events else set()
+    return {user, at(robot.endpoint)} | visits | follows
+
+
+def _terms_of_link(link: Link) -> set[str]:
+    return {link.listener, link.dialler, pair(link.listener, link.dialler)}
+
+
 class State:
     """All records, and which processes are connected. Each network group gets a subnet of `group_pool`."""
 
     def __init__(self) -> None:
         self.group_pool = GROUP_POOL
-        self.environments = Table(Environment, lambda record: {user_of(record.name), at(record.machine)})
-        self.robots = Table(Robot, lambda record: {user_of(record.name), at(record.endpoint)})
+        self.environments = Table(Environment, _terms_of_environment, amounts)
+        self.robots = Table(Robot, _terms_of_robot)
         self.nodes = Table(Node, lambda record: (record.owner,))
+        self.ends = Table(NodeEnd, lambda record: (record.owner,))
         self.parameters = Table(Parameter, lambda record: (record.owner,))
         self.interfaces = Table(Interface, lambda record: (record.owner,))
         self.connections = Table(
@@ -133,11 +215,12 @@ class State:
             Waiting, lambda record: {record.sender, record.receiver, record.by, all_of(user_of(record.sender))} - {""}
         )
         self.processes = Table(Process, lambda record: (record.role,))
-        self.links = Table(Link, lambda record: {record.listener, record.dialler})
+        self.links = Table(Link, _terms_of_link)
         self.packages = Table(Package, lambda record: {user_of(record.name), *(f">{user}" for user in record.shared)})
         self.joined: set[str] = set()  # processes with a control connection
         self.expected: set[str] = set()  # processes that lost it, within their grace period
         self.away: set[str] = set()  # robots without a socket, within their grace period
+        self.removed_machines: dict[str, float] = {}  # when machines were removed, in seconds since 1970
 
     def tables(self) -> list[Table[Any]]:
         """Return all tables, in the order of their dependencies."""
@@ -145,6 +228,7 @@ class State:
             self.environments,
             self.robots,
             self.nodes,
+            self.ends,
             self.parameters,
             self.interfaces,
             self.connections,
@@ -156,14 +240,14 @@ class State:
 
     def robots_of_user(self, user: str) -> int:
         """Count a user's robots without other users' guests."""
-        return sum(not self.visits(robot.name) for robot in self.robots.by(user))
+        return self.robots.count(user) - self.robots.count(visitors(user))
 
     def connections_of_user(self, user: str) -> int:
         """Count a user's connections without those of other users' guests."""
-        visitors = [robot.name for robot in self.robots.by(user) if self.visits(robot.name)]
-        interfaces = [interface.key for name in visitors for interface in self.interfaces.by(name)]
+        names = [robot.name for robot in self.robots.by(visitors(user))]
+        interfaces = [interface.key for name in names for interface in self.interfaces.by(name)]
         of_visitors = {connection.key for key in interfaces for connection in self.connections.by(key)}
-        return len(self.connections.by(all_of(user))) - len(of_visitors)
+        return self.connections.count(all_of(user)) - len(of_visitors)
 
     def visits(self, owner: str) -> bool:
         """Return whether a robot is a guest of another user, which counts in none of the owner's limits."""

@@ -34,7 +34,8 @@ def container_data(options: EnvironmentOptions) -> m.ContainerData:
 
 def node_from(owner: str, command: m.AddNode) -> Node:
     """Return the record of a node that a command adds to environment `owner`."""
-    return Node(owner, command.nodeTag, command.pkg, command.exe, command.args, command.name, command.namespace)
+    program, names = (command.pkg, command.exe, command.args), (command.name, command.namespace)
+    return Node(owner, command.nodeTag, *program, *names, command.restart)
 
 
 def node_spec(node: Node) -> NodeSpec:

@@ -11,8 +11,9 @@ from collections.abc import Callable
 from msgspec.structs import replace
 
 from master.graph.effects import MarkReady, Plan, Send, Sequence
-from master.graph.records import Connection, Interface, Link, Process, Ref, ref
-from master.graph.state import State
+from master.graph.hard_limits import keeps_all
+from master.graph.records import Connection, Environment, Interface, Link, Process, Ref, ref, user_of
+from master.graph.state import State, pair
 from rce.control.calls.endpoints import AddRoute, CloseLink, LinkSpec, OpenLink, RemoveRoute, Route
 
 RELAY, UNIX = "relay:", "unix:"
@@ -26,7 +27,7 @@ def activate(state: State, connection: Connection, ids: Ids) -> Plan:
     sending, receiving = state.host(sender.owner), state.host(receiver.owner)
     if not sending or not receiving:
         return []
-    alone = connection.key if "keep_all" in (sender.qos.history, receiver.qos.history) else ""
+    alone = connection.key if keeps_all(state, connection) else ""
     link = _link(state, state.processes[sending], state.processes[receiving], alone, ids)
     state.connections.put(replace(connection, link=link.name))
     # The receiving side is routed first, so that nothing that the sender sends finds no route.
@@ -51,7 +52,7 @@ def deactivate(state: State, connection: Connection) -> Plan:
         host = state.host(own.owner)
         if host:
             plan.append([Send(host, RemoveRoute(own.id, other.id), interface_ref(own))])
-    if not state.connections.by(connection.link):
+    if not state.connections.count(connection.link):
         plan += close(state, connection.link)
     return plan
 
@@ -127,19 +128,29 @@ def link_spec(state: State, link: Link, end: str) -> LinkSpec:
     listener, dialler = state.processes.get(link.listener), state.processes.get(link.dialler)
     if end == link.dialler and listener and dialler:
         ways = _ways(state, listener, dialler)
-    return LinkSpec(link.name, link.key_hex, ways, rate, other if rate else "")
+    return LinkSpec(link.name, link.key_hex, ways, rate, other)
 
 
 def _ways(state: State, to: Process, of: Process) -> list[str]:
     """Return the addresses at which process `of` can dial process `to`, best first."""
-    if to.host and to.host == of.host:
-        return to.addresses
-    ways = [address for address in to.addresses if not address.startswith(UNIX)]
+    here = bool(to.host) and to.host == of.host
     environment = state.environments.get(to.name)
-    machine = state.processes.get(environment.machine) if environment else None
-    if machine is not None:
-        ways += [f"{address}/{to.name}" for address in machine.addresses if address.startswith(RELAY)]
-    return ways
+    if environment is None:
+        return [address for address in to.addresses if here or not address.startswith(UNIX)]
+    machine = state.processes.get(environment.machine)
+    if machine is None:
+        return []
+    if here and machine.sockets:
+        return [UNIX + _socket(machine.sockets, environment)]
+    return [f"{RELAY}{machine.relays[to.host]}/{to.name}"] if to.host in machine.relays else []
+
+
+def _socket(template: str, environment: Environment) -> str:
+    """Return the path of an environment's socket for data links."""
+    parts = {"{name}": environment.name, "{user}": user_of(environment.name), "{run}": environment.run}
+    for part, value in parts.items():
+        template = template.replace(part, value)
+    return template
 
 
 def opening(state: State, link: Link) -> Sequence:
@@ -149,8 +160,8 @@ def opening(state: State, link: Link) -> Sequence:
 
 
 def _link(state: State, one: Process, other: Process, alone_for: str, ids: Ids) -> Link:
-    for link in state.links.by(one.name):
-        if {link.listener, link.dialler} == {one.name, other.name} and link.alone_for == alone_for:
+    for link in state.links.by(pair(one.name, other.name)):
+        if link.alone_for == alone_for:
             return link
     # An environment may have no network: prefer to dial it, at its socket or through the relay of its machine.
     listener, dialler = sorted((one, other), key=lambda process: (process.role != "environment", process.name))

@@ -12,7 +12,7 @@ import time
 from collections.abc import AsyncIterator
 from typing import Any
 
-from master.graph.records import Connection, Environment, Process, Record, Robot, user_of
+from master.graph.records import Connection, Environment, Interface, Process, Record, Robot, user_of
 from master.graph.state import State
 from rce.api.views import Event
 from rce.api.views.live import EventType
@@ -32,7 +32,8 @@ class Events:
         self._next = 1
         self._size = 0
         self._news = asyncio.Event()
-        for table in (state.robots, state.environments, state.connections):
+        self._robots = state.robots
+        for table in (state.robots, state.environments, state.connections, state.interfaces):
             watchers: list[Any] = table.watchers
             watchers.append(self._changed)
 
@@ -91,6 +92,9 @@ class Events:
                 self._add("connection.made" if here else "connection.gone", user, record.key)
             case Environment() if not here:
                 self._add("environment.gone", user, record.key)
+            case Interface() if not here and record.by and record.by not in self._robots:
+                text = f"robot {record.by.partition('/')[2]}, which added it, has left"
+                self._add("interface.gone", user, record.key, text)
 
     def _add(self, type: EventType, user: str, object: str, text: str = "", **more: Any) -> None:
         event = self._event(self._next, type, user, object, text=text[:MAX_LINES], **more)

@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 import re
+import signal
 from collections.abc import Iterator
+from typing import Literal
 from urllib.parse import urlsplit
 
 from master.execution.readiness import Readiness
 from master.graph.groups import of_user
 from master.graph.placement import free_gpus, free_slots
-from master.graph.records import Connection, Environment, Interface, Node, Parameter, Process, Robot, ref
+from master.graph.records import (
+    Connection,
+    Environment,
+    Interface,
+    IoRates,
+    Node,
+    NodeEnd,
+    Parameter,
+    Process,
+    Robot,
+    ref,
+)
 from master.graph.state import State, at
 from master.graph.translation import container_data, qos_message
 from rce.api.views import (
@@ -18,6 +31,7 @@ from rce.api.views import (
     GroupView,
     InterfaceView,
     MachineView,
+    NodeEndView,
     NodeView,
     ParameterView,
     Rate,
@@ -51,7 +65,7 @@ class Presenter:
             tag,
             "connected" if record.endpoint in self.state.joined and record.name not in self.state.away else "away",
             record.endpoint,
-            len(self.state.interfaces.by(record.name)),
+            self.state.interfaces.count(record.name),
             record.by.user if is_guest(tag) else "",
         )
 
@@ -67,11 +81,22 @@ class Presenter:
             record.address,
             record.egress,
             record.packages,
-            len(state.nodes.by(name)),
-            len(state.parameters.by(name)),
-            len(state.interfaces.by(name)),
+            state.nodes.count(name),
+            state.parameters.count(name),
+            state.interfaces.count(name),
             self.usage.get(name),
+            self._not_enforced(record),
         )
+
+    def _not_enforced(self, record: Environment) -> list[str]:
+        """Return the options of an environment that its machine does not enforce, and `egress` if it is limited."""
+        machine = self.state.processes.get(record.machine)
+        if machine is None:
+            return []
+        options = record.options
+        asked = {name for name in options.__struct_fields__ if getattr(options, name) not in (0, IoRates())}
+        asked |= {"egress"} if record.egress != "all" else set()
+        return sorted(asked.intersection(machine.not_enforced))
 
     def _state_of(self, record: Environment) -> EnvironmentState:
         if not record.machine:
@@ -82,16 +107,14 @@ class Presenter:
 
     def node(self, record: Node) -> NodeView:
         """Return the view of a node."""
-        return NodeView(
-            *_parts(record.owner),
-            record.tag,
-            "running" if self._readiness.is_ready(ref(record)) else "starting",
-            record.package,
-            record.executable,
-            record.arguments,
-            record.name,
-            record.namespace,
-        )
+        end = self.state.ends.get(record.key)
+        if self._readiness.is_ready(ref(record)):
+            return _node_view(record, "running", end)
+        return _node_view(record, "waiting" if end and end.node == record else "starting", end)
+
+    def ended_node(self, record: NodeEnd) -> NodeView:
+        """Return the view of a node that has ended."""
+        return _node_view(record.node, "ended", record)
 
     def parameter(self, record: Parameter) -> ParameterView:
         """Return the view of a parameter."""
@@ -108,7 +131,7 @@ class Presenter:
             record.address,
             qos_message(record.qos),
             record.format,
-            len(self.state.connections.by(record.key)),
+            self.state.connections.count(record.key),
             self.rates.get(record.key),
         )
 
@@ -141,7 +164,7 @@ class Presenter:
             record.gpus - free_gpus(self.state, record),
             record.features,
             len(environments),
-            len(self.state.robots.by(at(name))) if record.role == "robot" else 0,
+            self.state.robots.count(at(name)) if record.role == "robot" else 0,
             Usage(sum(each.cores for each in measured), sum(each.memory for each in measured)) if measured else None,
             sorted(self._addresses(record)),
         )
@@ -164,7 +187,7 @@ class Presenter:
 
 def _hosts(record: Process) -> Iterator[str]:
     """Yield the hosts in the endpoint descriptions and the URL of a process."""
-    for each in record.addresses:
+    for each in (*record.addresses, *(f"relay:{relay}" for relay in record.relays.values())):
         if match := _HOST.match(each):
             yield match[1]
     if host := urlsplit(record.url).hostname:
@@ -174,3 +197,30 @@ def _hosts(record: Process) -> Iterator[str]:
 def _parts(name: str) -> tuple[str, str]:
     user, _, tag = name.partition("/")
     return user, tag
+
+
+def _node_view(
+    record: Node, state: Literal["starting", "running", "waiting", "ended"], end: NodeEnd | None
+) -> NodeView:
+    return NodeView(
+        *_parts(record.owner),
+        record.tag,
+        state,
+        record.package,
+        record.executable,
+        record.arguments,
+        record.name,
+        record.namespace,
+        record.restart,
+        None if end is None else NodeEndView(end.time, end.status, signal_name(end.status), end.count, end.lines),
+    )
+
+
+def signal_name(status: int) -> str:
+    """Return the signal of an exit status, as SIGKILL; empty if none killed the program."""
+    if status >= 0:
+        return ""
+    try:
+        return signal.Signals(-status).name
+    except ValueError:
+        return f"signal {-status}"

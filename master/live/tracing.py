@@ -73,10 +73,10 @@ class Tracer:
         while interface in self._state.interfaces:
             rest = asyncio.create_task(asyncio.sleep(PERIOD))
             known = {each.id: each for each in self._concerned(interface) if sees(each)}
-            for passages in await self._ask(name, known):
-                for passage in passages:
-                    if (before := joined.add(passage, loop.time())) is not None:
-                        yield self._shown(before, known)
+            told = [each for passages in await self._ask(name, known) for each in passages]
+            for passage in sorted(told, key=lambda each: each.time):  # all messages of a topic may have the same id
+                if (before := joined.add(passage, loop.time())) is not None:
+                    yield self._shown(before, known)
             for message in joined.complete(loop.time()):
                 yield self._shown(message, known)
             await rest

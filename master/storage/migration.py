@@ -8,7 +8,8 @@ import sqlalchemy as sa
 
 from rce.errors import InvalidRequest
 
-HEAD = "0003"  # the newest revision
+HEAD = "0005"  # the newest revision
+REVISIONS = "alembic_version"  # the table that has the revision of the database
 SCRIPTS = Path(__file__).with_name("migrations")
 
 
@@ -19,19 +20,25 @@ def upgrade(engine: sa.Engine) -> None:
         InvalidRequest: The database is of a later version, or of none.
     """
     with engine.begin() as connection:
-        if _revision(connection) == HEAD:
-            return  # Alembic takes a while to import
-        _run_alembic(connection)
+        migrate(connection, HEAD)
 
 
-def _revision(connection: sa.Connection) -> str | None:
-    if not sa.inspect(connection).has_table("alembic_version"):
+def revision(connection: sa.Connection) -> str | None:
+    """Return the revision of the database; None if it is none of a Master."""
+    if not sa.inspect(connection).has_table(REVISIONS):
         return None
-    revision: str | None = connection.execute(sa.text("SELECT version_num FROM alembic_version")).scalar()
-    return revision
+    found: str | None = connection.execute(sa.text(f"SELECT version_num FROM {REVISIONS}")).scalar()
+    return found
 
 
-def _run_alembic(connection: sa.Connection) -> None:
+def migrate(connection: sa.Connection, to: str) -> None:
+    """Create the tables, or migrate those of an earlier revision.
+
+    Raises:
+        InvalidRequest: The database is of a later version, or `to` is.
+    """
+    if revision(connection) == to:
+        return  # Alembic takes a while to import
     from alembic import command
     from alembic.config import Config
     from alembic.util import CommandError
@@ -40,7 +47,7 @@ def _run_alembic(connection: sa.Connection) -> None:
     config.set_main_option("script_location", str(SCRIPTS))
     config.attributes["connection"] = connection
     try:
-        command.upgrade(config, "head")
+        command.upgrade(config, to)
     except CommandError as error:
         raise InvalidRequest(
             f"the database cannot be migrated: {error}. It was probably written by a later version of RCE: run that "

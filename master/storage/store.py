@@ -1,7 +1,8 @@
 """Store: the database of the Master, SQLite or PostgreSQL through SQLAlchemy.
 
-One worker thread owns the database, so that writes keep their order and the event loop never waits for a disk. Records
-that change during a write are written together in the next one.
+One worker thread owns the database, so that writes keep their order and the event loop never waits for a disk. What
+comes during a transaction shares the next one, and so one flush to the disk: records that changed, and other work, of
+which each piece has a savepoint.
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ import contextlib
 import os
 import sqlite3
 import time
+from collections import deque
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -32,7 +34,10 @@ log = Logger()
 _transactions = metrics.Timing("rce_database_seconds", "Time of a transaction, with waiting for the one before")
 PATIENCE = 5.0  # seconds
 FAILURES = (sa.exc.SQLAlchemyError, DiskFull)  # what a database raises that does not work
+MAX_TOGETHER = 100  # pieces of work in one transaction
 R = TypeVar("R")
+Work = Callable[[sa.Connection], Any]
+Outcome = tuple[Any, Exception | None]
 
 
 class Store:
@@ -49,7 +54,9 @@ class Store:
             if not memory and not str(parsed.database).startswith("file:"):  # SQLite's own URIs are left alone
                 _make_private(Path(str(parsed.database)))
             sa.event.listen(self._engine, "connect", _tune_sqlite)
+            sa.event.listen(self._engine, "begin", _begin_sqlite)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="store")
+        self._works: deque[tuple[Work, Future[Any]]] = deque()
         self._waiting: dict[tuple[str, str], str | None] = {}
         self._batch: asyncio.Future[None] | None = None  # resolves when what waits now is stored
         self._under_way: asyncio.Future[None] | None = None  # the batch that is being written
@@ -73,20 +80,20 @@ class Store:
             ) from None
 
     async def run(self, work: Callable[[sa.Connection], R]) -> R:
-        """Run `work` in a transaction of its own in the database's thread, and return its result.
+        """Run `work` in the database's thread; return its result when it is stored, or nothing of it if it fails.
+
+        `work` may be run a second time after it was rolled back.
 
         Raises:
             InvalidRequest: The database cannot hold a value, as PostgreSQL text with NUL.
             DiskFull: There is no room for what it writes.
         """
-
-        def transact() -> R:
-            with self._engine.begin() as connection:
-                return work(connection)
-
+        done: Future[R] = Future()
         began = time.perf_counter()
+        self._works.append((work, done))
+        self._thread.submit(self._serve)
         try:
-            return await self._do(transact)
+            return await asyncio.wrap_future(done)
         except sa.exc.DataError as error:
             raise InvalidRequest(f"the database cannot hold this: {error.orig}") from None
         except sa.exc.OperationalError as error:
@@ -95,6 +102,41 @@ class Store:
             raise
         finally:
             _transactions.labels().observe_since(began)
+
+    def _serve(self) -> None:
+        """Run what waits, in one transaction if possible; called in the thread, once for each piece of work."""
+        works = [self._works.popleft() for _ in range(min(MAX_TOGETHER, len(self._works)))]
+        works = [(work, done) for work, done in works if done.set_running_or_notify_cancel()]
+        if len(works) > 1:
+            try:
+                outcomes = self._transact_together([work for work, _ in works])
+            except Exception as error:  # noqa: BLE001  # the transaction as a whole failed: each gets one of its own
+                log.info("{count} transactions are repeated: {error}", count=len(works), error=str(error)[:200])
+            else:
+                for (_, done), outcome in zip(works, outcomes, strict=True):
+                    _settle(done, outcome)
+                return
+        for work, done in works:
+            try:
+                with self._engine.begin() as connection:
+                    result = work(connection)
+                done.set_result(result)
+            except Exception as error:  # noqa: BLE001  # its caller gets it
+                done.set_exception(error)
+
+    def _transact_together(self, works: list[Work]) -> list[Outcome]:
+        """Run works in one transaction; return their results or errors."""
+        outcomes: list[Outcome] = []
+        with self._engine.begin() as connection:
+            for work in works:
+                try:
+                    with connection.begin_nested():
+                        outcomes.append((work(connection), None))
+                except sa.exc.OperationalError:  # a full disk, or a lost connection
+                    raise
+                except Exception as error:  # noqa: BLE001  # its caller gets it
+                    outcomes.append((None, error))
+        return outcomes
 
     async def _do(self, work: Callable[[], R]) -> R:
         return await asyncio.get_running_loop().run_in_executor(self._thread, work)
@@ -164,6 +206,14 @@ class Store:
             self._thread.shutdown()
 
 
+def _settle(done: Future[Any], outcome: Outcome) -> None:
+    result, error = outcome
+    if error is not None:
+        done.set_exception(error)
+    else:
+        done.set_result(result)
+
+
 def _put(connection: sa.Connection, rows: dict[tuple[str, str], str | None]) -> None:
     keys = [{"k": kind, "n": key} for kind, key in rows]
     connection.execute(
@@ -188,7 +238,12 @@ def _make_private(file: Path) -> None:
             file.chmod(0o600)
 
 
+def _begin_sqlite(connection: sa.Connection) -> None:
+    connection.exec_driver_sql("BEGIN")
+
+
 def _tune_sqlite(connection: Any, _: object) -> None:
+    connection.isolation_level = None  # the driver's own BEGIN comes too late for savepoints: `_begin_sqlite`
     connection.execute("PRAGMA journal_mode=WAL")
-    connection.execute("PRAGMA synchronous=NORMAL")  # survives the death of the process; a power cut costs the last ms
+    connection.execute("PRAGMA synchronous=FULL")  # a power cut loses nothing that was acknowledged
     connection.execute("PRAGMA foreign_keys=ON")

@@ -78,6 +78,14 @@ tokens = sa.Table(
     sa.Column(
         "key", sa.String(32), sa.ForeignKey("api_keys.id", ondelete="CASCADE"), index=True
     ),  # with which a machine was invited; null: with a password
+    sa.Column("public_key", sa.String(64)),  # SHA-256 of the machine's key that got a certificate for an invitation
+)
+# When machines were removed, in seconds since 1970: their certificates from before are refused.
+removed_machines = sa.Table(
+    "removed_machines",
+    tables,
+    sa.Column("name", sa.String(600), primary_key=True),
+    sa.Column("time", sa.Float, nullable=False),
 )
 # Rows are added, and removed when they are too old; none is changed.
 audit = sa.Table(

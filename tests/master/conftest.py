@@ -1,12 +1,10 @@
-"""Fixtures: a loop whose time is turned by hand, databases, a Master with processes, the entry over HTTP."""
+"""Fixtures: databases, a Master with processes, the entry over HTTP."""
 
 from __future__ import annotations
 
-import asyncio
 import os
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 import sqlalchemy as sa
@@ -17,7 +15,6 @@ from master.execution import lifecycle, process_tracker
 from master.storage.store import Store
 from tests.support.master.entry import Ask, asking
 from tests.support.master.fleet import Fleet
-from tests.support.master.hand_turned import HandTurnedLoop
 from tests.support.master.peers import LONG, Furnished, Platform
 from tests.support.master.served import serve_entry
 
@@ -25,20 +22,6 @@ POSTGRES = os.environ.get("RCE_TEST_POSTGRES", "")
 needs_postgres = pytest.mark.skipif(
     not POSTGRES, reason="set RCE_TEST_POSTGRES to the SQLAlchemy URL of a PostgreSQL database for tests"
 )
-
-
-@pytest.fixture
-def hand() -> Iterator[HandTurnedLoop]:
-    """Loop of its own for a test; fails if an exception was not retrieved."""
-    loop = HandTurnedLoop()
-    unhandled: list[dict[str, Any]] = []
-    loop.set_exception_handler(lambda _, context: unhandled.append(context))
-    yield loop
-    for task in asyncio.all_tasks(loop):
-        task.cancel()
-    loop.settle()
-    loop.close()
-    assert not unhandled
 
 
 @pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=needs_postgres)])

@@ -139,3 +139,10 @@ async def test_long_header_is_a_bad_request(port: int, length: int) -> None:
 async def test_pages_of_any_origin_may_read_the_answer(ask: Ask) -> None:
     answer = await ask(GOOD, Origin="https://elsewhere.example")
     assert answer.origins == "*"
+
+
+async def test_browser_is_shown_the_way_to_the_dashboard(ask: Ask) -> None:
+    answer = await ask("/nothing", Accept="text/html,application/xhtml+xml")
+    assert (answer.status, answer.kind) == (404, PLAIN)
+    assert "the dashboard is at /ui/" in str(answer.body)
+    assert (await ask("/nothing" + GOOD[1:], Accept="text/html")).status == 200, "with parameters it is a robot"

@@ -17,6 +17,8 @@ from master.storage.store import Store
 from rce.errors import InvalidRequest
 from rce.process.lock import lock_directory
 
+pytestmark = pytest.mark.slow  # starts the program many times
+
 
 def refusal(directory: Path, *more: str) -> str:
     words = [sys.executable, "-P", "-m", "master", f"--data-dir={directory}", "--http=tcp:0:interface=127.0.0.1"]

@@ -7,18 +7,29 @@ from typing import get_args
 
 import msgspec
 import pytest
+from msgspec.structs import replace
 
 import rce
 from master.access.users import Users
+from master.access.users import digest as sha256
 from master.graph.records import Environment, EnvironmentOptions, Package, Process, Role, Version
 from master.graph.state import State
 from master.service import Master
 from master.storage.depot import FETCH_PATH, Depot
 from master.storage.store import Store
+from rce.api.roles import Scopes
 from rce.control.calls.endpoints import CloseLink, OpenLink, Report, Sync
-from rce.control.calls.environments import DownloadTicket, FetchPackage, KeepEnvironments, StartEnvironment
+from rce.control.calls.environments import (
+    DownloadTicket,
+    FetchPackage,
+    KeepEnvironments,
+    ReportRelays,
+    SetRelays,
+    StartEnvironment,
+)
 from rce.control.calls.joining import Hello
-from rce.control.calls.robots import DescribeType, Login, SendStatus
+from rce.control.calls.robots import DescribeType, Login, ReadGraphFor, SendStatus
+from rce.control.calls.watching import RosNode
 from rce.errors import AlreadyExists, ErrorInfo, InvalidRequest, NotFound, Unauthorized, Unavailable, UnknownType
 from rce.protocol import messages as m
 from tests.support.master.peers import Furnished, Platform, execute, login, told
@@ -53,21 +64,47 @@ async def test_removed_environment_cannot_join(furnished: Furnished) -> None:
         await furnished.platform.process("environment", "ann/brain", token=furnished.brain.credential)
 
 
-async def test_process_whose_credentials_were_revoked_is_disconnected(furnished: Furnished) -> None:
-    master = furnished.platform.master
-    await master.evict_removed()
-    assert "west" in master.state.joined
-    await master.join_tokens.forget("west")  # as `rce machine remove` does, beside the Master
-    await master.evict_removed()
-    assert "west" not in master.state.joined
-    await furnished.platform.until(lambda: furnished.west.control.lost.done())
-    with pytest.raises(Unauthorized):
-        await furnished.platform.endpoint(token=furnished.west.credential)
+async def test_hello_of_an_environment_decides_nothing_that_others_dial(platform: Platform) -> None:
+    """Programs in an environment can join in place of their endpoint."""
+    west, machine = await platform.endpoint(), {"host": "h", "sockets": "/e/{run}", "relays": {"h": "m1:2"}}
+    m1 = await platform.process("container", "m1", capacity=4, **machine)
+    await login(west, "ann/r1")
+    made = execute(west, "ann/r1", m.CreateContainer("brain"))
+    spec = (await m1.next(StartEnvironment)).environment
+    hostile = ["tcp:169.254.169.254:80", "tcp:metadata.example:80", "unix:/var/run/docker.sock"]
+    more: dict[str, object] = {"addresses": hostile, "url": "http://169.254.169.254/", "relays": {"h": "10.0.0.1:22"}}
+    brain = await platform.process("environment", spec.name, spec.run, token=spec.token, capacity=9, **more)
+    await brain.next(Sync)
+    await made
+    for command in (
+        m.AddInterface("r1", "pose", "SubscriberConverter", "std_msgs/String"),
+        m.AddInterface("brain", "pose", "PublisherInterface", "std_msgs/String"),
+        m.Connect("r1/pose", "brain/pose"),
+    ):
+        await execute(west, "ann/r1", command)
+    assert (await west.next(OpenLink)).link.dial == ["relay:m1:2/ann/brain"]
+    assert platform.master.state.processes["ann/brain"] == Process("ann/brain", "environment", spec.run, "h")
+
+
+async def test_environment_waits_until_its_host_is_known(platform: Platform) -> None:
+    west = await platform.endpoint()
+    m1 = await platform.process("container", "m1", capacity=4, relays={"n1": "n1:2"})
+    await login(west, "ann/r1")
+    made = execute(west, "ann/r1", m.CreateContainer("brain"))
+    spec = (await m1.next(StartEnvironment)).environment
+    with pytest.raises(Unavailable, match="m1 has not told yet"):
+        await platform.process("environment", spec.name, spec.run, token=spec.token, host="n2", credential="c" * 64)
+    await m1.call(ReportRelays({"n1": "n1:2", "n2": "n2:2"}))
+    assert (await m1.next(SetRelays)).relays == ["n1:2", "n2:2"]
+    brain = await platform.process("environment", spec.name, spec.run, token=spec.token, host="n2", credential="c" * 64)
+    await brain.next(Sync)
+    await made
+    assert platform.master.state.processes["ann/brain"].host == "n2"
 
 
 CALLS_OF_ROLES: dict[str, set[str]] = {
-    "robot": {"Login", "SessionExpired", "SocketStatus", "Execute", "DescribeType"},
-    "container": {"EnvironmentDied", "LimitReached", "FetchPackage"},
+    "robot": {"Login", "SessionExpired", "SocketStatus", "Execute", "DescribeType", "ReadGraphFor"},
+    "container": {"EnvironmentDied", "LimitReached", "FetchPackage", "ReportRelays"},
     "environment": {"NodeDied", "Report"},
     "service": {"Authenticate", "RecordAction", "CreateGrant", "IssueKey", "RevokeGrant"},
 }
@@ -89,29 +126,63 @@ async def test_process_may_make_the_calls_of_its_role_only(platform: Platform, r
 
 
 async def test_type_is_looked_up_in_the_users_environments(furnished: Furnished) -> None:
-    answer = await furnished.west.call(DescribeType("ann", "my_msgs/msg/A", False))
+    answer = await furnished.west.call(DescribeType("ann", "my_msgs/msg/A", "msg"))
     assert answer.texts == {"my_msgs/msg/A": "of ann/brain"}
 
 
 async def test_type_that_only_another_users_environment_has_is_unknown(furnished: Furnished) -> None:
     with pytest.raises(UnknownType, match="neither here nor in an environment of bob"):
-        await furnished.west.call(DescribeType("bob", "my_msgs/msg/A", False))
+        await furnished.west.call(DescribeType("bob", "my_msgs/msg/A", "msg"))
+
+
+async def test_graph_is_read_for_who_may_see_the_environment(furnished: Furnished) -> None:
+    with pytest.raises(NotFound, match="no session"):
+        await furnished.west.call(ReadGraphFor("ann/r9", "brain"))
+    with pytest.raises(NotFound, match="no environment 'other'"):
+        await furnished.west.call(ReadGraphFor("ann/r1", "other"))
+    robot = furnished.platform.master.state.robots.get("ann/r1")
+    assert robot is not None
+    tied = replace(robot.by, role="robot", scopes=Scopes(environments=["elsewhere"]))
+    furnished.platform.master.state.robots.put(replace(robot, principal=tied))
+    with pytest.raises(NotFound, match="no environment 'brain'"):
+        await furnished.west.call(ReadGraphFor("ann/r1", "brain"))
+    furnished.platform.master.state.robots.put(robot)
+    assert (await furnished.west.call(ReadGraphFor("ann/r1", "brain"))).nodes == [RosNode("/ann/brain")]
 
 
 async def test_error_of_an_environment_reaches_the_robots_of_its_user(furnished: Furnished) -> None:
     await login(furnished.west, "bob/r1")
     await furnished.brain.call(Report("ann/brain", "pose", ErrorInfo("invalid_request", "no such type")))
     assert (await told(furnished.west, ErrorInfo)).message == "no such type"
-    sent = [(call.robot, call.error) for call in furnished.west.arrived if isinstance(call, SendStatus)]
-    assert sent[1:] == [("ann/r1", ErrorInfo("invalid_request", "no such type"))]  # after that it is ready
+    sent = [(call.robots, call.error) for call in furnished.west.arrived if isinstance(call, SendStatus)]
+    assert sent[1:] == [(["ann/r1"], ErrorInfo("invalid_request", "no such type"))]  # after that it is ready
+
+
+async def test_status_for_all_robots_of_a_user_is_one_call_to_each_endpoint(furnished: Furnished) -> None:
+    await login(furnished.west, "ann/r2")
+    east = await furnished.platform.endpoint("east")
+    await login(east, "ann/r3")
+    await furnished.brain.call(Report("ann/brain", "pose", ErrorInfo("invalid_request", "no such type")))
+    assert (await east.next(SendStatus)).robots == ["ann/r3"]
+    await told(furnished.west, ErrorInfo)
+    sent = [call.robots for call in furnished.west.arrived if isinstance(call, SendStatus)]
+    assert [sorted(robots) for robots in sent[1:]] == [["ann/r1", "ann/r2"]]
+
+
+async def test_statuses_go_to_robots_that_asked_for_events(furnished: Furnished) -> None:
+    await furnished.west.call(Login("ann", "plain", sha256("secret")))
+    await furnished.brain.call(Report("ann/brain", "pose", ErrorInfo("invalid_request", "no such type")))
+    await told(furnished.west, ErrorInfo)
+    sent = [call.robots for call in furnished.west.arrived if isinstance(call, SendStatus)]
+    assert sent[1:] == [["ann/r1"]]
 
 
 async def test_drops_of_an_environment_reach_the_robots_of_its_user(furnished: Furnished) -> None:
     await login(furnished.west, "bob/r1")
     await furnished.brain.call(Report("ann/brain", "pose", drops=3))
     assert await told(furnished.west, m.DropEvent) == m.DropEvent("brain/pose", 3, "in environment brain")
-    sent = [call.robot for call in furnished.west.arrived if isinstance(call, SendStatus)]
-    assert sent[1:] == ["ann/r1"]
+    sent = [call.robots for call in furnished.west.arrived if isinstance(call, SendStatus)]
+    assert sent[1:] == [["ann/r1"]]
 
 
 # --- questions to processes -------------------------------------------------------------------------------------------
@@ -121,7 +192,7 @@ async def test_environment_that_is_away_is_unavailable(furnished: Furnished) -> 
     environment = furnished.platform.master.state.environments["ann/brain"]
     await furnished.brain.leave()
     with pytest.raises(Unavailable, match="environment ann/brain is away"):
-        await furnished.platform.master.ask(environment, DescribeType("ann", "x", False))
+        await furnished.platform.master.ask(environment, DescribeType("ann", "x", "msg"))
 
 
 async def test_metrics_of_a_process_that_is_away_are_unavailable(platform: Platform) -> None:

@@ -1,6 +1,6 @@
 // Client of the Master's HTTP API: JSON with an API key, problems as errors, logs as streams.
 
-const BASE = "/api/v1";
+const BASE = "/api/v1"; // at the Master
 const PAUSES = [200, 1000]; // milliseconds before a request is sent again
 
 export class Problem extends Error {
@@ -11,28 +11,42 @@ export class Problem extends Error {
 }
 
 export class Api {
-  constructor(key) {
-    this.key = key;
+  /** `base` is the URL below which the paths are. */
+  constructor(key, base = BASE) {
+    [this.key, this.base] = [key, base];
   }
 
   get(path, query) {
-    return call("GET", path, `Bearer ${this.key}`, { query });
+    return call("GET", this.base + path, `Bearer ${this.key}`, { query });
   }
 
   post(path, body, query) {
-    return call("POST", path, `Bearer ${this.key}`, { body, query });
+    return call("POST", this.base + path, `Bearer ${this.key}`, { body, query });
   }
 
   put(path, body, query) {
-    return call("PUT", path, `Bearer ${this.key}`, { body, query });
+    return call("PUT", this.base + path, `Bearer ${this.key}`, { body, query });
   }
 
   patch(path, body, query) {
-    return call("PATCH", path, `Bearer ${this.key}`, { body, query });
+    return call("PATCH", this.base + path, `Bearer ${this.key}`, { body, query });
   }
 
   remove(path, query) {
-    return call("DELETE", path, `Bearer ${this.key}`, { query });
+    return call("DELETE", this.base + path, `Bearer ${this.key}`, { query });
+  }
+
+  /** Return the bytes of a file. */
+  async file(path) {
+    const answer = await ask("GET", this.base + path, `Bearer ${this.key}`, { accept: "*/*" });
+    return answer.blob();
+  }
+
+  /** Send bytes to the path of a ticket. */
+  async upload(path, token, content) {
+    const headers = { authorization: `Bearer ${token}`, "content-type": "application/x-tar" };
+    const answer = await fetch(path, { method: "PUT", headers, credentials: "omit", body: content });
+    if (!answer.ok) throw new Problem(answer.status, await answer.json().catch(() => ({})));
   }
 
   /** Return all items of a list, fetched page by page. */
@@ -49,7 +63,7 @@ export class Api {
 
   /** Yield the data of server-sent events, until `signal` or the server ends them. */
   async* follow(path, query, signal) {
-    const answer = await ask("GET", path, `Bearer ${this.key}`, { query, signal, accept: "text/event-stream" });
+    const answer = await ask("GET", this.base + path, `Bearer ${this.key}`, { query, signal, accept: "text/event-stream" });
     const reader = answer.body.pipeThrough(new TextDecoderStream()).getReader();
     let rest = "";
     for (;;) {
@@ -68,7 +82,7 @@ export class Api {
 /** Return a `post` that authenticates with user and password. */
 export function withPassword(user, password) {
   const pair = new TextEncoder().encode(`${user}:${password}`);
-  return (path, body, query) => call("POST", path, `Basic ${btoa(String.fromCharCode(...pair))}`, { body, query });
+  return (path, body, query) => call("POST", BASE + path, `Basic ${btoa(String.fromCharCode(...pair))}`, { body, query });
 }
 
 async function call(method, path, authorization, options) {
@@ -76,8 +90,8 @@ async function call(method, path, authorization, options) {
   return answer.status === 204 ? null : answer.json();
 }
 
-async function ask(method, path, authorization, { body, query = {}, signal, accept = "application/json" }) {
-  const url = new URL(BASE + path, location.origin);
+async function ask(method, address, authorization, { body, query = {}, signal, accept = "application/json" }) {
+  const url = new URL(address, location.origin);
   for (const [name, value] of Object.entries(query)) if (value !== "" && value !== undefined) url.searchParams.set(name, value);
   const headers = { authorization, accept };
   if (body !== undefined) headers["content-type"] = "application/json";

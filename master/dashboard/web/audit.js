@@ -1,12 +1,13 @@
 // Page of the audit log.
 
+import { remember } from "./address.js";
 import { attempt, h, show, table, time } from "./dom.js";
 
 const FILTERS = [["user", "User"], ["action", "Action"], ["object", "Object"], ["result", "Result"]];
 
-export function auditPage(main, app) {
+export function auditPage(main, app, query) {
   const list = h("div");
-  const form = h("form.panel.head", FILTERS.map(([name, label]) => h("label.inline", label, h("input", { name, size: 12, autocomplete: "off" }))),
+  const form = h("form.panel.head", FILTERS.map(([name, label]) => h("label.inline", label, h("input", { name, size: 12, autocomplete: "off", value: query.get(name) ?? "" }))),
     h("button.main", { type: "submit" }, "Show"));
   const more = h("button", { hidden: true }, "More");
   let entries = [];
@@ -17,7 +18,7 @@ export function auditPage(main, app) {
     after = page.next;
     more.hidden = !after;
     show(list, table({
-      Time: (each) => time(each.time),
+      Time: (each) => h("span.when", time(each.time)),
       User: (each) => each.user || h("span.soft", "nobody"),
       Action: (each) => each.action,
       Object: (each) => h("span.any", each.object),
@@ -27,6 +28,7 @@ export function auditPage(main, app) {
   });
   form.onsubmit = (event) => {
     event.preventDefault();
+    remember(Object.fromEntries(new FormData(form)));
     [entries, after] = [[], ""];
     load();
   };

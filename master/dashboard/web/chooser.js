@@ -1,4 +1,4 @@
-// Choice of an environment and of the topics to show.
+// Choice of an environment and of the topics to show, of those that its nodes and interfaces have.
 
 import { h, show } from "./dom.js";
 
@@ -23,6 +23,16 @@ export function chooser(app, page, owner, environment, fields) {
     if (location.hash === `#${address}`) window.dispatchEvent(new HashChangeEvent("hashchange"));
     else app.go(address);
   };
+  const known = new Map(); // types by topic, by environment, as ROS has them there
+  const ask = (place) => {
+    const [user, tag] = place.split("/");
+    known.set(place, new Map());
+    app.api.list(`/environments/${tag}/topics`, app.acting(user)).then((topics) => {
+      known.set(place, new Map(topics.map((each) => [each.name, each.types[0].replace("/msg/", "/")])));
+      draw();
+    }, () => {}); // it may be starting: then only interfaces are offered
+  };
+  select.onchange = () => draw();
   const draw = () => {
     const found = [...app.live.environments.values()].filter((each) => app.me.may("data.read", each.user));
     const names = new Map(found.map((each) => [`${each.user}/${each.containerTag}`, app.named(each.user, each.containerTag)]).sort());
@@ -30,7 +40,8 @@ export function chooser(app, page, owner, environment, fields) {
     show(select, !names.has(chosen) && h("option", { value: "" }, names.size ? "choose …" : "there is none"),
       [...names].map(([value, name]) => h("option", { value }, name)));
     select.value = names.has(chosen) ? chosen : "";
-    const topics = topicsOf(app, ...chosen.split("/"));
+    if (fields.length && app.live.environments.get(select.value)?.state === "ready" && !known.has(select.value)) ask(select.value);
+    const topics = new Map([...topicsOf(app, ...select.value.split("/")), ...known.get(select.value) ?? []]);
     fields.forEach((each, index) => show(lists[index],
       [...topics].filter(([, type]) => type === each.type).map(([topic]) => h("option", { value: topic }))));
   };

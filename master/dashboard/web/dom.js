@@ -24,14 +24,19 @@ function fill(element, name, rest) {
   return element;
 }
 
-/** Create a table of `columns` {title: cell(row)}; a title with # in front is of numbers, a blank one of buttons. */
+const WIDE = 6; // columns from which a table becomes a list of cards earlier
+
+/** Create a table of `columns` {title: cell(row)}; a title with # in front is of numbers, a blank one of buttons. Where it
+ * has no room, each row is a card. The roles stay those of a table then. */
 export function table(columns, rows, none) {
   if (!rows.length) return h("p.empty", none);
   const kind = (title) => (title.startsWith("#") ? ".number" : title.trim() ? "" : ".actions");
   const titles = Object.keys(columns);
-  return h("div.scroll", h("table",
-    h("thead", h("tr", titles.map((title) => h(`th${kind(title)}`, title.replace("#", "") || h("span", ""))))),
-    h("tbody", rows.map((row) => h("tr", titles.map((title) => h(`td${kind(title)}`, columns[title](row))))))));
+  const cell = (title, row) => h(`td${kind(title)}`, { role: "cell", "data-title": title.replace("#", "").trim() || null }, columns[title](row));
+  const head = (title) => (title.trim() ? h(`th${kind(title)}`, { role: "columnheader", scope: "col" }, title.replace("#", "")) : h("td", { role: "cell" }));
+  return h("div.cards", h(titles.length >= WIDE ? "table.wide" : "table", { role: "table" },
+    h("thead", { role: "rowgroup" }, h("tr", { role: "row" }, titles.map(head))),
+    h("tbody", { role: "rowgroup" }, rows.map((row) => h("tr", { role: "row" }, titles.map((title) => cell(title, row)))))));
 }
 
 /** Make the children of `element` equal to `children`. Equal nodes stay, so that no click or focus is lost. They keep
@@ -49,12 +54,18 @@ function patch(old, fresh) {
     else if (node.nodeType !== Node.ELEMENT_NODE) {
       if (there.data !== node.data) there.data = node.data;
     } else {
-      for (const { name, value } of node.attributes) if (there.getAttribute(name) !== value) there.setAttribute(name, value);
+      for (const { name, value } of node.attributes) if (there.getAttribute(name) !== value) set(there, name, value);
       for (const { name } of [...there.attributes]) if (!node.hasAttribute(name)) there.removeAttribute(name);
       patch(there, node);
     }
   });
   for (const node of have.slice(want.length)) node.remove();
+}
+
+/** Set an attribute. The content security policy forbids the attribute `style`, but not the property. */
+function set(element, name, value) {
+  if (name === "style") element.style.cssText = value;
+  else element.setAttribute(name, value);
 }
 
 /** Show a notice for a while; `more` is an element beside the text. */
@@ -76,7 +87,7 @@ export async function attempt(work, done = "") {
   }
 }
 
-const GOOD = new Set(["connected", "ready", "running", "joined", "up", "active"]);
+const GOOD = new Set(["connected", "ready", "running", "joined", "up", "active", "done"]);
 const BAD = new Set(["gone", "down", "failed", "lost", "expired", "revoked"]);
 
 export function state(word) {

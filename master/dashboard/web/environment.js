@@ -1,8 +1,11 @@
 // Page of one environment: nodes, parameters, interfaces, output and usage.
 
+import { remember } from "./address.js";
 import { attempt, bytes, h, rate, short, show, state, table } from "./dom.js";
 import { Chart } from "./chart.js";
-import { confirm, newInterface, newNode, newParameter } from "./forms.js";
+import { confirm } from "./forms.js";
+import { newInterface, newNode, newParameter } from "./create.js";
+import { sends } from "./graph.js";
 import { LogView } from "./logview.js";
 
 export function environmentPage(main, app, user, tag, query) {
@@ -12,7 +15,7 @@ export function environmentPage(main, app, user, tag, query) {
   const who = app.acting(user);
   const parts = Object.fromEntries(["head", "nodes", "parameters", "interfaces"].map((name) => [name, h("div")]));
   const [cores, memory] = [new Chart("Cores", (value) => value.toFixed(2)), new Chart("Memory", bytes)];
-  const logs = new LogView(app, path, who);
+  const logs = new LogView(app, path, who, (node) => remember({ node }));
   main.append(parts.head,
     h("div.two", cores.element, memory.element),
     h("div.two", h("section.panel", parts.nodes), h("section.panel", parts.parameters)),
@@ -41,10 +44,10 @@ export function environmentPage(main, app, user, tag, query) {
     show(parts.nodes, nodesOf(app, user, nodes));
     bind(parts.nodes, {
       add: () => newNode(app, view),
-      log: (name) => logs.select(name),
+      log: (name) => { remember({ node: name }); logs.select(name); },
       stop: (name) => attempt(() => app.api.remove(`${path}/nodes/${name}`, who), `Stopped ${name}`),
     });
-    show(parts.parameters, parametersOf(app, user, mine("parameters")));
+    show(parts.parameters, parametersOf(app, user, tag, mine("parameters")));
     bind(parts.parameters, {
       add: () => newParameter(app, view),
       remove: (name) => {
@@ -61,6 +64,7 @@ export function environmentPage(main, app, user, tag, query) {
   };
   const off = app.live.on(draw);
   draw();
+  logs.filter(query.get("lines") ?? "", (lines) => remember({ lines }));
   logs.select(query.get("node") ?? "");
   return () => { off(); logs.stop(); };
 }
@@ -75,15 +79,20 @@ function bind(element, actions) {
 
 const button = (does, of, text, kind = "") => h(`button.small${kind}`, { "data-do": does, "data-of": of,
   "aria-label": of && `${text} ${of}` }, text);
-const title = (text, more) => h("div.head", h("h2", text), h("span.grow"), more);
+const title = (text, more) => h("div.head", h("h2", text), h("span.grow"), ...[more].flat());
 
 function head(app, view) {
   const { containerData: data } = view;
-  const facts = [view.machine && `on ${view.machine}`, data.memory && bytes(data.memory), data.cpu && `${data.cpu} cores`,
-    data.group && `group ${data.group}`, view.address, data.image].filter(Boolean);
-  return h("div.head", h("h1", app.named(view.user, view.containerTag)),
-    state(view.state), h("span.soft", facts.join(" · ")), h("span.grow"),
-    app.me.may("environment.remove", view.user) && button("stop", "", "Stop environment", ".danger"));
+  const facts = [view.machine && `on ${view.machine}`, data.memory && bytes(data.memory), data.cpu && `${data.cpu} ${data.cpu === 1 ? "core" : "cores"}`,
+    data.group && `group ${data.group}`, view.address, data.image, data.gpus && `${data.gpus} GPUs`,
+    view.notEnforced.length && `not enforced by this engine: ${view.notEnforced.join(", ")}`,
+    (data.packages ?? []).join(", "), Object.entries(data.env ?? {}).map(([name, value]) => `${name}=${value}`).join(" ")].filter(Boolean);
+  return [h("div.head", h("h1", app.named(view.user, view.containerTag)), state(view.state), h("span.grow"),
+    app.me.may("data.read", view.user) && h("a.button", { href: `#/topics/${view.user}/${view.containerTag}` }, "Topics and services"),
+    app.me.may("node.create", view.user) && h("a.button", { href: `terminal.html#${view.user}/${view.containerTag}` }, "Terminal"),
+    view.user === app.me.user && app.me.may("interface.create") && h("a.button", { href: `examples/joystick.html?environment=${view.containerTag}` }, "Joystick"),
+    app.me.may("environment.remove", view.user) && button("stop", "", "Stop environment", ".danger")),
+  h("p.soft", facts.join(" · "))];
 }
 
 function nodesOf(app, user, nodes) {
@@ -95,28 +104,35 @@ function nodesOf(app, user, nodes) {
   }, nodes, "No nodes run here."));
 }
 
-function parametersOf(app, user, parameters) {
-  return h("div", title("Parameters", app.me.may("parameter.set", user) && button("add", "", "Set parameter")), table({
+function parametersOf(app, user, tag, parameters) {
+  return h("div", title("Parameters", [
+    app.me.may("interface.create", user) && h("a.button.small", { href: `#/parameters/${user}/${tag}` }, "Of running nodes"),
+    app.me.may("parameter.set", user) && button("add", "", "Set parameter")]), table({
     Name: (each) => (each.nodeTag ? `${each.nodeTag}: ${each.name}` : each.name),
     Value: (each) => h("span.mono", JSON.stringify(each.value)),
     " ": (each) => app.me.may("parameter.remove", user) && button("remove", JSON.stringify([each.nodeTag, each.name]), "Remove"),
   }, parameters, "No parameters are set."));
 }
 
-const VIEWS = { OccupancyGrid: "map", Image: "image", CompressedImage: "image" };
+const VIEWS = { // by type: page and the field of the topic
+  OccupancyGrid: ["map", "topic"], Image: ["image", "topic"], CompressedImage: ["image", "topic"], LaserScan: ["space", "scan"],
+  PointCloud2: ["space", "cloud"],
+};
 
 function interfacesOf(app, user, tag, interfaces) {
   const seen = app.me.may("data.read", user);
   return h("div", title("Interfaces", app.me.may("interface.create", user) && button("add", "", "Add interface")), table({
     Name: (each) => each.interfaceTag,
-    Kind: (each) => each.interfaceType.replace("Interface", ""),
+    Kind: (each) => `${each.interfaceType.replace("Interface", "")} (${sends(each) ? "sends" : "receives"})`,
     Topic: (each) => h("span.mono", each.addr),
     Type: (each) => each.className,
     "#Rate": (each) => rate(each.rate),
     "#Dropped": (each) => String(each.rate?.drops ?? 0),
     " ": (each) => {
-      const view = seen && each.interfaceType === "SubscriberInterface" && VIEWS[short(each.className)];
-      return [view && h("a.button.small", { href: `#/${view}/${user}/${tag}?topic=${encodeURIComponent(each.addr)}` }, "View"),
+      const view = seen && /^(Subscriber|Publisher)Interface$/.test(each.interfaceType) && VIEWS[short(each.className)];
+      return [view && h("a.button.small", { "aria-label": `View ${each.addr}`, href: `#/${view[0]}/${user}/${tag}?${view[1]}=${encodeURIComponent(each.addr)}` }, "View"),
+        app.me.may("trace.read", user) && h("a.button.small", { href: `#/trace/${user}/${tag}/${each.interfaceTag}`,
+          "aria-label": `Trace ${each.interfaceTag}` }, "Trace"),
         app.me.may("interface.remove", user) && button("remove", each.interfaceTag, "Remove")];
     },
   }, interfaces, "It has no interfaces."));

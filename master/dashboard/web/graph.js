@@ -1,15 +1,22 @@
 // Page of the live graph. Only what is near the window is in the document, so it stays fast with thousands of interfaces.
 
+import { remember } from "./address.js";
 import { attempt, h, rate, short, show, state, svg, table } from "./dom.js";
-import { confirm, newEnvironment, newInterface, newNode, tell } from "./forms.js";
-import { line, model, place, wires } from "./layout.js";
+import { newEnvironment, newInterface, newNode } from "./create.js";
+import { confirm, tell } from "./forms.js";
+import { labels, line, model, place, wires } from "./layout.js";
+import { welcome } from "./welcome.js";
 
 const MARGIN = 600; // pixels above and below the window that are drawn as well
 
-export function graphPage(main, app) {
-  const graph = new Graph(app);
-  main.append(graph.head, graph.element);
-  const redraw = () => graph.draw();
+export function graphPage(main, app, query) {
+  const graph = new Graph(app, query.get("filter") ?? "");
+  const first = welcome(app);
+  main.append(graph.head, first, graph.element);
+  const redraw = () => {
+    graph.draw();
+    first.hidden = app.me.role === "admin" || !app.live.complete || app.live.robots.size + app.live.environments.size > 0;
+  };
   const scroll = () => requestAnimationFrame(() => graph.paint());
   const size = new ResizeObserver(redraw);
   size.observe(graph.element);
@@ -26,12 +33,19 @@ export function graphPage(main, app) {
   };
 }
 
+const kindOf = (view) => view.interfaceType.replace(/(Interface|Converter|Forwarder)$/, "");
+
+/** Return whether messages and requests leave through this interface when it is connected; otherwise they enter. */
+export const sends = (view) => /^(Subscriber|ServiceProvider|ActionProvider)$/.test(kindOf(view));
+
 /** Return whether two interfaces can be connected. */
 export function fit(a, b) {
-  const kinds = (view) => view.interfaceType.replace(/(Interface|Converter|Forwarder)$/, "");
-  const opposite = { Publisher: "Subscriber", Subscriber: "Publisher", ServiceClient: "ServiceProvider", ServiceProvider: "ServiceClient" };
-  const type = (view) => view.className.replace(/\/(msg|srv)\//, "/");
-  return a.user === b.user && opposite[kinds(a)] === kinds(b) && type(a) === type(b) && a.endpointTag !== b.endpointTag;
+  const opposite = {
+    Publisher: "Subscriber", Subscriber: "Publisher", ServiceClient: "ServiceProvider", ServiceProvider: "ServiceClient",
+    ActionClient: "ActionProvider", ActionProvider: "ActionClient",
+  };
+  const type = (view) => view.className.replace(/\/(msg|srv|action)\//, "/");
+  return a.user === b.user && opposite[kindOf(a)] === kindOf(b) && type(a) === type(b) && a.endpointTag !== b.endpointTag;
 }
 
 class Graph {
@@ -40,15 +54,16 @@ class Graph {
   #chosen = null; // key of the interface to be connected
   #cards = new Map();
   #wires = [];
+  #labels = new Map(); // positions of the labels of wires by their keys
   #drawn = new Map(); // elements in the document by key, with the content that they show
   #summary = h("span.soft", { "aria-live": "polite" });
   #none = h("p.empty");
 
-  constructor(app) {
+  constructor(app, filter) {
     this.#app = app;
-    this.filter = h("input", { type: "search", placeholder: "Filter by name or type", "aria-label": "Filter" });
-    this.filter.addEventListener("input", () => this.draw());
-    this.svg = svg("svg", { "aria-label": "Connections" }, svg("defs", svg("marker", {
+    this.filter = h("input", { type: "search", placeholder: "Filter by name or type", "aria-label": "Filter", value: filter });
+    this.filter.addEventListener("input", () => { remember({ filter: this.filter.value.trim() }); this.draw(); });
+    this.svg = svg("svg", { role: "group", "aria-label": "Connections" }, svg("defs", svg("marker", {
       id: "arrow", viewBox: "0 0 8 8", refX: 7, refY: 4, markerWidth: 7, markerHeight: 7, markerUnits: "userSpaceOnUse", orient: "auto-start-reverse",
     }, svg("path", { d: "M0 0L8 4L0 8z" }))), svg("g"));
     this.element = h("div.graph", this.svg, this.#none);
@@ -67,8 +82,9 @@ class Graph {
     if (this.#chosen && !live.interfaces.has(this.#chosen)) this.#chosen = null;
     this.#summary.textContent = this.#chosen
       ? `Choose what to connect ${live.interfaces.get(this.#chosen).interfaceTag} with, or press Escape.`
-      : `${live.robots.size} robots, ${live.environments.size} environments, ${live.interfaces.size} interfaces, ${links.length} connections`;
-    this.#none.textContent = total || !live.complete ? "" : "Nothing is here yet: create an environment, or connect a robot.";
+      : [[live.robots, "robot"], [live.environments, "environment"], [live.interfaces, "interface"], [live.connections, "connection"]]
+        .map(([all, name]) => `${all.size} ${name}${all.size === 1 ? "" : "s"}`).join(", ");
+    this.#none.textContent = live.complete && total && !cards.size ? "Nothing fits this filter." : "";
     this.paint();
   }
 
@@ -80,10 +96,12 @@ class Graph {
     for (const card of this.#cards.values()) {
       if (card.y < bottom && card.y + card.height > top) seen.add(this.#card(card));
     }
-    for (const wire of this.#wires) {
-      const [high, low] = [Math.min(wire.from.y, wire.to.y), Math.max(wire.from.y, wire.to.y)];
-      if (high < bottom && low > top) seen.add(this.#wire(wire));
-    }
+    const near = this.#wires.filter(({ from, to }) => Math.min(from.y, to.y) < bottom && Math.max(from.y, to.y) > top)
+      .map((wire) => ({ ...wire, ...line(wire), text: label(wire) }));
+    const [first] = this.#cards.values();
+    const edge = first ? first.width + 12 : 0;
+    this.#labels = labels(near, edge, this.element.clientWidth - edge);
+    for (const wire of near) seen.add(this.#wire(wire));
     for (const [key, { element }] of this.#drawn) {
       if (!seen.has(key)) {
         element.remove();
@@ -103,12 +121,14 @@ class Graph {
     const chosen = this.#chosen && this.#app.live.interfaces.get(this.#chosen);
     const looks = card.ports.map(({ key: port, view }) =>
       port === this.#chosen ? "chosen" : chosen && fit(chosen, view) ? "fits" : "");
-    const shown = JSON.stringify([card.view.state, card.folded, card.width, looks, card.ports.map(({ key: port, view }) => [port, view.state])]);
+    const shown = JSON.stringify([card.view.state, card.folded, card.width, card.besides, looks, card.ports.map(({ key: port, view }) => [port, view.state])]);
     let drawn = this.#drawn.get(key);
     if (!drawn) this.#drawn.set(key, drawn = { element: h(`section.node.${card.kind}`, { "aria-label": `${card.kind} ${card.name}` }), shown: "" });
     if (drawn.shown !== shown) {
       drawn.shown = shown;
       drawn.element.style.width = `${card.width}px`;
+      drawn.element.classList.toggle("narrow", card.narrow);
+      drawn.element.classList.toggle("besides", card.besides);
       show(drawn.element, this.#title(card), ...(card.folded ? [] : card.ports.map((port, index) => this.#port(port, looks[index]))));
       this.#listen(drawn.element, card.key);
     }
@@ -130,10 +150,10 @@ class Graph {
   }
 
   #port({ key, view }, look) {
-    const kind = view.interfaceType.replace(/(Interface|Converter|Forwarder)$/, "");
-    return h(`button.port${look ? `.${look}` : ""}`, { "data-do": "port", "data-port": key,
-      title: `${view.interfaceType} ${view.className} ${view.addr}`,
-      "aria-label": `${view.endpointTag}/${view.interfaceTag}, ${kind} of ${view.className}` },
+    const way = sends(view) ? "sends" : "receives";
+    return h(`button.port.${way}${look ? `.${look}` : ""}`, { "data-do": "port", "data-port": key,
+      title: `${way}: ${view.interfaceType} ${view.className} ${view.addr}`,
+      "aria-label": `${view.endpointTag}/${view.interfaceTag}, ${kindOf(view)} of ${view.className}, ${way}` },
     h("span.tag", view.interfaceTag), h("span.type", short(view.className)));
   }
 
@@ -183,17 +203,16 @@ class Graph {
         dialog.close();
       }, `Removed ${view.interfaceTag}`) }, "Remove");
     const dialog = tell(card.name, h("p.head", actions), table({
-      Interface: ({ view }) => view.interfaceTag, Kind: ({ view }) => view.interfaceType, Type: ({ view }) => short(view.className),
+      Interface: ({ view }) => view.interfaceTag, Kind: ({ view }) => view.interfaceType, Direction: ({ view }) => (sends(view) ? "sends" : "receives"), Type: ({ view }) => short(view.className),
       " ": ({ view }) => remove(view),
     }, card.ports, "It has no interfaces."));
   }
 
   #wire(wire) {
     const key = `wire ${wire.key}`;
-    const { path, x, y } = line(wire);
-    const words = rate(wire.links.some((each) => each.rate) ? wire : null);
-    const many = wire.links.length > 1 ? `${wire.links.length}× ` : "";
-    const shown = JSON.stringify([path, words, many, wire.drops, wire.down, wire.both]);
+    const { path, text } = wire;
+    const place_ = this.#labels.get(wire.key);
+    const shown = JSON.stringify([path, text, place_, wire.drops, wire.down, wire.both]);
     let drawn = this.#drawn.get(key);
     if (!drawn) {
       const parts = { touch: svg("path.touch"), line: svg("path.line", { "marker-end": "url(#arrow)" }), text: svg("text") };
@@ -208,14 +227,15 @@ class Graph {
       drawn.shown = shown;
       const { element, parts } = drawn;
       element.setAttribute("class", `wire${wire.down ? " down" : ""}${wire.drops ? " drops" : ""}`);
-      element.setAttribute("aria-label", `connection ${wire.links.map((each) => `${each.tagA} to ${each.tagB}`).join(", ")} ${words}`);
+      element.setAttribute("aria-label", `connection ${wire.links.map((each) => `${each.tagA} to ${each.tagB}`).join(", ")} ${text}`);
       parts.touch.setAttribute("d", path);
       parts.line.setAttribute("d", path);
       parts.line.toggleAttribute("marker-start", false);
       if (wire.both) parts.line.setAttribute("marker-start", "url(#arrow)");
-      parts.text.setAttribute("x", x);
-      parts.text.setAttribute("y", y - 6);
-      parts.text.replaceChildren(many + words, wire.drops ? svg("tspan.lost", `  ${wire.drops} dropped`) : "");
+      parts.text.setAttribute("x", place_?.x ?? 0);
+      parts.text.setAttribute("y", place_?.y ?? 0);
+      const [words, lost] = place_ ? text.split(LOST) : [""];
+      parts.text.replaceChildren(words, lost === undefined ? "" : svg("tspan.lost", `${LOST}${lost}`));
     }
     return key;
   }
@@ -232,4 +252,13 @@ class Graph {
       "#Dropped": (link) => String(link.rate?.drops ?? 0), " ": cut,
     }, wire.links, ""));
   }
+}
+
+const LOST = "  dropped "; // between the rate and the number of dropped messages
+
+/** Return the label of a wire: how many connections it stands for, their rate, and what was dropped. */
+function label(wire) {
+  const many = wire.links.length > 1 ? `${wire.links.length}× ` : "";
+  const words = rate(wire.links.some((each) => each.rate) ? wire : null);
+  return many + words + (wire.drops ? `${LOST}${wire.drops}` : "");
 }

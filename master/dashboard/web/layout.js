@@ -1,6 +1,9 @@
 // Layout of the graph: robots on the left, environments on the right, wires in between. Free of the DOM.
 
 const [TITLE, PORT, GAP, GUTTER] = [48, 28, 18, 200]; // pixels; of the gutter the minimum
+const NARROW = { width: 560, title: 76, gutter: 52 }; // pixels: below this width names and buttons have a line each
+const [LETTER, LABEL] = [7.4, 15]; // pixels: width of a letter and height of a label
+const PLACES = [0.5, 0.4, 0.6, 0.3, 0.7, 0.2, 0.8]; // of a label on its wire, the best first
 export const MAX_UNFOLDED = 24; // up to this number, cards show their interfaces unless the user folds them
 
 /** Return the cards and wires of the graph. `folded(key, many)` returns whether a card hides its interfaces. */
@@ -20,21 +23,26 @@ export function model(live, filter, folded) {
   const words = filter.toLowerCase();
   const fits = (each) => `${each.key} ${each.ports.map(({ view }) => `${view.interfaceTag} ${view.className}`).join(" ")}`
     .toLowerCase().includes(words);
-  const kept = words ? all.filter(fits) : all;
+  const found = new Set(words ? all.filter(fits).map((each) => each.key) : cards.keys());
+  const kept = all.filter((each) => found.has(each.key) || [...each.peers].some((key) => found.has(key)));
   for (const each of kept) {
     each.ports.sort((a, b) => compare(a.key, b.key));
     each.folded = folded(each.key, kept.length > MAX_UNFOLDED);
-    each.height = TITLE + (each.folded ? 0 : each.ports.length * PORT);
+    each.besides = !found.has(each.key);
   }
   return { cards: new Map(order(kept).map((each) => [each.key, each])), links, total: all.length };
 }
 
 /** Place every card in a graph of this width, and return the graph's height. */
 export function place(cards, width) {
-  const column = Math.min(420, (width - Math.min(GUTTER + (width - 500) / 4, width * 0.34)) / 2);
+  const narrow = width < NARROW.width;
+  const gutter = narrow ? NARROW.gutter : Math.min(GUTTER + (width - 500) / 4, width * 0.34);
+  const column = Math.min(420, (width - gutter) / 2);
   const ends = { robot: 0, environment: 0 };
   for (const each of cards.values()) {
-    Object.assign(each, { x: each.kind === "robot" ? 1 : width - column - 1, y: ends[each.kind], width: column });
+    each.title = narrow ? NARROW.title : TITLE;
+    each.height = each.title + (each.folded ? 0 : each.ports.length * PORT);
+    Object.assign(each, { x: each.kind === "robot" ? 1 : width - column - 1, y: ends[each.kind], width: column, narrow });
     ends[each.kind] += each.height + GAP;
   }
   return Math.max(ends.robot, ends.environment);
@@ -60,16 +68,37 @@ export function wires(cards, links) {
   return [...found.values()];
 }
 
-/** Return the path of a wire and its middle. A wire within one column is an arc into the gutter. */
+/** Return the path of a wire, and `at(t)`, its points from 0 to 1. A wire within one column is an arc into the gutter. */
 export function line({ from, to, both }) {
   const reach = from.side === to.side ? 90 + Math.min(60, Math.abs(to.y - from.y) / 6) : Math.max(40, Math.abs(to.x - from.x) / 2);
   const [a, b] = [from.x + from.side * reach, to.x + to.side * reach];
   const [tip, tail] = [to.x + to.side * 7, from.x + (both ? from.side * 7 : 0)];
   return {
     path: `M${tail} ${from.y}C${a} ${from.y} ${b} ${to.y} ${tip} ${to.y}`,
-    x: (from.x + 3 * a + 3 * b + to.x) / 8,
-    y: (from.y + to.y) / 2,
+    at: (t) => [[from.x, a, b, to.x], [from.y, from.y, to.y, to.y]].map(([p, q, r, s]) =>
+      (1 - t) ** 3 * p + 3 * (1 - t) ** 2 * t * q + 3 * (1 - t) * t * t * r + t ** 3 * s),
   };
+}
+
+/** Return the positions of labels {key, at, text} by key, none of which overlap. They stay between the columns, from
+ * `left` to `right`; a label without room has no position. */
+export function labels(all, left, right) {
+  const [rows, found] = [new Map(), new Map()];
+  const rowsOf = (y) => [Math.floor((y - LABEL) / LABEL), Math.floor(y / LABEL)];
+  for (const { key, at, text } of all) {
+    const half = (text.length * LETTER) / 2;
+    if (!text || 2 * half > right - left) continue;
+    for (const t of PLACES) {
+      const [middle, height] = at(t);
+      const [x, y] = [Math.max(left + half, Math.min(right - half, middle)), height - 5];
+      const others = rowsOf(y).flatMap((row) => rows.get(row) ?? []);
+      if (others.some((each) => Math.abs(each.x - x) < each.half + half && Math.abs(each.y - y) < LABEL)) continue;
+      found.set(key, { x, y });
+      for (const row of rowsOf(y)) rows.set(row, [...(rows.get(row) ?? []), { x, y, half }]);
+      break;
+    }
+  }
+  return found;
 }
 
 function end(cards, user, tag) {
@@ -82,7 +111,7 @@ function end(cards, user, tag) {
     key: index < 0 ? card_.key : card_.ports[index].key,
     side,
     x: side > 0 ? card_.x + card_.width + 2 : card_.x - 2,
-    y: card_.y + (index < 0 ? TITLE / 2 : TITLE + (index + 0.5) * PORT),
+    y: card_.y + (index < 0 ? card_.title / 2 : card_.title + (index + 0.5) * PORT),
   };
 }
 

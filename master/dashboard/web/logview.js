@@ -12,12 +12,25 @@ export class LogView {
   #names = [];
   #chosen = "";
   #select = h("select", { "aria-label": "Whose output" });
+  #filter = h("input", { type: "search", placeholder: "Lines with …", "aria-label": "Lines with", size: 14 });
+  #lines = [];
   #text = h("pre.log", { tabindex: 0, role: "log", "aria-label": "Output" });
 
-  constructor(app, path, who) {
-    Object.assign(this, { element: h("section.panel", h("div.head", h("h2", "Output"), this.#select), this.#text) });
+  /** `chosen(name)` is called when the user chooses whose output to see. */
+  constructor(app, path, who, chosen) {
+    Object.assign(this, { element: h("section.panel", h("div.head", h("h2", "Output"), this.#select, this.#filter), this.#text) });
     [this.#app, this.#path, this.#who] = [app, path, who];
-    this.#select.onchange = () => this.select(this.#select.value);
+    this.#select.onchange = () => { chosen(this.#select.value); this.select(this.#select.value); };
+  }
+
+  /** Show only lines with this text; `changed` is called when the user sets another one. */
+  filter(text, changed) {
+    this.#filter.value = text;
+    this.#filter.oninput = () => {
+      changed(this.#filter.value.trim());
+      this.#text.textContent = "";
+      this.#show(this.#lines);
+    };
   }
 
   /** Set the nodes to choose from, beside the environment itself; nodes that are gone stay in the list. */
@@ -32,6 +45,7 @@ export class LogView {
     this.#chosen = name;
     this.nodes([]);
     this.#text.textContent = "";
+    this.#lines = [];
     const stop = this.#stop = new AbortController();
     const path = name ? `${this.#path}/nodes/${name}/log` : `${this.#path}/log`;
     while (!stop.signal.aborted) {
@@ -52,9 +66,15 @@ export class LogView {
   }
 
   #add(lines) {
+    this.#lines = [...this.#lines, ...lines].slice(-LINES);
+    this.#show(lines);
+  }
+
+  #show(lines) {
+    const words = this.#filter.value.trim().toLowerCase();
     const pre = this.#text;
     const atEnd = pre.scrollHeight - pre.scrollTop - pre.clientHeight < 30;
-    pre.append(...lines.map((line) => `${line}\n`));
+    pre.append(...lines.filter((line) => line.toLowerCase().includes(words)).map((line) => `${line}\n`));
     while (pre.childNodes.length > LINES) pre.firstChild.remove();
     if (atEnd) pre.scrollTop = pre.scrollHeight;
   }

@@ -1,7 +1,7 @@
 // Page of the platform's machines and their usage.
 
 import { bytes, h, show, state, table } from "./dom.js";
-import { ask, tell } from "./forms.js";
+import { ask, confirm, tell } from "./forms.js";
 
 export function machinesPage(main, app) {
   const list = h("div");
@@ -18,7 +18,12 @@ export function machinesPage(main, app) {
     "#Memory": (each) => (each.usage ? bytes(each.usage.memory) : ""),
     Features: (each) => [...each.features, each.gpus && `${each.gpusUsed} of ${each.gpus} GPUs`].filter(Boolean).join(", "),
     Address: (each) => h("span.mono", each.url),
+    " ": (each) => app.me.may("machine.remove", "") && h("button.small.danger", { "data-of": each.name, "aria-label": `Remove ${each.name}` }, "Remove"),
   }, [...app.live.machines.values()].sort((a, b) => a.role.localeCompare(b.role) || a.name.localeCompare(b.name)), "No machine has joined."));
+  list.onclick = (event) => {
+    const name = event.target.closest("[data-of]")?.dataset.of;
+    if (name) confirm(`Remove ${name}?`, "It is disconnected for good, with its environments; it joins again only with a new code.", "Remove machine", () => app.api.remove(`/machines/${name}`));
+  };
   draw();
   return app.live.on(draw);
 }

@@ -1,18 +1,26 @@
 // Frame of the dashboard: sign-in, the bar at the top, and the current page.
 
 import { Api, withPassword } from "./api.js";
+import { remember } from "./address.js";
 import { auditPage } from "./audit.js";
 import { attempt, h, show } from "./dom.js";
 import { environmentPage } from "./environment.js";
+import { eventsPage } from "./eventlog.js";
 import { followEvents } from "./events.js";
 import { graphPage } from "./graph.js";
-import { imagePage } from "./image.js";
+import { jobsPage } from "./jobs.js";
 import { keysPage } from "./keys.js";
+import { knowledgePage } from "./knowledge.js";
 import { Live } from "./live.js";
 import { machinesPage } from "./machines.js";
-import { mapPage } from "./map.js";
+import { packagesPage } from "./packages.js";
+import { panelsPage } from "./panelspage.js";
+import { parametersPage } from "./parameters.js";
 import { Person } from "./person.js";
+import { topicsPage } from "./topics.js";
+import { tracePage } from "./trace.js";
 import { userPage, usersPage } from "./users.js";
+import { viewPage } from "./viewpage.js";
 
 const KEY = "rce.key"; // in sessionStorage, so it is gone with the tab
 const HOURS = 12;
@@ -20,8 +28,17 @@ const [bar, main] = [document.getElementById("bar"), document.getElementById("ma
 const PAGES = [ // path, page, label in the bar, and the operation that it needs
   [/^\/$/, graphPage, "Graph"],
   [/^\/environments\/(\w+)\/(\w+)$/, environmentPage],
-  [/^\/map(?:\/(\w+)\/(\w+))?$/, mapPage, "Map", "data.read"],
-  [/^\/image(?:\/(\w+)\/(\w+))?$/, imagePage, "Image", "data.read"],
+  [/^\/map(?:\/(\w+)\/(\w+))?$/, viewPage("map", "map", "Choose an environment whose nodes publish a map."), "Map", "data.read"],
+  [/^\/topics(?:\/(\w+)\/(\w+))?$/, topicsPage, "Topics", "data.read"],
+  [/^\/image(?:\/(\w+)\/(\w+))?$/, viewPage("image", "image", "Choose an environment whose nodes publish images."), "Image", "data.read"],
+  [/^\/space(?:\/(\w+)\/(\w+))?$/, viewPage("space", "space", "Choose an environment with laser scans or point clouds."), "3D", "data.read"],
+  [/^\/panels$/, panelsPage, "Panels", "data.read"],
+  [/^\/recordings$/, jobsPage, "Recordings", "job.read"],
+  [/^\/knowledge(?:\/(\w+)\/([\w.%-]+))?$/, knowledgePage, "Knowledge", "knowledge.read"],
+  [/^\/packages$/, packagesPage, "Packages", "package.read"],
+  [/^\/parameters\/(\w+)\/(\w+)$/, parametersPage],
+  [/^\/trace(?:\/(\w+)\/([\w@]+)\/([\w@.]+))?$/, tracePage, "Trace", "trace.read"],
+  [/^\/events$/, eventsPage, "Events", "feed.read"],
   [/^\/machines$/, machinesPage, "Machines", "machine.read"],
   [/^\/users$/, usersPage, "Users", "user.create"],
   [/^\/users\/(\w+)$/, userPage],
@@ -62,9 +79,11 @@ function route() {
   leave = null;
   main.replaceChildren();
   drawBar();
-  if (!found) return show(main, h("p", `There is no page ${path}.`));
+  if (!found) return show(main, h("h1", `There is no page ${path}`), h("p", h("a", { href: "#/" }, "To the graph")));
   const [match, page] = found;
-  leave = page(main, app, ...match.slice(1).map((part) => part ?? ""), new URLSearchParams(query));
+  const given = new URLSearchParams(query);
+  if (given.get("everybody") && app.live.user !== "*" && app.me.may("environment.read", "*")) app.live.watch("*");
+  leave = page(main, app, ...match.slice(1).map((part) => part ?? ""), given);
   return undefined;
 }
 
@@ -73,19 +92,25 @@ function drawBar() {
   const links = PAGES.filter(([, , title, operation]) => title && (!operation || app.me.may(operation)));
   const everybody = app.me.may("environment.read", "*");
   show(bar,
-    h("a.brand", { href: "#/" }, h("img", { src: "icon.svg", alt: "" }), h("span", "RCE")),
+    h("a.brand", { href: "#/", "aria-label": "RCE" }, h("img", { src: "icon.svg", alt: "" }), h("span", "RCE")),
     h("nav", { "aria-label": "Pages" }, links.map(([pattern, , title]) => {
       const path = pattern.source.replace(/^\^|\(.*|\\|\$$/g, "") || "/";
-      return h("a", { href: `#${path}`, "aria-current": pattern.test(here) && "page" }, title);
+      return h("a", { href: `#${path}${app.live.user === "*" ? "?everybody=yes" : ""}`, "aria-current": pattern.test(here) && "page" }, title);
     })),
     everybody && h("label.inline.soft", h("input", { type: "checkbox", id: "everybody" }), "everybody's"),
     h("span.who", h(`span.pulse${app.live.connected ? ".on" : ""}`, { role: "img",
       "aria-label": app.live.connected ? "live" : "not connected", title: app.live.connected ? "live" : "not connected" }),
-    `${app.me.user} (${app.me.role})`, h("button.small", { id: "leave" }, "Sign out")));
+    app.me.may("usage.read") ? h("a", { href: `#/users/${app.me.user}` }, app.me.user) : app.me.user, ` (${app.me.role})`, h("button.small", { id: "leave" }, "Sign out")));
   document.getElementById("leave").onclick = signOut;
   const box = document.getElementById("everybody");
   if (box) box.checked = app.live.user === "*";
-  if (box) box.onchange = () => app.live.watch(box.checked ? "*" : app.me.user);
+  if (box) {
+    box.onchange = () => {
+      app.live.watch(box.checked ? "*" : app.me.user);
+      remember({ everybody: box.checked && "yes" });
+      drawBar();
+    };
+  }
 }
 
 function signInPage(message = "") {

@@ -1,20 +1,34 @@
 // Pages of users for administrators: roles, passwords, quotas with their usage, and keys.
 
-import { attempt, bytes, h, notice, show, table, time } from "./dom.js";
+import { attempt, h, notice, show, table, time } from "./dom.js";
 import { ask, confirm } from "./forms.js";
 import { keysOf } from "./keys.js";
+import { changeQuotas, quotas, summary } from "./quotas.js";
 
 const ROLES = ["user", "viewer", "operator", "admin"];
+const SHOWN = ["environments", "cores", "total_memory"]; // uses in the list of users
+const MAX_USES = 50; // users whose use is in the list
 const PASSWORD = { type: "password", required: true };
 
 export function usersPage(main, app) {
   const list = h("div");
   const { api } = app;
-  const load = () => attempt(async () => show(list, table({
-    Name: (each) => h("a", { href: `#/users/${each.name}` }, each.name),
-    Role: (each) => each.role,
-    Created: (each) => time(each.created),
-  }, await api.list("/users"), "There are no users.")));
+  const load = () => attempt(async () => {
+    const users = await api.list("/users");
+    const read = (each) => Promise.all(["limits", "usage"].map((what) => api.get(`/users/${each.name}/${what}`)));
+    const known = new Map();
+    const draw = () => show(list, table({
+      Name: (each) => h("a", { href: `#/users/${each.name}` }, each.name),
+      Role: (each) => each.role,
+      Use: (each) => known.has(each.name) && h("div.uses", summary(...known.get(each.name), SHOWN)),
+      Created: (each) => time(each.created),
+    }, users, "There are no users."));
+    draw();
+    for (const each of users.slice(0, MAX_USES)) {
+      known.set(each.name, await read(each));
+      draw();
+    }
+  });
   const add = () => ask("New user", [
     { name: "name", label: "Name", required: true, pattern: "[A-Za-z][A-Za-z0-9_]*", title: "a letter, then letters, digits or _" },
     { name: "role", label: "Role", options: ROLES, value: "user" },
@@ -34,19 +48,13 @@ export function userPage(main, app, name) {
     const user = await api.get(path);
     show(about, h("div.head", h("h1", user.name), h("span.soft", user.role)));
     const [given, used] = [await api.get(`${path}/limits`), await api.get(`${path}/usage`)];
-    show(limits, quotas(given, used));
+    show(limits, ...quotas(given, used));
   });
   const change = {
     role: () => ask(`Role of ${name}`, [{ name: "role", label: "Role", options: ROLES }],
       async (wanted) => { await api.patch(path, wanted); load(); }, { button: "Change" }),
     password: () => newPassword(app, name),
-    limits: () => ask(`Quotas of ${name}`, QUOTAS.map(([key, label, , words]) => ({
-      name: key, label, help: words ? "as 2GiB; empty: as it is" : "empty: as it is", placeholder: "0: no limit" })),
-    async (wanted) => {
-      const number = (text) => (Number.isNaN(Number(text)) ? text : Number(text));
-      await api.patch(`${path}/limits`, Object.fromEntries(Object.entries(wanted).map(([key, text]) => [key, number(text)])));
-      load();
-    }, { button: "Change" }),
+    limits: () => attempt(async () => changeQuotas(app, name, await api.get(`${path}/limits`), load)),
     remove: () => confirm(`Remove ${name}?`, "With all robots, environments, keys and packages of theirs.", "Remove user",
       async () => { await api.remove(path); app.go("/users"); }),
   };
@@ -62,27 +70,6 @@ export function userPage(main, app, name) {
   return () => {};
 }
 
-const QUOTAS = [ // limits: name, label, whether usage has it, format
-  ["environments", "Environments", true],
-  ["cores", "Cores", true],
-  ["total_memory", "Memory", true, bytes],
-  ["total_bandwidth", "Bandwidth", true, (value) => `${bytes(value)}/s`],
-  ["robots", "Robots", true],
-  ["connections", "Connections", true],
-  ["package_bytes", "Stored packages", true, bytes],
-  ["memory", "Memory of one environment", false, bytes],
-  ["cpu", "Cores of one environment", false],
-];
-
-function quotas(given, used) {
-  return table({
-    Quota: ([, label]) => label,
-    "#Used": ([key, , counted, words = String]) => (counted ? words(used[key] ?? 0) : ""),
-    "#Limit": ([key, , , words = String]) => (given[key] ? words(given[key]) : h("span.soft", "none")),
-    " ": ([key, label, counted]) => (counted && given[key] ? meter(used[key] ?? 0, given[key], label) : ""),
-  }, QUOTAS, "");
-}
-
 /** Open the dialog for a new password; changing one's own needs the old one. */
 export function newPassword(app, name) {
   const old = name === app.me.user ? [{ name: "old", label: "Old password", ...PASSWORD }] : [];
@@ -90,10 +77,4 @@ export function newPassword(app, name) {
     await app.api.put(`/users/${name}/password`, wanted);
     notice("The password is changed");
   }, { button: "Change" });
-}
-
-function meter(value, most, label) {
-  const inner = h(value >= most ? "div.full" : "div");
-  inner.style.width = `${Math.min(100, (100 * value) / most)}%`;
-  return h("div.bar", { role: "meter", "aria-label": label, "aria-valuenow": value, "aria-valuemin": 0, "aria-valuemax": most }, inner);
 }

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import json
+import os
 import sys
 import time
 from collections.abc import Awaitable, Callable
@@ -169,7 +171,7 @@ async def test_password_at_a_terminal_is_typed_twice(
     monkeypatch.setattr(sys, "stdin", Terminal())
     monkeypatch.setattr("getpass.getpass", ask)
     with pytest.raises(RceError, match=reason):
-        await run(parser().parse_args(["--data-dir", str(tmp_path), "add", "ann"]))
+        await run(parser().parse_args(["--data-dir", str(tmp_path), "add", "--create", "ann"]))
 
 
 async def test_missing_data_directory_is_not_created(tmp_path: Path) -> None:
@@ -178,9 +180,20 @@ async def test_missing_data_directory_is_not_created(tmp_path: Path) -> None:
     assert not (tmp_path / "none").exists()
 
 
+async def test_database_is_made_only_on_request(tmp_path: Path, command: Command) -> None:
+    for words in (("list",), ("add", "ann")):
+        with pytest.raises(NotFound, match="no database of a Master"):
+            await command(*words, reads=GOOD)
+    assert os.listdir(tmp_path) == []
+    await command("add", "ann", "--create", reads=GOOD)
+    await command("list")
+
+
 def test_failure_is_one_line_and_a_status(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO(GOOD))
+    asyncio.run(run(parser().parse_args(["--data-dir", str(tmp_path), "add", "--create", "ann"])))
     monkeypatch.setattr(sys, "argv", ["rce user", "--data-dir", str(tmp_path), "limits", "nobody"])
     assert main() == 1
     assert capsys.readouterr().err == "rce user: there is no user nobody\n"

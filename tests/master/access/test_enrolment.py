@@ -10,6 +10,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from cryptography import x509
 
 import rce
 from master.access.enrolment import (
@@ -57,7 +58,7 @@ async def test_invitation_is_for_some_hours(tokens: JoinTokens) -> None:
     invitation = await invite(tokens, "beta", ["robot", "robot", "container"], "10.0.0.2", 2)
     assert (invitation.name, invitation.roles, invitation.address) == ("beta", ["robot", "container"], "10.0.0.2")
     assert before + 7199 <= invitation.expires <= time.time() + 7200
-    assert await tokens.redeem("beta", invitation.digest)
+    assert await tokens.redeem("beta", invitation.digest, "key")
 
 
 async def test_machine_without_a_role_is_not_invited(tokens: JoinTokens) -> None:
@@ -141,11 +142,41 @@ async def test_address_of_the_invitation_is_preferred(registrar: Registrar, toke
     assert certificate_hosts(membership.certificate) == ["beta", "beta.example", "10.0.0.7"]
 
 
-async def test_invitation_is_valid_once(registrar: Registrar, tokens: JoinTokens) -> None:
+async def test_invitation_is_valid_for_one_machine(registrar: Registrar, tokens: JoinTokens) -> None:
     invitation = await invite(tokens, "beta", ["robot"])
-    await registrar.admit(apply(invitation), "10.0.0.7")
+    first = await registrar.admit(apply(invitation), "10.0.0.7")
+    other = signing_request(generate_key(), "machine")
+    with pytest.raises(Unauthorized):
+        await registrar.admit(apply(invitation, other), "10.0.0.7")
+    again = await registrar.admit(apply(invitation), "10.0.0.7")  # its answer was lost
+    assert again.tokens == first.tokens
+    await tokens.remove_machine("beta")
     with pytest.raises(Unauthorized):
         await registrar.admit(apply(invitation), "10.0.0.7")
+
+
+async def test_tokens_belong_to_one_key(registrar: Registrar, tokens: JoinTokens) -> None:
+    """They cannot be derived from a join code that is found later."""
+    invitation = await invite(tokens, "beta", ["robot", "container"])
+    membership = await registrar.admit(apply(invitation), "10.0.0.7")
+    assert len({*membership.tokens.values(), invitation.secret}) == 3
+    for role, token in membership.tokens.items():
+        await tokens.admit(membership.names[role], role, token, "c" * 64)
+        with pytest.raises(Unauthorized):
+            await tokens.admit(membership.names[role], role, token)
+
+
+async def test_machine_that_is_added_again_has_a_later_certificate(registrar: Registrar, tokens: JoinTokens) -> None:
+    first = await registrar.admit(apply(await invite(tokens, "beta", ["robot"])), "10.0.0.7")
+    await tokens.remove_machine("beta")
+    removed = (await tokens.removals())["beta"]
+    second = await registrar.admit(apply(await invite(tokens, "beta", ["robot"])), "10.0.0.7")
+    begins = [_valid_from(each.certificate) for each in (first, second)]
+    assert begins[0] < removed < begins[1]
+
+
+def _valid_from(certificate: str) -> float:
+    return x509.load_pem_x509_certificate(certificate.encode()).not_valid_before_utc.timestamp()
 
 
 async def test_altered_and_expired_invitations_are_refused(registrar: Registrar, tokens: JoinTokens) -> None:
@@ -214,6 +245,8 @@ async def test_server_admits_a_machine(served: Served, tokens: JoinTokens) -> No
     assert (status, kind) == (200, "application/json")
     membership = msgspec.json.decode(contents, type=Membership)
     assert (membership.address, membership.names) == ("127.0.0.1", {"robot": "beta-robot"})
+    other = signing_request(generate_key(), "machine")
+    body = msgspec.json.encode(msgspec.structs.replace(msgspec.json.decode(body, type=JoinRequest), request=other))
     status, _, contents = await served.ask("POST", "/machines", body)
     assert (status, msgspec.json.decode(contents)["code"]) == (401, "unauthorized")
 
@@ -259,6 +292,6 @@ async def test_invitation_ends_with_the_key_with_which_it_was_made(store: Store)
     invitation = await invite(tokens, "beta", ["robot"], by=key)
     assert invitation.expires <= (key.expires or 0)
     await users.keys.revoke("olga", key.id)
-    assert not await tokens.redeem("beta", invitation.digest)
+    assert not await tokens.redeem("beta", invitation.digest, "key")
     with pytest.raises(Unauthorized):
         await invite(tokens, "beta", ["robot"], by=key)

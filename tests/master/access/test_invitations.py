@@ -51,7 +51,7 @@ async def test_printed_join_code_is_an_invitation(
     code = parse_join_code(capsys.readouterr().out)
     assert (code.url, code.authority) == ("https://alpha:8081/", fingerprint(AUTHORITY.certificate))
     assert (code.invitation.roles, code.invitation.address) == (["robot"], "10.0.0.2")
-    assert await JoinTokens(store).redeem("beta", code.invitation.digest)
+    assert await JoinTokens(store).redeem("beta", code.invitation.digest, "key")
 
 
 async def test_machine_has_all_roles_by_default(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
@@ -75,7 +75,7 @@ async def test_removed_machine_has_no_credentials(
     for name, role, credential in credentials:
         with pytest.raises(Unauthorized):
             await tokens.admit(name, role, credential)
-    assert not await tokens.redeem("beta", invitation.digest)
+    assert not await tokens.redeem("beta", invitation.digest, "key")
 
 
 async def test_removal_of_an_unknown_machine_fails(command: Command) -> None:

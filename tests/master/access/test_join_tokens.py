@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 
 import pytest
 import sqlalchemy as sa
+from twisted.internet.base import ReactorBase
 
 import rce
 from master.access.grants import digest
@@ -13,7 +18,12 @@ from master.access.join_tokens import JoinTokens
 from master.graph.records import Role
 from master.storage import tables as db
 from master.storage.store import Store
-from rce.control.calls.joining import Hello
+from rce.control.calls.call import BatchResult
+from rce.control.calls.endpoints import Sync
+from rce.control.calls.joining import Hello, Welcome
+from rce.control.client import ControlClient
+from rce.control.connection import Control, Handlers
+from rce.control.credential import Credential, stay_joined
 from rce.errors import InvalidRequest, Unauthorized
 from tests.support.master.peers import Peer, Platform
 
@@ -32,6 +42,25 @@ async def test_token_is_exchanged_once_for_a_credential(processes: JoinTokens) -
     await processes.allow("west", "robot", "t")  # as a Master does at each start with this token in its settings
     with pytest.raises(Unauthorized):
         await processes.admit("west", "robot", "t")
+
+
+async def test_process_may_repeat_its_first_join_with_the_credential_that_it_made(processes: JoinTokens) -> None:
+    own, other = "c" * 64, "d" * 64
+    await processes.allow("west", "robot", "t")
+    for secret in ("t", "t", own):
+        assert await processes.admit("west", "robot", secret, own) == own
+    for process, secret, sent in (("west", "t", other), ("west", "t", ""), ("east", "t", own), ("west", other, "")):
+        with pytest.raises(Unauthorized):
+            await processes.admit(process, "robot", secret, sent)
+    await processes.forget("west")
+    with pytest.raises(Unauthorized):
+        await processes.admit("west", "robot", "t", own)
+
+
+async def test_credential_that_can_be_guessed_is_refused(processes: JoinTokens) -> None:
+    await processes.allow("west", "robot", "t")
+    with pytest.raises(InvalidRequest, match="at least 32"):
+        await processes.admit("west", "robot", "t", "secret")
 
 
 @pytest.mark.parametrize(
@@ -112,20 +141,21 @@ async def test_names_are_of_processes_that_have_joined(processes: JoinTokens) ->
 # --- invitations of machines ------------------------------------------------------------------------------------------
 
 
-async def test_invitation_is_redeemed_once(processes: JoinTokens) -> None:
+async def test_invitation_is_redeemed_for_one_key(processes: JoinTokens) -> None:
     await processes.invite("beta", "digest")
-    assert not await processes.redeem("gamma", "digest")
-    assert not await processes.redeem("beta", "other")
-    assert await processes.redeem("beta", "digest")
-    assert not await processes.redeem("beta", "digest")
+    assert not await processes.redeem("gamma", "digest", "key")
+    assert not await processes.redeem("beta", "other", "key")
+    assert await processes.redeem("beta", "digest", "key")
+    assert not await processes.redeem("beta", "digest", "another key")
+    assert await processes.redeem("beta", "digest", "key")
 
 
 async def test_new_invitation_revokes_the_unused_one_of_its_machine(processes: JoinTokens) -> None:
     for machine, invitation in (("beta", "first"), ("gamma", "third"), ("beta", "second")):
         await processes.invite(machine, invitation)
-    assert not await processes.redeem("beta", "first")
-    assert await processes.redeem("beta", "second")
-    assert await processes.redeem("gamma", "third")
+    assert not await processes.redeem("beta", "first", "key")
+    assert await processes.redeem("beta", "second", "key")
+    assert await processes.redeem("gamma", "third", "key")
 
 
 async def test_invitation_is_not_a_token_of_a_process(processes: JoinTokens) -> None:
@@ -134,13 +164,13 @@ async def test_invitation_is_not_a_token_of_a_process(processes: JoinTokens) -> 
         with pytest.raises(Unauthorized):
             await processes.admit("beta", role, "secret")
     await processes.allow("beta", "container", "token")
-    assert not await processes.redeem("beta", digest("token"))
+    assert not await processes.redeem("beta", digest("token"), "key")
 
 
 async def test_removed_machine_cannot_use_its_invitation(processes: JoinTokens) -> None:
     await processes.invite("beta", "digest")
     await processes.forget("beta")
-    assert not await processes.redeem("beta", "digest")
+    assert not await processes.redeem("beta", "digest", "key")
 
 
 # --- over a control connection ----------------------------------------------------------------------------------------
@@ -162,3 +192,82 @@ async def test_processes_without_valid_token_are_refused(
     with pytest.raises(error):
         await Peer(platform, hello).join()
     assert not platform.master.state.joined
+
+
+async def test_process_whose_answer_was_lost_joins_again(
+    platform: Platform, reactor: ReactorBase, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The connection breaks between the Master's decision and its answer; the process then starts anew."""
+    master, joins = platform.master, list[str]()
+    await master.join_tokens.allow("west", "robot", "t")
+    admit = master.join
+
+    async def cut(hello: Hello, address: str) -> tuple[Welcome, Handlers, Callable[[Control], None]]:
+        result = await admit(hello, address)
+        joins.append(hello.token)
+        if len(joins) == 1:
+            relay.cut()
+        return result
+
+    monkeypatch.setattr(master, "join", cut)
+    async with Relay(platform) as relay:
+        for _ in range(2):
+            credential = Credential(tmp_path / "credential", "t")
+
+            def hello(mine: Credential = credential) -> Hello:
+                return Hello("robot", "west", mine.secret, rce.__version__, "1", credential=mine.own)
+
+            welcomed = asyncio.Event()
+
+            def keep(welcome: Welcome, mine: Credential = credential, event: asyncio.Event = welcomed) -> None:
+                mine.keep(welcome)
+                event.set()
+
+            handlers = Handlers()
+            handlers.on(Sync, _synced)
+            link = ControlClient(reactor, relay.address, hello, handlers, keep)
+            running = asyncio.create_task(stay_joined(link, credential))
+            await asyncio.wait({running, asyncio.create_task(welcomed.wait())}, return_when=asyncio.FIRST_COMPLETED)
+            assert welcomed.is_set()
+            running.cancel()
+            await asyncio.wait({running})
+    assert joins == ["t", "t", (tmp_path / "credential").read_text()]
+
+
+async def _synced(_: Sync) -> BatchResult:
+    return BatchResult()
+
+
+class Relay:
+    """Relay of control connections to a Master."""
+
+    def __init__(self, platform: Platform) -> None:
+        self._master = int(platform.address.rpartition(":")[2])
+        self._writers: list[asyncio.StreamWriter] = []
+
+    async def __aenter__(self) -> Relay:
+        self._server = await asyncio.start_server(self._serve, "127.0.0.1", 0)
+        self.address = f"tcp:127.0.0.1:{self._server.sockets[0].getsockname()[1]}"
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self._server.close()
+        self.cut()
+
+    def cut(self) -> None:
+        """Break all connections; what is under way is lost."""
+        for writer in self._writers:
+            writer.transport.abort()
+        self._writers.clear()
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        back, onward = await asyncio.open_connection("127.0.0.1", self._master)
+        self._writers += [writer, onward]
+        await asyncio.gather(_forward(reader, onward), _forward(back, writer))
+
+
+async def _forward(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    with suppress(ConnectionError):
+        while data := await reader.read(65536):
+            writer.write(data)
+    writer.close()

@@ -6,6 +6,7 @@ import asyncio
 
 import pytest
 import sqlalchemy as sa
+from msgspec import UNSET
 
 from master.access import user_limits as module
 from master.access.user_limits import UserLimits
@@ -20,7 +21,9 @@ async def test_changed_limits_override_those_of_the_platform(store: Store) -> No
     await limits.change("ann", {"memory": 200, "images": ["mine/*"], "cpu": 1.5})
     assert limits.of("ann") == Policy(size=2, memory=200, cpu=1.5, images=["rce/base", "mine/*"])
     assert limits.of("bob") == Policy(size=2, memory=100, images=["rce/base"])
-    await limits.change("ann", {"memory": None, "images": None, "cpu": None})
+    await limits.change("ann", {"memory": None})
+    assert limits.of("ann").memory is None
+    await limits.change("ann", {"memory": UNSET, "images": UNSET, "cpu": UNSET})
     assert limits.of("ann") == limits.of("bob")
 
 

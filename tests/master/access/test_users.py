@@ -40,6 +40,23 @@ async def test_sha256_of_the_password_authenticates(users: Users, secret: str) -
     assert await users.check("ann", secret) == Principal("ann", "user")
 
 
+async def test_verified_password_is_accepted_again_until_it_changes(
+    users: Users, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    old = digest("secret")
+    await users.check("ann", old)
+
+    async def never(hashed: str | None, secret: str) -> bool:
+        raise AssertionError("hashed again")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(users.passwords, "verify", never)
+        assert await users.check("ann", old) == Principal("ann", "user")
+    await users.change_password("ann", "another secret")
+    with pytest.raises(Unauthorized):
+        await users.check("ann", old)
+
+
 @pytest.mark.parametrize(
     ("name", "secret"),
     [

@@ -12,8 +12,8 @@ from master.api.request import Answer, Call
 from rce.api.roles import Principal
 from rce.errors import InternalError, NotFound, RceError
 from rce.web.problems import KeyReused
+from tests.support.hand_turned import HandTurnedLoop
 from tests.support.master.calls import make_call
-from tests.support.master.hand_turned import HandTurnedLoop
 from tests.support.master.served import Served
 
 ANN = Principal("ann", "user")

@@ -62,7 +62,7 @@ async def test_key_has_no_more_rights_than_its_creator(served: Served) -> None:
         ({"role": "robot", "scopes": {"environments": ["a/b"]}}, "scopes.environments"),
         ({"scopes": {"metrics": True}}, "scopes.metrics"),
         ({"role": "king"}, "role"),
-        ({"colour": "red"}, ""),
+        ({"colour": "red"}, "colour"),
     ],
 )
 async def test_wrong_keys_are_refused(served: Served, wanted: Any, field: str) -> None:

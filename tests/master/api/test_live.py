@@ -191,7 +191,7 @@ async def test_request_without_upgrade_is_refused(served: Served) -> None:
     assert (answer.status, answer.headers["upgrade"], answer.body["code"]) == (426, "websocket", "upgrade_required")
 
 
-@pytest.mark.parametrize("header", ["Sec-WebSocket-Key: !", "Sec-WebSocket-Version: 7"])
+@pytest.mark.parametrize("header", ["Sec-WebSocket-Key: !", "Sec-WebSocket-Key: dGhlIé", "Sec-WebSocket-Version: 7"])
 async def test_malformed_handshake_is_a_bad_request(served: Served, header: str) -> None:
     reader, writer = await asyncio.open_connection("127.0.0.1", served.port)
     lines = ["GET /api/v1/live HTTP/1.1", "Host: x", "Upgrade: websocket", "Connection: Upgrade", header]
@@ -243,6 +243,7 @@ async def test_watchers_of_a_user_are_limited(served: Served, monkeypatch: pytes
     await (await watch(served, "ann")).socket.close()
 
 
+@pytest.mark.slow
 async def test_pings_are_not_read_from_a_client_that_does_not_read(served: Served) -> None:
     """The pongs would be kept in memory."""
     loop = asyncio.get_running_loop()

@@ -52,6 +52,14 @@ async def test_network_group_shows_its_members(populated: Served) -> None:
     assert (answer.status, answer.body["field"]) == (404, "group")
 
 
+async def test_removed_machine_is_gone(populated: Served) -> None:
+    assert (await populated.ask("DELETE", "/machines/m1", "ann")).status == 403
+    assert (await populated.ask("DELETE", "/machines/m7", "olga")).status == 404
+    assert (await populated.ask("DELETE", "/machines/m1", "olga")).status == 204
+    assert (await populated.ask("GET", "/machines/m1", "olga")).status == 404
+    assert "m1" in populated.master.state.removed_machines
+
+
 async def test_invitation_needs_a_master_that_machines_can_join(served: Served) -> None:
     assert (await served.ask("POST", "/machines/invitations", "ann", {"name": "m2"})).status == 403
     answer = await served.ask("POST", "/machines/invitations", "olga", {"name": "m2"})
@@ -74,5 +82,5 @@ async def test_invitation_has_a_join_code(served: Served, reactor: ReactorBase, 
     invited = code.invitation
     assert (invited.name, invited.roles, invited.address) == ("m2", ["robot"], "10.0.0.2")
     assert invited.expires == made.body["expires"]
-    assert await master.join_tokens.redeem("m2", invited.digest)
+    assert await master.join_tokens.redeem("m2", invited.digest, "key")
     assert (wrong.status, wrong.body["field"]) == (400, "name")

@@ -110,7 +110,7 @@ def test_body_is_decoded_and_its_names_are_noted() -> None:
         (b"{}", ""),
         (b'{"containerTag":1}', "containerTag"),
         (b'{"containerTag":"a","sizes":[1,"x"]}', "sizes[1]"),
-        (b'{"containerTag":"a","more":1}', ""),
+        (b'{"containerTag":"a","more":1}', "more"),
         (b'{"containerTag":"\xff"}', ""),
     ],
 )

@@ -36,6 +36,8 @@ from tests.support.master.rights_matrix import (
 )
 from tests.support.master.served import serve
 
+pytestmark = pytest.mark.slow  # every role tries every route and command
+
 
 @pytest.fixture
 async def world(reactor: ReactorBase, tmp_path: Path) -> AsyncIterator[World]:

@@ -108,10 +108,18 @@ async def test_limits_take_effect_at_once_and_are_shown_with_usage(served: Serve
     assert (used["environments"], used["robots"], used["connections"], used["total_bandwidth"]) == (1, 1, 0, 10**7)
     refused = await served.ask("POST", "/environments", "ann", {"containerTag": "more"})
     assert (refused.status, refused.body["fields"]["limit"]) == (413, 1)
-    await served.ask("PATCH", "/users/ann/limits", "root", {"environments": None, "total_bandwidth": "", "memory": 0})
+    await served.ask("PATCH", "/users/ann/limits", "root", {"environments": None, "total_bandwidth": "", "memory": "-"})
     assert (await served.ask("POST", "/environments", "ann", {"containerTag": "more"})).status == 201
     assert (await served.ask("GET", "/users/bob/usage", "ann")).status == 404
     assert (await served.ask("GET", "/users/nobody/usage", "root")).status == 404
+
+
+@pytest.mark.parametrize("zero", [0, "0"])
+async def test_limit_of_zero_is_zero(served: Served, zero: Any) -> None:
+    changed = await served.ask("PATCH", "/users/ann/limits", "root", {"environments": zero, "robots": None})
+    assert (changed.body["environments"], changed.body["robots"], changed.body["memory"]) == (0, None, None)
+    refused = await served.ask("POST", "/environments", "ann", {"containerTag": "brain"})
+    assert (refused.status, refused.body["fields"]["limit"]) == (413, 0)
 
 
 @pytest.mark.parametrize("change", [{"memory": "lots"}, {"memory": -1}, {"wings": 2}, {"robots": [1]}, {"egress": "x"}])

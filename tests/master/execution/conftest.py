@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from tests.support.hand_turned import HandTurnedLoop
 from tests.support.master.desk import Desk
-from tests.support.master.hand_turned import HandTurnedLoop
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from master.execution import backoff
 from master.execution.backoff import Backoff
-from tests.support.master.hand_turned import HandTurnedLoop
+from tests.support.hand_turned import HandTurnedLoop
 
 
 def test_pauses_double_up_to_the_maximum(hand: HandTurnedLoop) -> None:

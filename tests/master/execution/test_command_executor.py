@@ -239,7 +239,7 @@ def test_more_commands_than_a_user_may_have_in_progress_are_refused(
 
 def test_question_to_an_environment_that_does_not_answer_ends(desk: Desk, brain: Peer) -> None:
     brain.held.add(DescribeType)
-    call = DescribeType("ann", "my_msgs/msg/A", False)
+    call = DescribeType("ann", "my_msgs/msg/A", "msg")
     asked = desk.hand.begin(desk.master.ask(desk.state.environments["ann/brain"], call))
     described = desk.hand.begin(desk.master._describe_type(call))
     desk.turn(ASK_TIMEOUT)

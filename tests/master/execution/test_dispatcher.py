@@ -15,7 +15,7 @@ from rce.control.calls.endpoints import StopNode
 from rce.control.calls.watching import ReadMetrics
 from rce.control.connection import Control
 from rce.errors import NotFound, RceError, TimedOut, Unavailable
-from tests.support.master.hand_turned import HandTurnedLoop
+from tests.support.hand_turned import HandTurnedLoop
 
 NODE, OTHER = Ref("node", "ann/brain/n"), Ref("node", "ann/brain/other")
 

@@ -17,7 +17,7 @@ from rce.control.calls.environments import EnvironmentSpec, StartEnvironment
 from rce.control.connection import Control
 from rce.errors import InvalidRequest, Lost, NotFound, RceError, StartFailed, Unavailable
 from rce.protocol.messages import ContainerData
-from tests.support.master.hand_turned import HandTurnedLoop
+from tests.support.hand_turned import HandTurnedLoop
 
 
 class Process:

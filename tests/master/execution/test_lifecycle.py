@@ -116,7 +116,7 @@ def test_type_request_does_not_prevent_a_restart(desk: Desk) -> None:
     m1 = desk.machine("m1")
     desk.made("brain")
     die(desk, "killed")
-    asked = desk.hand.begin(desk.master._describe_type(DescribeType("ann", "my_msgs/msg/A", False)))
+    asked = desk.hand.begin(desk.master._describe_type(DescribeType("ann", "my_msgs/msg/A", "msg")))
     assert not asked.done()
     desk.turn(RETRY_FIRST)
     die(desk, "killed again")
@@ -153,7 +153,7 @@ def test_death_of_a_node_is_reported_once_until_it_is_started_again(desk: Desk) 
     process = desk.state.processes["ann/brain"]
 
     def die() -> None:
-        desk.hand.begin(desk.master._lifecycle._node_died(process, NodeDied("n", 1, ["x"], seconds=60)))
+        desk.hand.begin(desk.master._lifecycle._node_ends.node_died(process, NodeDied("n", 1, ["x"], seconds=60)))
 
     def reports() -> int:
         return sum(isinstance(call.status, m.NodeEvent) for call in west.got(SendStatus))
@@ -171,7 +171,7 @@ def test_end_of_a_node_of_an_earlier_life_does_not_remove_that_of_the_next(desk:
     west, _ = desk.wired()
     desk.do(m.AddNode("brain", "n", "p", "e"))
     late = replace(desk.state.processes["ann/brain"], incarnation="earlier")
-    desk.hand.begin(desk.master._lifecycle._node_died(late, NodeDied("n", 0, ["x"])))
+    desk.hand.begin(desk.master._lifecycle._node_ends.node_died(late, NodeDied("n", 0, ["x"])))
     assert "ann/brain/n" in desk.state.nodes
     assert not any(isinstance(call.status, m.NodeEvent) for call in west.got(SendStatus))
 

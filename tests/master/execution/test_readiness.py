@@ -9,7 +9,7 @@ import pytest
 from master.execution.readiness import Readiness
 from master.graph.records import Ref
 from rce.errors import StartFailed, TimedOut
-from tests.support.master.hand_turned import HandTurnedLoop
+from tests.support.hand_turned import HandTurnedLoop
 
 NODE = Ref("node", "ann/brain/N1")
 

@@ -8,8 +8,8 @@ import pytest
 
 from master.access.users import digest
 from rce.control.calls.call import Nothing
-from rce.control.calls.endpoints import AddRoute, Bind, LinkLost, OpenLink, RemoveRoute, Report, Sync
-from rce.control.calls.robots import DropRobot, Login, SendStatus, SessionExpired
+from rce.control.calls.endpoints import AddRoute, Bind, LinkLost, OpenLink, RemoveRoute, Report, Sync, Unbind
+from rce.control.calls.robots import DropRobot, Login, SendStatus, SessionExpired, SocketStatus
 from rce.errors import AlreadyExists, ErrorInfo, InvalidRequest, NotFound, Unauthorized, Unavailable
 from rce.protocol import messages as m
 from tests.support.master.peers import Furnished, Platform, execute, login, told
@@ -35,6 +35,15 @@ async def test_robot_cannot_log_in_twice(furnished: Furnished) -> None:
     with pytest.raises(AlreadyExists):
         await login(furnished.west, "ann/brain")
     await login(furnished.west, "bob/r1")
+
+
+async def test_restarted_robot_takes_the_place_of_the_one_without_a_socket(furnished: Furnished) -> None:
+    await furnished.west.call(SocketStatus("ann/r1", False))
+    east = await furnished.platform.endpoint("east")
+    assert not (await login(east, "ann/r1")).resumed
+    assert (await furnished.west.next(DropRobot)).robot == "ann/r1"
+    with pytest.raises(AlreadyExists):
+        await login(furnished.west, "ann/r1", furnished.session.token)
 
 
 async def test_robot_resumes_at_another_endpoint(furnished: Furnished) -> None:
@@ -124,10 +133,11 @@ async def test_restarted_endpoint_has_lost_its_robots(furnished: Furnished) -> N
     assert "ann/brain" in platform.master.state.environments
 
 
-async def test_leaving_removes_only_the_robots_interfaces(furnished: Furnished) -> None:
+async def test_leaving_removes_the_robots_interfaces_and_those_that_it_added_for_them(furnished: Furnished) -> None:
     await furnished.west.call(SessionExpired("ann/r1"))
     await furnished.brain.next(RemoveRoute)
-    assert [each.key for each in furnished.platform.master.state.interfaces] == ["ann/brain/pose"]
+    await furnished.brain.next(Unbind)
+    assert [each.key for each in furnished.platform.master.state.interfaces] == []
 
 
 async def test_lost_link_is_reopened_at_both_ends(furnished: Furnished) -> None:
@@ -155,7 +165,7 @@ async def test_only_ends_may_report_a_lost_link(furnished: Furnished) -> None:
     tell = await furnished.west.next(SendStatus)
     while tell.error is None:
         tell = await furnished.west.next(SendStatus)
-    assert tell.robot == "bob/r1"
+    assert tell.robots == ["bob/r1"]
 
 
 @pytest.mark.parametrize("command", [m.DestroyContainer("brain"), m.Disconnect("r1/pose", "brain/pose")])

@@ -7,7 +7,16 @@ import pytest
 from master.graph.effects import MarkReady
 from master.graph.records import Ref, ref
 from master.graph.translation import node_spec, parameter_spec
-from rce.control.calls.endpoints import Bind, CloseLink, DropParameter, PutParameter, RemoveRoute, StartNode, StopNode
+from rce.control.calls.endpoints import (
+    Bind,
+    CloseLink,
+    DropParameter,
+    NodeSpec,
+    PutParameter,
+    RemoveRoute,
+    StartNode,
+    StopNode,
+)
 from rce.control.calls.environments import StartEnvironment, StopEnvironment
 from rce.errors import AlreadyExists
 from rce.protocol import messages as m
@@ -61,6 +70,15 @@ def test_node_and_parameter_are_sent_to_the_environment() -> None:
     dropped = fleet.do("ann", m.DeleteParameter("brain", "rate", "n")).plan
     assert calls(removed + dropped, "ann/brain") == [StopNode("n"), DropParameter("n:rate")]
     assert not [step for steps in removed + dropped for step in steps if isinstance(step, MarkReady)]
+
+
+def test_node_that_exists_is_kept_or_replaced_if_the_command_says_so() -> None:
+    fleet = furnished()
+    fleet.do("ann", m.AddNode("brain", "n", "p", "e"))
+    assert calls(fleet.do("ann", m.AddNode("brain", "n", "p", "e", existOk=True)).plan, "ann/brain") == []
+    changed = fleet.do("ann", m.AddNode("brain", "n", "p", "e", "--fast", existOk=True)).plan
+    assert calls(changed, "ann/brain") == [StartNode(NodeSpec("n", "p", "e", "--fast"))]
+    assert fleet.state.nodes["ann/brain/n"].arguments == "--fast"
 
 
 def test_parameter_can_be_set_again() -> None:

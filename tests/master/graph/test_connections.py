@@ -45,9 +45,10 @@ def away(fleet: Fleet, robot: str = "r2") -> Plan:
 def told(plan: Plan) -> list[tuple[str, str]]:
     """Return the robots that a plan tells of a connection, and its states."""
     return [
-        (call.robot, call.status.state)
+        (robot, call.status.state)
         for call in calls(plan)
         if isinstance(call, SendStatus) and isinstance(call.status, m.ConnectionEvent)
+        for robot in call.robots
     ]
 
 
@@ -63,6 +64,12 @@ def test_topic_goes_from_the_subscriber_to_the_publisher(turned: bool) -> None:
     one, other = made("SubscriberConverter", tag="a"), made("PublisherInterface", "std_msgs/msg/String", "b")
     connection = connections.joining(other, one) if turned else connections.joining(one, other)
     assert (connection.sender, connection.receiver) == ("ann/r1/a", "ann/r1/b")
+
+
+def test_goals_go_from_the_action_provider_to_the_action_client() -> None:
+    one, other = made("ActionClientInterface", "a/Go", "a"), made("ActionProviderConverter", "a/action/Go", "b")
+    connection = connections.joining(one, other)
+    assert (connection.sender, connection.receiver) == ("ann/r1/b", "ann/r1/a")
 
 
 @pytest.mark.parametrize(

@@ -41,3 +41,18 @@ def test_size_of_parameters_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
         with pytest.raises(LimitExceeded, match="5000 characters"):
             fleet.do("ann", m.SetParameter("brain", "b", value))
     fleet.do("ann", m.SetParameter("brain", "b", "x" * 10))
+
+
+def test_number_of_connections_that_must_not_drop_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hard_limits, "KEEP_ALL", 2)
+    fleet = furnished()
+    for tag in "abcd":
+        qos = m.Qos() if tag == "d" else m.Qos(history="keep_all")
+        fleet.do("ann", interface("r1", tag, "SubscriberConverter"))
+        fleet.do("ann", interface("brain", tag, "PublisherInterface", qos=qos))
+    for tag in "abd":
+        fleet.do("ann", m.Connect(f"r1/{tag}", f"brain/{tag}"))
+    with pytest.raises(LimitExceeded, match="2 connections with history keep_all"):
+        fleet.do("ann", m.Connect("r1/c", "brain/c"))
+    fleet.do("ann", m.Disconnect("r1/a", "brain/a"))
+    fleet.do("ann", m.Connect("r1/c", "brain/c"))

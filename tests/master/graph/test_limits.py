@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from msgspec import UNSET
 
 from master.__main__ import Settings, platform_policy
 from master.graph.limits import UNLIMITED, Policy, check_totals, granted, is_allowed, parse, usage, with_changes
@@ -112,6 +113,33 @@ def test_number_of_connections_is_limited() -> None:
     fleet.do("ann", m.Connect("r1/pose", "brain/copy"))
 
 
+@pytest.mark.parametrize(
+    "policy",
+    [Policy(**{name: 0}) for name in ("environments", "cores", "total_memory", "total_bandwidth", "size")]
+    + [Policy(**{name: 0}) for name in ("cpu", "memory", "pids", "disk", "bandwidth", "io")],
+    ids=repr,
+)
+def test_limit_of_zero_allows_no_environment(policy: Policy) -> None:
+    fleet = furnished()
+    fleet.policy = policy
+    with pytest.raises(LimitExceeded) as raised:
+        fleet.do("ann", m.CreateContainer("second"))
+    assert raised.value.info.fields["limit"] == 0
+
+
+def test_limit_of_zero_allows_no_robot_no_connection_and_no_gpu() -> None:
+    fleet = wired()
+    fleet.policy = Policy(robots=0, connections=0, gpus=0)
+    fleet.do("ann", interface("brain", "copy", "PublisherInterface"))
+    with pytest.raises(LimitExceeded, match="connections"):
+        fleet.do("ann", m.Connect("r1/pose", "brain/copy"))
+    with pytest.raises(LimitExceeded, match="robots"):
+        fleet.robot("ann/r2")
+    assert granted(fleet.policy, EnvironmentOptions()).gpus == 0
+    with pytest.raises(LimitExceeded, match="gpus"):
+        granted(fleet.policy, EnvironmentOptions(gpus=1))
+
+
 def test_number_of_robots_is_limited() -> None:
     """A robot that resumes is not counted twice."""
     fleet = furnished()
@@ -129,7 +157,10 @@ def test_number_of_robots_is_limited() -> None:
         ("memory=4096", 4096),
         ("bandwidth=20 MB", 20_000_000),
         ("cpu=0.5", 0.5),
-        ("pids=", None),
+        ("pids=", UNSET),
+        ("pids=-", None),
+        ("default_pids=-", None),
+        ("robots=0", 0),
         ("images=mine/*,theirs", ["mine/*", "theirs"]),
     ],
 )
@@ -137,20 +168,26 @@ def test_limits_are_parsed_from_assignments(assignment: str, value: Any) -> None
     assert parse([assignment]) == {assignment.partition("=")[0]: value}
 
 
-@pytest.mark.parametrize("wrong", ["memory", "speed=1", "memory=much", "memory=-1", "pids=0.5", "size=1e3 "])
+@pytest.mark.parametrize(
+    "wrong", ["memory", "speed=1", "memory=much", "memory=-1", "pids=0.5", "size=1e3 ", "images=-", "default_cpu=0"]
+)
 def test_malformed_limits_are_refused(wrong: str) -> None:
     with pytest.raises(InvalidRequest, match=wrong.partition("=")[0]):
         parse([wrong])
 
 
 def test_unknown_limits_of_a_later_version_are_ignored() -> None:
-    assert with_changes(Policy(size=2), {"cpu": 1.0, "size": None, "unheard": 1}) == Policy(size=2, cpu=1.0)
+    assert with_changes(Policy(size=2), {"cpu": 1.0, "size": UNSET, "unheard": 1}) == Policy(size=2, cpu=1.0)
 
 
 def test_limits_are_a_setting_of_the_master() -> None:
     given = load(Settings, "rce master", ["--data-dir=/x", "--limits=memory=2GiB,robots=3", "--images=mine/*"], {})
     policy = platform_policy(given)
-    assert (policy.memory, policy.robots, policy.images) == (2**31, 3, ["rce/base", "rce/mapping", "mine/*"])
+    assert (policy.memory, policy.robots, policy.images) == (
+        2**31,
+        3,
+        ["rce/base", "rce/mapping", "rce/mapping3d", "mine/*"],
+    )
     with pytest.raises(InvalidRequest, match="speed"):
         platform_policy(load(Settings, "rce master", ["--data-dir=/x", "--limits=speed=1"], {}))
 

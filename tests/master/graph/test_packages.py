@@ -130,7 +130,9 @@ def test_quota_counts_archives_once(state: State) -> None:
     packages.add(state, "ann", "again", version(1))  # the same archive is counted once
     assert packages.usage(state, "ann") == 40
     packages.check_quota(state, "ann", version(9).digest, 10, quota=50)
-    packages.check_quota(state, "ann", version(9).digest, 10**9, quota=0)
+    packages.check_quota(state, "ann", version(9).digest, 10**9, quota=None)
+    with pytest.raises(LimitExceeded):
+        packages.check_quota(state, "ann", version(9).digest, 1, quota=0)
     packages.check_quota(state, "ann", version(1).digest, 10, quota=40)
     with pytest.raises(LimitExceeded, match=r"40 bytes, with this one 51.*50") as raised:
         packages.check_quota(state, "ann", version(9).digest, 11, quota=50)

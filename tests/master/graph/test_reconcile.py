@@ -8,7 +8,7 @@ import pytest
 
 from master.graph import reconcile
 from master.graph.records import Role
-from rce.control.calls.endpoints import AddRoute, Bind, CloseLink, OpenLink, RemoveRoute, Sync
+from rce.control.calls.endpoints import AddRoute, Bind, CloseLink, OpenLink, RemoveRoute, Sync, Unbind
 from rce.control.calls.environments import KeepEnvironments, SetRelays, StartEnvironment
 from rce.control.calls.robots import DropRobot
 from rce.errors import AlreadyExists, InvalidName
@@ -75,6 +75,43 @@ def test_lost_endpoint_strands_its_robots() -> None:
     assert reconcile.robot_left(fleet.state, "ann/r1") == []
 
 
+def test_interfaces_that_a_robot_added_for_its_own_go_with_it() -> None:
+    fleet = furnished()
+    for command in (
+        interface("r1", "pose", "SubscriberConverter"),
+        interface("brain", "pose", "PublisherInterface"),
+        interface("brain", "unconnected", "PublisherInterface"),
+        m.Connect("r1/pose", "brain/pose"),
+    ):
+        fleet.do("ann", command, robot="r1")
+    plan = reconcile.robot_left(fleet.state, "ann/r1")
+    assert [each.tag for each in fleet.state.interfaces.by("ann/brain")] == ["unconnected"]
+    assert any(isinstance(call, Unbind) for call in calls(plan, "ann/brain"))
+
+
+@pytest.mark.parametrize("adder", ["", "r2"])
+def test_interfaces_that_others_added_or_use_stay(adder: str) -> None:
+    fleet = furnished()
+    fleet.robot("ann/r2")
+    fleet.do("ann", interface("brain", "pose", "PublisherInterface"), robot=adder)
+    fleet.do("ann", interface("brain", "shared", "PublisherInterface"), robot="r1")
+    for robot in ("r1", "r2"):
+        fleet.do("ann", interface(robot, "pose", "SubscriberConverter"), robot=robot)
+        fleet.do("ann", m.Connect(f"{robot}/pose", "brain/shared"), robot=robot)
+    fleet.do("ann", m.Connect("r1/pose", "brain/pose"), robot="r1")
+    reconcile.robot_left(fleet.state, "ann/r1")
+    assert [each.tag for each in fleet.state.interfaces.by("ann/brain")] == ["pose", "shared"]
+
+
+def test_interface_stays_while_a_connection_that_another_asked_for_waits() -> None:
+    fleet = furnished()
+    fleet.do("ann", interface("r1", "pose", "SubscriberConverter"), robot="r1")
+    fleet.do("ann", interface("brain", "pose", "PublisherInterface"), robot="r1")
+    fleet.do("ann", m.Connect("r1/pose", "brain/pose"))
+    reconcile.robot_left(fleet.state, "ann/r1")
+    assert [each.tag for each in fleet.state.interfaces.by("ann/brain")] == ["pose"]
+
+
 # --- robots -----------------------------------------------------------------------------------------------------------
 
 
@@ -110,6 +147,26 @@ def test_token_is_valid_until_the_next_one_is_used() -> None:
         with pytest.raises(AlreadyExists):
             fleet.robot("ann/r1", session="w", resume=used)
     assert fleet.robot("ann/r1", session="w", resume="v")[1]
+
+
+def test_robot_takes_the_place_of_an_earlier_one_that_lost_its_socket() -> None:
+    fleet = wired()
+    reconcile.socket_moved(fleet.state, "ann/r1", False)
+    outcome, resumed = fleet.robot("ann/r1", session="t")
+    assert not resumed
+    assert DropRobot in map(type, calls(outcome.plan, "west"))
+    assert not fleet.state.interfaces.by("ann/r1")
+    assert fleet.state.robots["ann/r1"].session == "t"
+    with pytest.raises(AlreadyExists):
+        fleet.robot("ann/r1", session="u", resume="s")
+
+
+def test_guest_does_not_take_the_place_of_another_users() -> None:
+    fleet = wired()
+    fleet.robot("ann/@guest", by="bob")
+    reconcile.socket_moved(fleet.state, "ann/@guest", False)
+    with pytest.raises(AlreadyExists):
+        fleet.robot("ann/@guest", by="eve")
 
 
 def test_robot_that_is_away_is_removed_or_resumes() -> None:
@@ -184,10 +241,10 @@ def test_environment_waits_for_its_machine_if_there_is_no_other() -> None:
 def test_machines_get_the_addresses_of_all_relays() -> None:
     fleet = Fleet()
     assert SetRelays not in map(type, calls(fleet.join("m1", "container")))
-    plan = fleet.join("m2", "container", addresses=["relay:m2:1"])
+    plan = fleet.join("m2", "container", host="h2", relays={"h2": "m2:1"})
     assert [calls(plan, name)[-1] for name in ("m1", "m2")] == [SetRelays(["m2:1"])] * 2
-    plan = fleet.join("m3", "container", addresses=["relay:m3:1"])
+    plan = fleet.join("m3", "container", host="h3", relays={"h3": "m3:1"})
     assert [calls(plan, name)[-1] for name in ("m1", "m2", "m3")] == [SetRelays(["m2:1", "m3:1"])] * 3
     reconcile.left(fleet.state, "m3")
-    plan = fleet.join("m3", "container", "2", addresses=["relay:m3:1"])
+    plan = fleet.join("m3", "container", "2", host="h3", relays={"h3": "m3:1"})
     assert (calls(plan, "m1"), calls(plan, "m3")[-1]) == ([], SetRelays(["m2:1", "m3:1"]))

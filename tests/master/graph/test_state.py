@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from master.graph.records import Connection, Interface, Node, Process, Ref, Robot
+from master.graph.records import Connection, Environment, EnvironmentOptions, Interface, Node, Process, Ref, Robot
 from master.graph.state import State, Table
 from rce.api.roles import Principal
 
@@ -47,6 +47,19 @@ def test_watchers_get_the_record_before_and_after(nodes: Table[Node]) -> None:
     nodes.put(other)
     nodes.drop(NODE.key)
     assert seen == [(None, NODE), (NODE, other), (other, None)]
+
+
+def test_sums_follow_records_that_change_and_go() -> None:
+    state = State()
+    for name, cpu in (("ann/one", 0.1), ("ann/two", 0.2), ("bob/three", 4.0)):
+        state.environments.put(Environment(name, EnvironmentOptions(size=2, cpu=cpu), "run", "m1"))
+    totals = [state.environments.total(term, "cores") for term in ("ann", "@m1", "nobody")]
+    assert totals == [0.3, 4.3, 0.0]
+    state.environments.put(Environment("ann/two", EnvironmentOptions(size=3, cpu=1.0), "run", "m2"))
+    assert [state.environments.total(term, "size") for term in ("ann", "@m1", "@m2")] == [5, 4, 3]
+    for name in ("ann/one", "ann/two"):
+        state.environments.drop(name)
+    assert state.environments.total("ann", "size") == 0
 
 
 # --- state ------------------------------------------------------------------------------------------------------------

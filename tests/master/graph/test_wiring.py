@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
-from master.graph import wiring
+from master.graph import reconcile, wiring
+from master.graph.records import Process
 from rce.control.calls.endpoints import AddRoute, CloseLink, OpenLink, RemoveRoute, Unbind
+from rce.control.calls.environments import SetRelays
+from rce.errors import Unavailable
 from rce.protocol import messages as m
 from tests.support.master.fleet import Fleet, calls, full, furnished, interface, sends, wired
 
@@ -30,22 +35,53 @@ def test_connecting_opens_a_link_and_routes_the_receiver_first() -> None:
 
 
 def test_socket_file_is_told_to_ends_on_the_same_host_only() -> None:
+    fleet, links = wired(), []
+    for incarnation, host in (("2", "h1"), ("3", "h2")):
+        fleet.join("m1", "container", host=host, environments=runs(fleet))
+        plan = fleet.join("ann/brain", "environment", incarnation)
+        links += [call.link for call in calls(plan, "ann/brain") if isinstance(call, OpenLink)]
+    assert [each.dial for each in links] == [["unix:/w", "tcp:w:1"], ["tcp:w:1"]]
+    assert links[0].key != links[1].key
+
+
+HOSTILE = ["tcp:169.254.169.254:80", "tcp:metadata.example:80", "unix:/var/run/docker.sock", "relay:10.0.0.1:22/ann/x"]
+
+
+@pytest.mark.parametrize("several_hosts", [False, True])
+def test_environment_does_not_choose_what_others_dial(several_hosts: bool) -> None:
     fleet = wired()
-    opened = next(call for call in calls(fleet.join("ann/brain", "environment", "2", host="h2"), "ann/brain"))
-    near = next(
-        call.link
-        for call in calls(fleet.join("ann/brain", "environment", "3", host="h1"), "ann/brain")
-        if isinstance(call, OpenLink)
+    relays = {"h2": "m1:2"}
+    machine: dict[str, Any] = {"relays": relays} if several_hosts else {"relays": relays, "host": "h2"}
+    fleet.join("m1", "container", capacity=4, sockets="/e/{run}.sock", environments=runs(fleet), **machine)
+    said = {"url": "http://169.254.169.254/", "capacity": 9, "features": ["camera"], "sockets": "/var/run/docker.sock"}
+    plan = fleet.join(
+        "ann/brain", "environment", "2", host="h2", addresses=HOSTILE, relays={"h2": "169.254.169.254:80"}, **said
     )
-    assert near.dial == ["unix:/w", "tcp:w:1"]
-    assert opened is not None
-    far = next(
-        call.link
-        for call in calls(fleet.join("ann/brain", "environment", "4", host="h2"), "ann/brain")
-        if isinstance(call, OpenLink)
-    )
-    assert far.dial == ["tcp:w:1"]
-    assert near.key != far.key
+    assert fleet.state.processes["ann/brain"] == Process("ann/brain", "environment", "2", "h2")
+    dialled = [call.link.dial for send in sends(plan) if isinstance(call := send.call, OpenLink)]
+    assert sorted(dialled) == [[], ["relay:m1:2/ann/brain"]]
+
+
+def test_environment_is_on_a_host_of_its_task_set() -> None:
+    """Else others on that host would dial it by a socket there."""
+    fleet = wired()
+    fleet.join("m1", "container", capacity=4, relays={"h2": "m1:2", "h3": "m3:2"}, environments=runs(fleet))
+    with pytest.raises(Unavailable, match="m1 has not told yet how the host of ann/brain is reached"):
+        fleet.join("ann/brain", "environment", "2", host="h1")
+    fleet.join("m1", "container", capacity=4, host="h2", environments=runs(fleet))
+    fleet.join("ann/brain", "environment", "2", host="h1")
+    assert fleet.state.processes["ann/brain"].host == "h2"
+
+
+def test_relay_that_moved_is_dialled_at_its_new_address() -> None:
+    fleet = wired()
+    fleet.join("m1", "container", capacity=4, relays={"h2": "m1:2"}, environments=runs(fleet))
+    fleet.join("ann/brain", "environment", "2", host="h2")
+    assert dialled(fleet, "west", "ann/brain") == ("west", ["relay:m1:2/ann/brain"])
+    plan = reconcile.relays_changed(fleet.state, "m1", {"h2": "m1:3"})
+    assert calls(plan, "m1") == [SetRelays(["m1:3"])]
+    assert dialled(fleet, "west", "ann/brain") == ("west", ["relay:m1:3/ann/brain"])
+    assert reconcile.relays_changed(fleet.state, "m1", {"h2": "m1:3"}) == []
 
 
 def dialled(fleet: Fleet, one: str, other: str) -> tuple[str, list[str]]:
@@ -56,19 +92,21 @@ def dialled(fleet: Fleet, one: str, other: str) -> tuple[str, list[str]]:
 
 def test_environment_on_another_host_is_dialled_through_its_relay() -> None:
     fleet = wired()
-    fleet.join("m1", "container", capacity=4, addresses=["relay:m1:2"], environments=runs(fleet))
-    fleet.join("ann/brain", "environment", "2", host="h2", addresses=["unix:/b"])
+    paths = "/e/{name}/{user}/{run}"
+    fleet.join("m1", "container", host="h2", sockets=paths, relays={"h2": "m1:2"}, environments=runs(fleet))
+    fleet.join("ann/brain", "environment", "2")
     assert dialled(fleet, "west", "ann/brain") == ("west", ["relay:m1:2/ann/brain"])
-    fleet.join("m2", "container", capacity=9, addresses=["relay:m2:2"])
+    fleet.join("m2", "container", capacity=9, host="h1", sockets=paths, relays={"h1": "m2:2"})
     fleet.do("ann", m.CreateContainer("eye", m.ContainerData(size=4)))
-    fleet.join("ann/eye", "environment", "2", host="h1", addresses=["unix:/e"])
+    fleet.join("ann/eye", "environment", "2")
     for tag, end in (("brain", "Publisher"), ("eye", "Subscriber")):
         fleet.do("ann", interface(tag, "view", f"{end}Interface"))
     fleet.do("ann", m.Connect("eye/view", "brain/view"))
     assert dialled(fleet, "ann/brain", "ann/eye") == ("ann/eye", ["relay:m1:2/ann/brain"])
     fleet.do("ann", interface("eye", "pose", "PublisherInterface"))
     fleet.do("ann", m.Connect("r1/pose", "eye/pose"))
-    assert dialled(fleet, "west", "ann/eye") == ("west", ["unix:/e"])  # on one host
+    run = runs(fleet)["ann/eye"]
+    assert dialled(fleet, "west", "ann/eye") == ("west", [f"unix:/e/ann/eye/ann/{run}"])  # on one host
 
 
 def runs(fleet: Fleet) -> dict[str, str]:
@@ -129,6 +167,6 @@ def test_peers_receive_from_an_environment_at_its_bandwidth() -> None:
     (link,) = fleet.state.links
     at_robot, at_environment = (wiring.link_spec(fleet.state, link, end) for end in ("west", "ann/brain"))
     assert (at_robot.rate, at_robot.sender) == (5000, "ann/brain")
-    assert (at_environment.rate, at_environment.sender) == (0, "")
+    assert (at_environment.rate, at_environment.sender) == (0, "west")
     assert at_robot.key == at_environment.key
     assert len(at_robot.dial) + len(at_environment.dial) == 1

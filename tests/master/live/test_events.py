@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from master.graph.records import Connection, Environment, EnvironmentOptions, Process, Record, Robot, Role
+from master.graph.records import Connection, Environment, EnvironmentOptions, Interface, Process, Record, Robot, Role
 from master.graph.state import State, Table
 from master.live import events as events_module
 from master.live.events import Events
 from rce.api.views import Event
 from rce.protocol import messages as m
-from tests.support.master.hand_turned import HandTurnedLoop
+from tests.support.hand_turned import HandTurnedLoop
 
 
 class Story:
@@ -96,6 +96,18 @@ def test_records_that_come_and_go_are_events(story: Story) -> None:
         ("connection.made", "ann", "ann/r1/a ann/brain/b"),
         ("connection.gone", "ann", "ann/r1/a ann/brain/b"),
     ]
+
+
+def test_interface_that_leaves_with_its_robot_is_an_event(story: Story) -> None:
+    added = Interface("1", "ann/brain", "pose", "PublisherInterface", "std_msgs/String", by="ann/r1")
+    for present in (True, False):
+        if present:
+            story.state.robots.put(Robot("ann/r1", "west", "s"))
+        story.state.interfaces.put(added)
+        story.state.interfaces.drop(added.key)
+        story.state.robots.drop("ann/r1")
+    (gone,) = [event for event in story.seen() if event.type == "interface.gone"]
+    assert (gone.object, gone.text) == ("ann/brain/pose", "robot r1, which added it, has left")
 
 
 @pytest.mark.parametrize("role", ["robot", "container", "service"])

@@ -16,7 +16,7 @@ from master.live.gauges import Changed
 from master.live.presenter import Presenter
 from master.live.view_cache import ViewCache
 from rce.api.views import Kind, Usage
-from tests.support.master.hand_turned import HandTurnedLoop
+from tests.support.hand_turned import HandTurnedLoop
 
 
 class Seen:

@@ -27,7 +27,7 @@ from rce.control.calls.watching import (
 )
 from rce.control.connection import Control
 from rce.errors import Lost
-from tests.support.master.hand_turned import HandTurnedLoop
+from tests.support.hand_turned import HandTurnedLoop
 
 OUT, IN = "aa" * 16, "bb" * 16
 

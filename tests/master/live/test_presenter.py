@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import replace
 
 from master.execution.readiness import Readiness
 from master.graph import reconcile
@@ -67,6 +68,15 @@ def test_environment_shows_its_options_and_counts_its_contents(gallery: Gallery)
     assert (view.user, view.containerTag, view.machine, view.containerData.size) == ("ann", "brain", "m1", 1)
     assert (view.nodes, view.parameters, view.interfaces) == (1, 1, 5)
     assert view.usage == Usage(0.5, 1000)
+
+
+def test_environment_shows_what_its_machine_does_not_enforce_of_what_it_asked_for(gallery: Gallery) -> None:
+    gallery.fleet.join("m1", "container", capacity=9, not_enforced=["cpu", "disk", "egress", "io"])
+    gallery.fleet.do("ann", m.CreateContainer("tight", m.ContainerData(cpu=1, memory=10**9, io=m.Rates(read=1))))
+    view = gallery.presenter.environment(gallery.state.environments["ann/tight"])
+    assert view.notEnforced == ["cpu", "egress", "io"]
+    gallery.state.environments.put(replace(gallery.state.environments["ann/tight"], egress="all", machine=""))
+    assert gallery.presenter.environment(gallery.state.environments["ann/tight"]).notEnforced == []
 
 
 def test_environment_is_ready_between_its_sync_and_the_loss_of_its_endpoint(gallery: Gallery) -> None:
@@ -156,7 +166,7 @@ def test_machine_shows_what_its_environments_use(gallery: Gallery) -> None:
 
 
 def test_machine_has_the_addresses_of_all_its_processes(gallery: Gallery) -> None:
-    gallery.fleet.join("here", "container", host="h", addresses=["relay:10.0.0.7:4000", "unix:/x"])
+    gallery.fleet.join("here", "container", host="h", relays={"h": "10.0.0.7:4000"})
     gallery.fleet.join("there", "robot", host="h", url="ws://robots.example:9010/")
     view = gallery.presenter.process(gallery.state.processes["here"])
     assert view.addresses == ["10.0.0.7", "robots.example"]

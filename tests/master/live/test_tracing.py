@@ -12,7 +12,7 @@ from twisted.internet.base import ReactorBase
 from master.live import tracing
 from master.live.tracing import HopCollector
 from rce.api.roles import Scopes
-from rce.control.calls.watching import FollowMessages, HopRecord, HopRecords
+from rce.control.calls.watching import FollowMessages, Hop, HopRecord, HopRecords
 from rce.errors import Lost
 from rce.protocol import messages as m
 from tests.support.master.served import Served, serve
@@ -84,6 +84,25 @@ async def test_hops_of_both_endpoints_are_joined(served: Served) -> None:
     asked = len(told(served, "west"))
     await asyncio.sleep(0.05)
     assert len(told(served, "west")) == asked, "nobody is asked after the end"
+
+
+async def test_messages_with_one_id_are_told_apart_by_their_times(served: Served) -> None:
+    interfaces = served.master.state.interfaces
+    out, into = interfaces["ann/brain/out"].id, interfaces["ann/r1/in"].id
+
+    def records(interface: str, *hops: Hop) -> HopRecords:
+        return HopRecords(
+            [
+                HopRecord(out, "nil", interface, hop, at + 0.1 * position)
+                for at in (5.0, 6.0)
+                for position, hop in enumerate(hops, 2 * (interface == into))
+            ]
+        )
+
+    served.peers["ann/brain"].answers[FollowMessages] = records(out, "entered", "sent")
+    served.peers["west"].answers[FollowMessages] = records(into, "received", "delivered")
+    (first,) = (await served.ask("GET", PATH + "?messages=1")).body["messages"]
+    assert [each["time"] for each in first["hops"]] == [5.0, 5.1, 5.2, 5.3]
 
 
 async def test_hops_of_an_absent_endpoint_are_missing(served: Served) -> None:

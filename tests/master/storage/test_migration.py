@@ -13,11 +13,13 @@ from alembic.config import Config
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
+from master.access.user_limits import UserLimits
 from master.access.users import Users
+from master.graph.limits import Policy
 from master.graph.records import EnvironmentOptions, Qos
 from master.graph.state import State
 from master.storage import tables as db
-from master.storage.migration import HEAD, SCRIPTS, upgrade
+from master.storage.migration import HEAD, SCRIPTS, migrate, upgrade
 from master.storage.store import Store
 from rce.errors import InvalidRequest
 
@@ -130,6 +132,20 @@ async def test_records_of_version_0_1_are_rewritten(url: str) -> None:
     assert interface.qos == Qos(depth=5)
     options = EnvironmentOptions(size=2, features=["camera"], variables={"A": "1"}, group="g", group_address="10.0.0.7")
     assert state.environments["ann/brain"].options == options
+
+
+async def test_limits_of_zero_of_an_earlier_version_stay_no_limit(url: str) -> None:
+    engine = sa.create_engine(url)
+    with engine.begin() as connection:
+        migrate(connection, "0004")
+        connection.execute(db.limits.insert(), {"user": "ann", "value": '{"robots": 0, "size": 2, "images": []}'})
+    engine.dispose()
+    store = Store(url)
+    await store.open()
+    limits = UserLimits(store, Policy(robots=5))
+    await limits.open()
+    await store.close()
+    assert limits.of("ann") == Policy(size=2)
 
 
 def test_migration_runs_once(url: str) -> None:

@@ -13,7 +13,7 @@ import pytest
 import sqlalchemy as sa
 
 from master.graph import packages
-from master.graph.records import Connection, Environment, EnvironmentOptions, Parameter, Version, Waiting
+from master.graph.records import Connection, Environment, EnvironmentOptions, NodeEnd, Parameter, Version, Waiting
 from master.graph.state import State
 from master.storage import store as store_module
 from master.storage import tables as db
@@ -57,6 +57,7 @@ def full() -> State:
     fleet.do("bob", m.CreateContainer("other", options))
     packages.add(fleet.state, "ann", "own", Version("0" * 64, 7, ["p", "q"], 1.5))
     packages.share(fleet.state, "ann", "own", ["bob"])
+    fleet.state.ends.put(NodeEnd(fleet.state.nodes["ann/brain/n"], -9, ["last words"], 1.5))
     fleet.state.waiting.put(Waiting("ann/r1/x", "ann/r2/x", "ann/r1"))
     return fleet.state
 
@@ -233,6 +234,60 @@ async def test_failed_transaction_is_rolled_back(store: Store) -> None:
     assert await store.run(lambda connection: list(connection.execute(sa.select(db.tokens)))) == []
 
 
+async def test_work_that_waits_shares_a_transaction_and_fails_alone(store: Store, url: str) -> None:
+    go = threading.Event()
+    held = asyncio.ensure_future(store.run(lambda _: go.wait(10)))
+    commits = 0
+
+    def count(_: sa.Connection) -> None:
+        nonlocal commits
+        commits += 1
+
+    def insert(number: int) -> Any:
+        def work(connection: sa.Connection) -> int:
+            row = {"digest": f"d{number}", "process": "p", "role": "robot", "used": False}
+            connection.execute(db.tokens.insert(), row)
+            if number % 5 == 3:
+                raise KeyError(number)
+            return number
+
+        return store.run(work)
+
+    works = [asyncio.ensure_future(insert(number)) for number in (*range(20), 0)]
+    await asyncio.sleep(0)  # all wait for the first one
+    sa.event.listen(store._engine, "commit", count)
+    go.set()
+    await held
+    results = await asyncio.gather(*works, return_exceptions=True)
+    assert commits <= 2, "the first one's, and that of all others"
+    assert [number for number in results if isinstance(number, int)] == [n for n in range(20) if n % 5 != 3]
+    assert [error.args for error in results if isinstance(error, KeyError)] == [(3,), (8,), (13,), (18,)]
+    assert isinstance(results[-1], sa.exc.IntegrityError), "its row exists"
+    rows = await store.run(lambda connection: list(connection.execute(sa.select(db.tokens.c.digest))))
+    assert {row.digest for row in rows} == {f"d{number}" for number in range(20) if number % 5 != 3}
+
+
+async def test_failed_commit_of_many_is_repeated_for_each(store: Store) -> None:
+    go = threading.Event()
+    held = asyncio.ensure_future(store.run(lambda _: go.wait(10)))
+    fails = iter([True])
+
+    def fail(connection: sa.Connection) -> None:
+        if next(fails, False):
+            raise sa.exc.OperationalError("flush", {}, OSError("disk is full"))
+
+    def work(connection: sa.Connection) -> None:
+        fail(connection)
+        connection.execute(db.tokens.insert(), {"digest": "d", "process": "p", "role": "robot", "used": False})
+
+    works = [asyncio.ensure_future(store.run(each)) for each in (lambda _: 1, work, lambda _: 2)]
+    await asyncio.sleep(0)
+    go.set()
+    await held
+    assert await asyncio.gather(*works) == [1, None, 2]
+    assert len(await store.run(lambda connection: list(connection.execute(sa.select(db.tokens))))) == 1
+
+
 @pytest.mark.parametrize("url", ["nonsense", "nosuch://x", "sqlite:////nowhere/at/all.db"])
 async def test_unusable_database_is_reported(url: str) -> None:
     with pytest.raises(InvalidRequest, match="database") as raised:
@@ -248,6 +303,14 @@ async def test_database_in_memory(tmp_path: Path) -> None:
     back = State()
     await store.load(back)
     assert everything(back) == everything(state)
+    await store.close()
+
+
+async def test_acknowledged_change_is_on_the_disk(tmp_path: Path) -> None:
+    """SQLite flushes each transaction to the disk: 2 is FULL, 1 would lose the last ones in a power cut."""
+    store = Store(f"sqlite:///{tmp_path / 'master.db'}")
+    await store.open()
+    assert await store.run(lambda db: db.execute(sa.text("PRAGMA synchronous")).scalar()) == 2
     await store.close()
 
 

@@ -6,7 +6,8 @@ import asyncio
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
-from master.graph.records import Process, Robot, Role
+from master.graph import reconcile
+from master.graph.records import Robot
 from master.graph.state import State
 from master.service import Master
 from master.storage.store import Store
@@ -16,8 +17,8 @@ from rce.control.calls.joining import Hello
 from rce.control.connection import Control
 from rce.errors import RceError, TimedOut
 from rce.protocol import messages as m
+from tests.support.hand_turned import HandTurnedLoop
 from tests.support.master.fleet import interface
-from tests.support.master.hand_turned import HandTurnedLoop
 
 GRACE, ROBOT_GRACE = 30.0, 10.0  # seconds: of machines, and of Robot endpoints and robots
 T = TypeVar("T")
@@ -48,10 +49,7 @@ class Peer:
         self._waiting: list[asyncio.Future[None]] = []
         self.lost: asyncio.Future[None] = desk.hand.create_future()
         self._desk = desk
-        role = cast(Role, hello.role)
-        process = Process(
-            hello.name, role, hello.incarnation, hello.host, hello.addresses, "", hello.capacity, hello.features
-        )
+        process = reconcile.process_of(desk.state, hello)
         desk.hand.do(lambda: desk.master.process_tracker.joined(process, hello, cast(Control, self)))
 
     async def call(self, call: Call[Any], seconds: float = 0.0) -> object:
@@ -97,7 +95,7 @@ class Desk:
 
     def robot(self) -> Peer:
         west = Peer(self, Hello("robot", "west", "", "", "1"))
-        self.state.robots.put(Robot("ann/r1", "west", "s"))
+        self.state.robots.put(Robot("ann/r1", "west", "s", events=True))
         return west
 
     def machine(self, name: str, **environments: str) -> Peer:

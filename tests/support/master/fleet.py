@@ -6,12 +6,15 @@ import itertools
 from collections.abc import Callable
 from typing import Any
 
+from msgspec.structs import replace
+
 from master.graph import reconcile
 from master.graph.commands import CommandContext, execute
 from master.graph.effects import Outcome, Plan, Send
 from master.graph.limits import UNLIMITED
-from master.graph.records import Process, Ref, Robot, Role, ref
+from master.graph.records import Ref, Robot, Role, ref
 from master.graph.state import State
+from rce.api.roles import Principal
 from rce.control.calls.call import Call
 from rce.control.calls.joining import Hello
 from rce.protocol import messages as m
@@ -33,16 +36,19 @@ class Fleet:
 
     def join(self, name: str, role: Role, incarnation: str = "1", **hello: Any) -> Plan:
         said = Hello(role, name, "", "", incarnation, **hello)
-        process = Process(
-            name, role, incarnation, said.host, said.addresses, said.url, said.capacity, said.features, said.gpus
-        )
+        process = reconcile.process_of(self.state, said)
+        if role == "environment":
+            process = replace(process, incarnation=incarnation)
         return reconcile.joined(self.state, process, said, self.ids)
 
     def do(self, user: str, command: m.Command, again: bool = False, robot: str = "") -> Outcome:
         return execute(CommandContext(self.state, user, self.ids, self.policy, again, robot), command)
 
-    def robot(self, name: str, endpoint: str = "west", session: str = "s", resume: str = "") -> tuple[Outcome, bool]:
-        return reconcile.robot_arrived(self.state, Robot(name, endpoint, session), resume, self.ids, self.policy)
+    def robot(
+        self, name: str, endpoint: str = "west", session: str = "s", resume: str = "", by: str = ""
+    ) -> tuple[Outcome, bool]:
+        robot = Robot(name, endpoint, session, Principal(by, "user") if by else None)
+        return reconcile.robot_arrived(self.state, robot, resume, self.ids, self.policy)
 
 
 def furnished() -> Fleet:

@@ -18,12 +18,14 @@ from rce.bench.hollow import DONE
 from rce.control.calls.call import BatchResult, Call, Nothing
 from rce.control.calls.endpoints import AddRoute, Bind, Sync
 from rce.control.calls.environments import KeepEnvironments, SetRelays, StartEnvironment, StopEnvironment
-from rce.control.calls.joining import Hello
+from rce.control.calls.joining import Hello, SetRemovedMachines
 from rce.control.calls.robots import Definitions, DescribeType, Execute, LoggedIn, Login, SendStatus
+from rce.control.calls.watching import ReadGraph, RosGraph, RosNode
 from rce.control.client import connect
 from rce.control.connection import Control, Handlers
 from rce.control.server import listen
 from rce.errors import ErrorInfo
+from rce.net.tls import Tls
 from rce.protocol import messages as m
 
 T = TypeVar("T", bound=Call[Any])
@@ -48,11 +50,12 @@ class Peer:
         handlers = Handlers()
         for kind in (
             *(*DONE, Bind, AddRoute),
-            *(StartEnvironment, StopEnvironment, KeepEnvironments, SetRelays),
+            *(StartEnvironment, StopEnvironment, KeepEnvironments, SetRelays, SetRemovedMachines),
         ):
             handlers.on(kind, self._take)
         handlers.on(Sync, self._sync)
         handlers.on(DescribeType, self._describe)
+        handlers.on(ReadGraph, self._read_graph)
         self.control, welcome = await connect(self.platform.reactor, self.platform.address, self.hello, handlers)
         self.platform.controls.append(self.control)
         self.credential = welcome.credential
@@ -71,6 +74,9 @@ class Peer:
 
     async def _describe(self, call: DescribeType) -> Definitions:
         return Definitions({call.type: f"of {self.hello.name}"})
+
+    async def _read_graph(self, call: ReadGraph) -> RosGraph:
+        return RosGraph([], [], [], [RosNode(f"/{self.hello.name}")])
 
     async def next(self, kind: type[T]) -> T:
         """Return the next call of this kind, skipping others."""
@@ -96,7 +102,9 @@ class Peer:
 
 
 class Platform:
-    """Master and the processes that joined it."""
+    """Master and the processes that joined it. With `tls` set, its control port has TLS."""
+
+    tls: Tls | None = None
 
     def __init__(self, reactor: ReactorBase, database: str, grace: float) -> None:
         self.reactor = reactor
@@ -107,10 +115,10 @@ class Platform:
     async def start(self) -> None:
         self.store = Store(self.database)
         await self.store.open()
-        self.master = Master(self.store, self.grace)
+        self.master = Master(self.store, self.grace, tls=self.tls)
         self.master.users.passwords.hasher = QUICK_HASHER
         await self.master.start()
-        self.port = await listen(self.reactor, "tcp:0:interface=127.0.0.1", self.master)
+        self.port = await listen(self.reactor, "tcp:0:interface=127.0.0.1", self.master, self.tls)
         self.address = f"tcp:127.0.0.1:{self.port.getHost().port}"  # type: ignore[misc]  # zope declares its methods without self
 
     async def stop(self) -> None:
@@ -160,7 +168,7 @@ def execute(endpoint: Peer, robot: str, command: m.Command, again: bool = False)
 
 async def login(endpoint: Peer, robot: str, resume: str = "") -> LoggedIn:
     user, _, tag = robot.partition("/")
-    answer: LoggedIn = await endpoint.call(Login(user, tag, digest("secret"), resume))
+    answer: LoggedIn = await endpoint.call(Login(user, tag, digest("secret"), resume, ["events"]))
     return answer
 
 

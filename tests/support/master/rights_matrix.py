@@ -66,7 +66,10 @@ CASES: dict[str, Case | None] = {
     "GET /environments/{environment}/parameters/{name}": Case("parameter.read"),
     "DELETE /environments/{environment}/parameters/{name}": Case("parameter.remove"),
     "GET /environments/{environment}/topics": Case("interface.read"),
+    "GET /environments/{environment}/packages": Case("interface.read"),
     "GET /environments/{environment}/services": Case("interface.read"),
+    "GET /environments/{environment}/actions": Case("interface.read"),
+    "GET /environments/{environment}/types": Case("interface.read"),
     "GET /interfaces": Case("interface.read"),
     "POST /interfaces": Case(
         "interface.create",
@@ -87,6 +90,7 @@ CASES: dict[str, Case | None] = {
     "GET /machines": Case("machine.read", "platform"),
     "GET /machines/{name}": Case("machine.read", "platform"),
     "POST /machines/invitations": Case("machine.invite", "platform", {"name": "m9"}, (404,)),
+    "DELETE /machines/{name}": Case("machine.remove", "platform", also_accepted=(404,)),  # of no machine
     "GET /groups": Case("group.read"),
     "GET /groups/{group}": Case("group.read"),
     "GET /packages": Case("package.read", "own"),
@@ -102,6 +106,7 @@ CASES: dict[str, Case | None] = {
     "GET /environments/{environment}/nodes/{node}/log": Case("node.log"),
     "GET /events": Case("feed.read"),
     "GET /jobs": Case("job.read", "own", None, (404,)),  # no map service has joined
+    "GET /services": Case("job.read", "own"),
     "GET /openapi.json": None,  # public
 }
 EXISTING = {
@@ -219,13 +224,15 @@ class World:
         there = tags is not MISSING
         if "/users" in path:
             name = user
-        elif "/packages" in path or "/machines" in path:
+        elif path.startswith(("/packages", "/machines")):
+            there = there and case.operation != "machine.remove"  # the others need the machine
             name = {True: {"p": "tool", "m": "m1"}[path[1]], False: "nothing"}[there]
         else:
             name = "rate" if there else "norate"
         names = tags | {"name": name, "key": self.keys.get(user, "0123") if there else "beef"}
         path = path.format(**names)
-        query = ["seconds=0"] if path.endswith("/trace") else []
+        queries = {"/trace": ["seconds=0"], "/types": [f"type={STRING}"]}
+        query = next((words for end, words in queries.items() if path.endswith(end)), [])
         if case.user_in == "query" and user != caller:
             query.append(f"user={user}")
         path += "?" * bool(query) + "&".join(query)

@@ -19,6 +19,12 @@ def before_call(context: schemathesis.HookContext, case: schemathesis.Case[Any],
             del case.body["scopes"]
 
 
+@schemathesis.serializer("application/offset+octet-stream")
+def pieces_of_uploads(context: schemathesis.SerializationContext, value: Any) -> bytes:
+    """Return the bytes of a piece of an upload (tus 1.0)."""
+    return bytes(value) if isinstance(value, bytes) else str(value).encode(errors="replace")
+
+
 def _written(value: Any) -> Any:
     match value:
         case float() if value.is_integer():

@@ -30,7 +30,18 @@ from rce.control.calls.endpoints import Sync
 from rce.control.calls.environments import StartEnvironment, StopEnvironment
 from rce.control.calls.joining import Hello
 from rce.control.calls.robots import Definitions, DescribeType, Login
-from rce.control.calls.watching import CountTraffic, Log, MeasureUsage, ReadGraph, ReadLog, RosGraph, Traffic, Usage
+from rce.control.calls.watching import (
+    CountTraffic,
+    Log,
+    MeasureUsage,
+    ReadGraph,
+    ReadLog,
+    ReadPackages,
+    RosGraph,
+    RosPackages,
+    Traffic,
+    Usage,
+)
 from rce.control.connection import Control, Handlers
 from rce.errors import RceError
 from rce.web.server import Endpoint, parse_endpoint
@@ -59,6 +70,7 @@ class Peer:
             DescribeType: Definitions({}),
             CountTraffic: Traffic({}),
             ReadGraph: RosGraph([], []),
+            ReadPackages: RosPackages([]),
             ReadLog: Log([]),
             MeasureUsage: Usage({}),
         }

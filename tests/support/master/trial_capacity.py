@@ -60,7 +60,7 @@ class Around:
 
     async def _start(self, call: StartEnvironment) -> Nothing:
         spec = call.environment
-        control = await self.join("environment", spec.name, spec.token, addresses=["unix:/x"])
+        control = await self.join("environment", spec.name, spec.token)
         self.environments[spec.name] = control
         return Nothing()
 

@@ -1,5 +1,6 @@
 // Drives a robot and shows its camera: a complete example of rce.js in a page.
 
+import { Api } from "../api.js";
 import { Picture } from "../picture.js";
 import { Robot } from "../rce/rce.js";
 
@@ -12,9 +13,29 @@ document.getElementById("camera").append(picture.status, picture.element);
 let velocity = null; // the publisher
 let held = { forward: 0, turn: 0 }; // each from -1 to 1
 
+const key = sessionStorage.getItem("rce.key"); // of the tab's sign-in
+const wanted = new URLSearchParams(location.search).get("environment");
+if (wanted) form.environment.value = wanted;
+let user = ""; // who has signed in
+begin().catch((error) => { status.textContent = error.message; });
+
+async function begin() {
+  if (!key) {
+    form.hidden = true;
+    status.textContent = "Sign in at the dashboard first, then come back in the same tab.";
+    return;
+  }
+  const api = new Api(key);
+  ({ user } = await api.get("/whoami"));
+  if (wanted) document.getElementById("back").href = `../#/environments/${user}/${wanted}`;
+  for (const each of await api.list("/environments")) {
+    document.getElementById("environments").append(new Option(each.containerTag, each.containerTag));
+  }
+}
+
 form.onsubmit = async (event) => {
   event.preventDefault();
-  const { user, key, environment: tag, velocity: topic, camera } = Object.fromEntries(new FormData(form));
+  const { environment: tag, velocity: topic, camera } = Object.fromEntries(new FormData(form));
   status.textContent = "connecting …";
   try {
     const robot = new Robot(location.origin, { user, key, robot: "joystick" });

@@ -1,0 +1,25 @@
+// Pages that show one panel of an environment: map, image, points in space.
+
+import { chooser } from "./chooser.js";
+import { h } from "./dom.js";
+import { endedNotice } from "./ended.js";
+import { KINDS } from "./panels.js";
+
+/** Return the page of one kind of panels, at the address `page`. */
+export function viewPage(page, kind, hint) {
+  const { label, make, fields } = KINDS[kind];
+  return (main, app, owner, environment, query) => {
+    const wanted = fields.map((each) => ({ ...each, value: query.get(each.name) ?? each.value }));
+    const pick = chooser(app, page, owner, environment, wanted);
+    main.append(h("div.head", h("h1", label), environment && h("span.soft", app.named(owner, environment))), pick.element);
+    if (!environment) {
+      main.append(h("p.soft", hint));
+      return pick.stop;
+    }
+    app.reveal(owner);
+    const ended = endedNotice(app, owner, environment);
+    const panel = make(app, owner, environment, pick.values());
+    main.append(ended.element, h("section.panel", panel.element));
+    return () => { pick.stop(); ended.stop(); panel.stop(); };
+  };
+}

@@ -1,0 +1,109 @@
+"""Modules of the dashboard that need no browser, in Node."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from master.dashboard import FOLDERS
+from rce.packages import archive
+from rce.packages.archive import Entry
+from rce.protocol import terminal
+from tests.support.e2e.node import node_command
+
+LONG = f"pkg/{'a' * 60}/{'b' * 70}"
+FILES = {"pkg/package.xml": b"<package/>", LONG: b"x" * 700, "pkg/empty": b"", "pkg/run": b"#!/bin/sh"}
+
+
+def run(module: str, script: str) -> Any:
+    """Return what a script prints as JSON; it may use the names that the module exports."""
+    path = (FOLDERS[""] / module).as_uri()
+    text = f"const m = await import({json.dumps(path)}); const done = await (async () => {{ {script} }})();"
+    words = [*node_command(), "--input-type=module", "-e", f"{text} console.log(JSON.stringify(done));"]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def test_archive_is_the_one_that_the_console_makes(tmp_path: Path) -> None:
+    entries = []
+    for number, (name, content) in enumerate(FILES.items()):
+        source = tmp_path / str(number)
+        source.write_bytes(content)
+        entries.append(Entry(name, source, executable=name.endswith("run")))
+    expected = io.BytesIO()
+    archive.write(entries, expected)
+    files = json.dumps([[name, list(content), name.endswith("run")] for name, content in FILES.items()])
+    made = run(
+        "tar.js",
+        f"return [...m.archive({files}.map(([path, bytes, executable]) => "
+        "({ path, bytes: Uint8Array.from(bytes), executable })))]",
+    )
+    assert bytes(made) == expected.getvalue()
+
+
+@pytest.mark.parametrize("path", ["a/" + "b" * 101, "umläut"])
+def test_path_that_no_archive_can_hold_is_refused(path: str) -> None:
+    files = json.dumps([{"path": path, "bytes": []}])
+    script = f"try {{ m.archive({files}) }} catch (error) {{ return error.message }}"
+    assert path in run("tar.js", script)
+
+
+def test_terminal_frames_are_those_of_the_console() -> None:
+    frames = run(
+        "terminalstream.js",
+        "const sent = []; const s = new m.Sending((f) => sent.push([...f]), () => now); var now = 0;"
+        "s.write(Uint8Array.from([1, 2, 3])); now = 5000; s.tick();"
+        "const r = new m.Receiving(); const fresh = r.receive(Uint8Array.from(sent[0].slice(1)));"
+        "s.acknowledged(r.acknowledgement().subarray(1)); now = 99999; s.tick();"
+        "return { sent, fresh: [...fresh], ack: [...r.acknowledgement()], size: [...m.frames.size(24, 80)],"
+        " cdr: [...m.toCdr(Uint8Array.from([7, 8]))], back: [...m.fromCdr(m.toCdr(Uint8Array.from([7, 8])))] }",
+    )
+    expected: list[bytes] = []
+    terminal.SendStream(expected.append).write(bytes([1, 2, 3]))
+    assert [bytes(each) for each in frames["sent"]] == expected * 2, (
+        "sent again once, and not after its acknowledgement"
+    )
+    assert frames["fresh"] == [1, 2, 3]
+    received = terminal.ReceiveStream()
+    received.receive(expected[0][1:])
+    assert bytes(frames["ack"]) == received.acknowledgement()
+    assert bytes(frames["size"]) == terminal.size_frame(24, 80)
+    assert bytes(frames["cdr"]) == terminal.to_cdr(bytes([7, 8]))
+    assert frames["back"] == [7, 8]
+
+
+def test_transforms_lead_to_the_root_of_the_tree() -> None:
+    """The laser is 1 m ahead of a robot that stands at (2, 0) and looks along y."""
+    found = run(
+        "tf.js",
+        "const t = new m.Transforms(); const h = Math.SQRT1_2;"
+        "t.put({ parent: 'map', child: 'base', translation: [2, 0, 0], rotation: [0, 0, h, h] });"
+        "t.put({ parent: '/base', child: 'laser', translation: [1, 0, 0], rotation: [0, 0, 0, 1] });"
+        "const { root, matrix } = t.toRoot('laser'); return [root, ...matrix.subarray(12, 15)]",
+    )
+    assert found == ["map", pytest.approx(2, abs=1e-6), pytest.approx(1, abs=1e-6), 0]
+
+
+def test_cycle_of_transforms_ends() -> None:
+    put = "t.put({{ parent: '{}', child: '{}', translation: [0, 0, 0], rotation: [0, 0, 0, 1] }});"
+    script = f"const t = new m.Transforms(); {put.format('a', 'b')} {put.format('b', 'a')} return t.toRoot('a').root"
+    assert run("tf.js", script) in ("a", "b")
+
+
+def test_labels_of_wires_do_not_overlap() -> None:
+    shown, overlapping = run(
+        "layout.js",
+        """const wires = Array.from({ length: 300 }, (_, index) => ({
+            key: String(index), text: `${index}/s and more`, at: (t) => [300 + 200 * t, 7 * (index % 40) + 90 * t] }));
+        const found = [...m.labels(wires, 200, 700)].map(([key, at]) => ({ ...at, width: 7 * wires[key].text.length }));
+        const apart = (a, b) => Math.abs(a.y - b.y) >= 14 || Math.abs(a.x - b.x) >= (a.width + b.width) / 2;
+        return [found.length, found.filter((a, index) => found.slice(index + 1).some((b) => !apart(a, b))).length];""",
+    )
+    assert shown > 20
+    assert overlapping == 0
