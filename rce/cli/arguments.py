@@ -6,15 +6,18 @@ from typing import Any, Literal, NamedTuple
 
 Completion = Literal[
     "",
+    "action",
     "command",
     "console command",
     "context",
     "endpoint",
     "environment",
+    "executable",
     "group",
     "interface",
     "key",
     "machine",
+    "package",
     "robot",
     "service",
     "topic",

@@ -23,11 +23,13 @@ class Scope(NamedTuple):
     """Scope of a lookup of names.
 
     `owner` is the user who owns the objects: empty for the session's user, `*` for all users. `environment` narrows
-    topics and services, if it is the complete name of an environment.
+    topics, services and actions, if it is the complete name of an environment. Packages and executables are those in
+    it, and executables those of `package`.
     """
 
     environment: str = ""
     owner: str = ""
+    package: str = ""
 
 
 class Names:
@@ -44,12 +46,16 @@ class Names:
     def find(self, kind: Completion, words: Sequence[str] = ()) -> list[str]:
         """Return the names of a kind that may complete the last of `words`.
 
-        They are those of the user that --of names in the line; topics and services are those of the environment that
-        the last word begins with.
+        They are those of the user that --of names in the line. Topics, services and actions are those of the
+        environment that the last word begins with, packages and executables those of the one that the first word names.
         """
-        environment = words[-1].partition("/")[0] if words and kind in ("topic", "service") else ""
+        environment = package = ""
+        if words and kind in ("topic", "service", "action"):
+            environment = words[-1].partition("/")[0]
+        elif len(words) > 1 and kind in ("package", "executable"):
+            environment, package = words[0], words[-2] if kind == "executable" else ""
         owner = next((user_query(value) for flag, value in pairwise(words[:-1]) if flag == "--of"), "")
-        key, now = (kind, Scope(environment, owner)), self._clock()
+        key, now = (kind, Scope(environment, owner, package)), self._clock()
         if key not in self._cache or now > self._cache[key][0] + CACHE_SECONDS:
             self._cache[key] = now, self._request(*key)
         return self._cache[key][1]
@@ -109,6 +115,10 @@ def _services(session: ConsoleSession, scope: Scope) -> Iterable[str]:
     return _in_environment(session, scope, "services")
 
 
+def _actions(session: ConsoleSession, scope: Scope) -> Iterable[str]:
+    return _in_environment(session, scope, "actions")
+
+
 def _in_environment(session: ConsoleSession, scope: Scope, kind: str) -> Iterable[str]:
     """Return `ENV/` for each environment, or all names in one environment once its own name is complete."""
     environments = list(_environments(session, scope))
@@ -118,14 +128,31 @@ def _in_environment(session: ConsoleSession, scope: Scope, kind: str) -> Iterabl
     return [f"{scope.environment}{each.name}" for each in found]
 
 
+def _packages(session: ConsoleSession, scope: Scope) -> Iterable[str]:
+    return (each.name for each in _ros_packages(session, scope))
+
+
+def _executables(session: ConsoleSession, scope: Scope) -> Iterable[str]:
+    found = (each for each in _ros_packages(session, scope) if each.name == scope.package)
+    return (name for each in found for name in each.executables)
+
+
+def _ros_packages(session: ConsoleSession, scope: Scope) -> Iterable[views.RosPackage]:
+    path = ("environments", scope.environment, "packages")
+    return session.api.items(views.RosPackage, *path, user=scope.owner) if scope.environment else []
+
+
 SOURCES: dict[Completion, Callable[[ConsoleSession, Scope], Iterable[str]]] = {
+    "action": _actions,
     "context": lambda _, __: contexts.load().contexts,
     "endpoint": _endpoints,
     "environment": _environments,
+    "executable": _executables,
     "group": _groups,
     "interface": _interfaces,
     "key": _keys,
     "machine": _machines,
+    "package": _packages,
     "robot": _robots,
     "service": _services,
     "topic": _topics,

@@ -17,7 +17,7 @@ import msgspec
 from msgspec import Struct
 
 from rce.cli.arguments import DEV_USER, LOCAL_URL
-from rce.errors import InvalidRequest, NotFound, Unauthorized
+from rce.errors import MALFORMED, InvalidRequest, NotFound, Unauthorized
 
 SIGN_IN = "sign in with `rce login URL`, or name the entry with --url and set RCE_KEY or RCE_PASSWORD"
 
@@ -79,7 +79,7 @@ def load() -> Contexts:
         return msgspec.json.decode(path.read_bytes(), type=Contexts)
     except FileNotFoundError:
         return Contexts()
-    except (OSError, msgspec.DecodeError) as error:
+    except (OSError, *MALFORMED) as error:
         raise InvalidRequest(f"cannot read {path}: {error}; repair it, or remove it and sign in again") from None
 
 
@@ -108,7 +108,8 @@ def access(url: str = "", user: str = "", context: str = "") -> Access:
     contexts = load()
     name = context or os.environ.get("RCE_CONTEXT", "") or contexts.current
     if not name:
-        raise Unauthorized(f"you are not signed in: {SIGN_IN}")
+        others = f"choose a context with `rce context use NAME` ({', '.join(contexts.contexts)}), or "
+        raise Unauthorized(f"you are not signed in: {others if contexts.contexts else ''}{SIGN_IN}")
     found = contexts.named(name)
     return Access(found.url, found.user, None, found.key)
 

@@ -6,10 +6,12 @@ import sys
 from collections.abc import Sequence
 
 from rce.cli import table
-from rce.cli.command import UsageError, parser
+from rce.cli.arguments import ENVIRONMENT
+from rce.cli.command import Command, UsageError, parser
 from rce.cli.original import help_of, translate
 from rce.cli.session import ConsoleSession
 from rce.errors import RceError, describe_os_error
+from rce.spelling import did_you_mean
 
 SUCCESS, FAILURE, USAGE_ERROR, INTERRUPTED = 0, 1, 2, 130
 
@@ -60,7 +62,7 @@ def _run(words: Sequence[str], session: ConsoleSession | None) -> int:
     if command is None:
         return _run_group(words, prog, in_console)
     try:
-        args = parser(command, prog, in_console).parse_args(arguments)
+        args = parser(command, prog, in_console).parse_args(split_address(command, arguments))
     except SystemExit:  # argparse, after --help; it raises UsageError otherwise
         return SUCCESS
     return command.run(session or ConsoleSession.from_arguments(args), args) or SUCCESS
@@ -81,10 +83,25 @@ def _run_group(words: Sequence[str], prog: str, in_console: bool) -> int:
     if not rest or rest[0] in ("-h", "--help", "help"):
         print(text)
         return SUCCESS if rest else USAGE_ERROR
-    return _fail(f"there is no command `{word} {rest[0]}`\n\n{text}", USAGE_ERROR)
+    hint = did_you_mean(rest[0], [each.name.partition(" ")[2] for each in table.commands_of(word, in_console)])
+    problem = f"{'console' if in_console else 'rce'}: there is no command '{word} {rest[0]}'"
+    return _fail(problem + (f": {hint}" if hint else f"\n\n{text}"), USAGE_ERROR)
+
+
+def split_address(command: Command, arguments: Sequence[str]) -> list[str]:
+    """Return the arguments with `ENV/NAME` as two words where the command takes ENV and NAME."""
+    positional = [each for each in command.all_arguments() if not each.flags[0].startswith("-")]
+    if len(positional) > 1 and positional[0] is ENVIRONMENT and arguments and not arguments[0].startswith("-"):
+        environment, slash, name = arguments[0].partition("/")
+        if slash:
+            return [environment, name, *arguments[1:]]
+    return list(arguments)
 
 
 def _unknown(word: str, in_console: bool) -> int:
+    hint = did_you_mean(word, table.first_words(in_console))
+    if hint:
+        return _fail(f"{'console' if in_console else 'rce'}: there is no command {word!r}: {hint}", USAGE_ERROR)
     if in_console:
         return _fail(f"console: there is no command {word!r}; `help` lists them", USAGE_ERROR)
     return _fail(f"rce: there is no command {word!r}\n\n{table.overview()}", USAGE_ERROR)

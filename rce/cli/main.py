@@ -13,6 +13,9 @@ import rce
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 INTERRUPTED, BROKEN_PIPE = 128 + signal.SIGINT, 128 + signal.SIGPIPE  # as shells report programs ended by a signal
 
+EXTRAS = {"prompt_toolkit": "console", "mcap": "bag"}
+"""Extra that brings a library, where a command needs only that."""
+
 
 def main() -> int:
     """Run the command line and return the exit status.
@@ -70,7 +73,7 @@ def _run(words: list[str]) -> int:
     except ModuleNotFoundError as error:  # a light installation; a missing module of RCE itself is a defect
         if error.name is None or error.name.partition(".")[0] == "rce":
             raise
-        extras = "console" if error.name.partition(".")[0] == "prompt_toolkit" else "server,mapping,ros,bench"
+        extras = EXTRAS.get(error.name.partition(".")[0], "server,mapping,mapping3d,ros,bench")
         print(f"rce: this needs {error.name}: pip install '.[{extras}]' in a checkout of RCE", file=sys.stderr)
         return 1
 

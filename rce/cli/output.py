@@ -14,7 +14,8 @@ import msgspec
 from rce.cli import layout
 
 T = TypeVar("T")
-TIME_FIELDS = frozenset({"created", "expires", "used"})  # seconds since 1970
+# Seconds since 1970, unless they are whole numbers.
+TIME_FIELDS = frozenset({"created", "modified", "expires", "used", "time"})
 SIZE_FIELDS = frozenset({"memory", "disk", "bandwidth", "io", "read", "write", "package_bytes"})  # bytes, or bytes/s
 Columns = Mapping[str, Callable[[T], object]]
 """Functions that return the value of each column, by the column's title."""
@@ -67,7 +68,7 @@ def _without_empty(fields: dict[str, Any]) -> dict[str, Any]:
 
 def _field_text(name: str, value: Any) -> str:
     """Return a field's value as text; the field's name tells times and sizes from other numbers."""
-    if name in TIME_FIELDS:
+    if name in TIME_FIELDS and not isinstance(value, int):  # of machines, `used` is a number of slots
         return local_time(value)
     if name.removeprefix("default_").removeprefix("total_") in SIZE_FIELDS and isinstance(value, int):
         return size_text(value)
@@ -94,8 +95,8 @@ def cell_text(value: object) -> str:
 
 
 def size_text(value: float | None, unit: str = "B") -> str:
-    """Return a number of bytes with a binary prefix, or `-` for 0, which stands for no limit."""
-    if not value:
+    """Return a number of bytes with a binary prefix, or `-` for None."""
+    if value is None:
         return "-"
     for prefix in ("", "Ki", "Mi", "Gi"):
         if value < 1024:

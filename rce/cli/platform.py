@@ -37,16 +37,24 @@ async def platform(args: argparse.Namespace) -> AsyncIterator[Access]:
     if args.url:
         yield running_platform(args)
         return
+    print("starting a platform for this command alone; --url takes a running one", file=sys.stderr)
     with tempfile.TemporaryDirectory(prefix="rce-") as directory:
         async with own_platform(Path(directory), args.engine) as entry:
             yield Access(entry.url, DEV_USER, DEV_USER, None)
 
 
 @contextlib.asynccontextmanager
-async def own_platform(directory: Path, engine: str) -> AsyncIterator[Ready]:
-    """Run a new platform that keeps its data in `directory` and ends with the context."""
+async def own_platform(directory: Path, engine: str, size: int = 10) -> AsyncIterator[Ready]:
+    """Run a new platform with `size` slots that keeps its data in `directory` and ends with the context."""
     with programs_log() as log:
-        settings = up.Settings(data_dir=directory, http_port=0, dev=True, engine=engine)  # type: ignore[arg-type]
+        settings = up.Settings(
+            data_dir=directory,
+            http_port=0,
+            dev=True,
+            engine=engine,  # type: ignore[arg-type]
+            size=size,
+            allow_root=True,  # its only user is the one who runs the command
+        )
         entry: asyncio.Future[Ready] = asyncio.get_running_loop().create_future()
 
         async def started(ready: Ready) -> None:

@@ -8,12 +8,15 @@ from collections.abc import Mapping, Sequence
 from rce.cli.command import LINE_WIDTH, Command, Group, Program, Section
 from rce.cli.commands import (
     accounts,
+    bags,
     bench,
     data,
     environments,
+    knowledge,
     login,
     machines,
     maps,
+    maps3d,
     packages,
     programs,
     robots,
@@ -23,6 +26,9 @@ from rce.cli.commands import (
 TABLE: tuple[Command | Program | Group, ...] = (
     programs.UP,
     *maps.COMMANDS,
+    *maps3d.COMMANDS,
+    knowledge.GROUP,
+    *knowledge.COMMANDS,
     programs.RUN,
     packages.GROUP,
     *packages.COMMANDS,
@@ -34,6 +40,8 @@ TABLE: tuple[Command | Program | Group, ...] = (
     *environments.COMMANDS,
     *robots.COMMANDS,
     *data.COMMANDS,
+    bags.GROUP,
+    *bags.COMMANDS,
     *tracing.COMMANDS,
     *machines.COMMANDS,
     *accounts.COMMANDS,
@@ -118,7 +126,7 @@ def overview() -> str:
             *("", "at a platform (`rce login URL` selects it), also in `rce console`:"),
             console_overview(),
             *("", "the parts of a platform, one by one:"),
-            _listing(_programs(Section.SERVER)),
+            _listing(_programs(Section.SERVER), width=19),
             *("", "on the files of a Master of this machine, whether it runs or not:"),
             _listing(_programs(Section.MASTER_FILES), width=20),
         ]

@@ -12,6 +12,7 @@ This package holds what runs inside a robot's own program: the WebSocket session
 (`rce run`) and the client of the map service. The client of the HTTP API is `rce.api.client`.
 """
 
+from rce.client.actions import ActionClient, ActionServer, Goal, GoalResult, ServerGoal
 from rce.client.blocking import BlockingRobot
 from rce.client.environment import Environment
 from rce.client.events import Disconnected, Event, Reconnected
@@ -21,13 +22,18 @@ from rce.client.stream import Stream
 from rce.client.topics import Publisher, Subscriber
 
 __all__ = [
+    "ActionClient",
+    "ActionServer",
     "BlockingRobot",
     "Disconnected",
     "Environment",
     "Event",
+    "Goal",
+    "GoalResult",
     "Publisher",
     "Reconnected",
     "Robot",
+    "ServerGoal",
     "ServiceClient",
     "ServiceProvider",
     "Stream",

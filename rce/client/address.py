@@ -10,15 +10,27 @@ import socket
 import ssl
 import urllib.error
 import urllib.request
+from collections.abc import Sequence
 from dataclasses import dataclass
 from http.client import HTTPException
-from urllib.parse import urlencode, urlsplit, urlunsplit
+from urllib.parse import quote, urlencode, urlsplit, urlunsplit
 
 import msgspec
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import InvalidHandshake, InvalidStatus, InvalidURI
+from websockets.typing import Subprotocol
 
-from rce.errors import AlreadyExists, Forbidden, InvalidRequest, NotFound, RceError, Unauthorized, Unavailable
+from rce.api.http import reason_of
+from rce.errors import (
+    MALFORMED,
+    AlreadyExists,
+    Forbidden,
+    InvalidRequest,
+    NotFound,
+    RceError,
+    Unauthorized,
+    Unavailable,
+)
 from rce.protocol.assembler import AssemblyLimits
 from rce.protocol.blobs import PART
 from rce.protocol.messages import CURRENT_VERSION, FEATURES
@@ -85,7 +97,7 @@ class Address:
         body = await asyncio.to_thread(self._get, url)
         try:
             return msgspec.json.decode(body, type=dict[str, str])["url"]
-        except (msgspec.DecodeError, KeyError) as error:
+        except (*MALFORMED, KeyError) as error:
             raise Unavailable(
                 f"{self.url} is not the entry of an RCE platform: its answer contains no url ({error})"
             ) from None
@@ -101,7 +113,45 @@ class Address:
             with error:
                 raise _error_of_status(error.code, error.read(4096).decode(errors="replace")) from None
         except (OSError, HTTPException, ValueError) as error:
-            raise Unavailable(f"cannot reach {self.url}: {getattr(error, 'reason', error)}") from None
+            raise Unavailable(f"cannot reach {self.url}: {reason_of(error)}") from None
+
+    @property
+    def _secret(self) -> dict[str, str]:
+        return {"key": self.key} if self.key is not None else {"password": _hash(self.password or "")}
+
+    async def dial_gateway(
+        self, protocol: str, environment: str, subprotocols: Sequence[Subprotocol] | None = None
+    ) -> ClientConnection:
+        """Open a WebSocket of a gateway of the platform, whose messages are those of the protocol.
+
+        Args:
+            protocol: `rosbridge` or `foxglove`.
+            environment: Tag of an environment of `owner`.
+            subprotocols: Subprotocols to offer.
+
+        Raises:
+            Unavailable: The gateway cannot be reached, or refuses the connection.
+            RceError: The entry refuses the request, for example an unknown user.
+        """
+        endpoint = await self.locate()
+        parts = urlsplit(endpoint)
+        path = "/".join([parts.path.rstrip("/"), protocol, *filter(None, (quote(self.owner), quote(environment)))])
+        uri = urlunsplit((parts.scheme, parts.netloc, path, urlencode({"userID": self.user, **self._secret}), ""))
+        try:
+            return await connect(
+                uri,
+                ssl=(self.ssl or True) if parts.scheme == "wss" else None,
+                subprotocols=subprotocols,
+                proxy=None if _is_loopback(endpoint) else True,
+                compression=None,
+                open_timeout=OPEN_TIMEOUT,
+                max_size=AssemblyLimits().message * 2,
+            )
+        except InvalidStatus as error:
+            text = error.response.body.decode(errors="replace").strip() or error.response.reason_phrase
+            raise Unavailable(f"the gateway refuses the connection: {error.response.status_code} {text}") from None
+        except (OSError, TimeoutError, InvalidHandshake) as error:
+            raise Unavailable(f"cannot reach {endpoint}: {error or 'no answer'}") from None
 
     async def dial(self, endpoint: str, token: str) -> ClientConnection:
         """Open the WebSocket of a Robot endpoint.
@@ -118,8 +168,7 @@ class Address:
             InvalidRequest: The server rejects the request for another reason.
             Unavailable: The endpoint cannot be reached.
         """
-        secret = {"key": self.key} if self.key is not None else {"password": _hash(self.password or "")}
-        query = {"userID": self.user, "robotID": self.robot, **secret, "features": ",".join(sorted(FEATURES))}
+        query = {"userID": self.user, "robotID": self.robot, **self._secret, "features": ",".join(sorted(FEATURES))}
         if self.compress:
             query["compress"] = "deflate"
         if token:

@@ -6,100 +6,38 @@ use the robot themselves.
 
 from __future__ import annotations
 
-import asyncio
 import functools
 import inspect
 import ssl as tls
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Coroutine
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar, Unpack
 
+from rce.client.blocking_interfaces import (
+    BlockingActionClient,
+    BlockingActionServer,
+    BlockingInterface,
+    BlockingPublisher,
+    BlockingServerGoal,
+    BlockingServiceClient,
+    BlockingServiceProvider,
+    BlockingSubscriber,
+    goals_in_threads,
+    in_thread,
+)
 from rce.client.environment import Environment
 from rce.client.events import Event
 from rce.client.interface import Interface
 from rce.client.operations import EnvironmentOptions, Format
 from rce.client.robot import Robot
-from rce.client.services import ServiceClient, ServiceProvider
+from rce.client.session import NAME_WAIT
 from rce.client.threads import Blocking, BlockingStream, LoopThread, blocking
-from rce.client.topics import Publisher, Subscriber
 from rce.protocol.messages import Qos
 
 P = ParamSpec("P")
 W = TypeVar("W")
 I = TypeVar("I", bound=Interface)  # noqa: E741
 B = TypeVar("B", bound="BlockingInterface[Any]")
-
-
-class BlockingInterface(Blocking[I]):
-    """Common base of the blocking interfaces; see `Interface`."""
-
-    @property
-    def connected(self) -> bool:
-        """True while the robot is online and the interface has a peer that is online too."""
-        return self.inner.connected
-
-    @property
-    def tag(self) -> str:
-        """Name of the interface."""
-        return self.inner.tag
-
-    def wait_connected(self, timeout: float = 10.0) -> None:
-        """Wait until the interface has a peer.
-
-        Args:
-            timeout: Seconds to wait.
-
-        Raises:
-            NotConnected: There was no peer for `timeout` seconds.
-            RceError: The interface or the robot was closed, or the platform refused the robot.
-        """
-        self._thread.wait(self.inner.wait_connected(timeout))
-
-    def close(self) -> None:
-        """Remove the interface and its connections from the platform.
-
-        Raises:
-            TimedOut: The platform did not answer within the robot's `timeout`.
-            RceError: Any other error of the platform, for example `NotFound` if the interface was removed already.
-        """
-        self._thread.wait(self.inner.close())
-
-
-class BlockingPublisher(BlockingInterface[Publisher]):
-    """Blocking `Publisher`."""
-
-    publish = blocking(Publisher.publish)
-    """Send a message, after waiting for a peer and for room in the send queue; see `Publisher.publish`."""
-
-    def offer(self, value: Any, keep: int = 1) -> bool:
-        """Send a message without waiting; see `Publisher.offer`."""
-        return self._thread.call(lambda: self.inner.offer(value, keep))
-
-
-class BlockingSubscriber(BlockingInterface[Subscriber]):
-    """Blocking `Subscriber`: iterate over it, or `get` the next message. Several threads may read it."""
-
-    get = blocking(Subscriber.get)
-    """Return the next message; see `Subscriber.get`."""
-
-    @property
-    def dropped(self) -> int:
-        """Number of messages that were dropped because too many were unread."""
-        return self.inner.dropped
-
-    def __iter__(self) -> Iterator[Any]:
-        return iter(BlockingStream(self._thread, self.inner.stream))
-
-
-class BlockingServiceClient(BlockingInterface[ServiceClient]):
-    """Blocking `ServiceClient`."""
-
-    call = blocking(ServiceClient.call)
-    """Call the service and return its response; see `ServiceClient.call`."""
-
-
-class BlockingServiceProvider(BlockingInterface[ServiceProvider]):
-    """Blocking `ServiceProvider`."""
 
 
 def blocking_factory(
@@ -133,6 +71,8 @@ class BlockingEnvironment(Blocking[Environment]):
     """Publish on a topic of the environment; see `Environment.publisher`."""
     service_client = blocking_factory(Environment.service_client, BlockingServiceClient)
     """Return a client of a service of the environment; see `Environment.service_client`."""
+    action_client = blocking_factory(Environment.action_client, BlockingActionClient)
+    """Return a client of an action of the environment; see `Environment.action_client`."""
 
     @property
     def tag(self) -> str:
@@ -163,7 +103,7 @@ class BlockingEnvironment(Blocking[Environment]):
 
         A callback runs in another thread, for one message after the other, and may block.
         """
-        call = _in_thread(callback) if callback is not None else None
+        call = in_thread(callback) if callback is not None else None
         subscriber = self._thread.wait(
             self.inner.subscriber(topic, type_name, callback=call, depth=depth, qos=qos, raw=raw, format=format)
         )
@@ -176,8 +116,25 @@ class BlockingEnvironment(Blocking[Environment]):
 
         The handler runs in other threads, concurrently for concurrent calls, and may block.
         """
-        provider = self._thread.wait(self.inner.service_provider(service, type_name, _in_thread(handler), raw=raw))
+        provider = self._thread.wait(self.inner.service_provider(service, type_name, in_thread(handler), raw=raw))
         return BlockingServiceProvider(self._thread, provider)
+
+    def action_server(
+        self,
+        action: str,
+        type_name: str,
+        handler: Callable[[BlockingServerGoal], Any],
+        *,
+        accept: Callable[[Any], bool] | None = None,
+        raw: bool = False,
+    ) -> BlockingActionServer:
+        """Offer an action to the nodes of the environment; see `Environment.action_server`.
+
+        The handler runs in other threads, concurrently for concurrent goals, and looks at `canceled` of its goal.
+        """
+        inside = goals_in_threads(self._thread, handler)
+        server = self._thread.wait(self.inner.action_server(action, type_name, inside, accept=accept, raw=raw))
+        return BlockingActionServer(self._thread, server)
 
 
 class BlockingRobot(Blocking[Robot]):
@@ -237,6 +194,8 @@ class BlockingRobot(Blocking[Robot]):
     """Add an interface through which the robot sends messages; see `Robot.publisher`."""
     service_client = blocking_factory(Robot.service_client, BlockingServiceClient)
     """Add an interface through which the robot calls a service; see `Robot.service_client`."""
+    action_client = blocking_factory(Robot.action_client, BlockingActionClient)
+    """Add an interface through which the robot sends goals; see `Robot.action_client`."""
 
     def __init__(
         self,
@@ -273,8 +232,11 @@ class BlockingRobot(Blocking[Robot]):
     ) -> None:
         self.close()
 
-    def open(self) -> None:
+    def open(self, wait: float = NAME_WAIT) -> None:
         """Connect to the platform. Once only: after a failure or `close`, make a new robot.
+
+        Args:
+            wait: Seconds for which to try again while the name is in use.
 
         Raises:
             InvalidRequest: The robot has been opened before, or the platform rejects the request.
@@ -282,7 +244,7 @@ class BlockingRobot(Blocking[Robot]):
         """
         self._thread.start()
         try:
-            self._thread.wait(self.inner.open())
+            self._thread.wait(self.inner.open(wait))
         except BaseException:
             self._thread.stop()
             raise
@@ -318,12 +280,14 @@ class BlockingRobot(Blocking[Robot]):
         """Return a stream of the events from now on, to be iterated over; see `Robot.events`."""
         return BlockingStream(self._thread, self._thread.call(self.inner.events))
 
-    def environment(self, tag: str, **options: Unpack[EnvironmentOptions]) -> BlockingEnvironment:
+    def environment(
+        self, tag: str, *, exist_ok: bool = True, **options: Unpack[EnvironmentOptions]
+    ) -> BlockingEnvironment:
         """Return a handle of an environment; see `Robot.environment`.
 
         `with robot.environment(...)` creates it and destroys it at the end.
         """
-        return BlockingEnvironment(self._thread, self.inner.environment(tag, **options))
+        return BlockingEnvironment(self._thread, self.inner.environment(tag, exist_ok=exist_ok, **options))
 
     def subscriber(
         self,
@@ -341,23 +305,44 @@ class BlockingRobot(Blocking[Robot]):
 
         A callback runs in another thread, for one message after the other, and may block.
         """
-        call = _in_thread(callback) if callback is not None else None
+        call = in_thread(callback) if callback is not None else None
         subscriber = self._thread.wait(
             self.inner.subscriber(tag, type_name, to=to, callback=call, depth=depth, raw=raw, format=format, qos=qos)
         )
         return BlockingSubscriber(self._thread, subscriber)
 
     def service_provider(
-        self, tag: str, type_name: str, handler: Callable[[Any], Any], *, to: str = "", raw: bool = False
+        self,
+        tag: str,
+        type_name: str,
+        handler: Callable[[Any], Any],
+        *,
+        to: str = "",
+        raw: bool = False,
+        format: Format = "png",
     ) -> BlockingServiceProvider:
         """Add an interface through which the robot offers a service; see `Robot.service_provider`.
 
         The handler runs in other threads, concurrently for concurrent calls, and may block.
         """
-        provider = self._thread.wait(self.inner.service_provider(tag, type_name, _in_thread(handler), to=to, raw=raw))
+        inside = in_thread(handler)
+        provider = self._thread.wait(self.inner.service_provider(tag, type_name, inside, to=to, raw=raw, format=format))
         return BlockingServiceProvider(self._thread, provider)
 
+    def action_server(
+        self,
+        tag: str,
+        type_name: str,
+        handler: Callable[[BlockingServerGoal], Any],
+        *,
+        accept: Callable[[Any], bool] | None = None,
+        to: str = "",
+        raw: bool = False,
+    ) -> BlockingActionServer:
+        """Add an interface through which the robot carries out goals; see `Robot.action_server`.
 
-def _in_thread(function: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Return a coroutine function that runs `function` in a thread."""
-    return lambda value: asyncio.to_thread(function, value)
+        The handler runs in other threads, concurrently for concurrent goals, and looks at `canceled` of its goal.
+        """
+        inside = goals_in_threads(self._thread, handler)
+        server = self._thread.wait(self.inner.action_server(tag, type_name, inside, accept=accept, to=to, raw=raw))
+        return BlockingActionServer(self._thread, server)

@@ -121,6 +121,15 @@ class Connection:
         """Queue a text frame with its blobs; return how many older messages of the source were dropped for it."""
         return self.put(source, self._pieces(text, blobs), keep)
 
+    def send_message(self, source: str, text: bytes, blobs: Mapping[str, Buffer], on_start: Callable[[], None]) -> None:
+        """Queue a text frame with its blobs and call `on_start` when they begin to be written."""
+
+        def pieces() -> Iterator[Piece]:
+            on_start()
+            yield from self._pieces(text, blobs)
+
+        self.put(source, pieces())
+
     def put_text(self, source: str, text: bytes, on_sent: Callable[[], None]) -> None:
         """Queue a text frame and call `on_sent` once it has been written."""
 

@@ -9,10 +9,12 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from rce.errors import AlreadyExists
-from rce.protocol.messages import InterfaceType, ParameterValue, Qos
+from rce.protocol.messages import InterfaceType, NodeRestart, ParameterValue, Qos
 from rce.protocol.names import is_guest
 
 if TYPE_CHECKING:  # Robot imports this module
+    from rce.client.actions import ActionClient, ActionServer, Handler
+    from rce.client.backlog import Offline
     from rce.client.operations import EnvironmentOptions, Format
     from rce.client.robot import Robot
     from rce.client.services import ServiceClient, ServiceProvider
@@ -22,14 +24,18 @@ if TYPE_CHECKING:  # Robot imports this module
 class Environment:
     """Environment as one robot uses it; made by `Robot.environment`.
 
-    As an asynchronous context manager it creates the environment on entry and destroys it on exit. For an environment
-    that exists already, use the handle without `async with`.
+    As an asynchronous context manager it creates the environment on entry and destroys it on exit. To use an
+    environment that this program does not own, use the handle without `async with`.
 
-    `publisher`, `subscriber`, `service_client` and `service_provider` connect the robot to a topic or service of the
-    environment in one step: each adds an interface to the environment and one to the robot and connects the two. The
-    tag of the former is made from the topic's name, that of the latter additionally has the environment's name before
-    it. Robots that use the same topic share the interface in the environment; a guest has its own, which is removed
-    with it.
+    A program that was killed leaves its environment behind. When it is started again it takes over what it finds,
+    unless `exist_ok` is false: the environment with its options, and each node that it adds in the same way as before.
+    A node that it adds in another way is replaced.
+
+    `publisher`, `subscriber`, `service_client`, `service_provider`, `action_client` and `action_server` connect the
+    robot to a topic, service or action of the environment in one step: each adds an interface to the environment and
+    one to the robot and connects the two. The tag of the former is made from the ROS name, that of the latter
+    additionally has the environment's name before it. Robots that use the same topic share the interface in the
+    environment; a guest has its own, which is removed with it.
 
     The commands behave as those of `Robot`, also while the robot is offline.
 
@@ -38,13 +44,14 @@ class Environment:
         tag: Name of the environment.
     """
 
-    def __init__(self, robot: Robot, tag: str, options: EnvironmentOptions) -> None:
+    def __init__(self, robot: Robot, tag: str, options: EnvironmentOptions, exist_ok: bool = True) -> None:
         self.robot = robot
         self.tag = tag
         self._options = options
+        self._exist_ok = exist_ok
 
     async def __aenter__(self) -> Self:
-        await self.robot.create_environment(self.tag, **self._options)
+        await self.robot.create_environment(self.tag, exist_ok=self._exist_ok, **self._options)
         return self
 
     async def __aexit__(
@@ -63,7 +70,15 @@ class Environment:
         await self.robot.destroy_environment(self.tag)
 
     async def add_node(
-        self, tag: str, pkg: str, exe: str, *, args: str = "", name: str = "", namespace: str = ""
+        self,
+        tag: str,
+        pkg: str,
+        exe: str,
+        *,
+        args: str = "",
+        name: str = "",
+        namespace: str = "",
+        restart: NodeRestart = "",
     ) -> None:
         """Start a ROS 2 node in the environment.
 
@@ -74,14 +89,26 @@ class Environment:
             args: Command line arguments. `$(find PKG)` and `$(env VAR)` are substituted.
             name: ROS name of the node in place of the one in its code.
             namespace: ROS namespace of the node.
+            restart: When to start it again after it ended by itself: `on-failure`, `always` or `no`, with pauses that
+                grow to 30 s. Empty: after a failure, if it ran for 5 s and the environment has not `restart="no"`.
 
         Raises:
-            AlreadyExists: The environment has a node with this tag.
+            AlreadyExists: The environment has a node with this tag, and its `exist_ok` is false.
             StartFailed: The node did not start.
             TimedOut: The platform did not answer within the robot's `timeout`.
             RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
         """
-        await self.robot.add_node(self.tag, tag, pkg, exe, args=args, name=name, namespace=namespace)
+        await self.robot.add_node(
+            self.tag,
+            tag,
+            pkg,
+            exe,
+            args=args,
+            name=name,
+            namespace=namespace,
+            exist_ok=self._exist_ok,
+            restart=restart,
+        )
 
     async def remove_node(self, tag: str) -> None:
         """Stop a node.
@@ -127,7 +154,14 @@ class Environment:
         await self.robot.delete_parameter(self.tag, name, node=node)
 
     async def publisher(
-        self, topic: str, type_name: str, *, qos: Qos | None = None, raw: bool = False, format: Format = "png"
+        self,
+        topic: str,
+        type_name: str,
+        *,
+        qos: Qos | None = None,
+        raw: bool = False,
+        format: Format = "png",
+        offline: Offline = "drop",
     ) -> Publisher:
         """Publish on a topic of the environment.
 
@@ -136,7 +170,10 @@ class Environment:
             type_name: ROS message type, for example `sensor_msgs/LaserScan`.
             qos: Quality of service of the ROS publisher, and history and depth of the queue at the platform.
             raw: Send serialized ROS messages (CDR) as bytes instead of dicts.
-            format: Encoding of `sensor_msgs/Image` messages: PNG or JPEG bytes, or dicts (`json`).
+            format: Encoding of `sensor_msgs/Image` messages: PNG or JPEG bytes, or dicts (`json`). Raw messages may be
+                `ros1`. Other formats are converters of the Robot endpoint.
+            offline: What `publish(…, wait=False)` does with messages that cannot be sent: `drop`, keep the `newest`, or
+                `store`; see `Publisher`.
 
         Returns:
             A connected publisher.
@@ -150,7 +187,8 @@ class Environment:
             RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
         """
         to = await self._interface(topic, "pub", "PublisherInterface", type_name, qos)
-        return await self.robot.publisher(self._own_tag(to), type_name, to=to, raw=raw, format=format, qos=qos)
+        tag = self._own_tag(to)
+        return await self.robot.publisher(tag, type_name, to=to, raw=raw, format=format, qos=qos, offline=offline)
 
     async def subscriber(
         self,
@@ -173,7 +211,8 @@ class Environment:
                 clouds 10.
             qos: Quality of service of the ROS subscription, and history and depth of the queue at the platform.
             raw: Receive serialized ROS messages (CDR) as bytes instead of dicts.
-            format: Encoding in which `sensor_msgs/Image` messages arrive: PNG or JPEG bytes, or dicts (`json`).
+            format: Encoding in which `sensor_msgs/Image` messages arrive: PNG or JPEG bytes, or dicts (`json`); other
+                formats as for `publisher`.
 
         Returns:
             A connected subscriber.
@@ -218,10 +257,49 @@ class Environment:
         to = await self._interface(service, "serve", "ServiceProviderInterface", type_name)
         return await self.robot.service_provider(self._own_tag(to), type_name, handler, to=to, raw=raw)
 
+    async def action_client(self, action: str, type_name: str, *, raw: bool = False) -> ActionClient:
+        """Return a client of an action that a node of the environment offers.
+
+        Args:
+            action: ROS action, for example `/navigate_to_pose`.
+            type_name: ROS action type, for example `nav2_msgs/NavigateToPose`.
+            raw: Exchange serialized ROS messages (CDR) as bytes instead of dicts.
+
+        Raises:
+            RceError: The same errors as `publisher`, for the same reasons.
+        """
+        to = await self._interface(action, "ask", "ActionClientInterface", type_name)
+        return await self.robot.action_client(self._own_tag(to), type_name, to=to, raw=raw)
+
+    async def action_server(
+        self,
+        action: str,
+        type_name: str,
+        handler: Handler,
+        *,
+        accept: Callable[[Any], bool] | None = None,
+        raw: bool = False,
+    ) -> ActionServer:
+        """Offer an action to the nodes of the environment.
+
+        Args:
+            action: ROS action.
+            type_name: ROS action type.
+            handler: Coroutine function that carries out a goal; see `Robot.action_server`.
+            accept: Function that gets the value of a goal and returns False to reject it.
+            raw: Exchange serialized ROS messages (CDR) as bytes instead of dicts.
+
+        Raises:
+            RceError: The same errors as `publisher`, for the same reasons.
+        """
+        to = await self._interface(action, "act", "ActionProviderInterface", type_name)
+        tag = self._own_tag(to)
+        return await self.robot.action_server(tag, type_name, handler, accept=accept, to=to, raw=raw)
+
     async def _interface(
         self, address: str, verb: str, interface_type: InterfaceType, type_name: str, qos: Qos | None = None
     ) -> str:
-        """Add the environment's interface for a topic or service unless it exists; return `endpoint/interface`."""
+        """Add the environment's interface for a topic, service or action unless it exists; return `ENDPOINT/TAG`."""
         prefix = f"{self.robot.name}." if is_guest(self.robot.name) else ""
         tag = f"{prefix}{verb}_{re.sub(r'[^A-Za-z0-9_]+', '_', address).strip('_')}"
         # It may be another robot's or left from an earlier run. If its type differs, connecting to it fails.

@@ -39,6 +39,7 @@ class Interface:
         self.type_name = type_name
         self._owner = owner
         self._status = False
+        self._met = False  # it has had a peer
         self._open = asyncio.Event()
         self._ended: RceError | None = None
 
@@ -46,6 +47,11 @@ class Interface:
     def connected(self) -> bool:
         """True while the robot is online and the interface has a peer that is online too."""
         return self._open.is_set() and self._ended is None
+
+    @property
+    def was_connected(self) -> bool:
+        """True once the interface has had a peer, which may be gone again."""
+        return self._met
 
     async def wait_connected(self, timeout: float = CONNECT_TIMEOUT) -> None:  # noqa: ASYNC109  # the error names it
         """Wait until the interface has a peer; returns at once if it has one.
@@ -107,6 +113,7 @@ class Interface:
 
     def _update(self) -> None:
         if self._status and self._owner.connection is not None:
+            self._met = True
             self._open.set()
         else:
             self._open.clear()

@@ -7,7 +7,6 @@ service keeps a fingerprint of each file. Only the standard library and msgspec 
 from __future__ import annotations
 
 import base64
-import contextlib
 import hashlib
 import http.client
 import os
@@ -16,19 +15,17 @@ import ssl as tls
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple, TypeVar
-from urllib.parse import urlsplit
+from typing import TypeVar
 
 import msgspec
 
-from rce.api.http import Problem
 from rce.api.map_jobs import FINAL_STATES, PREFIX, Job, JobRequest, MapOptions, Upload
-from rce.errors import ErrorInfo, InvalidRequest, NotFound, RceError, TimedOut, Unavailable
+from rce.client.service_client import Answer, ServiceClient
+from rce.errors import RceError, TimedOut, Unavailable
 
 FIRST_CHUNK = 65_536  # bytes from which the service recognizes the file format
 CHUNK = 8 * 1024 * 1024
 FINGERPRINT_SAMPLE = 1024 * 1024  # bytes at each end of a file that are part of its fingerprint
-TIMEOUT = 60.0
 MIN_DELAY, MAX_DELAY = 0.2, 5.0  # seconds between retries
 OFFSET_MISMATCH = "offset_mismatch"
 
@@ -36,20 +33,14 @@ T = TypeVar("T")
 Progress = Callable[[int], None]
 
 
-class Answer(NamedTuple):
-    """HTTP response that has been read."""
-
-    status: int
-    headers: http.client.HTTPMessage
-    body: bytes
-
-
-class MapServiceClient:
+class MapServiceClient(ServiceClient):
     """Client of one platform's map service. All methods block, and connect anew for each request.
 
     All methods raise `Unavailable` if the service cannot be reached, and otherwise the error with which it answers, for
     example `Unauthorized` or `NotFound`. `upload` and `watch` retry a broken connection; the others do not.
     """
+
+    prefix = PREFIX
 
     def __init__(
         self,
@@ -74,16 +65,8 @@ class MapServiceClient:
         Raises:
             InvalidRequest: The URL is not http or https, or not exactly one of `password` and `key` is given.
         """
-        if urlsplit(url).scheme not in ("http", "https"):
-            raise InvalidRequest(f"url {url!r} must begin with http:// or https://", field="url")
-        if (password is None) == (key is None):
-            raise InvalidRequest("give either a password or an API key", field="password")
-        secret = f"Bearer {key}" if key else "Basic " + base64.b64encode(f"{user}:{password}".encode()).decode()
-        self._headers = {"Authorization": secret}
+        super().__init__(url, user=user, password=password, key=key, ssl=ssl)
         self._patience = patience
-        self._ssl = ssl
-        self._base = url.rstrip("/").removesuffix(PREFIX)
-        self._located = False
 
     # --- jobs --------------------------------------------------------------------------------------------------------
 
@@ -96,23 +79,23 @@ class MapServiceClient:
             name: Name of the recording; by default that of its file.
         """
         body = msgspec.json.encode(JobRequest(uploads, options or MapOptions(), name))
-        return self._value(self._ask("POST", "/jobs", body, {"Content-Type": "application/json"}), Job)
+        return self.value(self.ask("POST", "/jobs", body, {"Content-Type": "application/json"}), Job)
 
     def job(self, job: str) -> Job:
         """Return a job by its id."""
-        return self._value(self._ask("GET", f"/jobs/{job}"), Job)
+        return self.value(self.ask("GET", f"/jobs/{job}"), Job)
 
     def jobs(self) -> list[Job]:
         """Return the user's jobs, newest first."""
-        return self._value(self._ask("GET", "/jobs"), list[Job])
+        return self.value(self.ask("GET", "/jobs"), list[Job])
 
     def cancel(self, job: str) -> Job:
         """Cancel a job and return its new state."""
-        return self._value(self._ask("POST", f"/jobs/{job}/cancel"), Job)
+        return self.value(self.ask("POST", f"/jobs/{job}/cancel"), Job)
 
     def remove(self, job: str) -> None:
         """Remove a finished job with its files."""
-        self._ask("DELETE", f"/jobs/{job}")
+        self.ask("DELETE", f"/jobs/{job}")
 
     def watch(self, job: str) -> Iterator[Job]:
         """Yield the job now and after each change, until it has ended."""
@@ -128,11 +111,11 @@ class MapServiceClient:
                 _wait(deadline, MAX_DELAY / 5, error)
 
     def _events(self, job: str) -> Iterator[Job]:
-        with self._connected() as connection:
-            connection.request("GET", f"{PREFIX}/jobs/{job}/events", headers=self._headers)
+        with self.connected() as connection:
+            connection.request("GET", f"{PREFIX}/jobs/{job}/events", headers=self.headers)
             response = connection.getresponse()
             if response.status != 200:
-                raise _error(Answer(response.status, response.headers, response.read()))
+                raise self.error(Answer(response.status, response.headers, response.read()))
             while line := response.readline():
                 if line.startswith(b"data: "):
                     yield msgspec.json.decode(line[6:], type=Job)
@@ -146,11 +129,11 @@ class MapServiceClient:
             file: Path to store it under. It is written under a temporary name and then renamed.
         """
         draft = file.with_name(f".{file.name}.part")
-        with self._connected() as connection:
-            connection.request("GET", f"{PREFIX}/jobs/{job}/files/{name}", headers=self._headers)
+        with self.connected() as connection:
+            connection.request("GET", f"{PREFIX}/jobs/{job}/files/{name}", headers=self.headers)
             response = connection.getresponse()
             if response.status != 200:
-                raise _error(Answer(response.status, response.headers, response.read()))
+                raise self.error(Answer(response.status, response.headers, response.read()))
             with draft.open("wb") as out:
                 while chunk := response.read(CHUNK):
                     out.write(chunk)
@@ -185,7 +168,7 @@ class MapServiceClient:
             except RceError as refusal:
                 if refusal.info.code != OFFSET_MISMATCH:
                     raise
-            upload = self._retry(lambda: self._value(self._ask("GET", resource), Upload))
+            upload = self._retry(lambda: self.value(self.ask("GET", resource), Upload))
             if upload.offset > before:
                 deadline, delay = time.monotonic() + self._patience, MIN_DELAY
             elif error is not None:
@@ -193,27 +176,35 @@ class MapServiceClient:
                 delay = min(2 * delay, MAX_DELAY)
         return upload
 
+    def uploads(self) -> list[Upload]:
+        """Return the user's uploads."""
+        return self.value(self.ask("GET", "/uploads"), list[Upload])
+
+    def remove_upload(self, upload: str) -> None:
+        """Remove an upload that no job needs."""
+        self.ask("DELETE", f"/uploads/{upload}", None, {"Tus-Resumable": "1.0.0"})
+
     def _begin(self, path: Path, name: str) -> Upload:
         """Return the upload of an earlier attempt, or a new one."""
         length, mark = path.stat().st_size, fingerprint(path)
-        for known in self._value(self._ask("GET", "/uploads"), list[Upload]):
+        for known in self.uploads():
             if (known.name, known.length, known.fingerprint) == (name, length, mark):
                 return known
         pairs = {"filename": name, "fingerprint": mark}
         metadata = ",".join(f"{key} {base64.b64encode(value.encode()).decode()}" for key, value in pairs.items())
         headers = {"Tus-Resumable": "1.0.0", "Upload-Length": str(length), "Upload-Metadata": metadata}
-        return self._value(self._ask("POST", "/uploads", None, headers), Upload)
+        return self.value(self.ask("POST", "/uploads", None, headers), Upload)
 
     def _send(self, path: Path, upload: Upload, progress: Progress) -> None:
         """Send the rest of the file in one request; the first request is small, so that refusals come early."""
         count = upload.length - upload.offset
         if upload.offset == 0:
             count = min(count, FIRST_CHUNK)
-        with self._connected() as connection, path.open("rb") as file:
+        with self.connected() as connection, path.open("rb") as file:
             connection.putrequest("PATCH", f"{PREFIX}/uploads/{upload.id}")
             headers = {"Content-Type": "application/offset+octet-stream", "Tus-Resumable": "1.0.0"}
             numbers = {"Upload-Offset": str(upload.offset), "Content-Length": str(count)}
-            for name, value in (self._headers | headers | numbers).items():
+            for name, value in (self.headers | headers | numbers).items():
                 connection.putheader(name, value)
             connection.endheaders()
             assert isinstance(connection.sock, socket.socket)
@@ -227,7 +218,7 @@ class MapServiceClient:
             response = connection.getresponse()
             answer = Answer(response.status, response.headers, response.read())
         if answer.status != 204:
-            raise _error(answer)
+            raise self.error(answer)
 
     # --- requests ----------------------------------------------------------------------------------------------------
 
@@ -239,60 +230,6 @@ class MapServiceClient:
             except (OSError, http.client.HTTPException, Unavailable) as error:
                 _wait(deadline, delay, error)
                 delay = min(2 * delay, MAX_DELAY)
-
-    def _ask(self, method: str, path: str, body: bytes | None = None, headers: dict[str, str] | None = None) -> Answer:
-        """Make a request; raises Unavailable without a response, and the error of a response that has one."""
-        try:
-            with self._connected() as connection:
-                connection.request(method, PREFIX + path, body, self._headers | (headers or {}))
-                response = connection.getresponse()
-                answer = Answer(response.status, response.headers, response.read())
-        except (OSError, http.client.HTTPException) as error:
-            raise Unavailable(f"cannot reach {self._base}: {error or type(error).__name__}") from None
-        if answer.status >= 300:
-            raise _error(answer)
-        return answer
-
-    @contextlib.contextmanager
-    def _connected(self) -> Iterator[http.client.HTTPConnection]:
-        if not self._located:
-            self._base = self._locate()
-            self._located = True
-        connection = self._connection(self._base)
-        try:
-            yield connection
-        finally:
-            connection.close()
-
-    def _connection(self, url: str) -> http.client.HTTPConnection:
-        parts = urlsplit(url)
-        if parts.scheme == "https":
-            return http.client.HTTPSConnection(parts.netloc, timeout=TIMEOUT, context=self._ssl)
-        return http.client.HTTPConnection(parts.netloc, timeout=TIMEOUT)
-
-    def _locate(self) -> str:
-        """Return the URL of the service, to which the platform's entry redirects."""
-        connection = self._connection(self._base)
-        try:
-            connection.request("GET", PREFIX + "/")
-            response = connection.getresponse()
-            response.read()
-        except (OSError, http.client.HTTPException) as error:
-            raise Unavailable(f"cannot reach {self._base}: {error or type(error).__name__}") from None
-        finally:
-            connection.close()
-        location = response.headers.get("Location", "")
-        if response.status == 307 and location:
-            return location.rstrip("/").removesuffix(PREFIX)
-        if response.status == 200:
-            return self._base
-        if response.status == 503:
-            raise Unavailable(f"the map service of {self._base} is not connected at present; try again in a moment")
-        raise NotFound(f"the platform at {self._base} has no map service: start `rce map-service` there", field="url")
-
-    @staticmethod
-    def _value(answer: Answer, kind: type[T]) -> T:
-        return msgspec.json.decode(answer.body, type=kind)
 
 
 def fingerprint(path: Path) -> str:
@@ -314,11 +251,3 @@ def _wait(deadline: float, delay: float, error: Exception) -> None:
         kind = TimedOut if isinstance(error, TimeoutError) else Unavailable
         raise kind(f"the connection to the map service keeps breaking: {error}") from None
     time.sleep(delay)
-
-
-def _error(answer: Answer) -> RceError:
-    try:
-        problem = msgspec.json.decode(answer.body, type=Problem)
-    except msgspec.DecodeError:
-        return Unavailable(f"the map service answered with HTTP status {answer.status}")
-    return RceError.from_info(ErrorInfo(problem.code, problem.detail, "", problem.field, problem.fields))

@@ -21,6 +21,7 @@ from rce.protocol.messages import (
     DestroyContainer,
     Disconnect,
     InterfaceType,
+    NodeRestart,
     ParameterValue,
     Qos,
     Rates,
@@ -28,8 +29,10 @@ from rce.protocol.messages import (
     RemoveNode,
     SetParameter,
 )
+from rce.spelling import did_you_mean
 
-Format = Literal["png", "jpeg", "json"]
+Format = str
+"""Form of messages: `png`, `jpeg` or `json` for images, `ros1` for raw messages, or a converter of the endpoint."""
 
 
 class EnvironmentOptions(TypedDict, total=False):
@@ -131,7 +134,17 @@ class Operations:
         await self.configure(DestroyContainer(tag))
 
     async def add_node(
-        self, environment: str, tag: str, pkg: str, exe: str, *, args: str = "", name: str = "", namespace: str = ""
+        self,
+        environment: str,
+        tag: str,
+        pkg: str,
+        exe: str,
+        *,
+        args: str = "",
+        name: str = "",
+        namespace: str = "",
+        exist_ok: bool = False,
+        restart: NodeRestart = "",
     ) -> None:
         """Start a ROS 2 node in an environment.
 
@@ -143,15 +156,18 @@ class Operations:
             args: Command line arguments. `$(find PKG)` and `$(env VAR)` are substituted.
             name: ROS name of the node in place of the one in its code.
             namespace: ROS namespace of the node.
+            exist_ok: Keep a node with this tag that was started in the same way, and replace one that was not.
+            restart: When to start it again after it ended by itself: `on-failure`, `always` or `no`, with pauses that
+                grow to 30 s. Empty: after a failure, if it ran for 5 s and the environment has not `restart="no"`.
 
         Raises:
             NotFound: The environment does not exist.
-            AlreadyExists: The environment has a node with this tag.
+            AlreadyExists: The environment has a node with this tag, and `exist_ok` is false.
             StartFailed: The node did not start, for example because the package or executable does not exist.
             TimedOut: The platform did not answer within the robot's `timeout`.
             RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
         """
-        await self.configure(AddNode(environment, tag, pkg, exe, args, name, namespace))
+        await self.configure(AddNode(environment, tag, pkg, exe, args, name, namespace, exist_ok, restart))
 
     async def remove_node(self, environment: str, tag: str) -> None:
         """Stop a node.
@@ -309,7 +325,10 @@ def _container_data(options: EnvironmentOptions) -> ContainerData:
     names = {"special_features": "specialFeatures", "group_ip": "groupIP"}
     unknown = options.keys() - EnvironmentOptions.__annotations__.keys()
     if unknown:
-        raise InvalidRequest(f"options of the environment: there is no {', '.join(sorted(unknown))}")
+        name = min(unknown)
+        names = EnvironmentOptions.__annotations__
+        known = did_you_mean(name, names) or f"there are {', '.join(names)}"
+        raise InvalidRequest(f"options of the environment: there is no {name}: {known}", field=name)
     try:
         return msgspec.convert({names.get(name, name): value for name, value in options.items()}, ContainerData)
     except msgspec.ValidationError as error:

@@ -7,7 +7,9 @@ from collections.abc import Awaitable, Callable
 from types import TracebackType
 from typing import Any, Self, TypeVar, Unpack
 
+from rce.client.actions import ActionClient, ActionServer, Handler
 from rce.client.address import Address
+from rce.client.backlog import Offline
 from rce.client.connection import Connection
 from rce.client.declarations import Declarations
 from rce.client.dispatcher import Dispatcher
@@ -16,7 +18,7 @@ from rce.client.events import Event
 from rce.client.interface import Interface
 from rce.client.operations import EnvironmentOptions, Format, Operations
 from rce.client.services import ServiceClient, ServiceProvider
-from rce.client.session import ClientSession
+from rce.client.session import NAME_WAIT, ClientSession
 from rce.client.stream import Stream
 from rce.client.topics import Publisher, Subscriber
 from rce.errors import AlreadyExists, RceError
@@ -44,7 +46,8 @@ class Robot(Operations):
 
     - Commands wait for the next connection. A command whose answer was lost is repeated, and succeeds if its first
       attempt was executed.
-    - `Publisher.publish` waits, `Publisher.offer` drops; messages that were lost with the socket are not sent again.
+    - `Publisher.publish` waits, or with `wait=False` drops, keeps or stores as the publisher's `offline` says;
+      `Publisher.offer` drops; messages that were lost with the socket are not sent again.
     - Service calls under way raise `Unavailable`, new ones wait.
     - `events()` reports `Disconnected` and `Reconnected`.
 
@@ -112,18 +115,24 @@ class Robot(Operations):
     ) -> None:
         await self.close()
 
-    async def open(self) -> None:
+    async def open(self, wait: float = NAME_WAIT) -> None:
         """Connect to the platform. After a failure it may be called again.
+
+        A robot takes the place of an earlier one of the same name and user whose socket has broken. The platform
+        notices that at once if the program was killed, and within 20 s if its machine was: until then this tries again.
+
+        Args:
+            wait: Seconds for which to try again while the name is in use.
 
         Raises:
             Unauthorized: The credentials are wrong.
             Forbidden: The credentials do not permit this robot.
             NotFound: `owner` does not exist.
-            AlreadyExists: A robot of this name is connected, or was until a moment ago and may still resume.
+            AlreadyExists: A robot or an environment of this name has been there for `wait` seconds.
             Unavailable: The platform cannot be reached.
             InvalidRequest: The robot has been opened before, or the platform rejects the request.
         """
-        await self._session.open()
+        await self._session.open(wait)
 
     async def close(self) -> None:
         """Send the queued messages (for 5 s at most) and leave the platform.
@@ -157,7 +166,7 @@ class Robot(Operations):
         """
         return self._dispatcher.events()
 
-    def environment(self, tag: str, **options: Unpack[EnvironmentOptions]) -> Environment:
+    def environment(self, tag: str, *, exist_ok: bool = True, **options: Unpack[EnvironmentOptions]) -> Environment:
         """Return a handle of an environment, through which the robot uses its topics, services and nodes.
 
         This sends nothing; the environment may exist already. `async with robot.environment(...)` creates it with the
@@ -165,9 +174,11 @@ class Robot(Operations):
 
         Args:
             tag: Name of the environment.
+            exist_ok: Take over an environment of that name, whatever its options, and its nodes; so a program that was
+                killed can be started again. If false, what exists raises `AlreadyExists`.
             **options: See `EnvironmentOptions`.
         """
-        return Environment(self, tag, options)
+        return Environment(self, tag, options, exist_ok)
 
     # --- interfaces
 
@@ -196,6 +207,7 @@ class Robot(Operations):
         raw: bool = False,
         format: Format = "png",
         qos: Qos | None = None,
+        offline: Offline = "drop",
     ) -> Publisher:
         """Add an interface through which the robot sends messages.
 
@@ -205,8 +217,11 @@ class Robot(Operations):
             to: Interface to connect it to, as `endpoint/interface`: one of an environment that publishes on a ROS
                 topic, or one of another robot that receives. Without it the interface is not connected yet.
             raw: Send serialized ROS messages (CDR) as bytes instead of dicts.
-            format: Encoding of `sensor_msgs/Image` messages: PNG or JPEG bytes, or dicts (`json`).
+            format: Encoding of `sensor_msgs/Image` messages: PNG or JPEG bytes, or dicts (`json`). Raw messages may be
+                `ros1`. Other formats are converters of the Robot endpoint.
             qos: History and depth of the queue at the platform.
+            offline: What `publish(…, wait=False)` does with messages that cannot be sent: `drop`, keep the `newest`, or
+                `store`; see `Publisher`.
 
         Returns:
             The publisher, with a peer if `to` is given.
@@ -221,7 +236,7 @@ class Robot(Operations):
             RceError: Any other error of the platform, or `Unavailable` if the robot is not open. After any error the
                 interface does not exist.
         """
-        return await self._add(Publisher(self, tag, type_name), "Subscriber", to, raw, format, qos)
+        return await self._add(Publisher(self, tag, type_name, offline), "Subscriber", to, raw, format, qos)
 
     async def subscriber(
         self,
@@ -247,7 +262,8 @@ class Robot(Operations):
             depth: Unread messages to keep; when there are more, the oldest is dropped. 0: 1000, of images and point
                 clouds 10.
             raw: Receive serialized ROS messages (CDR) as bytes instead of dicts.
-            format: Encoding in which `sensor_msgs/Image` messages arrive: PNG or JPEG bytes, or dicts (`json`).
+            format: Encoding in which `sensor_msgs/Image` messages arrive: PNG or JPEG bytes, or dicts (`json`); other
+                formats as for `publisher`.
             qos: History and depth of the queue at the platform.
 
         Returns:
@@ -261,7 +277,9 @@ class Robot(Operations):
             subscriber.call(callback)
         return await self._add(subscriber, "Publisher", to, raw, format, qos)
 
-    async def service_client(self, tag: str, type_name: str, *, to: str = "", raw: bool = False) -> ServiceClient:
+    async def service_client(
+        self, tag: str, type_name: str, *, to: str = "", raw: bool = False, format: Format = "png"
+    ) -> ServiceClient:
         """Add an interface through which the robot calls a service.
 
         Args:
@@ -270,14 +288,22 @@ class Robot(Operations):
             to: Interface to connect it to, as `endpoint/interface`: one of an environment that calls a ROS service, or
                 a service provider of another robot.
             raw: Exchange serialized ROS messages (CDR) as bytes instead of dicts.
+            format: With `raw`, `ros1` for messages as ROS 1 serializes them.
 
         Raises:
             RceError: The same errors as `publisher`, for the same reasons.
         """
-        return await self._add(ServiceClient(self, tag, type_name), "ServiceProvider", to, raw)
+        return await self._add(ServiceClient(self, tag, type_name), "ServiceProvider", to, raw, format)
 
     async def service_provider(
-        self, tag: str, type_name: str, handler: Callable[[Any], Any], *, to: str = "", raw: bool = False
+        self,
+        tag: str,
+        type_name: str,
+        handler: Callable[[Any], Any],
+        *,
+        to: str = "",
+        raw: bool = False,
+        format: Format = "png",
     ) -> ServiceProvider:
         """Add an interface through which the robot offers a service.
 
@@ -289,11 +315,54 @@ class Robot(Operations):
             to: Interface to connect it to, as `endpoint/interface`: one of an environment that offers a ROS service, or
                 a service client of another robot.
             raw: Exchange serialized ROS messages (CDR) as bytes instead of dicts.
+            format: With `raw`, `ros1` for messages as ROS 1 serializes them.
 
         Raises:
             RceError: The same errors as `publisher`, for the same reasons.
         """
-        return await self._add(ServiceProvider(self, tag, type_name, handler), "ServiceClient", to, raw)
+        return await self._add(ServiceProvider(self, tag, type_name, handler), "ServiceClient", to, raw, format)
+
+    async def action_client(self, tag: str, type_name: str, *, to: str = "", raw: bool = False) -> ActionClient:
+        """Add an interface through which the robot sends goals to an action server.
+
+        Args:
+            tag: Name of the interface, unique within the robot.
+            type_name: ROS action type, for example `nav2_msgs/NavigateToPose`.
+            to: Interface to connect it to, as `endpoint/interface`: one of an environment that is a client of a ROS
+                action, or an action server of another robot.
+            raw: Exchange serialized ROS messages (CDR) as bytes instead of dicts.
+
+        Raises:
+            RceError: The same errors as `publisher`, for the same reasons.
+        """
+        return await self._add(ActionClient(self, tag, type_name), "ActionProvider", to, raw)
+
+    async def action_server(
+        self,
+        tag: str,
+        type_name: str,
+        handler: Handler,
+        *,
+        accept: Callable[[Any], bool] | None = None,
+        to: str = "",
+        raw: bool = False,
+    ) -> ActionServer:
+        """Add an interface through which the robot carries out goals.
+
+        Args:
+            tag: Name of the interface, unique within the robot.
+            type_name: ROS action type.
+            handler: Coroutine function that gets a `ServerGoal`, carries it out and returns the result; see
+                `ActionServer`. Goals run concurrently.
+            accept: Function that gets the value of a goal and returns False to reject it; without it all are accepted.
+            to: Interface to connect it to, as `endpoint/interface`: one of an environment that offers a ROS action, or
+                an action client of another robot.
+            raw: Exchange serialized ROS messages (CDR) as bytes instead of dicts.
+
+        Raises:
+            RceError: The same errors as `publisher`, for the same reasons.
+        """
+        return await self._add(ActionServer(self, tag, type_name, handler, accept), "ActionClient", to, raw)
 
     async def _add(
         self, interface: I, kind: str, to: str, raw: bool, format: Format = "png", qos: Qos | None = None
@@ -315,7 +384,8 @@ class Robot(Operations):
         if to:
             try:
                 await self.connect(to, f"{self.name}/{tag}")
-                await interface.wait_connected()
+                if not interface.was_connected:  # else its peer may have gone before the command was acknowledged
+                    await interface.wait_connected()
             except RceError:
                 await interface.close()
                 raise

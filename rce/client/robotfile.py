@@ -13,25 +13,29 @@ import base64
 import binascii
 import itertools
 import logging
+import os
 import sys
 import threading
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import msgspec
 from msgspec import UNSET, Struct, UnsetType
+from msgspec.structs import replace
 
+from rce.client.events import Disconnected, Event, Reconnected
 from rce.client.interface import Interface
 from rce.client.robot import Robot
 from rce.client.robotformat import InterfaceEntry, RobotFile, read
 from rce.client.services import ServiceClient, ServiceProvider
 from rce.client.topics import Publisher
 from rce.client.values import encode
-from rce.errors import InvalidRequest, NotFound, RceError
+from rce.errors import AlreadyExists, InvalidRequest, NotFound, RceError
 from rce.protocol.blobs import Buffer
+from rce.protocol.messages import ConnectionEvent, DropEvent, EnvironmentEvent, LimitEvent, NodeEvent
 
 log = logging.getLogger("rce.client")
 
@@ -66,7 +70,8 @@ async def run_file(path: Path, *, lines: AsyncIterator[bytes] | None = None, wri
         RceError: A command of the file failed, or the platform refused the robot.
     """
     file = read(path)
-    async with Robot(file.url, user=file.userID, robot=file.robotID, password=file.password, key=file.key) as robot:
+    password, key = credentials(path, file)
+    async with Robot(file.url, user=file.userID, robot=file.robotID, password=password, key=key) as robot:
         events = robot.events()
         async with AsyncExitStack() as stack:
             runner = Runner(robot, file, write)
@@ -75,7 +80,42 @@ async def run_file(path: Path, *, lines: AsyncIterator[bytes] | None = None, wri
             stack.callback(reader.cancel)
             log.info("robot %s is running", robot.name)
             async for event in events:
-                log.info("%s", event)
+                log.info("%s", event_text(event))
+
+
+def event_text(event: Event) -> str:
+    """Return an event as a line for people."""
+    match event:
+        case EnvironmentEvent(tag, state, reason):
+            return f"environment {tag} is {state}" + (f": {reason}" if reason else "")
+        case NodeEvent(tag, node, status, lines):
+            return "\n  ".join([f"node {tag}/{node} ended with status {status}", *lines])
+        case DropEvent(interface, count, where):
+            return f"interface {interface}: {count} messages were dropped ({where})"
+        case ConnectionEvent(one, other, state, reason):
+            return f"connection {one} {other} is {state}" + (f": {reason}" if reason else "")
+        case LimitEvent(reason):
+            return reason
+        case Disconnected(reason):
+            return f"the connection broke ({reason}); reconnecting"
+        case Reconnected(resumed):
+            return "connected again" + ("" if resumed else ", with a new session")
+    return str(event)
+
+
+def credentials(path: Path, file: RobotFile) -> tuple[str | None, str | None]:
+    """Return password and API key: those of the file, else RCE_KEY or RCE_PASSWORD of the environment.
+
+    Raises:
+        InvalidRequest: There are none.
+    """
+    if file.password is not None or file.key is not None:
+        return file.password, file.key
+    if key := os.environ.get("RCE_KEY"):
+        return None, key
+    if password := os.environ.get("RCE_PASSWORD"):
+        return password, None
+    raise InvalidRequest(f"{path}: no password and no key: set RCE_KEY or RCE_PASSWORD in the environment", field="key")
 
 
 class Runner:
@@ -91,35 +131,45 @@ class Runner:
         self._tasks: set[asyncio.Task[None]] = set()
 
     async def set_up(self, stack: AsyncExitStack) -> None:
-        """Create environments, parameters, nodes, interfaces and connections, in this order; `stack` undoes them."""
+        """Create environments, parameters, nodes, interfaces and connections, in this order; `stack` undoes them.
+
+        What a run that was killed has left in the environments is taken over.
+        """
         robot, file = self._robot, self._file
         for container in file.containers:
-            await robot.configure(container.command)
+            with suppress(AlreadyExists):
+                await robot.configure(container.command)
             stack.push_async_callback(_clean_up, partial(robot.destroy_environment, container.cTag))
         for parameter in file.parameters:
             await robot.configure(parameter.command)
             undo = partial(robot.delete_parameter, parameter.cTag, parameter.name)
             stack.push_async_callback(_clean_up, undo)
         for node in file.nodes:
-            await robot.configure(node.command)
+            await robot.configure(replace(node.command, existOk=True))
         for entry in file.interfaces:
             if entry.eTag == robot.name and not entry.kind.endswith("Interface"):
                 self._interfaces[entry.iTag] = (entry, await self._add(entry))
             else:
-                await robot.configure(entry.command)
+                with suppress(AlreadyExists):
+                    await robot.configure(entry.command)
         for connection in file.connections:
-            await robot.configure(connection.command)
+            with suppress(AlreadyExists):
+                await robot.configure(connection.command)
 
     async def _add(self, entry: InterfaceEntry) -> Interface:
         """Add an interface of the robot; types are named from the cloud's side, so a Subscriber* publishes here."""
         robot, tag, name = self._robot, entry.iTag, entry.iCls
         raw = entry.kind.endswith("Forwarder")
+        if entry.kind.startswith("Action"):
+            raise InvalidRequest(f"interface {tag}: a robot file has no actions; use rce.client", field="interfaceType")
         if entry.kind.startswith("Subscriber"):
             return await robot.publisher(tag, name, raw=raw, format=entry.format)
         if entry.kind.startswith("ServiceProvider"):
-            return await robot.service_client(tag, name, raw=raw)
+            return await robot.service_client(tag, name, raw=raw, format=entry.format)
         if entry.kind.startswith("ServiceClient"):
-            return await robot.service_provider(tag, name, lambda request: self._request(entry, request), raw=raw)
+            return await robot.service_provider(
+                tag, name, lambda request: self._request(entry, request), raw=raw, format=entry.format
+            )
         return await robot.subscriber(
             tag, name, callback=lambda message: self._print(entry, msg=message), raw=raw, format=entry.format
         )

@@ -6,10 +6,12 @@ those at the top are ignored with a warning.
 
 from __future__ import annotations
 
+import json
 import logging
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
+import msgspec
 from msgspec import Struct
 
 from rce import structfile
@@ -20,7 +22,9 @@ from rce.protocol.messages import (
     Connect,
     ContainerData,
     CreateContainer,
+    Format,
     InterfaceType,
+    NodeRestart,
     ParameterValue,
     Qos,
     SetParameter,
@@ -64,11 +68,13 @@ class NodeEntry(Struct, frozen=True, forbid_unknown_fields=True):
     args: str = ""
     name: str = ""
     namespace: str = ""
+    restart: NodeRestart = ""
 
     @property
     def command(self) -> AddNode:
         """Command that creates it."""
-        return AddNode(self.cTag, self.nTag, self.pkg, self.exe, self.args, self.name, self.namespace)
+        where = self.name, self.namespace
+        return AddNode(self.cTag, self.nTag, self.pkg, self.exe, self.args, *where, restart=self.restart)
 
 
 class InterfaceEntry(Struct, frozen=True, forbid_unknown_fields=True):
@@ -80,7 +86,7 @@ class InterfaceEntry(Struct, frozen=True, forbid_unknown_fields=True):
     iCls: str
     addr: str = ""
     qos: Qos = Qos()
-    format: Literal["png", "jpeg", "json"] = "png"
+    format: Format = "png"
 
     @property
     def kind(self) -> str:
@@ -106,7 +112,10 @@ class ConnectionEntry(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RobotFile(Struct, frozen=True):
-    """Content of a robot file: the robot, its credentials (a password in clear or an API key) and what it sets up."""
+    """Content of a robot file: the robot, its credentials (a password in clear or an API key) and what it sets up.
+
+    Without credentials in the file, those of the environment (RCE_KEY or RCE_PASSWORD) are used.
+    """
 
     url: str
     userID: str
@@ -133,3 +142,12 @@ def read(path: Path) -> RobotFile:
     if unknown := set(content) - set(RobotFile.__struct_fields__):
         log.warning("%s: ignored unknown keys: %s", path, ", ".join(sorted(unknown)))
     return file
+
+
+def schema() -> dict[str, Any]:
+    """Return the JSON Schema of robot files."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **msgspec.json.schema(RobotFile)}
+
+
+if __name__ == "__main__":
+    print(json.dumps(schema(), indent=2))

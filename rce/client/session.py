@@ -11,6 +11,7 @@ import asyncio
 import itertools
 import logging
 import random
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import aclosing
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from rce.client.connection import Connection, Incoming, Message
 from rce.client.events import PlatformEvent
 from rce.client.values import encode
 from rce.errors import (
+    AlreadyExists,
     Forbidden,
     InternalError,
     InvalidRequest,
@@ -38,6 +40,7 @@ from rce.protocol.messages import Ack, Command, Failure, FrameId, InterfaceStatu
 
 COMMANDS = " commands"  # their source in the outbox; a tag cannot contain a space
 MAY_COME_BACK = (NotFound, UnknownType, TimedOut)  # errors of declarations whose peer or environment is away
+NAME_WAIT = 30.0  # seconds; within 20 s the platform closes a socket that is silent
 MIN_DELAY, MAX_DELAY = 0.1, 10.0  # seconds between attempts to reconnect; the first attempt is immediate
 
 log = logging.getLogger("rce.client")
@@ -95,8 +98,8 @@ class ClientSession:
         self._restoring: set[asyncio.Task[None]] = set()
         self._error: RceError = Unavailable("the robot is not connected: call open() first")
 
-    async def open(self) -> None:
-        """Connect for the first time.
+    async def open(self, wait: float) -> None:
+        """Connect for the first time; try again for `wait` seconds while the name is in use.
 
         Raises:
             InvalidRequest: This session has been opened before.
@@ -104,7 +107,7 @@ class ClientSession:
         """
         if self._opened:
             raise InvalidRequest("this robot has been opened before: make a new one")
-        connection = await self._connect()
+        connection = await self._connect_when_free(wait)
         self._opened = True
         self._adopt(connection)
         self._keeper = asyncio.create_task(self._keep(connection), name=f"rce session of {self._address.robot}")
@@ -165,6 +168,20 @@ class ClientSession:
                 request.done.set_result(None)
 
         connection.put_text(COMMANDS, encode(frame), on_sent)
+
+    async def _connect_when_free(self, wait: float) -> Connection:
+        until, warned = time.monotonic() + wait, False
+        for delay in backoff_delays():
+            await asyncio.sleep(min(delay, 1.0))
+            try:
+                return await self._connect()
+            except AlreadyExists as error:
+                if time.monotonic() >= until:
+                    raise
+                if delay and not warned:  # at the first attempt the platform may not have noticed the end of a program
+                    log.warning("%s; trying again for %g s", error, wait)
+                    warned = True
+        raise AssertionError("the delays are endless")
 
     async def _connect(self) -> Connection:
         """Connect to the endpoint that may still hold the session, else to the one that the entry assigns."""

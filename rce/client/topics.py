@@ -9,7 +9,8 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import suppress
 from typing import Any
 
-from rce.client.connection import Message
+from rce.client.backlog import Backlog, Encoded, Offline
+from rce.client.connection import Connection, Message
 from rce.client.interface import CONNECT_TIMEOUT, Interface, Owner
 from rce.client.stream import Stream
 from rce.client.values import decode_message, encode_message
@@ -24,26 +25,45 @@ log = logging.getLogger("rce.client")
 class Publisher(Interface):
     """Interface through which the robot sends messages.
 
-    Messages that had not reached the platform when the socket broke are lost; none is sent twice.
+    Messages that had not reached the platform when the socket broke are lost; none is sent twice. What `publish` with
+    `wait=False` does with messages that cannot be sent, because the robot is offline or the interface has no peer, is
+    chosen with `offline`:
+
+    - `drop`: they are dropped.
+    - `newest`: the newest one is kept, and sent as soon as possible.
+    - `store`: they are sent in their order as soon as possible; of more than 10,000 messages or 64 MiB the oldest are
+      dropped.
 
     Attributes:
         tag: Name of the interface, unique within the robot.
         type_name: ROS message type.
-        dropped: Number of messages that `offer` has dropped.
     """
 
-    dropped = 0
+    def __init__(self, owner: Owner, tag: str, type_name: str, offline: Offline = "drop") -> None:
+        super().__init__(owner, tag, type_name)
+        self._backlog = Backlog(offline)
+        self._sending: Connection | None = None  # in whose queue the first message of the backlog is
+        self._drained = asyncio.Event()
+        self._given_way = 0
 
-    async def publish(self, value: Any, timeout: float = CONNECT_TIMEOUT) -> None:  # noqa: ASYNC109  # see wait_connected
+    @property
+    def dropped(self) -> int:
+        """Number of messages that `offer`, and `publish` with `wait=False`, have dropped."""
+        return self._given_way + self._backlog.dropped
+
+    async def publish(self, value: Any, timeout: float = CONNECT_TIMEOUT, *, wait: bool = True) -> None:  # noqa: ASYNC109  # see wait_connected
         """Send a message, and wait for a peer and for room in the send queue first.
 
         So nothing is dropped on the way to the platform, and a slow link slows the sender down (back-pressure). While
-        the robot is offline this waits for the reconnection. For data of which only the newest counts use `offer`.
+        the robot is offline this waits for the reconnection. A control loop uses `wait=False`: then this never waits,
+        older unsent messages give way (except with `store`), and `offline` of the publisher says what becomes of
+        messages that cannot be sent now.
 
         Args:
             value: The message as a dict; bytes of a PNG or JPEG file for an image interface, or of the serialized
                 message (CDR) for a raw one. In a dict, byte arrays may be bytes and lists may be numpy arrays.
             timeout: Seconds to wait for a peer.
+            wait: False to return at once in any case.
 
         Raises:
             NotConnected: The interface had no peer for `timeout` seconds.
@@ -52,8 +72,15 @@ class Publisher(Interface):
             RceError: The platform refused the robot. A message that does not fit its ROS type is reported by the
                 platform as a `ConversionError` in `Robot.events()`.
         """
+        if not wait:
+            self._put(value)
+            return
         while True:
             await self.wait_connected(timeout)
+            if self._backlog:
+                self._drained.clear()
+                await self._drained.wait()
+                continue
             connection = self._connection()
             room = connection.room(self.tag) if connection is not None else None
             if connection is not None and room is None:
@@ -81,11 +108,50 @@ class Publisher(Interface):
         """
         connection = self._connection()
         if connection is None:
-            self.dropped += 1
+            self._given_way += 1
             return False
         text, blobs = encode_message(self.tag, self.type_name, TOPIC_ID, value)
-        self.dropped += connection.put_message(self.tag, text, blobs, keep)
+        self._given_way += connection.put_message(self.tag, text, blobs, keep)
         return True
+
+    def _put(self, value: Any) -> None:
+        if self._ended is not None:
+            raise self._ended
+        message = Encoded(*encode_message(self.tag, self.type_name, TOPIC_ID, value))
+        self._backlog.put(message, possible=self._connection() is not None)
+        self._send_next()
+
+    def _send_next(self) -> None:
+        """Queue the first message of the backlog; the others wait here, so that at most one is lost with the socket."""
+        connection, message = self._connection(), self._backlog.first()
+        if message is None:
+            self._drained.set()
+        elif connection is not None and self._sending is not connection:
+            self._sending = connection
+            connection.send_message(self.tag, *message, lambda: self._started(connection, message))
+
+    def _started(self, connection: Connection, message: Encoded) -> None:
+        self._backlog.remove(message)
+        if self._sending is connection:
+            self._sending = None
+            asyncio.get_running_loop().call_soon(self._send_next)
+
+    def _update(self) -> None:
+        super()._update()
+        if self._open.is_set():
+            self._send_next()
+        else:
+            self._backlog.disconnected()
+
+    def _disconnected(self) -> None:
+        super()._disconnected()
+        self._sending = None
+        self._backlog.disconnected()
+        self._drained.set()
+
+    def _end(self, error: RceError | None) -> None:
+        super()._end(error)
+        self._drained.set()
 
 
 class Subscriber(Interface):

@@ -64,7 +64,19 @@ export class Environment {
     return this.robot.serviceProvider(this.#ownTag(to), typeName, handler, { ...options, to });
   }
 
-  /** Add the environment's interface for a topic or service unless it exists; returns `endpoint/interface`. */
+  /** Return a client of an action that a node of the environment offers. */
+  async actionClient(action, typeName, options = {}) {
+    const to = await this.#interface(action, "ask", "ActionClientInterface", typeName);
+    return this.robot.actionClient(this.#ownTag(to), typeName, { ...options, to });
+  }
+
+  /** Offer an action to the nodes of the environment. */
+  async actionServer(action, typeName, handler, options = {}) {
+    const to = await this.#interface(action, "act", "ActionProviderInterface", typeName);
+    return this.robot.actionServer(this.#ownTag(to), typeName, handler, { ...options, to });
+  }
+
+  /** Add the environment's interface for a topic, service or action unless it exists; returns `endpoint/interface`. */
   async #interface(address, verb, interfaceType, typeName, qos) {
     const tag = `${this.#prefix}${verb}_${address.replace(/[^A-Za-z0-9_]+/g, "_").replace(/^_+|_+$/g, "")}`;
     try {

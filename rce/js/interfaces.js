@@ -4,12 +4,13 @@ import { ConversionError, NotConnected, RceError, TimedOut, Unavailable, within 
 import { Stream } from "./stream.js";
 import { attach, detach, encode, floats, freshId } from "./values.js";
 
-const CONNECT_TIMEOUT = 10; // seconds
+export const CONNECT_TIMEOUT = 10; // seconds
 const TOPIC_ID = "nil"; // msgID of topic messages, as the original's clients send it
 
 /** Base of all interfaces of a robot. */
-class Interface {
+export class Interface {
   #open = false;
+  #met = false; // it has had a peer
   #status = false;
   #waiting = [];
   #ended = null;
@@ -23,6 +24,11 @@ class Interface {
   /** True while the robot is online and the interface has a peer that is online too. */
   get connected() {
     return this.#open;
+  }
+
+  /** True once the interface has had a peer, which may be gone again. */
+  get wasConnected() {
+    return this.#met;
   }
 
   /** Wait for a peer. Rejects with NotConnected after `timeout` seconds. */
@@ -52,6 +58,19 @@ class Interface {
     return this.robot.connection.put(this.tag, encode({ type: "DM", data }), blobs, keep);
   }
 
+  /** Send a message about a goal, with `msg` as its value; nothing while the robot is offline. */
+  report(id, phase, more = {}) {
+    if (!this.robot.connected) return;
+    const blobs = new Map();
+    const data = { iTag: this.tag, type: this.typeName, msgID: id, phase, ...detach(more, blobs) };
+    this.robot.connection.put(this.tag, encode({ type: "DM", data }), blobs);
+  }
+
+  /** True when nothing is sent or received any more. */
+  get ended() {
+    return this.#ended !== null;
+  }
+
   // Called by the robot.
 
   /** Handle the platform's report about the peer. */
@@ -79,6 +98,7 @@ class Interface {
 
   #changed(open) {
     this.#open = open && (this.robot.connected || this.#ended !== null);
+    this.#met ||= this.#open;
     if (this.#open) for (const resolve of this.#waiting.splice(0)) resolve();
   }
 }
@@ -215,7 +235,7 @@ export class ServiceProvider extends Interface {
 }
 
 /** The value of a DM, with bytes in place of blobs and floats for NaN and infinities, except in `String` messages. */
-function valueOf(data, blobs) {
+export function valueOf(data, blobs) {
   if (!("msg" in data) && !("msg*" in data)) {
     throw new ConversionError(`a message for ${data.iTag} has neither msg nor msg*`);
   }

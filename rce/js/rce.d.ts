@@ -60,7 +60,7 @@ export type Message = Record<string, any> | Uint8Array;
 export type ParameterValue = boolean | number | bigint | string | ParameterItem[] | { [key: string]: ParameterItem };
 export type ParameterItem = ParameterValue | null;
 /** Kind of an interface: `...Interface` in an environment, `...Converter` or `...Forwarder` (raw) at a robot. */
-export type InterfaceType = `${"Publisher" | "Subscriber" | "ServiceClient" | "ServiceProvider"}${
+export type InterfaceType = `${"Publisher" | "Subscriber" | "ServiceClient" | "ServiceProvider" | "ActionClient" | "ActionProvider"}${
   "Interface" | "Converter" | "Forwarder"}`;
 
 /** ROS 2 quality of service. */
@@ -146,6 +146,8 @@ interface Interface {
   readonly typeName: string;
   /** True while the robot is online and the interface has a peer that is online too. */
   readonly connected: boolean;
+  /** True once it has had a peer, which may be gone again. */
+  readonly wasConnected: boolean;
   /** Wait until the interface has a peer. Rejects with NotConnected after `timeout` (10 by default). */
   waitConnected(timeout?: number): Promise<void>;
   /** Remove the interface and its connections. */
@@ -188,11 +190,53 @@ export interface ServiceClient extends Interface {
 /** Answers the calls of a service with its handler. */
 export interface ServiceProvider extends Interface {}
 
+/** End of a goal: how it ended, and the value of its result. */
+export interface GoalResult {
+  status: "succeeded" | "canceled" | "aborted";
+  value: any;
+}
+
+/** A goal that was accepted: iterate with `for await` over its feedback, until it ends. */
+export interface Goal extends AsyncIterable<any> {
+  /** UUID, 32 hex digits. */
+  readonly id: string;
+  /** The end of the goal. Rejects with the error with which it failed, and with TimedOut after `timeout` seconds. */
+  result(timeout?: number): Promise<GoalResult>;
+  /** Ask the server to cancel the goal. Rejects with Forbidden if it does not, with NotFound if the goal has ended. */
+  cancel(timeout?: number): Promise<void>;
+}
+
+/** Sends goals to an action server. */
+export interface ActionClient extends Interface {
+  /**
+   * Send a goal, and wait until the server has accepted it. Rejects with Forbidden if the server rejects it, and with
+   * TimedOut after `timeout` (10 by default). With `cancelIfLost` it is canceled when the robot's session ends.
+   */
+  sendGoal(goal: Message, options?: { timeout?: number; cancelIfLost?: boolean }): Promise<Goal>;
+}
+
+/** A goal to carry out; `signal` aborts when it is to be canceled. */
+export interface ServerGoal {
+  readonly id: string;
+  readonly request: any;
+  readonly signal: AbortSignal;
+  publishFeedback(value: Message): void;
+}
+export type GoalHandler = (goal: ServerGoal) => Message | Promise<Message>;
+export interface ActionServerOptions {
+  raw?: boolean;
+  /** Return false to reject a goal. */
+  accept?: (request: any) => boolean;
+}
+
+/** Carries out goals with its handler. */
+export interface ActionServer extends Interface {}
+
 export interface InterfaceOptions {
   /** Exchange serialized ROS messages (CDR) as bytes instead of objects. */
   raw?: boolean;
   /** Encoding of images: PNG or JPEG bytes, or objects (`json`). */
-  format?: "png" | "jpeg" | "json";
+  format?: string;
   qos?: Qos;
 }
 export interface SubscriberOptions<T = any> extends InterfaceOptions {
@@ -231,6 +275,11 @@ export class Environment {
   /** Offer a service to the nodes of the environment. */
   serviceProvider(service: string, typeName: string, handler: Handler, options?: { raw?: boolean }):
     Promise<ServiceProvider>;
+  /** Return a client of an action that a node of the environment offers. */
+  actionClient(action: string, typeName: string, options?: { raw?: boolean }): Promise<ActionClient>;
+  /** Offer an action to the nodes of the environment. */
+  actionServer(action: string, typeName: string, handler: GoalHandler, options?: ActionServerOptions):
+    Promise<ActionServer>;
 }
 
 export interface NodeOptions {
@@ -240,6 +289,10 @@ export interface NodeOptions {
   name?: string;
   /** ROS namespace of the node. */
   namespace?: string;
+  /** Keep a node of this tag that was started in the same way, and replace one that was not. */
+  existOk?: boolean;
+  /** When to start it again after it ended by itself; without it, after a failure, if it ran for 5 s. */
+  restart?: "on-failure" | "always" | "no";
 }
 
 /** `[list, item]` with the names of the protocol, such as `["addNodes", {containerTag: …}]` and `["CC", {…}]`. */
@@ -309,7 +362,7 @@ export class Robot {
   deleteParameter(environment: string, name: string, options?: { node?: string }): Promise<void>;
   /** Add an interface to an environment or a robot. */
   addInterface(endpoint: string, tag: string, interfaceType: InterfaceType, typeName: string,
-    options?: { addr?: string; qos?: Qos; format?: "png" | "jpeg" | "json" }): Promise<void>;
+    options?: { addr?: string; qos?: Qos; format?: string }): Promise<void>;
   /** Remove an interface and its connections. */
   removeInterface(endpoint: string, tag: string): Promise<void>;
   /** Connect two interfaces, each `endpoint/interface`, in either order. */
@@ -331,4 +384,9 @@ export class Robot {
   /** Add an interface through which the robot offers a service. */
   serviceProvider(tag: string, typeName: string, handler: Handler, options?: { raw?: boolean } & To):
     Promise<ServiceProvider>;
+  /** Add an interface through which the robot sends goals to an action server. */
+  actionClient(tag: string, typeName: string, options?: { raw?: boolean } & To): Promise<ActionClient>;
+  /** Add an interface through which the robot carries out goals. */
+  actionServer(tag: string, typeName: string, handler: GoalHandler, options?: ActionServerOptions & To):
+    Promise<ActionServer>;
 }

@@ -3,12 +3,13 @@
 
 import { Environment } from "./environment.js";
 import { AlreadyExists, InvalidRequest } from "./errors.js";
+import { ActionClient, ActionServer, Goal } from "./actions.js";
 import { Publisher, ServiceClient, ServiceProvider, Subscriber } from "./interfaces.js";
 import { ClientSession } from "./session.js";
 import { Stream } from "./stream.js";
 
 export * from "./errors.js";
-export { Environment, Publisher, ServiceClient, ServiceProvider, Stream, Subscriber };
+export { ActionClient, ActionServer, Environment, Goal, Publisher, ServiceClient, ServiceProvider, Stream, Subscriber };
 
 const EVENT_BACKLOG = 1000; // unread events that one reader may have
 
@@ -88,8 +89,9 @@ export class Robot {
     return this.configure(["DC", { containerTag: tag }]);
   }
 
-  addNode(environment, tag, pkg, exe, { args, name, namespace } = {}) {
-    return this.configure(["addNodes", { containerTag: environment, nodeTag: tag, pkg, exe, args, name, namespace }]);
+  addNode(environment, tag, pkg, exe, { args, name, namespace, existOk, restart } = {}) {
+    const node = { containerTag: environment, nodeTag: tag, pkg, exe, args, name, namespace, existOk, restart };
+    return this.configure(["addNodes", node]);
   }
 
   removeNode(environment, tag) {
@@ -159,6 +161,14 @@ export class Robot {
     return this.#add(new ServiceProvider(this, tag, typeName, handler), "ServiceClient", options);
   }
 
+  actionClient(tag, typeName, options = {}) {
+    return this.#add(new ActionClient(this, tag, typeName), "ActionProvider", options);
+  }
+
+  actionServer(tag, typeName, handler, options = {}) {
+    return this.#add(new ActionServer(this, tag, typeName, handler, options.accept), "ActionClient", options);
+  }
+
   /** Add the interface and connect it to `to`; remove it again if that fails. */
   async #add(added, kind, { to = "", raw = false, format, qos }) {
     const { tag, typeName } = added;
@@ -174,7 +184,7 @@ export class Robot {
     if (to) {
       try {
         await this.connect(to, `${this.name}/${tag}`);
-        await added.waitConnected();
+        if (!added.wasConnected) await added.waitConnected(); // its peer may have gone before the acknowledgement
       } catch (error) {
         await added.close();
         throw error;

@@ -27,6 +27,7 @@ export async function run(rce, { url, user, password, WebSocket, tag, skip = [] 
   return passed;
 }
 
+const FIBONACCI = "example_interfaces/Fibonacci";
 const [STRING, POSE, INT64, SET_BOOL] = ["std_msgs/String", "geometry_msgs/Pose2D", "std_msgs/Int64", "std_srvs/SetBool"];
 
 function equal(got, wanted) {
@@ -103,6 +104,34 @@ const tests = {
     await velocities.publish({ x: 1 });
     await done;
     equal(order, ["small", "large"]);
+  },
+
+  async "goals end as their server says"(make, rce) {
+    const [a, b] = await Promise.all([make("a"), make("b")]);
+    await b.actionServer("work", FIBONACCI, async ({ request, signal, publishFeedback }) => {
+      if (request.order > 9) throw new Error("too many");
+      if (!request.order) await new Promise((resolve) => { signal.addEventListener("abort", resolve); });
+      publishFeedback({ sequence: [1] });
+      return { sequence: [request.order] };
+    }, { accept: ({ order }) => order >= 0 });
+    const client = await a.actionClient("ask", FIBONACCI, { to: `${b.name}/work` });
+    const goal = await client.sendGoal({ order: 3 });
+    const feedback = [];
+    for await (const each of goal) feedback.push(each.sequence);
+    equal(feedback, [[1]]);
+    equal(await goal.result(20), { status: "succeeded", value: { sequence: [3] } });
+    await throws(rce.Forbidden, client.sendGoal({ order: -1 }), "rejected");
+    const canceled = await client.sendGoal({ order: 0 });
+    await canceled.cancel(20);
+    equal(await canceled.result(20), { status: "canceled", value: { sequence: [0] } });
+    await throws(rce.NotFound, canceled.cancel(20), "has ended");
+    await throws(rce.RceError, (await client.sendGoal({ order: 10 })).result(20), "too many");
+    const kept = await client.sendGoal({ order: 0 });
+    const events = a.events();
+    breakSocket(a);
+    await event(events, "reconnected");
+    await kept.cancel(20);
+    equal((await kept.result(20)).status, "canceled");
   },
 
   async "service responses, errors and timeouts"(make, rce) {

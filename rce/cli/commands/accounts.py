@@ -84,11 +84,18 @@ def _user_limits(session: ConsoleSession, args: argparse.Namespace) -> None:
         present = session.api.get(dict[str, Any], *path)
         session.api.patch(Any, *path, body=dict(_parse_change(each, present) for each in args.changes))
     limits = session.api.get(dict[str, Any], *path)
-    output.print_record(limits if args.json else {name: value or "-" for name, value in limits.items()}, args.json)
+    output.print_record(
+        limits if args.json else {name: _limit_text(value) for name, value in limits.items()}, args.json
+    )
+
+
+def _limit_text(value: Any) -> Any:
+    """Return a limit as `print_record` shows it, which leaves out what is empty."""
+    return "-" if value is None else "none" if value == [] else value
 
 
 def _parse_change(text: str, present: dict[str, Any]) -> tuple[str, Any]:
-    """Parse a change of a limit: `key=value`, `key=` for the default, `key+=value` to append to a list.
+    """Parse a change of a limit: `key=value`, `key=-` for none, `key=` for the default, `key+=value` for a list.
 
     Raises:
         InvalidRequest: The text has another form.
@@ -99,7 +106,7 @@ def _parse_change(text: str, present: dict[str, Any]) -> tuple[str, Any]:
     if name.endswith("+"):
         name = name.removesuffix("+")
         return name, [*dict.fromkeys([*present.get(name, []), value])]
-    return name, value or None
+    return name, value
 
 
 def _user_usage(session: ConsoleSession, args: argparse.Namespace) -> None:
@@ -112,7 +119,8 @@ def _key_list(session: ConsoleSession, args: argparse.Namespace) -> None:
 
 def _key_create(session: ConsoleSession, args: argparse.Namespace) -> None:
     expires = time.time() + args.days * DAY if args.days else None
-    body = views.NewKey(args.role, args.label, expires, Scopes(args.robot, args.environment, args.metrics))
+    role: Any = args.role or ("operator" if args.metrics else "robot")
+    body = views.NewKey(role, args.label, expires, Scopes(args.robot, args.environment, args.metrics))
     made = _api_by_password(session).post(views.CreatedKey, "keys", body=body, user=args.of)
     print(output.to_json(made) if args.json else made.secret)
 
@@ -195,12 +203,15 @@ COMMANDS = (
     ),
     Command(
         "user limits",
-        "Show or change the limits of a user; `-` is no limit.",
+        "Show or change the limits of a user; `-` is no limit, 0 is zero.",
         _user_limits,
         (
             OPTIONAL_USER,
             argument(
-                "changes", nargs="*", metavar="KEY=VALUE", help="as memory=2GiB; `memory=` resets; images+=NAME appends"
+                "changes",
+                nargs="*",
+                metavar="KEY=VALUE",
+                help="as memory=2GiB; `memory=-` is no limit; `memory=` resets; images+=NAME appends",
             ),
             JSON,
         ),
@@ -220,7 +231,7 @@ COMMANDS = (
         "an empty one, the key ends with the key that you are signed in with.",
         _key_create,
         (
-            argument("--role", choices=ROLES, help="its permissions (default: %(default)s)", default="robot"),
+            argument("--role", choices=ROLES, help="its permissions (default: robot)", default=""),
             argument("--label", default="", help="a note for the list of keys"),
             argument("--days", type=float, default=0, metavar="N", help="until it expires (default: never)"),
             argument("--robot", completion="robot", default="", metavar="ROBOT", help="restrict to this robotID"),
@@ -232,11 +243,15 @@ COMMANDS = (
                 metavar="ENV",
                 help="restrict to this environment; may be given several times",
             ),
-            argument("--metrics", action="store_true", help="restrict to reading metrics"),
+            argument("--metrics", action="store_true", help="for reading metrics only; needs an operator"),
             OF_USER,
             JSON,
         ),
-        ("key create --label r2d2 --robot r2d2 --days 90", "key create --of ada --role user"),
+        (
+            "key create --label r2d2 --robot r2d2 --days 90",
+            "key create --of ada --role user",
+            "key create --metrics --label prometheus",
+        ),
     ),
     Command(
         "key rotate",

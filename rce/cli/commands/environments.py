@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterator
 from typing import Any
 
@@ -13,8 +14,9 @@ from rce.cli import output
 from rce.cli.arguments import ENVIRONMENT, JSON, OF_USER, OF_USER_OR_ALL, argument
 from rce.cli.command import Command
 from rce.cli.session import ConsoleSession, user_query
-from rce.errors import InvalidRequest
+from rce.errors import InvalidRequest, NotFound
 from rce.protocol.messages import ContainerData
+from rce.spelling import unknown
 
 SIZE_OPTIONS = ("memory", "disk", "bandwidth")
 FOLLOW = (
@@ -29,7 +31,7 @@ ENVIRONMENTS: output.Columns[views.EnvironmentView] = {
     "state": lambda each: each.state,
     "machine": lambda each: each.machine,
     "cores": lambda each: each.containerData.cpu or None,
-    "memory": lambda each: output.size_text(each.containerData.memory),
+    "memory": lambda each: output.size_text(each.containerData.memory or None),
     "nodes": lambda each: each.nodes,
     "interfaces": lambda each: each.interfaces,
     "group": lambda each: each.containerData.group,
@@ -41,6 +43,12 @@ NODES: output.Columns[views.NodeView] = {
     "program": lambda each: f"{each.pkg}/{each.exe}",
     "arguments": lambda each: each.args,
     "name": lambda each: f"{each.namespace.rstrip('/')}/{each.name}".lstrip("/"),
+    "restart": lambda each: each.restart,
+    "last end": lambda each: each.end and _end_text(each.end),
+}
+PACKAGES: output.Columns[views.RosPackage] = {
+    "package": lambda each: each.name,
+    "executables": lambda each: each.executables,
 }
 PARAMETERS: output.Columns[views.ParameterView] = {
     "parameter": lambda each: each.name,
@@ -64,6 +72,8 @@ def _env_create(session: ConsoleSession, args: argparse.Namespace) -> None:
     body = views.NewEnvironment(args.environment, container_data(args))
     made = session.api.post(views.EnvironmentView, "environments", body=body, user=args.of)
     print(f"environment {made.containerTag} is {made.state} on {made.machine}")
+    if ignored := [each for each in made.notEnforced if each != "egress"]:
+        print(f"not enforced by this engine: {', '.join(ignored)}", file=sys.stderr)
 
 
 def container_data(args: argparse.Namespace) -> ContainerData:
@@ -95,12 +105,20 @@ def _env_delete(session: ConsoleSession, args: argparse.Namespace) -> None:
 
 
 def _env_logs(session: ConsoleSession, args: argparse.Namespace) -> None:
-    _print_log(session, args, "environments", args.environment, "log")
+    _print_log(session, args, "environments", args.environment, "log", **({"verbose": True} if args.verbose else {}))
 
 
 def _node_list(session: ConsoleSession, args: argparse.Namespace) -> None:
-    found = session.api.items(views.NodeView, "environments", args.environment, "nodes", user=args.of)
+    found = session.api.items(views.NodeView, "environments", args.environment, "nodes", user=args.of, all=args.all)
     output.print_table(found, NODES, args.json)
+
+
+def _end_text(end: views.NodeEndView) -> str:
+    """Return how and when a node ended, and the last line of its output."""
+    how = end.signal or f"status {end.status}"
+    times = f" ({end.count} times)" if end.count > 1 else ""
+    last = f": {end.lines[-1]}" if end.lines else ""
+    return f"{output.local_time(end.time)} {how}{times}{last}"
 
 
 def _node_show(session: ConsoleSession, args: argparse.Namespace) -> None:
@@ -109,8 +127,15 @@ def _node_show(session: ConsoleSession, args: argparse.Namespace) -> None:
 
 
 def _node_start(session: ConsoleSession, args: argparse.Namespace) -> None:
-    body = views.NewNode(args.node, args.pkg, args.exe, args.args, args.name, args.namespace)
+    body = views.NewNode(args.node, args.pkg, args.exe, args.args, args.name, args.namespace, restart=args.restart)
     session.api.post(views.NodeView, "environments", args.environment, "nodes", body=body, user=args.of)
+
+
+def _node_executables(session: ConsoleSession, args: argparse.Namespace) -> None:
+    packages = list(session.api.items(views.RosPackage, "environments", args.environment, "packages", user=args.of))
+    if args.package and args.package not in {each.name for each in packages}:
+        raise NotFound(unknown("package", args.package, [each.name for each in packages]), field="package")
+    output.print_table([each for each in packages if args.package in ("", each.name)], PACKAGES, args.json)
 
 
 def _node_stop(session: ConsoleSession, args: argparse.Namespace) -> None:
@@ -121,8 +146,8 @@ def _node_logs(session: ConsoleSession, args: argparse.Namespace) -> None:
     _print_log(session, args, "environments", args.environment, "nodes", args.node, "log")
 
 
-def _print_log(session: ConsoleSession, args: argparse.Namespace, *path: str) -> None:
-    query: dict[str, Any] = {"lines": args.lines, "user": args.of}
+def _print_log(session: ConsoleSession, args: argparse.Namespace, *path: str, **more: object) -> None:
+    query: dict[str, Any] = {"lines": args.lines, "user": args.of, **more}
     if not args.follow:
         _print_lines(session.api.get(views.LogLines, *path, **query))
         return
@@ -233,11 +258,20 @@ COMMANDS = (
         "env logs",
         "Print the output of an environment.",
         _env_logs,
-        (ENVIRONMENT, *FOLLOW, OF_USER),
-        ("env logs brain -f",),
+        (
+            ENVIRONMENT,
+            *FOLLOW,
+            argument("--verbose", action="store_true", help="with what is internal, as the Master's calls"),
+            OF_USER,
+        ),
+        ("env logs brain -f", "env logs brain --verbose"),
     ),
     Command(
-        "node list", "List the nodes of an environment.", _node_list, (ENVIRONMENT, OF_USER, JSON), ("node list brain",)
+        "node list",
+        "List the nodes of an environment, with how they ended the last time.",
+        _node_list,
+        (ENVIRONMENT, argument("--all", action="store_true", help="those too that have ended"), OF_USER, JSON),
+        ("node list brain", "node list brain --all"),
     ),
     Command("node show", "Show a node.", _node_show, (ENVIRONMENT, NODE, OF_USER, JSON), ("node show brain mapper",)),
     Command(
@@ -247,14 +281,32 @@ COMMANDS = (
         (
             ENVIRONMENT,
             argument("node", metavar="NODE", help="a new nodeTag"),
-            argument("pkg", metavar="PKG"),
-            argument("exe", metavar="EXE"),
+            argument("pkg", completion="package", metavar="PKG"),
+            argument("exe", completion="executable", metavar="EXE"),
             argument("--args", default="", help="one word; $(find PKG) and $(env VAR) are replaced"),
             argument("--name", default="", help="ROS name"),
             argument("--namespace", default=""),
+            argument(
+                "--restart",
+                choices=("on-failure", "always", "no"),
+                default="",
+                help="start it again when it ends, after growing pauses (default: after a failure, if it ran for 5 s)",
+            ),
             OF_USER,
         ),
         ("node start brain echo rce_demo echo", "node start brain rec demo rec.py --args='--rate 10' --namespace log"),
+    ),
+    Command(
+        "node executables",
+        "List the ROS packages of an environment with their executables.",
+        _node_executables,
+        (
+            ENVIRONMENT,
+            argument("package", completion="package", metavar="PKG", nargs="?", default="", help="of this one only"),
+            OF_USER,
+            JSON,
+        ),
+        ("node executables brain", "node executables brain rce_demo"),
     ),
     Command("node stop", "Stop a node.", _node_stop, (ENVIRONMENT, NODE, OF_USER), ("node stop brain mapper",)),
     Command(

@@ -15,6 +15,7 @@ from msgspec.structs import replace
 
 from rce.api import views
 from rce.api.client import ApiClient
+from rce.api.http import EntryClient
 from rce.cli import contexts, output
 from rce.cli.arguments import JSON, argument
 from rce.cli.command import Command
@@ -55,6 +56,7 @@ def _login(session: ConsoleSession, args: argparse.Namespace) -> None:
 
     The password comes from RCE_PASSWORD, a prompt, or standard input.
     """
+    EntryClient(args.url, {}).open("GET", "healthz").close()  # before anything is asked
     user = args.user or _ask("User: ")
     password = os.environ.get("RCE_PASSWORD") or read_password(f"Password of {user}: ")
     label = f"console at {socket.gethostname()}"
@@ -80,11 +82,11 @@ def _logout(session: ConsoleSession, args: argparse.Namespace) -> None:
     known = contexts.load()
     name = args.name or known.current
     if not name:
-        raise Unauthorized("you are not signed in")
+        raise Unauthorized(f"you are not signed in{_hint(known)}")
     _revoke(known.named(name))
     _remove(known, name)
     session.forget_access()
-    print(f"signed out: context {name} is removed")
+    print(f"signed out: context {name} is removed{_hint(known)}")
 
 
 def _revoke(context: Context) -> None:
@@ -100,8 +102,18 @@ def _remove(known: contexts.Contexts, name: str) -> None:
     known.named(name)
     del known.contexts[name]
     if known.current == name:
-        known.current = next(iter(known.contexts), "")
+        known.current = ""
     contexts.save(known)
+
+
+def _hint(known: contexts.Contexts) -> str:
+    """Return how to make a context current, if there are some and none is."""
+    others = ", ".join(known.contexts)
+    return (
+        f"; no context is current: choose one with `rce context use NAME` ({others})"
+        if others and not known.current
+        else ""
+    )
 
 
 def _context_list(session: ConsoleSession, args: argparse.Namespace) -> None:

@@ -26,7 +26,7 @@ MACHINES: output.Columns[views.MachineView] = {
     "environments": lambda each: each.environments,
     "robots": lambda each: each.robots,
     "features": lambda each: each.features,
-    "url": lambda each: each.url,
+    "url": lambda each: _url(each),
 }
 STATS: output.Columns[views.MachineView] = {
     "machine": lambda each: each.name,
@@ -45,6 +45,11 @@ GROUPS: output.Columns[views.GroupView] = {
     "subnet": lambda each: each.subnet,
     "members": lambda each: each.members,
 }
+
+
+def _url(machine: views.MachineView) -> str:
+    """Return the URL of a machine; if it has no host, with the machine's first address."""
+    return machine.url.replace("://:", f"://{machine.addresses[0] if machine.addresses else '*'}:")
 
 
 def _machine_list(session: ConsoleSession, args: argparse.Namespace) -> None:
@@ -93,6 +98,10 @@ def _names(session: ConsoleSession, machine: str) -> list[str]:
 def _machine_add(session: ConsoleSession, args: argparse.Namespace) -> None:
     body = views.NewInvitation(args.machine, args.role or list(get_args(Role)), args.address, args.hours)
     print(session.api.post(views.Invited, "machines", "invitations", body=body).code)
+
+
+def _machine_remove(session: ConsoleSession, args: argparse.Namespace) -> None:
+    session.api.delete("machines", args.machine)
 
 
 def _group_list(session: ConsoleSession, args: argparse.Namespace) -> None:
@@ -150,6 +159,13 @@ COMMANDS = (
             argument("--hours", type=float, default=24.0, help="until the code expires (default: %(default)g)"),
         ),
         ("machine add hall-2 --role container",),
+    ),
+    Command(
+        "machine remove",
+        "Disconnect a machine for good: its processes and its certificate are refused.",
+        _machine_remove,
+        (MACHINE,),
+        ("machine remove hall-2",),
     ),
     Command("group list", "List network groups.", _group_list, (OF_USER_OR_ALL, JSON), ("group list",)),
     Command(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from rce.api.map_jobs import KINDS
 from rce.api.map_jobs import MAPPERS as SERVICE_MAPPERS
 from rce.cli.arguments import JSON, RUNNING, RUNNING_OR_OWN, argument
 from rce.cli.command import Command, Lazy, Section
@@ -55,6 +56,9 @@ COMMANDS = (
         Lazy("rce.cli.lazy.map_jobs", "submit"),
         (
             argument("recordings", nargs="+", type=Path, metavar="FILE", help="CARMEN log, ROS 1 or ROS 2 bag"),
+            argument(
+                "--kind", choices=KINDS, default=KINDS[0], help="3d: bags of cameras with depth (default: %(default)s)"
+            ),
             argument("--mapper", choices=SERVICE_MAPPERS, default=SERVICE_MAPPERS[0], help="(default: %(default)s)"),
             RESOLUTION,
             argument(

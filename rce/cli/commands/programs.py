@@ -87,6 +87,12 @@ SERVERS = (
         Section.SERVER,
     ),
     Program("map-service", "Run the map service: recordings in, maps out.", _installed("map-service"), Section.SERVER),
+    Program(
+        "knowledge-service",
+        "Run the knowledge service: recipes, objects and environments that robots share.",
+        _installed("knowledge-service"),
+        Section.SERVER,
+    ),
 )
 ON_MASTER_FILES = (
     Program(
@@ -105,6 +111,8 @@ ON_MASTER_FILES = (
         _has_option("--config"),
         "machine --config …",
     ),
+    Program("backup", "save database, packages and settings", _installed("backup"), Section.MASTER_FILES),
+    Program("restore", "restore a backup; the Master must not run", _installed("restore"), Section.MASTER_FILES),
 )
 COMPLETE = Program(
     "complete",

@@ -159,7 +159,7 @@ COMMANDS = (
             argument("--reliability", choices=("auto", "reliable", "best_effort"), default="auto"),
             argument("--durability", choices=("auto", "volatile", "transient_local"), default="auto"),
             argument("--depth", type=int, default=0, help="messages that wait (default: 1000; images, clouds: 10)"),
-            argument("--format", choices=("png", "jpeg", "json"), default="png", help="encoding of images"),
+            argument("--format", default="png", help="png, jpeg, json (images), ros1 (Forwarders) or a converter"),
             OF_USER,
         ),
         ("interface add brain/pose PublisherInterface geometry_msgs/Pose2D /pose",),

@@ -14,6 +14,7 @@ from rce.api import views
 from rce.cli.arguments import JSON, OF_USER, argument
 from rce.cli.command import Command
 from rce.cli.session import ConsoleSession
+from rce.protocol.names import split_interface
 
 FORWARD = ("entered", "sent", "received", "delivered")
 BACK = tuple(f"{hop} back" for hop in FORWARD)
@@ -26,7 +27,7 @@ Row = dict[str, float]
 
 def trace(session: ConsoleSession, args: argparse.Namespace) -> None:
     """Print the steps of an interface's next messages, and their medians."""
-    owner, _, interface = args.interface.partition("/")
+    owner, interface = split_interface(args.interface, "interface")
     path = ("interfaces", owner, interface, "trace")
     rows: list[Row] = []
     hosts: set[str] = set()

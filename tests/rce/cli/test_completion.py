@@ -7,11 +7,12 @@ from collections.abc import Sequence
 
 import pytest
 
+from rce.api.views import RosPackage
 from rce.cli.arguments import Completion
 from rce.cli.completion import Names, candidates
 from rce.cli.session import ConsoleSession
 from rce.protocol import messages as m
-from tests.support.console import login
+from tests.support.console import Console, login
 from tests.support.master.served import Served
 
 
@@ -27,7 +28,7 @@ class FakeNames(Names):
     ("line", "expected"),
     [
         ("en", {"env", "environment"}),
-        ("ma", {"machine", "map", "map-service", "master"}),
+        ("ma", {"machine", "map", "map-service", "map3d", "master"}),
         ("com", {"completion"}),
         ("env sh", {"show", "shell"}),
         ("env show bra", {"brain", "brawn"}),
@@ -64,6 +65,21 @@ def test_console_completes_its_own_commands_without_platform_options(line: str, 
 
 def test_command_line_completes_platform_options() -> None:
     assert set(candidates(["env", "list", "--u"], FakeNames())) == {"--url", "--user"}
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("node start brain echo ", {"demo", "nav"}),
+        ("node start brain echo demo ", {"listen", "talk"}),
+        ("node start brain echo demo t", {"talk"}),
+        ("node executables brain n", {"nav"}),
+    ],
+)
+def test_packages_and_executables_are_those_of_the_environment(line: str, expected: set[str]) -> None:
+    console = Console([RosPackage("demo", ["listen", "talk"]), RosPackage("nav", ["plan"])])
+    assert set(candidates(line.split(" "), Names(console.session))) == expected
+    assert [each.line for each in console.api.requests] == ["GET environments/brain/packages"]
 
 
 async def test_completion_offers_names_of_the_user_given_by_of(served: Served) -> None:

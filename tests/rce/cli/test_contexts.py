@@ -27,7 +27,7 @@ async def test_commands_use_the_platform_of_the_context(served: Served, capsys: 
     assert await rce("env", "show", "brain") == FAILURE
     assert "there is no environment 'brain'" in capsys.readouterr().err
     assert await rce("context", "remove", "one") == SUCCESS
-    assert contexts.load().current == "two"
+    assert contexts.load().current == ""
     assert await rce("context", "use", "one") == FAILURE
 
 

@@ -40,7 +40,7 @@ async def test_error_explains_what_to_do(
     ("line", "text"),
     [
         ("env", "env create"),
-        ("env made", "there is no command `env made`"),
+        ("env made", "rce: there is no command 'env made'"),
         ("env show", "required: ENV"),
         ("env show a --jsn", "unrecognized arguments: --jsn"),
         ("nonsense", "there is no command 'nonsense'"),
@@ -97,6 +97,30 @@ def test_incomplete_command_of_the_original_is_answered_with_its_forms(capsys: p
 def test_error_of_the_platform_is_printed_after_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert Console(NotFound("there is no environment 'a'")).run("env delete a") == FAILURE
     assert capsys.readouterr().err == "env: there is no environment 'a'\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"), [(["nod", "list"], "did you mean node?"), (["env", "lst"], "did you mean list?")]
+)
+def test_misspelt_command_is_answered_with_the_nearest(
+    words: list[str], hint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(words) == USAGE_ERROR
+    assert capsys.readouterr().err.endswith(f"{hint}\n")
+
+
+@pytest.mark.parametrize(
+    ("line", "path"),
+    [
+        ("node show brain/echo", "environments/brain/nodes/echo"),
+        ("node show brain echo", "environments/brain/nodes/echo"),
+        ("param get brain/rate", "environments/brain/parameters/rate"),
+    ],
+)
+def test_things_of_an_environment_are_named_with_a_slash_too(line: str, path: str) -> None:
+    console = Console(NotFound("there is none"))
+    console.run(line)
+    assert [each.line for each in console.api.requests] == [f"GET {path}"]
 
 
 def test_missing_file_is_printed_with_its_name(capsys: pytest.CaptureFixture[str]) -> None:

@@ -124,7 +124,7 @@ def test_cell_shows_a_value_as_text(value: object, text: str) -> None:
 
 @pytest.mark.parametrize(
     ("size", "text"),
-    [(None, "-"), (0, "-"), (1023, "1023 B"), (1024, "1 KiB"), (3 * 2**29, "1.5 GiB"), (2**50, "1024 TiB")],
+    [(None, "-"), (0, "0 B"), (1023, "1023 B"), (1024, "1 KiB"), (3 * 2**29, "1.5 GiB"), (2**50, "1024 TiB")],
 )
 def test_size_has_a_binary_prefix(size: int | None, text: str) -> None:
     assert output.size_text(size) == text
@@ -133,3 +133,11 @@ def test_size_has_a_binary_prefix(size: int | None, text: str) -> None:
 def test_missing_time_is_replaced() -> None:
     assert output.local_time(None, "never") == "never"
     assert output.local_time(0) == "-"
+
+
+def test_used_slots_are_a_number_and_the_last_use_of_a_key_is_a_time(capsys: pytest.CaptureFixture[str]) -> None:
+    output.print_record({"slots": 10, "used": 1})
+    output.print_record({"used": 1_700_000_000.5})
+    slots, key = capsys.readouterr().out.strip().splitlines()[1:]
+    assert slots.split() == ["used", "1"]
+    assert "2023-11-1" in key

@@ -12,8 +12,12 @@ from typing import Any, TypeVar
 import pytest
 
 from rce.client import BlockingRobot, Reconnected, Robot
-from rce.client.blocking import (
-    BlockingEnvironment,
+from rce.client.actions import ActionClient, ActionServer, Goal
+from rce.client.blocking import BlockingEnvironment
+from rce.client.blocking_interfaces import (
+    BlockingActionClient,
+    BlockingActionServer,
+    BlockingGoal,
     BlockingPublisher,
     BlockingServiceClient,
     BlockingServiceProvider,
@@ -52,6 +56,9 @@ def test_constructor_has_the_arguments_of_robot() -> None:
         (BlockingSubscriber, Subscriber),
         (BlockingServiceClient, ServiceClient),
         (BlockingServiceProvider, ServiceProvider),
+        (BlockingActionClient, ActionClient),
+        (BlockingActionServer, ActionServer),
+        (BlockingGoal, Goal),
     ],
     ids=lambda kind: kind.__name__,
 )

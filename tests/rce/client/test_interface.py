@@ -45,6 +45,14 @@ async def test_interface_is_connected_while_it_has_a_peer(interface: Interface) 
     assert not interface.connected
 
 
+async def test_peer_that_came_and_went_is_remembered(interface: Interface) -> None:
+    assert not interface.was_connected
+    interface._set_status(True)
+    interface._set_status(False)
+    assert interface.was_connected
+    assert not interface.connected
+
+
 async def test_lost_socket_disconnects_until_the_next_status(owner: FakeOwner, interface: Interface) -> None:
     interface._set_status(True)
     owner.connection = None

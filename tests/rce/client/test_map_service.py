@@ -117,6 +117,18 @@ async def test_later_run_resumes_the_upload_of_an_earlier_one(service: Service, 
     assert (await in_thread(client(service.url).upload, path)).id != partial
 
 
+async def test_uploads_are_listed_until_they_are_removed(service: Service, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(CONTENT)
+    maps = client(service.url)
+    upload = await in_thread(maps.upload, path)
+    assert await in_thread(maps.uploads) == [upload]
+    await in_thread(maps.remove_upload, upload.id)
+    assert await in_thread(maps.uploads) == []
+    with pytest.raises(NotFound):
+        await in_thread(maps.remove_upload, upload.id)
+
+
 async def test_file_that_is_no_recording_is_rejected_early(
     service: Service, proxy: BreakingProxy, tmp_path: Path
 ) -> None:

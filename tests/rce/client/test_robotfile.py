@@ -14,8 +14,10 @@ import pytest
 import yaml
 
 from rce.client import Robot
-from rce.client.robotfile import run_file
+from rce.client.events import Disconnected, Event, Reconnected
+from rce.client.robotfile import event_text, run_file
 from rce.errors import NotFound
+from rce.protocol.messages import ConnectionEvent, DropEvent, EnvironmentEvent, LimitEvent, NodeEvent
 from tests.support.client_contract import SET_BOOL, STRING
 from tests.support.fake_platform import FakePlatform
 from tests.support.robot_files import robot_file
@@ -125,3 +127,22 @@ async def test_process_can_exit_while_standard_input_is_read() -> None:
     process.stdin.write(b"{}\n")  # read; then the thread waits for the next line, which does not come
     error = await asyncio.wait_for(process.stderr.read(), 20)
     assert await process.wait() == 0, error.decode()
+
+
+@pytest.mark.parametrize(
+    ("event", "text"),
+    [
+        (EnvironmentEvent("brain", "ready"), "environment brain is ready"),
+        (EnvironmentEvent("brain", "lost", "it died"), "environment brain is lost: it died"),
+        (NodeEvent("brain", "echo", 1, ["oh"]), "node brain/echo ended with status 1\n  oh"),
+        (DropEvent("camera", 3, "to the robot"), "interface camera: 3 messages were dropped (to the robot)"),
+        (ConnectionEvent("r1/a", "brain/b", "waiting", "away"), "connection r1/a brain/b is waiting: away"),
+        (LimitEvent("too much"), "too much"),
+        (Disconnected("1006"), "the connection broke (1006); reconnecting"),
+        (Reconnected(True), "connected again"),
+        (Reconnected(False), "connected again, with a new session"),
+        (NotFound("there is no x"), "there is no x"),
+    ],
+)
+def test_events_are_lines_for_people(event: Event, text: str) -> None:
+    assert event_text(event) == text

@@ -6,11 +6,24 @@ import json
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 import yaml
+from msgspec import Struct
 
-from rce.client.robotformat import RobotFile, read
+from rce.client.robotfile import credentials
+from rce.client.robotformat import (
+    ConnectionEntry,
+    ContainerEntry,
+    InterfaceEntry,
+    NodeEntry,
+    ParameterEntry,
+    RobotFile,
+    read,
+    schema,
+)
 from rce.errors import InvalidRequest
+from tests.support.paths import ROOT
 from tests.support.robot_files import robot_file
 
 
@@ -62,3 +75,53 @@ def test_unknown_key_at_the_top_is_ignored_with_a_warning(tmp_path: Path, caplog
     path.write_text(json.dumps(robot_file() | {"conections": []}))
     assert read(path).robotID == "a"
     assert "ignored unknown keys: conections" in caplog.text
+
+
+def test_schema_in_the_documentation_is_up_to_date() -> None:
+    written = json.loads((ROOT / "docs" / "robot-file.schema.json").read_text())
+    assert written == schema(), "run python -m rce.client.robotformat > docs/robot-file.schema.json"
+
+
+@pytest.mark.parametrize(
+    "kind", [RobotFile, ContainerEntry, ParameterEntry, NodeEntry, InterfaceEntry, ConnectionEntry]
+)
+def test_every_field_is_documented(kind: type[Struct]) -> None:
+    page = (ROOT / "docs" / "robot-file.md").read_text()
+    missing = [field.encode_name for field in msgspec.structs.fields(kind) if f"`{field.encode_name}`" not in page]
+    assert not missing
+
+
+def test_wrong_choice_is_answered_with_the_values(tmp_path: Path) -> None:
+    path = tmp_path / "robot.json"
+    content = {"url": "http://h/", "userID": "u", "robotID": "r", "containers": [{"cTag": "c", "restart": "sometimes"}]}
+    path.write_text(json.dumps(content))
+    with pytest.raises(InvalidRequest, match=r"containers\[0\]\.restart: .*'sometimes': write 'always' or 'no'"):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    ("given", "environment", "expected"),
+    [
+        ({"key": "rce_k"}, {"RCE_KEY": "rce_other"}, (None, "rce_k")),
+        ({"password": "p"}, {"RCE_KEY": "rce_other"}, ("p", None)),
+        ({}, {"RCE_KEY": "rce_other", "RCE_PASSWORD": "x"}, (None, "rce_other")),
+        ({}, {"RCE_PASSWORD": "x"}, ("x", None)),
+        ({}, {}, None),
+    ],
+)
+def test_secrets_come_from_the_environment_unless_the_file_has_them(
+    monkeypatch: pytest.MonkeyPatch,
+    given: dict[str, str],
+    environment: dict[str, str],
+    expected: tuple[str | None, str | None] | None,
+) -> None:
+    for name in ("RCE_KEY", "RCE_PASSWORD"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    file = RobotFile("http://h/", "u", "r", **given)
+    if expected is None:
+        with pytest.raises(InvalidRequest, match="RCE_KEY or RCE_PASSWORD"):
+            credentials(Path("robot.json"), file)
+    else:
+        assert credentials(Path("robot.json"), file) == expected

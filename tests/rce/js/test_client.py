@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import asyncio
 
+import pytest
+
 from tests.support.e2e.node import node_command
 from tests.support.fake_platform import FakePlatform
 from tests.support.paths import TESTS
 
-NEED_REAL_PLATFORM = ("refused robots get the reason", "environment is created, used and destroyed")
+NEED_REAL_PLATFORM = (
+    "refused robots get the reason",
+    "environment is created, used and destroyed",
+    "goals end as their server says",
+)
 TIMEOUT = 60
 
 
+@pytest.mark.slow
 async def test_client_contract() -> None:
     async with FakePlatform() as platform:
         process = await asyncio.create_subprocess_exec(

@@ -14,6 +14,8 @@ from msgspec.structs import fields
 from rce.protocol.messages import ContainerData
 from tests.support.paths import ROOT
 
+pytestmark = pytest.mark.slow  # runs the TypeScript compiler
+
 DECLARATIONS = (ROOT / "rce" / "js" / "rce.d.ts").read_text()
 NETWORK = 120.0  # seconds
 

@@ -50,7 +50,7 @@ def test_user_is_oneself_unless_named(words: str, name: str) -> None:
 def test_usage_is_printed_with_units(capsys: pytest.CaptureFixture[str]) -> None:
     Console(UsageView(1, 2.5, 2**30, 0, 1, 4, 2048)).request("user usage")
     fields = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
-    assert (fields["cores"], fields["total_memory"], fields["total_bandwidth"]) == ("2.5", "1 GiB", "-")
+    assert (fields["cores"], fields["total_memory"], fields["total_bandwidth"]) == ("2.5", "1 GiB", "0 B")
 
 
 def test_user_is_added_with_a_role() -> None:
@@ -104,7 +104,9 @@ def test_present_password_is_asked_for_only_of_oneself(
     [
         ("environments=4", {"environments": "4"}),
         ("total_memory=8GiB", {"total_memory": "8GiB"}),
-        ("environments=", {"environments": None}),
+        ("environments=", {"environments": ""}),
+        ("environments=-", {"environments": "-"}),
+        ("environments=0", {"environments": "0"}),
         ("images+=mine/*", {"images": ["rce/base", "mine/*"]}),
         ("images+=rce/base", {"images": ["rce/base"]}),
         ("groups+=a", {"groups": ["a"]}),
@@ -127,10 +129,11 @@ def test_change_without_a_value_is_refused(capsys: pytest.CaptureFixture[str]) -
     assert "'environments': write key=value" in capsys.readouterr().err
 
 
-def test_limits_are_printed_with_a_dash_for_none(capsys: pytest.CaptureFixture[str]) -> None:
-    limits = {"environments": 4, "total_memory": 0, "images": []}
+def test_no_limit_is_printed_as_a_dash_and_zero_as_zero(capsys: pytest.CaptureFixture[str]) -> None:
+    limits = {"environments": 0, "total_memory": 0, "robots": None, "disk": None, "images": []}
     Console(limits).request("user limits")
-    assert capsys.readouterr().out.split() == ["environments", "4", "total_memory", "-", "images", "-"]
+    rows = [line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()]
+    assert rows == [["environments", "0"], ["total_memory", "0 B"], ["robots", "-"], ["disk", "-"], ["images", "none"]]
     Console(limits).request("user limits --json")
     assert json.loads(capsys.readouterr().out) == limits
 

@@ -14,6 +14,7 @@ from rce.cli.execute import FAILURE
 from rce.cli.lazy import guest as guests
 from rce.cli.lazy import topics
 from rce.cli.session import ConsoleSession
+from rce.control.calls.robots import Definitions
 from rce.control.calls.watching import RosName
 from tests.support.console import Console, Request
 
@@ -76,3 +77,21 @@ def test_command_in_a_shell_may_have_options_of_its_own() -> None:
     command, arguments = table.find_command(["env", "shell", "brain", "ls", "-l"])
     assert command is not None
     assert parser(command).parse_args(arguments).command == ["ls", "-l"]
+
+
+def test_topic_is_described(capsys: pytest.CaptureFixture[str]) -> None:
+    topics = [RosName("/pose", ["geometry_msgs/msg/Pose"], 1, 2)]
+    asked = Console(topics).request("topic info brain/pose")
+    assert asked.line == "GET environments/brain/topics"
+    text = "Type: geometry_msgs/msg/Pose\nPublisher count: 1\nSubscription count: 2\n"
+    assert capsys.readouterr().out == text
+    assert Console(topics).run("topic info brain/pos") == FAILURE
+    assert "did you mean /pose?" in capsys.readouterr().err
+
+
+def test_definition_of_a_type_is_printed_with_those_in_it(capsys: pytest.CaptureFixture[str]) -> None:
+    texts = {"geometry_msgs/msg/Twist": "Vector3 linear\n", "geometry_msgs/msg/Vector3": "float64 x\n"}
+    asked = Console(Definitions(texts)).request("type show brain geometry_msgs/Twist")
+    assert asked.line == "GET environments/brain/types"
+    assert asked.query == {"type": "geometry_msgs/Twist", "sort": "msg"}
+    assert capsys.readouterr().out.splitlines()[::2] == ["Vector3 linear", "=" * 80, "float64 x"]

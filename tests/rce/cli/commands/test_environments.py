@@ -8,7 +8,7 @@ import shlex
 
 import pytest
 
-from rce.api.views import LogLines, ParameterView
+from rce.api.views import LogLines, NodeEndView, ParameterView, RosPackage
 from rce.cli.commands.environments import yaml_text, yaml_value
 from rce.cli.execute import FAILURE, SUCCESS
 from rce.protocol.messages import ContainerData
@@ -48,6 +48,11 @@ def test_environment_is_created_with_its_options(capsys: pytest.CaptureFixture[s
     assert capsys.readouterr().out == "environment brain is ready on machine-1\n"
 
 
+def test_options_without_effect_are_told(capsys: pytest.CaptureFixture[str]) -> None:
+    Console(environment(notEnforced=["disk", "egress", "io"])).request("env create brain --disk 1GiB")
+    assert capsys.readouterr().err == "not enforced by this engine: disk, io\n"
+
+
 def test_environment_without_options_gets_the_defaults() -> None:
     assert Console(CREATED).request("env create brain").body == {"containerTag": "brain", "containerData": {}}
 
@@ -81,7 +86,8 @@ def test_each_named_environment_is_deleted() -> None:
         ("env list", Request("GET environments", {})),
         ("env list --of all", Request("GET environments", {"user": "*"})),
         ("env list --of eve", Request("GET environments", {"user": "eve"})),
-        ("node list brain", Request("GET environments/brain/nodes", {})),
+        ("node list brain", Request("GET environments/brain/nodes", {"all": False})),
+        ("node list brain --all", Request("GET environments/brain/nodes", {"all": True})),
         ("param list brain --node echo", Request("GET environments/brain/parameters", {"node": "echo"})),
     ],
 )
@@ -106,7 +112,13 @@ def test_node_is_listed_with_its_ros_name(
     namespace: str, name: str, shown: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Console([node(namespace=namespace, name=name)]).request("node list brain")
-    assert capsys.readouterr().out.splitlines()[1].split() == ["echo", "running", "rce_demo/echo", "-", shown]
+    assert capsys.readouterr().out.splitlines()[1].split() == ["echo", "running", "rce_demo/echo", "-", shown, "-", "-"]
+
+
+def test_ended_node_is_listed_with_signal_and_last_line(capsys: pytest.CaptureFixture[str]) -> None:
+    end = NodeEndView(1e9, -9, "SIGKILL", 3, ["one", "last words"])
+    Console([node(state="ended", end=end)]).request("node list brain --all")
+    assert "SIGKILL (3 times): last words" in capsys.readouterr().out
 
 
 def test_node_is_shown_without_its_empty_fields(capsys: pytest.CaptureFixture[str]) -> None:
@@ -118,9 +130,30 @@ def test_node_is_shown_without_its_empty_fields(capsys: pytest.CaptureFixture[st
 
 
 def test_node_is_started_with_its_arguments() -> None:
-    made = Console(node()).request("node start brain rec demo rec.py --args='--rate 10' --namespace log --name r")
+    made = Console(node()).request(
+        "node start brain rec demo rec.py --args='--rate 10' --namespace log --name r --restart on-failure"
+    )
     fields = {"nodeTag": "rec", "pkg": "demo", "exe": "rec.py", "args": "--rate 10", "name": "r", "namespace": "log"}
-    assert made == Request("POST environments/brain/nodes", {}, fields)
+    assert made == Request("POST environments/brain/nodes", {}, fields | {"existOk": False, "restart": "on-failure"})
+
+
+PACKAGES = [RosPackage("demo", ["listen", "talk"]), RosPackage("nav", ["plan"])]
+
+
+def test_executables_are_listed_by_package(capsys: pytest.CaptureFixture[str]) -> None:
+    made = Console(PACKAGES).request("node executables brain --of eve")
+    assert made == Request("GET environments/brain/packages", {"user": "eve"})
+    assert [line.split() for line in capsys.readouterr().out.splitlines()[1:]] == [
+        ["demo", "listen,", "talk"],
+        ["nav", "plan"],
+    ]
+    Console(PACKAGES).request("node executables brain nav --json")
+    assert json.loads(capsys.readouterr().out) == [{"name": "nav", "executables": ["plan"]}]
+
+
+def test_misspelt_package_is_answered_with_the_nearest_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert Console(PACKAGES).run("node executables brain dmo") == FAILURE
+    assert "there is no package 'dmo': did you mean demo?" in capsys.readouterr().err
 
 
 def test_node_is_stopped() -> None:
@@ -133,6 +166,11 @@ def test_node_is_stopped() -> None:
 def test_last_lines_of_a_log_are_printed(line: str, path: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert Console(LogLines(["one", "two"])).request(f"{line} -n 2") == Request(f"GET {path}", {"lines": 2})
     assert capsys.readouterr().out == "one\ntwo\n"
+
+
+def test_whole_log_of_an_environment_is_requested() -> None:
+    asked = Console(LogLines([], "")).request("env logs brain --verbose -n 2")
+    assert asked.query == {"lines": 2, "verbose": True}
 
 
 def test_log_is_followed(capsys: pytest.CaptureFixture[str]) -> None:

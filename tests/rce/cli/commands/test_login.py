@@ -124,16 +124,28 @@ def test_context_of_an_unreachable_platform_is_removed_with_a_note(
 ) -> None:
     contexts.save(Contexts("a", {"a": Context("http://127.0.0.1:1/", "ann", "rce_k", "1f"), "b": HOME}))
     assert run(["logout"]) == SUCCESS
-    assert contexts.load() == Contexts("b", {"b": HOME})
-    assert "the key 1f could not be revoked" in capsys.readouterr().err
+    assert contexts.load() == Contexts("", {"b": HOME})  # no other platform takes its place silently
+    printed = capsys.readouterr()
+    assert "the key 1f could not be revoked" in printed.err
+    assert "no context is current: choose one with `rce context use NAME` (b)" in printed.out
 
 
-def test_user_is_asked_for(
-    no_context: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+async def test_user_is_asked_for(
+    served: Served, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n"))
-    assert run(["login", "http://127.0.0.1:1/"]) == FAILURE
+    assert await rce("login", served.url) == FAILURE
     assert capsys.readouterr().err == "User: rce: no answer to 'User:'\n"
+
+
+@pytest.mark.parametrize(("url", "reason"), [("foo", "must begin with http"), ("http://127.0.0.1:1/", "refused")])
+def test_url_is_checked_before_anything_is_asked(
+    no_context: Path, capsys: pytest.CaptureFixture[str], url: str, reason: str
+) -> None:
+    assert run(["login", url]) == FAILURE
+    printed = capsys.readouterr().err
+    assert reason in printed
+    assert "User:" not in printed
 
 
 def test_watch_repeats_a_command_until_it_fails(

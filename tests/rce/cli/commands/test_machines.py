@@ -32,6 +32,12 @@ def test_machine_without_slots_is_listed_without_use(capsys: pytest.CaptureFixtu
     assert second.split()[:4] == ["west", "robot", "joined", "-"]
 
 
+@pytest.mark.parametrize(("addresses", "host"), [(["10.0.0.7"], "10.0.0.7"), ([], "*")])
+def test_url_without_a_host_is_completed(addresses: list[str], host: str, capsys: pytest.CaptureFixture[str]) -> None:
+    Console([machine("west", role="robot", url="ws://:9010/", addresses=addresses)]).request("machine list")
+    assert capsys.readouterr().out.split()[-1] == f"ws://{host}:9010/"
+
+
 def test_statistics_of_one_machine(capsys: pytest.CaptureFixture[str]) -> None:
     made = Console(machine(usage=Usage(1.25, 2**30), gpus=2, gpusUsed=1)).request("machine stats machine-1")
     assert made == Request("GET machines/machine-1", {})
@@ -84,6 +90,11 @@ def test_invitation_prints_the_join_code_alone(
     assert made == Request("POST machines/invitations", {}, body | changes)
     assert {"robot", "container"} <= set(made.body["roles"]) or "roles" in changes
     assert capsys.readouterr().out == "code\n"
+
+
+def test_machine_is_removed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert Console(None).request("machine remove hall-2") == Request("DELETE machines/hall-2", {})
+    assert capsys.readouterr().out == ""
 
 
 def test_group_is_shown_with_the_addresses_of_its_members(capsys: pytest.CaptureFixture[str]) -> None:

@@ -88,6 +88,11 @@ def test_trace_prints_messages_medians_and_a_warning_about_clocks(capsys: pytest
     assert clocks == CLOCK_WARNING
 
 
+def test_interface_without_its_endpoint_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert Console([]).run("trace nope") != 0
+    assert "interface 'nope' is not of the form endpointTag/interfaceTag" in capsys.readouterr().err
+
+
 def test_trace_in_json_has_a_line_for_each_message(capsys: pytest.CaptureFixture[str]) -> None:
     Console([ONE, ONE]).request("trace brain/out --json")
     lines = capsys.readouterr().out.splitlines()

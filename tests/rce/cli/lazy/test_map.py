@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import math
 import sys
 import time
@@ -187,3 +188,38 @@ def test_progress_on_a_terminal_stays_on_one_line(clock: Clock, monkeypatch: pyt
     lines = terminal.getvalue().split("\r")
     assert [line.strip() for line in lines] == ["", "a.log: 1 scans, 1.0 s", "a.log: 1 scans, 1.0 s"]
     assert terminal.getvalue().count("\n") == 1
+
+
+class TwoTopics:
+    """A recording with two topics of scans."""
+
+    def __init__(self, topic: str) -> None:
+        self.topic = topic
+        self.scan_topics = {"/front": 5, "/rear": 3}
+
+
+@pytest.mark.parametrize(
+    ("given", "typed", "mapped", "asked"),
+    [("", "/rear", "/rear", True), ("", "", "", True), ("/rear", None, "/rear", False), ("", None, "", False)],
+)
+def test_topic_of_scans_is_asked_for_at_a_terminal_if_there_are_several(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    given: str,
+    typed: str | None,
+    mapped: str,
+    asked: bool,
+) -> None:
+    prompts: list[str] = []
+
+    def answer(prompt: str) -> str:
+        prompts.append(prompt)
+        return typed or ""
+
+    monkeypatch.setattr(command, "open_recording", lambda path, topic, odometry: TwoTopics(topic))
+    monkeypatch.setattr("builtins.input", answer)
+    monkeypatch.setattr(sys, "stdin", Terminal() if typed is not None else io.StringIO())
+    args = argparse.Namespace(scan_topic=given, odometry_topic="")
+    assert command._open(Path("a.bag"), args).topic == mapped  # type: ignore[attr-defined]  # of the fake
+    assert bool(prompts) == asked
+    assert ("/front (5 scans), /rear (3 scans)" in capsys.readouterr().err) == (not given)

@@ -147,7 +147,12 @@ def test_user_without_credentials_is_told_how_to_give_them(
 
 
 @pytest.mark.parametrize(
-    ("errors", "reason"), [("a warning\nno compiler\n", "no compiler"), ("", "status -9"), (" \n", "status -9")]
+    ("errors", "reason"),
+    [
+        ("t.cpp:3: error: no header\nfailed\n", "t.cpp:3: error: no header\nfailed"),
+        ("", "status -9"),
+        (" \n", "status -9"),
+    ],
 )
 def test_failed_build_of_type_support_is_explained(
     errors: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

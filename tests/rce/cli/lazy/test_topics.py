@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from rce.cli.lazy.topics import bandwidth_text, rate_text, shorten
+from rce.cli.lazy.topics import bandwidth_text, rate_text, shorten, waiting_text
 
 
 def test_rate_of_arrivals() -> None:
@@ -21,6 +21,12 @@ def test_one_arrival_has_no_rate() -> None:
 def test_bandwidth_of_messages() -> None:
     lines = bandwidth_text([(0.0, 1024), (1.0, 3072)], now=2.0).splitlines()
     assert lines == ["2 KiB/s from 2 messages", "\tMessage size mean: 2 KiB min: 1 KiB max: 3 KiB"]
+
+
+def test_topic_without_subscribers_is_answered_with_the_nearest_that_has_some() -> None:
+    topics = {"/cmd_val": 0, "/cmd_vel": 1, "/scan": 2}
+    assert waiting_text("/cmd_val", topics) == "waiting for a subscriber of /cmd_val; did you mean /cmd_vel?"
+    assert waiting_text("/goal", topics) == "waiting for a subscriber of /goal"
 
 
 @pytest.mark.parametrize(

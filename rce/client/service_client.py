@@ -1,0 +1,140 @@
+"""Blocking HTTP client of a service beside the Master, with the standard library and msgspec alone."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import http.client
+import ssl as tls
+from collections.abc import Iterator
+from typing import IO, ClassVar, NamedTuple, TypeVar
+from urllib.parse import urlsplit
+
+import msgspec
+
+from rce.api.http import Problem
+from rce.errors import MALFORMED, ErrorInfo, InvalidRequest, NotFound, RceError, Unavailable
+
+TIMEOUT = 60.0
+
+T = TypeVar("T")
+
+
+class Answer(NamedTuple):
+    """HTTP response that has been read."""
+
+    status: int
+    headers: http.client.HTTPMessage
+    body: bytes
+
+
+class ServiceClient:
+    """Client of a service, which connects anew for each request.
+
+    Attributes:
+        prefix: Prefix of the service's paths, which is a slash and its name.
+        headers: Headers of each request.
+    """
+
+    prefix: ClassVar[str]
+
+    def __init__(
+        self,
+        url: str,
+        *,
+        user: str = "",
+        password: str | None = None,
+        key: str | None = None,
+        ssl: tls.SSLContext | None = None,
+    ) -> None:
+        """Prepare a client; nothing is sent yet.
+
+        Args:
+            url: URL of the platform's entry, which redirects to the service, or of the service itself.
+            user: User name, with a password.
+            password: Password in clear. Give either this or `key`.
+            key: API key.
+            ssl: TLS context for https in place of the system's certificates.
+
+        Raises:
+            InvalidRequest: The URL is not http or https, or not exactly one of `password` and `key` is given.
+        """
+        if urlsplit(url).scheme not in ("http", "https"):
+            raise InvalidRequest(f"url {url!r} must begin with http:// or https://", field="url")
+        if (password is None) == (key is None):
+            raise InvalidRequest("give either a password or an API key", field="password")
+        secret = f"Bearer {key}" if key else "Basic " + base64.b64encode(f"{user}:{password}".encode()).decode()
+        self.headers = {"Authorization": secret}
+        self._ssl = ssl
+        self._name = self.prefix.strip("/")
+        self._title = self._name.replace("-", " ")
+        self._base = url.rstrip("/").removesuffix(self.prefix)
+        self._located = False
+
+    def ask(
+        self, method: str, path: str, body: bytes | IO[bytes] | None = None, headers: dict[str, str] | None = None
+    ) -> Answer:
+        """Make a request; raises Unavailable without a response, and the error of a response that has one."""
+        try:
+            with self.connected() as connection:
+                connection.request(method, self.prefix + path, body, self.headers | (headers or {}))
+                response = connection.getresponse()
+                answer = Answer(response.status, response.headers, response.read())
+        except (OSError, http.client.HTTPException) as error:
+            raise Unavailable(f"cannot reach {self._base}: {error or type(error).__name__}") from None
+        if answer.status >= 300:
+            raise self.error(answer)
+        return answer
+
+    @contextlib.contextmanager
+    def connected(self) -> Iterator[http.client.HTTPConnection]:
+        """Give a connection to the service, which is found with the first one; raises as `ask`."""
+        if not self._located:
+            self._base = self._locate()
+            self._located = True
+        connection = self._connection(self._base)
+        try:
+            yield connection
+        finally:
+            connection.close()
+
+    def _connection(self, url: str) -> http.client.HTTPConnection:
+        parts = urlsplit(url)
+        if parts.scheme == "https":
+            return http.client.HTTPSConnection(parts.netloc, timeout=TIMEOUT, context=self._ssl)
+        return http.client.HTTPConnection(parts.netloc, timeout=TIMEOUT)
+
+    def _locate(self) -> str:
+        """Return the URL of the service, to which the platform's entry redirects."""
+        connection = self._connection(self._base)
+        try:
+            connection.request("GET", self.prefix + "/")
+            response = connection.getresponse()
+            response.read()
+        except (OSError, http.client.HTTPException) as error:
+            raise Unavailable(f"cannot reach {self._base}: {error or type(error).__name__}") from None
+        finally:
+            connection.close()
+        location = response.headers.get("Location", "")
+        if response.status == 307 and location:
+            return location.rstrip("/").removesuffix(self.prefix)
+        if response.status == 200:
+            return self._base
+        if response.status == 503:
+            raise Unavailable(f"the {self._title} of {self._base} is not connected at present; try again in a moment")
+        raise NotFound(
+            f"the platform at {self._base} has no {self._title}: start `rce {self._name}` there", field="url"
+        )
+
+    @staticmethod
+    def value(answer: Answer, kind: type[T]) -> T:
+        """Return the JSON of an answer as a value of this type."""
+        return msgspec.json.decode(answer.body, type=kind)
+
+    def error(self, answer: Answer) -> RceError:
+        """Return the error that an answer describes."""
+        try:
+            problem = msgspec.json.decode(answer.body, type=Problem)
+        except MALFORMED:
+            return Unavailable(f"the {self._title} answered with HTTP status {answer.status}")
+        return RceError.from_info(ErrorInfo(problem.code, problem.detail, "", problem.field, problem.fields))
