@@ -83,7 +83,7 @@ async def crowd(reactor: ReactorBase, directory: Path, size: Size, log: IO[str])
         await machine.start()
         robots = await join(reactor, ready.control, "robot", "west", tokens["robot"], "ws://127.0.0.1:1/")
         try:
-            key = await asyncio.to_thread(_key, ready.url)
+            key = await asyncio.to_thread(create_key, ready.url)
             await _fill(robots, key, size)
             yield Crowded(ready.url, master.pid, key)
         finally:
@@ -98,8 +98,8 @@ def _master(directory: Path) -> list[str]:
     return ["--dev", f"--data-dir={directory / 'master'}", f"--http={address}", f"--control={address}"]
 
 
-def _key(url: str) -> str:
-    """Create an API key; return its secret."""
+def create_key(url: str) -> str:
+    """Create an API key of USER, and return its secret."""
     api = ApiClient(url, user=USER, password=USER)
     return api.post(views.CreatedKey, "keys", body=views.NewKey("user", "bench")).secret
 

@@ -21,7 +21,7 @@ Sample = Callable[[int], Awaitable[float]]
 @contextlib.asynccontextmanager
 async def tcp() -> AsyncIterator[Sample]:
     """Yield the sample function of a bare TCP echo."""
-    async with _server("tcp") as port:
+    async with server("rce.bench.echo", "tcp") as port:
         reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=STREAM_LIMIT)
         enlarge_buffers(writer.get_extra_info("socket"))
 
@@ -42,7 +42,7 @@ async def tcp() -> AsyncIterator[Sample]:
 async def autobahn() -> AsyncIterator[Sample]:
     """Yield the sample function of a bare Autobahn echo: a server on uvloop, and the WebSocket client of robots."""
     async with (
-        _server("autobahn") as port,
+        server("rce.bench.echo", "autobahn") as port,
         connect(f"ws://127.0.0.1:{port}/", compression=None, max_size=MAX_SIZE, proxy=None) as socket,
     ):
 
@@ -63,9 +63,9 @@ def enlarge_buffers(sock: socket.socket) -> None:
 
 
 @contextlib.asynccontextmanager
-async def _server(kind: str) -> AsyncIterator[int]:
-    """Run an echo server in its own process; yield its port."""
-    words = [sys.executable, "-P", "-m", "rce.bench.echo", kind]
+async def server(module: str, *arguments: str) -> AsyncIterator[int]:
+    """Run an echo server, a module that prints its port, in its own process; yield the port."""
+    words = [sys.executable, "-P", "-m", module, *arguments]
     process = await asyncio.create_subprocess_exec(*words, stdout=asyncio.subprocess.PIPE)
     assert process.stdout is not None
     try:

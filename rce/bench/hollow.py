@@ -80,11 +80,17 @@ class Hollow:
         handlers = Handlers()
         for kind in DONE:
             handlers.on(kind, done)
-        handlers.on(Sync, _settled)
+        handlers.on(Sync, self._sync)
         handlers.on(Bind, self._bind)
         handlers.on(AddRoute, self._route)
         handlers.on(CountTraffic, self._count)
         return handlers
+
+    async def _sync(self, call: Sync) -> BatchResult:
+        self._peers = {spec.id: set() for spec in call.interfaces}
+        for route in call.routes:
+            self._peers[route.interface].add(route.peer)
+        return BatchResult()
 
     async def _bind(self, call: Bind) -> Nothing:
         self._peers[call.interface.id] = set()
@@ -105,7 +111,3 @@ class Hollow:
 async def done(call: Call[Any]) -> Nothing:
     """Answer a call that has no effect."""
     return Nothing()
-
-
-async def _settled(call: Call[Any]) -> BatchResult:
-    return BatchResult()

@@ -12,6 +12,7 @@ from typing import NamedTuple
 from rce.bench.floors import Sample
 from rce.bench.payloads import IMAGE, ROW
 from rce.client import Environment, Publisher, Robot, Subscriber
+from rce.client.address import Address
 from rce.errors import TimedOut
 
 ECHO_TIMEOUT = 30.0  # seconds
@@ -45,12 +46,14 @@ class Place(NamedTuple):
         environment: Environment of the nodes.
         stack: Context of everything that routes create.
         features: Special features of machines, for routes between machines.
+        address: Address and credentials of the platform, for routes of gateways.
     """
 
     robot: Robot
     environment: Environment
     stack: AsyncExitStack
     features: Sequence[str] = ()
+    address: Address | None = None
 
 
 async def start_connected(

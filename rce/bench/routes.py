@@ -6,7 +6,7 @@ import time
 from asyncio import gather
 from collections.abc import Awaitable, Callable, Sized
 
-from rce.bench import floors, pairs
+from rce.bench import floors, gateways, pairs
 from rce.bench.floors import Sample
 from rce.bench.nodes import ECHO_TIMEOUT, PACKAGE, Place, Probe, drain, retry, start_connected
 from rce.bench.payloads import IMAGE, IMAGES, ROW, SERVICE_TYPE, SERVICES, TOPICS, Call, Payload
@@ -58,6 +58,8 @@ ROUTES: dict[str, Callable[[Place], Awaitable[list[Probe]]]] = {
     "c2c": pairs.c2c,
     "c2c2": pairs.c2c2,
     "group": pairs.group,
+    "rosbridge": gateways.rosbridge,
+    "foxglove": gateways.foxglove,
 }
 DEFAULT_ROUTES = ("tcp", "autobahn", "n2n", "r2c")
 

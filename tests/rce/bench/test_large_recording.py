@@ -39,6 +39,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return large.write(tmp_path_factory.mktemp("recordings"), 20 * MEGABYTE)
 
 
+@pytest.mark.slow
 def test_small_recording_has_the_first_scans_of_the_simulation(recordings: tuple[Path, Path]) -> None:
     scans = list(open_recording(recordings[0]))
     assert len(scans) == SMALL_SCANS
@@ -50,6 +51,7 @@ def test_small_recording_has_the_first_scans_of_the_simulation(recordings: tuple
     assert scans[0].odometry == pytest.approx(first.odometry, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_large_recording_has_about_the_size_asked_for(recordings: tuple[Path, Path]) -> None:
     small, whole = recordings
     size = whole.stat().st_size

@@ -1,0 +1,88 @@
+"""Trends of memory, descriptors and tasks, and the processes that are sampled."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import cast
+
+import pytest
+
+pytest.importorskip("psutil", reason="needs the extra `bench`")
+
+from rce.api.http import EntryClient
+from rce.bench.resources import Observer, Series, trend
+
+METRICS = b"# HELP rce_tasks Tasks\nrce_tasks 7.0\nrce_tasks_other 9\n"
+
+
+class FakeMetrics:
+    """Metrics of any process, with 7 tasks."""
+
+    def __init__(self) -> None:
+        self.asked: list[str] = []
+
+    def json(self, method: str, path: str) -> bytes:
+        self.asked.append(path)
+        return METRICS
+
+
+def series(values: list[float]) -> Series:
+    made = Series()
+    for number, value in enumerate(values):
+        made.add(10.0 * number, memory=value)
+    return made
+
+
+def test_growth_is_that_after_the_warm_up() -> None:
+    found = trend(series([50.0, 90.0, 99.0, *[100.0] * 9]), "memory")
+    assert found.flat
+    assert found.growth == pytest.approx(0.0)
+    assert found.first == found.last == pytest.approx(100.0)
+
+
+def test_growth_of_more_than_two_percent_is_not_flat() -> None:
+    values = [100.0 + number for number in range(12)]
+    found = trend(series(values), "memory")
+    assert not found.flat
+    assert found.first == pytest.approx(104.0)
+    assert found.last == pytest.approx(111.0)
+    assert found.growth == pytest.approx(7 / 107.5)
+    assert found.hourly == pytest.approx(360.0)
+
+
+def test_shrinking_is_flat() -> None:
+    assert trend(series([100.0 - number for number in range(12)]), "memory").flat
+
+
+def test_one_sample_has_no_trend() -> None:
+    assert trend(series([5.0]), "memory") == (5.0, 5.0, 0.0, 0.0)
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Process of this one with the command line of a Master."""
+    (tmp_path / "master").mkdir()
+    (tmp_path / "master" / "__main__.py").write_text("input()")
+    started = subprocess.Popen([sys.executable, "-m", "master"], cwd=tmp_path, stdin=subprocess.PIPE)
+    yield started
+    started.kill()
+    started.wait()
+
+
+def test_processes_are_sampled_by_name(program: subprocess.Popen[bytes], tmp_path: Path) -> None:
+    (tmp_path / "master.db").write_bytes(b"x" * 100)
+    metrics = FakeMetrics()
+    observer = Observer(tmp_path, cast(EntryClient, metrics), "ann/brain")
+    observer.sample(1.0)
+    observer.sample(2.0)
+    found = observer.series["Master"]
+    assert found.times == [1.0, 2.0]
+    assert found.figures.keys() == {"memory", "descriptors", "threads", "tasks"}
+    assert found.figures["tasks"] == [7.0, 7.0]
+    assert min(found.figures["memory"]) > 1_000_000
+    assert observer.series["data"].figures["database"] == [100, 100]
+    assert observer.restarts == []
+    assert set(metrics.asked) == {"metrics"}
