@@ -15,6 +15,8 @@ import msgspec
 
 MAX_MESSAGE_LENGTH = 8000  # characters of the message of another process's error
 MAX_CODE_LENGTH = 200  # of its other texts
+MALFORMED = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
+"""Exceptions of msgspec for malformed JSON or msgpack, such as text that is not UTF-8 or lists nested too deeply."""
 
 class_of_code: dict[str, type[RceError]] = {}
 

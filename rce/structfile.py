@@ -10,6 +10,7 @@ import msgspec
 import yaml
 from msgspec import Struct
 
+from rce.choices import with_choices
 from rce.errors import InvalidRequest, describe_os_error
 
 S = TypeVar("S", bound=Struct)
@@ -52,8 +53,7 @@ def decode(path: Path, content: Any, kind: type[S]) -> S:
     try:
         return msgspec.convert(content, kind, dec_hook=path_hook)
     except msgspec.ValidationError as error:
-        reason, _, place = str(error).partition(" - at `$")
-        place = place.rstrip("`").lstrip(".")
+        reason, place = with_choices(error, kind)
         raise InvalidRequest(f"{path}: {place + ': ' if place else ''}{reason}", field=place) from None
 
 

@@ -16,7 +16,7 @@ from msgspec import Struct
 
 from rce.api.http import EntryClient, basic, bearer
 from rce.api.views.pages import Page
-from rce.errors import Unavailable
+from rce.errors import MALFORMED, Unavailable
 
 PREFIX = "api/v1"
 PAGE_SIZE = 1000  # maximum of the API
@@ -61,15 +61,15 @@ class ApiClient:
         """Return the resource at a path, decoded as `kind`."""
         return _decode(self.entry.json("GET", path_of(parts, query)), kind)
 
-    def items(self, kind: type[T], *parts: str, limit: int = 0, **query: object) -> Iterator[T]:
-        """Yield the items of a list, requesting pages as they are needed; at most `limit` items unless it is 0."""
+    def items(self, kind: type[T], *parts: str, limit: int | None = None, **query: object) -> Iterator[T]:
+        """Yield the items of a list, requesting pages as they are needed; at most `limit` items unless it is None."""
         after, left = "", limit
-        while True:
-            size = min(left, PAGE_SIZE) if limit else PAGE_SIZE
+        while left is None or left > 0:
+            size = PAGE_SIZE if left is None else min(left, PAGE_SIZE)
             page = self.get(Page[kind], *parts, limit=size, after=after, **query)  # type: ignore[valid-type]
             yield from page.items
-            after, left = page.next, left - len(page.items)
-            if not after or (limit and left <= 0):
+            after, left = page.next, None if left is None else left - len(page.items)
+            if not after:
                 return
 
     def post(self, kind: type[T], *parts: str, body: object = None, **query: object) -> T:
@@ -109,7 +109,7 @@ class ApiClient:
 def path_of(parts: tuple[str, ...], query: dict[str, object]) -> str:
     """Return the path of a resource relative to the entry."""
     path = "/".join([PREFIX, *(quote(part, safe="") for part in parts)])
-    arguments = {name: _query_value(value) for name, value in query.items() if value not in (None, "", False, [])}
+    arguments = {name: _query_value(value) for name, value in query.items() if not _is_absent(value)}
     return f"{path}?{urlencode(arguments)}" if arguments else path
 
 
@@ -142,6 +142,10 @@ def _lines(response: Any) -> Iterator[str]:
         raise Unavailable(f"the connection broke during the stream of events: {error}") from None
 
 
+def _is_absent(value: object) -> bool:
+    return value is None or value is False or value in ("", [])  # 0, which equals False, is a value
+
+
 def _query_value(value: object) -> str:
     return "true" if value is True else str(value)
 
@@ -149,5 +153,5 @@ def _query_value(value: object) -> str:
 def _decode(body: bytes, kind: type[T]) -> T:
     try:
         return msgspec.json.decode(body, type=kind)
-    except msgspec.DecodeError as error:
+    except MALFORMED as error:
         raise Unavailable(f"this version cannot read the platform's response: {error}") from None

@@ -17,7 +17,7 @@ from urllib.parse import urljoin, urlsplit
 import msgspec
 from msgspec import Struct
 
-from rce.errors import ErrorInfo, InvalidRequest, RceError, Unavailable
+from rce.errors import MALFORMED, ErrorInfo, InvalidRequest, RceError, Unavailable
 
 TIMEOUT = 60.0  # seconds without a byte
 PROBLEM = "application/problem+json"
@@ -79,7 +79,7 @@ class EntryClient:
             with error:
                 raise error_of_response(error.code, error.headers.get_content_type(), _read(error)) from None
         except (OSError, http.client.HTTPException, ValueError) as error:
-            raise Unavailable(f"cannot reach {url}: {getattr(error, 'reason', error)}") from None
+            raise Unavailable(f"cannot reach {url}: {reason_of(error)}") from None
 
     def json(self, method: str, path: str, body: Struct | None = None) -> bytes:
         """Make a request with a JSON body and return the body of the response; raises as `open`."""
@@ -110,7 +110,7 @@ def error_of_response(status: int, media_type: str, body: bytes) -> RceError:
     if media_type == PROBLEM:
         try:
             problem = msgspec.json.decode(body, type=Problem)
-        except msgspec.DecodeError:
+        except MALFORMED:
             return Unavailable(f"HTTP status {status} with a malformed problem document")
         return RceError.from_info(ErrorInfo(problem.code, problem.detail, "", problem.field, problem.fields))
     text = body[:500].decode(errors="replace").strip()
@@ -124,6 +124,14 @@ def is_loopback(url: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
+
+
+def reason_of(error: Exception) -> str:
+    """Return in words why a request got no response."""
+    reason = getattr(error, "reason", error)
+    if isinstance(reason, ConnectionRefusedError):
+        return "connection refused. Does the platform run there?"
+    return (isinstance(reason, OSError) and reason.strerror) or str(reason)
 
 
 def _read(response: Any) -> bytes:

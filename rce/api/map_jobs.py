@@ -14,12 +14,14 @@ from rce.errors import ErrorInfo
 PREFIX = "/map-service"
 MAX_FILES = 64  # of one recording
 
+Kind = Literal["2d", "3d"]
 Mapper = Literal["graph", "particle"]
 State = Literal["queued", "running", "cancelling", "done", "failed", "cancelled"]
 # In Python, `$` alone also matches before a newline at the end.
 Topic = Annotated[str, Meta(max_length=255, pattern=r"^(/[A-Za-z0-9_/]*)?$(?!\n)")]
 UploadId = Annotated[str, Meta(max_length=64, pattern=r"^[0-9a-f]+$(?!\n)")]
 MAPPERS: tuple[Mapper, ...] = get_args(Mapper)
+KINDS: tuple[Kind, ...] = get_args(Kind)
 FINAL_STATES: frozenset[State] = frozenset({"done", "failed", "cancelled"})
 
 
@@ -31,6 +33,9 @@ class MapOptions(Struct, frozen=True, forbid_unknown_fields=True):
     max_range: Annotated[float, Meta(ge=1.0, le=200.0, description="metres; longer beams are ignored")] = 30.0
     scan_topic: Annotated[Topic, Meta(description="for a bag with several topics of laser scans")] = ""
     odometry_topic: Annotated[Topic, Meta(description="for a bag with several topics of odometry")] = ""
+    kind: Annotated[
+        Kind, Meta(description="2d: laser scans; 3d: a bag with colour, depth and camera_info, without other options")
+    ] = "2d"
 
 
 class JobRequest(Struct, frozen=True, forbid_unknown_fields=True):
@@ -73,8 +78,8 @@ class Job(Struct, frozen=True):
     expires: float | None = None  # when the job and its files are removed
     ahead: int = 0  # jobs of the same user that run before it
     stage: str = ""  # current step, or the reason for waiting
-    scans: int = 0  # mapped so far
-    total: int | None = None  # scans of the recording, if known
+    scans: int = 0  # mapped so far; of kind 3d: frames
+    total: int | None = None  # scans or frames of the recording, if known
     times: dict[str, float] = {}  # seconds of each stage
     files: list[File] = []
     error: ErrorInfo | None = None

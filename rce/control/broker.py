@@ -18,6 +18,7 @@ from twisted.spread import pb
 from rce.control.connection import disable_nagle
 from rce.control.decoder import INCOMPLETE, Decoder
 from rce.control.limits import BYTES_PER_CALL, Budget
+from rce.control.liveness import LiveBroker
 from rce.process.logs import RateLimitedLogger
 
 # Limits for a peer that has not joined:
@@ -28,13 +29,13 @@ JOIN_TIMEOUT = 20.0  # seconds
 MAX_ITEMS = 300  # of a message: a call has 20 and its pages
 SLICE = 32  # messages that are handled before other connections get a turn
 
-_COMMANDS = frozenset({b"version", b"message", b"answer", b"error", b"decref"})  # of Perspective Broker, that we use
+_COMMANDS = frozenset({b"version", b"message", b"answer", b"error", b"decref", b"ping"})  # that we use
 
 log = Logger()
 warnings = RateLimitedLogger(log)
 
 
-class Broker(pb.Broker):
+class Broker(LiveBroker):
     """Broker of one connection. `rce.control.server` calls `admit` once the peer has joined."""
 
     joined = False
@@ -44,6 +45,7 @@ class Broker(pb.Broker):
         disable_nagle(self.transport)
         self._decoder = Decoder(MAX_UNJOINED_BYTES, MAX_UNJOINED_ITEMS)
         self._budget: Budget | None = None
+        self._next_ping = 0.0  # when a ping is free again
         self._ended = False
         self._paused: asyncio.TimerHandle | None = None
         self._timer = asyncio.get_running_loop().call_later(JOIN_TIMEOUT, self._join_timed_out)
@@ -55,12 +57,16 @@ class Broker(pb.Broker):
         self._timer.cancel()
         if self._paused is not None:
             self._paused.cancel()
+        if self._budget is not None:
+            self._budget.connections -= 1
         super().connectionLost(reason)  # type: ignore[no-untyped-call]
 
     def admit(self, max_message: int, budget: Budget | None) -> None:
         """Set the limits of a peer that has joined."""
         self.joined = True
-        self._budget = budget
+        self._budget = None if self._ended else budget
+        if self._budget is not None:
+            self._budget.connections += 1
         self._decoder.max_bytes, self._decoder.max_items = max_message, MAX_ITEMS
 
     # --- receiving ----------------------------------------------------------------------------------------------------
@@ -69,6 +75,7 @@ class Broker(pb.Broker):
         """Handle received bytes within the limits."""
         if self._ended:
             return
+        self.heard = True
         self._decoder.feed(data)
         if self._paused is None:
             self._handle_messages()
@@ -100,8 +107,18 @@ class Broker(pb.Broker):
             return 0.0
         if self._budget is None:
             return 0.0
-        answer = isinstance(message, list) and message[:1] == [b"answer"]  # to a call of ours
-        return self._budget.use((0 if answer else 1) + decoder.size / BYTES_PER_CALL)
+        return self._budget.use((0 if self._is_free(message) else 1) + decoder.size / BYTES_PER_CALL)
+
+    def _is_free(self, message: object) -> bool:
+        """Return True for an answer to a call of ours, and for a ping if the last one was a second ago."""
+        kind = message[:1] if isinstance(message, list) else []
+        if kind != [b"ping"]:
+            return kind == [b"answer"]
+        now = asyncio.get_running_loop().time()
+        if now < self._next_ping:
+            return False
+        self._next_ping = now + 1
+        return True
 
     def _pause(self, seconds: float) -> None:
         transport: Any = self.transport
@@ -123,7 +140,19 @@ class Broker(pb.Broker):
         """
         if not isinstance(sexp, list) or not sexp or sexp[0] not in _COMMANDS:
             raise pb.Error("it is neither a call nor an answer")
+        if sexp[0] == b"message" and not isinstance(sexp[2], bytes | int):
+            raise pb.Error("the name of an object has another type")  # Twisted would log the TypeError
         super().expressionReceived(sexp)  # type: ignore[no-untyped-call]
+
+    def proto_ping(self) -> None:
+        """Answer a ping of a peer that has joined.
+
+        Raises:
+            pb.Error: It has not joined.
+        """
+        if not self.joined:
+            raise pb.Error("it pings before it has joined")
+        super().proto_ping()
 
     def proto_answer(self, requestID: int, netResult: Any) -> None:
         """Pass the result of a call of ours on.

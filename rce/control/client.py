@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import random
 import re
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -27,6 +28,7 @@ from rce.control.connection import (
     encode_pages,
 )
 from rce.control.limits import max_message
+from rce.control.liveness import LiveBroker
 from rce.errors import ErrorInfo, RceError, Unavailable
 from rce.net.tls import Tls
 
@@ -50,6 +52,7 @@ async def connect(
     """
     loop = asyncio.get_running_loop()
     factory = pb.PBClientFactory()
+    factory.protocol = LiveBroker
     broker: pb.Broker | None = None
     try:
         async with asyncio.timeout(JOIN_TIMEOUT):
@@ -64,11 +67,16 @@ async def connect(
         if not isinstance(error, Exception):
             raise
         reason = f"no answer within {JOIN_TIMEOUT:g} s" if isinstance(error, TimeoutError) else str(error)
+        if tls is not None and isinstance(error, ConnectionLost):
+            reason += (
+                " If this goes on, it refuses the certificate of this machine, because that has expired or is of "
+                "another authority, or because the machine was removed"
+            )
         raise Unavailable(f"the Master at {description} cannot be reached: {reason}") from None
     if not good:
         factory.disconnect()
         raise RceError.from_info(decode_pages(pages, ErrorInfo))
-    return Control(receiver, description, max_message(hello.role)), decode_pages(pages, Welcome)
+    return Control(receiver, description, max_message(hello.role), pings=True), decode_pages(pages, Welcome)
 
 
 def client_endpoint(reactor: ReactorBase, description: str, tls: Tls | None) -> Any:
@@ -137,8 +145,9 @@ class ControlClient:
                     self._reactor, self._description, self._hello(), self._handlers, self._tls
                 )
             except Unavailable as error:
-                log.info("{error}; next attempt in {delay} s", error=str(error), delay=delay)
-                await asyncio.sleep(delay)
+                pause = random.uniform(delay / 2, delay)  # not all processes at the same moment
+                log.info("{error}; next attempt in {pause:.2f} s", error=str(error), pause=pause)
+                await asyncio.sleep(pause)
                 delay = min(2 * delay, BACKOFF_MAX)
                 continue
             delay = BACKOFF_MIN

@@ -2,7 +2,7 @@
 
 Each process has one Referenceable per connection, and there is no object graph. A call is the name of its type and its
 fields as msgpack, split into pages because Perspective Broker refuses strings of more than 640 KiB. Errors cross as
-`ErrorInfo`. Both sides send pings, so each notices a connection that broke silently.
+`ErrorInfo`. Each side notices a connection that broke silently (`rce.control.liveness`).
 
 `rce.control.server` accepts connections, `rce.control.client` opens them.
 """
@@ -21,10 +21,12 @@ from twisted.logger import Logger
 from twisted.spread import pb
 from twisted.spread.pb import RemoteError
 
-from rce.control.calls.call import Call, Nothing, Ping, result_type
+from rce.control.calls.call import Call, Nothing, result_type
 from rce.control.calls.watching import Metrics, ReadMetrics
 from rce.control.limits import MAX_MESSAGE
+from rce.control.liveness import Liveness
 from rce.errors import (
+    MALFORMED,
     ErrorInfo,
     InternalError,
     InvalidRequest,
@@ -32,7 +34,6 @@ from rce.errors import (
     Lost,
     RceError,
     TimedOut,
-    Unavailable,
     clipped,
     disk_full,
 )
@@ -40,14 +41,12 @@ from rce.process import logs, metrics
 
 PAGE_SIZE = 500_000  # bytes
 OVERHEAD = 1000  # bytes of a message beside the encoded value
-PING_INTERVAL = 5.0  # seconds
-PING_TIMEOUT = 10.0
 
 log = Logger()
 _call_seconds = metrics.Timing("rce_control_call_seconds", "Time to answer a call of another process", "call")
 R = TypeVar("R")
 Pages = list[bytes]
-MALFORMED = (msgspec.DecodeError, TypeError, RecursionError)  # raised by `decode_pages`
+MALFORMED_PAGES = (*MALFORMED, TypeError)  # raised by `decode_pages`
 
 
 def encode_pages(value: Struct, max_size: int = MAX_MESSAGE) -> Pages:
@@ -81,7 +80,6 @@ class Handlers:
 
     def __init__(self) -> None:
         self._handlers: dict[str, tuple[type[Call[Any]], Callable[[Any], Awaitable[Struct]]]] = {}
-        self.on(Ping, _answer_ping)
 
     def on(self, kind: type[Call[R]], handler: Callable[[Any], Awaitable[R]]) -> None:
         """Answer calls of this type with `handler`."""
@@ -121,7 +119,7 @@ class Handlers:
             kind, handler = self._handlers[name]
             try:
                 call = decode_pages(pages, kind)
-            except MALFORMED as error:
+            except MALFORMED_PAGES as error:
                 raise InvalidRequest(f"{name}: {error}") from None
             try:
                 result = await handler(call)
@@ -152,10 +150,6 @@ class Handlers:
             return Metrics(metrics.collect_families(role, *sources))
 
         self.on(ReadMetrics, read)
-
-
-async def _answer_ping(_: Ping) -> Nothing:
-    return Nothing()
 
 
 class Receiver(pb.Referenceable):
@@ -196,19 +190,22 @@ class Control:
         lost: Done when the connection is gone.
     """
 
-    def __init__(self, receiver: pb.RemoteReference, address: str, max_size: int = MAX_MESSAGE) -> None:
-        """Start to send pings over a joined connection.
+    def __init__(
+        self, receiver: pb.RemoteReference, address: str, max_size: int = MAX_MESSAGE, pings: bool = False
+    ) -> None:
+        """Use a joined connection, until it is silent.
 
         Args:
             receiver: The peer's CallReceiver.
             address: The peer's address.
             max_size: Limit of the size of a call.
+            pings: This side sends the pings.
         """
         self.address = address
         self._max_size = max_size
         self.lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._receiver = receiver
-        self._pinger = asyncio.create_task(self._ping())
+        self._liveness = Liveness(receiver.broker, pings, self._end_silent)
         receiver.notifyOnDisconnect(self._disconnected)
 
     async def call(self, call: Call[R], seconds: float = 0.0) -> R:
@@ -238,7 +235,7 @@ class Control:
             if good:
                 return decode_pages(pages, result_type(type(call)))
             error = RceError.from_info(clipped(decode_pages(pages, ErrorInfo)))
-        except MALFORMED as wrong:
+        except MALFORMED_PAGES as wrong:
             error = InvalidRequest(f"{self.address} answered {name} with something else: {wrong}")
         raise error
 
@@ -251,23 +248,13 @@ class Control:
         abort(self._receiver.broker)
 
     def _disconnected(self, _: object) -> None:
-        self._pinger.cancel()
+        self._liveness.stop()
         if not self.lost.done():
             self.lost.set_result(None)
 
-    async def _ping(self) -> None:
-        while True:
-            await asyncio.sleep(PING_INTERVAL)
-            try:
-                await self.call(Ping(), PING_TIMEOUT)
-            except (TimedOut, Unavailable):
-                log.warn(
-                    "no answer from {address} for {seconds} s: closing the control connection",
-                    address=self.address,
-                    seconds=PING_TIMEOUT,
-                )
-                self.close()
-                return
+    def _end_silent(self) -> None:
+        log.warn("nothing was received from {address}: closing the control connection", address=self.address)
+        self.close()
 
 
 def disable_nagle(transport: Any) -> None:

@@ -14,26 +14,32 @@ from rce.control.calls.joining import Hello
 
 MAX_ENVIRONMENT_MESSAGE = 1024 * 1024  # bytes
 MAX_MESSAGE = 64 * 1024 * 1024  # bytes, of all other roles
-CALLS_PER_SECOND = 100  # of all environments of a user
+CALLS_PER_SECOND = 100  # of all environments of a user, and for each of them
+CALLS_PER_CONNECTION = 0.5  # more a second
 BURST = 500  # calls
 BYTES_PER_CALL = 10_000  # a larger call counts as several
 JOIN = 2  # calls that a join counts as
 
 
 class Budget:
-    """Budget of calls, which several connections may share."""
+    """Budget of calls, which several connections share.
+
+    Attributes:
+        connections: Number of the connections.
+    """
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        self.connections = 0
         self._now = now
         self._used = 0.0  # calls that count at present
         self._since = now()
 
     def use(self, calls: float) -> float:
         """Count calls; return the seconds to wait before the next one."""
-        now = self._now()
-        self._used = max(0.0, self._used - (now - self._since) * CALLS_PER_SECOND) + calls
+        now, rate = self._now(), CALLS_PER_SECOND + CALLS_PER_CONNECTION * self.connections
+        self._used = max(0.0, self._used - (now - self._since) * rate) + calls
         self._since = now
-        return max(0.0, (self._used - BURST) / CALLS_PER_SECOND)
+        return max(0.0, (self._used - BURST) / rate)
 
 
 class Budgets:

@@ -16,7 +16,7 @@ from twisted.spread import pb
 from rce.control.broker import Broker
 from rce.control.calls.joining import Hello, Welcome
 from rce.control.connection import (
-    MALFORMED,
+    MALFORMED_PAGES,
     CallReceiver,
     Control,
     Handlers,
@@ -104,7 +104,7 @@ class _Root(Receiver, pb.Root):
         self._called = True
         try:
             hello = decode_pages(pages, Hello)
-        except MALFORMED as error:
+        except MALFORMED_PAGES as error:
             raise InvalidRequest(f"join: {error}") from None
         if not (hello.name + hello.role + hello.version).isprintable():
             raise InvalidRequest("join: the name, role or version has control characters")

@@ -8,6 +8,9 @@ from __future__ import annotations
 import re
 from typing import Any
 
+from cryptography.x509.oid import NameOID
+from OpenSSL.crypto import X509
+from OpenSSL.SSL import VERIFY_FAIL_IF_NO_PEER_CERT, VERIFY_PEER, Connection
 from twisted.internet import endpoints
 from twisted.internet.interfaces import IStreamClientEndpoint
 from twisted.internet.ssl import (
@@ -37,7 +40,7 @@ class _Certificates:
 
 
 def wrap_server_factory(tls: Tls, factory: Any) -> TLSMemoryBIOFactory:
-    """Wrap a factory in TLS that admits only machines of the platform."""
+    """Wrap a factory in TLS that admits only machines of the platform, and none that was removed."""
     certificates = _Certificates(tls)
     options = CertificateOptions(
         privateKey=certificates.own.privateKey.original,
@@ -46,7 +49,20 @@ def wrap_server_factory(tls: Tls, factory: Any) -> TLSMemoryBIOFactory:
         trustRoot=certificates.trust,
         raiseMinimumTo=TLSVersion.TLSv1_2,
     )
+
+    def verify(_: Connection, certificate: X509, _error: int, depth: int, good: int) -> bool:
+        return bool(good) and (depth > 0 or not _is_removed(tls, certificate))
+
+    # Twisted resumes no sessions, so that each handshake verifies.
+    options.getContext().set_verify(VERIFY_PEER | VERIFY_FAIL_IF_NO_PEER_CERT, verify)
     return TLSMemoryBIOFactory(options, False, factory)  # type: ignore[arg-type]  # mypy does not know zope's interfaces
+
+
+def _is_removed(tls: Tls, certificate: X509) -> bool:
+    decoded = certificate.to_cryptography()
+    names = decoded.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    valid_from = decoded.not_valid_before_utc.timestamp()
+    return any(tls.is_removed(str(name.value), valid_from) for name in names)
 
 
 def wrap_client_endpoint(tls: Tls, host: str, endpoint: IStreamClientEndpoint) -> IStreamClientEndpoint:

@@ -8,6 +8,7 @@ every TLS library supports.
 from __future__ import annotations
 
 import datetime
+import hashlib
 import ipaddress
 from collections.abc import Sequence
 from pathlib import Path
@@ -73,7 +74,7 @@ class Authority:
         """The authority's private key as PEM."""
         return key_to_pem(self._key)
 
-    def issue(self, request: str, name: str, hosts: Sequence[str]) -> str:
+    def issue(self, request: str, name: str, hosts: Sequence[str], after: float = 0.0) -> str:
         """Issue a certificate for the key of a signing request.
 
         The key is all that is used of the request, because its sender is not trusted yet.
@@ -82,6 +83,8 @@ class Authority:
             request: The signing request as PEM.
             name: Common name of the certificate.
             hosts: Host names and IP addresses for which the certificate is valid.
+            after: The certificate is not valid at this time or before, in seconds since 1970. `CLOCK_SKEW` does not
+                count here.
 
         Returns:
             The certificate as PEM.
@@ -89,20 +92,11 @@ class Authority:
         Raises:
             InvalidRequest: The request is malformed, or a host is not a valid name.
         """
-        try:
-            signing_request = x509.load_pem_x509_csr(request.encode())
-            good = signing_request.is_signature_valid
-            public = signing_request.public_key()
-        except (ValueError, InvalidSignature) as error:
-            raise InvalidRequest(f"not a certificate signing request: {error}", field="request") from None
-        if not good or not isinstance(public, ec.EllipticCurvePublicKey):
-            raise InvalidRequest(
-                "a certificate signing request must be signed by its own elliptic curve key", field="request"
-            )
+        public = _requested_key(request)
         usages = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
         names = x509.SubjectAlternativeName([_host(host) for host in dict.fromkeys(hosts)])
         certificate = (
-            _builder(_name(name), self._certificate.subject, public, MACHINE_DAYS)
+            _builder(_name(name), self._certificate.subject, public, MACHINE_DAYS, after)
             .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
             .add_extension(_usage(certificates=False), critical=True)
             .add_extension(x509.ExtendedKeyUsage(usages), critical=False)
@@ -124,10 +118,49 @@ def key_to_pem(key: ec.EllipticCurvePrivateKey) -> str:
     return key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, plain).decode()
 
 
+def load_key(pem: str) -> ec.EllipticCurvePrivateKey:
+    """Return a private key from PEM.
+
+    Raises:
+        InvalidRequest: It is not a key of a machine.
+    """
+    try:
+        key = serialization.load_pem_private_key(pem.encode(), None)
+    except ValueError as error:
+        raise InvalidRequest(f"not a private key: {error}") from None
+    if not isinstance(key, ec.EllipticCurvePrivateKey):
+        raise InvalidRequest("not a private key on an elliptic curve")
+    return key
+
+
 def signing_request(key: ec.EllipticCurvePrivateKey, name: str) -> str:
     """Return a certificate signing request as PEM; its signature proves possession of the key."""
     built = x509.CertificateSigningRequestBuilder().subject_name(_name(name)).sign(key, hashes.SHA256())
     return built.public_bytes(serialization.Encoding.PEM).decode()
+
+
+def requested_key_digest(request: str) -> str:
+    """Return the SHA-256 of the public key of a PEM signing request, in hexadecimal.
+
+    Raises:
+        InvalidRequest: The request is malformed.
+    """
+    form = serialization.PublicFormat.SubjectPublicKeyInfo
+    return hashlib.sha256(_requested_key(request).public_bytes(serialization.Encoding.DER, form)).hexdigest()
+
+
+def _requested_key(request: str) -> ec.EllipticCurvePublicKey:
+    try:
+        signing_request = x509.load_pem_x509_csr(request.encode())
+        good = signing_request.is_signature_valid
+        public = signing_request.public_key()
+    except (ValueError, InvalidSignature) as error:
+        raise InvalidRequest(f"not a certificate signing request: {error}", field="request") from None
+    if not good or not isinstance(public, ec.EllipticCurvePublicKey):
+        raise InvalidRequest(
+            "a certificate signing request must be signed by its own elliptic curve key", field="request"
+        )
+    return public
 
 
 def fingerprint(certificate: str) -> str:
@@ -156,16 +189,17 @@ def certificate_expiry(certificate: str) -> float:
 
 
 def _builder(
-    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePublicKey, days: int
+    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePublicKey, days: int, after: float = 0.0
 ) -> x509.CertificateBuilder:
     now = datetime.datetime.now(datetime.UTC)
+    first = datetime.datetime.fromtimestamp(int(after) + 1, datetime.UTC)  # certificates have whole seconds
     return (
         x509.CertificateBuilder()
         .subject_name(subject)
         .issuer_name(issuer)
         .public_key(key)
         .serial_number(x509.random_serial_number())
-        .not_valid_before(now - CLOCK_SKEW)
+        .not_valid_before(max(now - CLOCK_SKEW, first))
         .not_valid_after(now + datetime.timedelta(days=days))
         .add_extension(x509.SubjectKeyIdentifier.from_public_key(key), critical=False)
     )

@@ -13,7 +13,7 @@ from typing import Literal
 import msgspec
 from msgspec import Struct
 
-from rce.errors import InvalidRequest
+from rce.errors import MALFORMED, InvalidRequest
 
 GREETING_SIZE = 20  # bytes; see endpoints/data/port.py
 MAX_REQUEST_LENGTH = 1024
@@ -49,7 +49,7 @@ class RelayRequest(Struct, frozen=True, omit_defaults=True):
         """
         try:
             return msgspec.json.decode(line, type=RelayRequest)
-        except msgspec.DecodeError as error:
+        except MALFORMED as error:
             raise InvalidRequest(f"the first line to a relay is malformed: {error}") from None
 
 

@@ -3,14 +3,22 @@
 The directory of a machine has `ca.pem`, and the machine's `cert.pem` and `key.pem`. The connecting side checks that the
 certificate is valid for the name or address that it dialled; the accepting side requires any certificate of the CA.
 Data links use the contexts of this module; control connections, which are Twisted's, use `rce.control.tls`.
+
+The common name of a certificate is the name of its machine. After a machine was removed, its certificate is refused
+until it expires: the Master tells all processes the times of removals. A machine that is added again under the same
+name has a certificate that is valid only from a later time.
 """
 
 from __future__ import annotations
 
+import asyncio
+import logging
 import re
 import ssl
+from collections.abc import Mapping
 from ipaddress import ip_address
 from pathlib import Path
+from typing import Any, cast
 
 from rce.errors import InvalidRequest
 
@@ -22,9 +30,11 @@ PLAINTEXT_WARNING = (
 )
 _INTERFACE = re.compile(r":interface=((?:[^:\\]|\\.)*)")
 
+log = logging.getLogger(__name__)
+
 
 class Tls:
-    """TLS contexts with the certificates of one machine.
+    """TLS contexts with the certificates of one machine, which refuse the certificates of removed machines.
 
     Attributes:
         directory: The directory with the certificates.
@@ -37,6 +47,9 @@ class Tls:
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
+        self._removed: Mapping[str, float] = {}
+        self._reported: set[str] = set()  # removed machines of which the log has a warning
+        self._open: set[asyncio.Transport] = set()
         ca = directory / CA
         try:
             self.server = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=ca)
@@ -45,9 +58,49 @@ class Tls:
             for context in (self.server, self.client):
                 context.minimum_version = ssl.TLSVersion.TLSv1_2
                 context.load_cert_chain(directory / CERTIFICATE, directory / KEY)
+                context.sslobject_class = _object_class(self)
         except (OSError, ssl.SSLError) as error:
             files = f"{CA}, {CERTIFICATE} and {KEY}"
             raise InvalidRequest(f"tls {directory}: {files} cannot be used: {error}", field="tls") from None
+
+    def set_removed(self, machines: Mapping[str, float]) -> None:
+        """Set when machines were removed, in seconds since 1970; close the watched connections to such machines."""
+        self._removed = machines
+        for transport in self._open:
+            if self._is_of_removed(transport.get_extra_info("peercert") or {}):
+                transport.abort()
+
+    def is_removed(self, machine: str, valid_from: float) -> bool:
+        """Return whether a certificate with this common name and begin of validity is of a machine that was removed."""
+        removed = valid_from <= self._removed.get(machine, -1.0)
+        if removed and machine not in self._reported:  # once, because it may try again and again
+            self._reported.add(machine)
+            log.warning("the certificate of machine %s is refused, because that machine was removed", machine)
+        return removed
+
+    def watch(self, transport: asyncio.BaseTransport) -> None:
+        """Close a connection when the machine of its peer is removed; connections without TLS are ignored."""
+        self._open = {each for each in self._open if not each.is_closing()}  # uvloop's have no weak references
+        if transport.get_extra_info("peercert"):
+            self._open.add(cast(asyncio.Transport, transport))
+
+    def _is_of_removed(self, certificate: Mapping[str, Any]) -> bool:
+        """Judge a certificate in the form of `ssl.SSLSocket.getpeercert`."""
+        names = [value for part in certificate.get("subject", ()) for key, value in part if key == "commonName"]
+        return any(self.is_removed(name, ssl.cert_time_to_seconds(certificate["notBefore"])) for name in names)
+
+
+def _object_class(tls: Tls) -> type[ssl.SSLObject]:
+    """Return the class for the connections of a context. asyncio creates its connections from it."""
+
+    class Checked(ssl.SSLObject):
+        def do_handshake(self) -> None:
+            super().do_handshake()
+            # Also after a session was resumed, when OpenSSL does not verify the certificate again.
+            if tls._is_of_removed(self.getpeercert() or {}):
+                raise ssl.SSLCertVerificationError("the machine of this certificate was removed")
+
+    return Checked
 
 
 def load_tls(directory: Path | None) -> Tls | None:

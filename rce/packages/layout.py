@@ -21,6 +21,7 @@ PYTHON = f"python{sys.version_info.major}.{sys.version_info.minor}-{platform.mac
 
 INSTALLED = ("share", "lib", "local", "python")  # of an install prefix; headers and set-up scripts are not needed
 NEED_BUILD = ("setup.py", "setup.cfg", "pyproject.toml", "Cargo.toml")
+INTERFACES = ("msg", "srv", "action")  # directories of definitions, and the endings of their files
 COMPILED = frozenset({".c", ".cc", ".cpp", ".cxx", ".pyx", ".rs"})
 EXCLUDED = frozenset({"__pycache__", "node_modules"})
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*", re.ASCII)
@@ -80,7 +81,7 @@ def _sources(name: str, packages: list[Path], as_is: bool) -> Layout:
         if not as_is:
             _check_runs(package, files)
         entries += [_entry(f"{own}/{path.relative_to(package).as_posix()}", path) for path in files]
-    interfaces = [path for path in packages if any(path.glob("msg/*.msg")) or any(path.glob("srv/*.srv"))]
+    interfaces = [path for path in packages if any(any(path.glob(f"{kind}/*.{kind}")) for kind in INTERFACES)]
     return Layout(name, entries, interfaces)
 
 
@@ -113,7 +114,7 @@ def copy_interfaces(package: Path, directory: Path) -> Path:
     copy = directory / _package_name(package)
     copy.mkdir()
     shutil.copy(package / "package.xml", copy)
-    for kind in ("msg", "srv"):
+    for kind in INTERFACES:
         if (package / kind).is_dir():
             shutil.copytree(package / kind, copy / kind)
     return copy

@@ -53,11 +53,17 @@ def start(stream: IO[str] = sys.stderr) -> None:
     logging.basicConfig(level=logging.INFO, handlers=[_FromLogging()], force=True)
 
 
-def add_text_observer(write: Callable[[str], None]) -> None:
-    """Also write each event as a line of plain text with `write`."""
+def add_text_observer(write: Callable[[str], None], of: str = "") -> None:
+    """Also write each event as a line of plain text with `write`.
+
+    Args:
+        write: Called with each line.
+        of: Namespace; of other ones only warnings and errors are written. Empty: everything is.
+    """
 
     def observe(event: LogEvent) -> None:
-        write(_text_line(event))
+        if event["log_level"] >= LogLevel.warn or (event.get("log_namespace") or "").startswith(of):
+            write(_text_line(event))
 
     globalLogPublisher.addObserver(_filtered(observe))
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import os
 import resource
+import sys
 import time
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Mapping
@@ -59,7 +60,7 @@ _registered: list[Counter | Timing] = []
 
 
 class Counter:
-    """Counter. Create it once, as a module variable."""
+    """Count events, by the values of labels. Create each counter once, as a module variable."""
 
     def __init__(self, name: str, help: str, *labels: str) -> None:
         self._description = (name, help, list(labels))
@@ -170,8 +171,17 @@ def _process() -> list[Family]:
         counter_family("process_cpu_seconds", "Processor time", [], {(): used.ru_utime + used.ru_stime}),
         gauge_family("process_resident_memory_bytes", "Memory", [], {(): resident}),
         gauge_family("process_open_fds", "Open files", [], {(): len(os.listdir("/proc/self/fd"))}),
+        gauge_family("rce_tasks", "Tasks of the event loop", [], {(): _count_tasks()}),
         gauge_family("process_start_time_seconds", "Start time in seconds since 1970", [], {(): _STARTED_AT}),
     ]
+
+
+def _count_tasks() -> int:
+    asyncio = sys.modules.get("asyncio")  # see `watch_loop`
+    try:
+        return len(asyncio.all_tasks()) if asyncio is not None else 0
+    except RuntimeError:
+        return 0  # no loop runs here
 
 
 _STARTED_AT = time.time()

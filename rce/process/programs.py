@@ -11,7 +11,7 @@ from typing import NoReturn
 from rce.errors import NotFound
 
 GROUP = "rce.programs"
-REQUIREMENTS = {"image": ("docker", "server,docker")}
+REQUIREMENTS = {"image": ("docker", "server,docker"), "knowledge-service": ("rdflib", "server,knowledge")}
 """By program: the library that it needs first, and the extras that install it."""
 
 

@@ -15,7 +15,7 @@ from rce.errors import StartFailed
 from rce.process import programs
 from rce.process.ready import Ready, parse
 
-START_TIMEOUT = 30.0
+START_TIMEOUT = 120.0  # seconds; a process that ends is noticed at once, so this is for one that hangs
 STOP_TIMEOUT = 30.0
 RESTART_DELAY_MIN, RESTART_DELAY_MAX = 0.1, 5.0
 STABLE_AFTER = 10.0  # seconds; a process that ran this long is restarted with the shortest delay
@@ -47,7 +47,7 @@ class ManagedProcess:
         """Start the process and wait until it is ready.
 
         Raises:
-            StartFailed: The process ended, or was not ready within START_TIMEOUT; its log says why.
+            StartFailed: The process ended, and its output says why, or it was not ready within START_TIMEOUT.
         """
         await self._launch()
         self._supervisor = asyncio.create_task(self._supervise())
@@ -55,8 +55,14 @@ class ManagedProcess:
         await asyncio.wait({announced, self._supervisor}, timeout=START_TIMEOUT, return_when=asyncio.FIRST_COMPLETED)
         announced.cancel()
         if self.ready is None:
-            raise StartFailed(f"rce {self.name} did not start: see its output above")
+            raise StartFailed(f"rce {self.name} did not start: {self._reason()}")
         return self.ready
+
+    def _reason(self) -> str:
+        status = self._process.returncode if self._process is not None else None
+        if status is None:
+            return f"it was not ready after {START_TIMEOUT:g} s; if this machine is busy, try again"
+        return f"it ended with status {status}; see its output above"
 
     @property
     def pid(self) -> int:

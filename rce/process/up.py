@@ -1,4 +1,4 @@
-"""`rce up`: Master, Robot endpoint, Container task set and map service on this machine, as one process tree.
+"""`rce up`: Master, Robot endpoint, Container task set and services on this machine, as one process tree.
 
 A process that dies is restarted with the same ports and data. When this process ends for whatever reason, the kernel
 signals its children, so they end too, and with them the environments.
@@ -8,18 +8,30 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import getpass
+import os
 import secrets
 import signal
 import sys
 from collections.abc import Awaitable, Callable, Iterable
+from ipaddress import ip_address
 from pathlib import Path
 from typing import IO, Annotated, Literal
 
 from msgspec import Meta, Struct
 
+from rce.errors import InvalidRequest
 from rce.process import programs
 from rce.process.ready import Ready
 from rce.process.supervisor import ManagedProcess
+from rce.process.terminal_log import terminal_log
+
+WS_PORT, MAPS_PORT, KNOWLEDGE_PORT = 9010, 9020, 9030
+SERVICES = {
+    "map-service": (("aiohttp", "lxml", "rosbags"), "server"),
+    "knowledge-service": (("aiohttp", "rdflib", "pyoxigraph"), "server,knowledge"),
+}
+"""By service: the libraries that it needs, and the extras that install them."""
 
 
 def default_typesupport() -> str:
@@ -28,15 +40,27 @@ def default_typesupport() -> str:
     return str(built.resolve()) if built.exists() else ""
 
 
+Port = Annotated[int, Meta(ge=0, le=65535)]
+
+
 class Settings(Struct):
     """Run the whole platform on this machine: one command, one process tree."""
 
     data_dir: Annotated[Path, Meta(description="directory for all stored data")] = Path("~/.local/share/rce")
     http_port: Annotated[
-        int, Meta(ge=0, le=65535, description="port of the robots' HTTP entry; with 0 all ports are free ones")
+        int, Meta(ge=0, le=65535, description="port of the robots' HTTP entry and the dashboard; 0 for a free one")
     ] = 9000
-    ws_port: Annotated[int, Meta(ge=0, le=65535, description="port of the robots' WebSocket; 0 for a free one")] = 9010
-    maps_port: Annotated[int, Meta(ge=0, le=65535, description="port of the map service; 0 for a free one")] = 9020
+    ws_port: Annotated[
+        Port | None,
+        Meta(description="port of the robots' WebSocket; 0 for a free one (default: 9010, or 0 if http_port is)"),
+    ] = None
+    maps_port: Annotated[
+        Port | None, Meta(description="port of the map service; 0 for a free one (default: 9020, or 0 if http_port is)")
+    ] = None
+    knowledge_port: Annotated[
+        Port | None,
+        Meta(description="port of the knowledge service; 0 for a free one (default: 9030, or 0 if http_port is)"),
+    ] = None
     host: Annotated[str, Meta(description="address to listen on; with --dev always the loopback address")] = "127.0.0.1"
     engine: Annotated[Literal["process", "docker", "swarm"], Meta(description="engine that runs environments")] = (
         "process"
@@ -44,6 +68,7 @@ class Settings(Struct):
     size: Annotated[int, Meta(ge=1, description="slots for environments")] = 10
     dev: Annotated[bool, Meta(description="create the users admin/admin and testUser/testUser, loopback only")] = False
     allow_unisolated: Annotated[bool, Meta(description="accept other machines although nodes run as this user")] = False
+    allow_root: Annotated[bool, Meta(description="run nodes as root with the process engine")] = False
     grace: Annotated[float, Meta(ge=0, description="grace period in seconds of a robot's session without a socket")] = (
         10
     )
@@ -53,9 +78,65 @@ class Settings(Struct):
     certificate: Annotated[str, Meta(description="PEM file for https and wss")] = ""
     private_key: Annotated[str, Meta(description="PEM file of its key")] = ""
     package_path: Annotated[list[str], Meta(description="directories with ROS 2 packages, comma-separated")] = []
+    converters: Annotated[
+        str, Meta(description="Python file, or directory of files, with converters of your own; see the guide")
+    ] = ""
+    original_forwarders: Annotated[
+        Literal["cdr", "ros1"],
+        Meta(description="what Forwarders of robots without features carry: CDR, or messages as ROS 1 serializes them"),
+    ] = "cdr"
     typesupport: Annotated[str, Meta(description="directory with compiled type support of messages and services")] = (
         default_typesupport()
     )
+    verbose: Annotated[bool, Meta(description="print the log of all processes, also at a terminal")] = False
+
+    def port(self, given: int | None, usual: int) -> int:
+        """Return the port that was given, or the usual one, or 0 if the HTTP entry has a free one."""
+        return given if given is not None else usual if self.http_port else 0
+
+
+def check_isolation(settings: Settings) -> None:
+    """Check that the process engine, which does not isolate users, is reached from this machine only, and not as root.
+
+    Raises:
+        InvalidRequest: Users from elsewhere could run programs as this user, or any user as root.
+    """
+    if settings.engine != "process":
+        return
+    if not settings.allow_root and os.geteuid() == 0:
+        raise InvalidRequest(
+            "the process engine would run the nodes of all users as root: run this as another user, use --engine "
+            "docker, or --allow-root, as in a container of your own",
+            field="allow_root",
+        )
+    if settings.dev or settings.allow_unisolated or _is_loopback(settings.host):
+        return
+    raise InvalidRequest(
+        f"the process engine runs users' programs as this user ({_user()}), so it serves this machine only, and "
+        f"{settings.host} is not a loopback address: use --engine docker, or --allow-unisolated",
+        field="host",
+    )
+
+
+def isolation(engine: str) -> str:
+    """Return how an engine isolates environments, as one line."""
+    if engine == "process":
+        return f"the process engine does not isolate: nodes of all users run as {_user()} on this machine"
+    return f"the {engine} engine isolates: each environment is a container without network and privileges"
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return host == "localhost" or ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # no such user in the password file
+        return f"user {os.getuid()}"
 
 
 def _port(url_or_endpoint: str) -> str:
@@ -64,11 +145,11 @@ def _port(url_or_endpoint: str) -> str:
 
 def make_processes(
     settings: Settings, log: IO[str]
-) -> tuple[ManagedProcess, ManagedProcess, ManagedProcess, ManagedProcess]:
-    """Return Master, Robot endpoint, task set and map service; the Master must be started before the others."""
+) -> tuple[ManagedProcess, ManagedProcess, ManagedProcess, ManagedProcess, ManagedProcess]:
+    """Return Master, Robot endpoint, task set, map service and knowledge service; the Master must be started first."""
     data = settings.data_dir.expanduser().resolve()
     host = "127.0.0.1" if settings.dev else settings.host
-    tokens = {name: secrets.token_hex(32) for name in ("robot", "container", "service")}
+    tokens = {name: secrets.token_hex(32) for name in ("robot", "container", "maps", "knowledge")}
     certificate = (
         f":privateKey={settings.private_key or settings.certificate}:certKey={settings.certificate}"
         if settings.certificate
@@ -93,11 +174,13 @@ def make_processes(
             f"--data-dir={data / 'robot'}",
             f"--master={master.ready.control}",
             f"--ws-host={host}",
-            f"--ws-port={_port(robot.ready.url) if robot.ready else settings.ws_port}",
+            f"--ws-port={_port(robot.ready.url) if robot.ready else settings.port(settings.ws_port, WS_PORT)}",
             f"--grace={settings.grace}",
             f"--bad-messages={settings.bad_messages}",
             f"--certificate={settings.certificate}",
             f"--private-key={settings.private_key}",
+            f"--converters={settings.converters}",
+            f"--original-forwarders={settings.original_forwarders}",
         ]
 
     def container_arguments() -> list[str]:
@@ -111,6 +194,7 @@ def make_processes(
             f"--package-path={','.join(settings.package_path)}",
             f"--typesupport={settings.typesupport}",
             "--allow-unisolated" if settings.allow_unisolated else "--no-allow-unisolated",
+            "--allow-root" if settings.allow_root else "--no-allow-root",
             "--stop-environments",
         ]
 
@@ -123,18 +207,36 @@ def make_processes(
             f"--entry={master.ready.url.replace('//0.0.0.0:', '//127.0.0.1:')}",
             f"--trust={own}",
             f"--host={host}",
-            f"--port={_port(maps.ready.url) if maps.ready else settings.maps_port}",
+            f"--port={_port(maps.ready.url) if maps.ready else settings.port(settings.maps_port, MAPS_PORT)}",
             f"--certificate={own}",
             f"--private-key={settings.private_key}",
         ]
 
-    names = {"robot": "robot-1", "container": "machine-1", "service": "map-service"}
-    allowed = ",".join(f"{role}:{name}:{tokens[role]}" for role, name in names.items())
+    def knowledge_arguments() -> list[str]:
+        assert master.ready is not None
+        ready, port = knowledge.ready, settings.port(settings.knowledge_port, KNOWLEDGE_PORT)
+        return [
+            f"--data-dir={data / 'knowledge'}",
+            f"--master={master.ready.control}",
+            f"--host={host}",
+            f"--port={_port(ready.url) if ready else port}",
+            f"--certificate={settings.certificate}",
+            f"--private-key={settings.private_key}",
+        ]
+
+    names = {
+        "robot": "robot:robot-1",
+        "container": "container:machine-1",
+        "maps": "service:map-service",
+        "knowledge": "service:knowledge-service",
+    }
+    allowed = ",".join(f"{name}:{tokens[owner]}" for owner, name in names.items())
     master = ManagedProcess("master", master_arguments, {"RCE_TOKENS": allowed}, log)
     robot = ManagedProcess("robot", robot_arguments, {"RCE_TOKEN": tokens["robot"]}, log)
     container = ManagedProcess("container", container_arguments, {"RCE_TOKEN": tokens["container"]}, log)
-    maps = ManagedProcess("map-service", maps_arguments, {"RCE_TOKEN": tokens["service"]}, log)
-    return master, robot, container, maps
+    maps = ManagedProcess("map-service", maps_arguments, {"RCE_TOKEN": tokens["maps"]}, log)
+    knowledge = ManagedProcess("knowledge-service", knowledge_arguments, {"RCE_TOKEN": tokens["knowledge"]}, log)
+    return master, robot, container, maps, knowledge
 
 
 async def run(settings: Settings, started: Callable[[Ready], Awaitable[None]], log: IO[str] = sys.stderr) -> None:
@@ -146,28 +248,30 @@ async def run(settings: Settings, started: Callable[[Ready], Awaitable[None]], l
         log: File for the logs of all processes.
 
     Raises:
+        InvalidRequest: Users from elsewhere could run programs as this user.
         StartFailed: A process did not start.
     """
-    if settings.http_port == 0:
-        settings.ws_port = settings.maps_port = 0
-    master, robot, container, maps = make_processes(settings, log)
+    check_isolation(settings)
+    print(f"rce up: {isolation(settings.engine)}", file=log, flush=True)
+    master, robot, container, maps, knowledge = make_processes(settings, log)
     try:
         entry = await master.start()
         processes = [robot, container]
-        if programs.installed("map-service", "aiohttp", "lxml", "rosbags"):
-            processes.append(maps)
-        else:
-            print(
-                "rce up: starting without the map service, since libraries that it needs are not installed: "
-                "run pip install '.[server]' in a checkout of RCE",
-                file=log,
-                flush=True,
-            )
+        for service, (libraries, extras) in SERVICES.items():
+            if programs.installed(service, *libraries):
+                processes += [each for each in (maps, knowledge) if each.name == service]
+            else:
+                print(
+                    f"rce up: starting without the {service.replace('-', ' ')}, since libraries that it needs are not "
+                    f"installed: run pip install '.[{extras}]' in a checkout of RCE",
+                    file=log,
+                    flush=True,
+                )
         await _start_all(processes)
         await started(entry)
     finally:
         # Jobs and environments first, while the Master runs and can be informed; the Master last.
-        for process in (maps, container, robot, master):
+        for process in (maps, knowledge, container, robot, master):
             await process.stop()
 
 
@@ -183,7 +287,10 @@ async def _start_all(processes: Iterable[ManagedProcess]) -> None:
 
 
 async def serve(settings: Settings) -> None:
-    """Run `rce up`: print `ready URL` on standard output, then run until SIGINT or SIGTERM."""
+    """Run `rce up`: print `ready URL` on standard output, then run until SIGINT or SIGTERM.
+
+    At a terminal, the log is kept in a file, and only what concerns the user is printed.
+    """
     loop = asyncio.get_running_loop()
     task = asyncio.current_task()
     assert task is not None
@@ -191,8 +298,31 @@ async def serve(settings: Settings) -> None:
         loop.add_signal_handler(number, task.cancel)
 
     async def started(entry: Ready) -> None:
+        if quiet:
+            print(welcome(settings, entry.url, path), file=sys.stderr, flush=True)
         print(f"ready {entry.url}", flush=True)
         await asyncio.Event().wait()
 
-    with contextlib.suppress(asyncio.CancelledError):
-        await run(settings, started)
+    quiet = sys.stderr.isatty() and not settings.verbose
+    path = settings.data_dir.expanduser() / "up.log"
+    opened = terminal_log(path) if quiet else contextlib.nullcontext(sys.stderr)
+    with opened as log, contextlib.suppress(asyncio.CancelledError):
+        await run(settings, started, log)
+
+
+def welcome(settings: Settings, url: str, log: Path) -> str:
+    """Return what a user needs to begin, as some lines."""
+    user = "testUser" if settings.dev else "admin"
+    password = ", password testUser" if settings.dev else ""
+    return "\n".join(
+        (
+            f"dashboard   {url} (user {user}{password})",
+            f"console     rce login {url} --user {user}, in another terminal; then rce env list",
+            f"robots      Robot({url!r}, user={user!r}, …) in Python"
+            if settings.dev
+            else "users       rce user add NAME, there; robots use such a user, not the administrator",
+            f"data        {settings.data_dir.expanduser()}",
+            f"log         {log}; --verbose prints it here",
+            "end         Ctrl-C",
+        )
+    )

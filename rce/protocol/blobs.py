@@ -33,6 +33,17 @@ _value = re.compile(
 )
 
 
+class TextFrame(NamedTuple):
+    """Text message in two parts, so that the large one is not copied."""
+
+    head: bytes
+    data: Buffer
+
+    def join(self) -> bytes:
+        """Return the message in one piece."""
+        return b"".join(self)
+
+
 def find_references(data: Raw | bytes, limit: int = 1 << 30) -> list[str]:
     """Return the ids of all blobs that valid JSON refers to at any depth, each once and in order, in linear time.
 

@@ -10,7 +10,7 @@ from msgspec import Meta
 from rce.errors import InvalidName, InvalidRequest
 
 TAG = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
-TYPE = re.compile(r"([A-Za-z][A-Za-z0-9_]*)/(?:(msg|srv)/)?([A-Za-z][A-Za-z0-9_]*)", re.ASCII)
+TYPE = re.compile(r"([A-Za-z][A-Za-z0-9_]*)/(?:(msg|srv|action)/)?([A-Za-z][A-Za-z0-9_]*)", re.ASCII)
 MAX_TAG = 255  # the original has no limit; here a tag is also a file name, which may have 255 bytes
 GUEST_PREFIX = "@"
 """Prefix of the robotID of a guest (`@console`) and of the names that it gives (`@console.shell`), and of no others."""
@@ -74,7 +74,7 @@ def _check_any(tag: str, what: str) -> None:
 
 
 class TypeName(NamedTuple):
-    """Name of a ROS message or service type, independent of its spelling."""
+    """Name of a ROS message, service or action type, independent of its spelling."""
 
     package: str
     name: str
@@ -92,9 +92,14 @@ class TypeName(NamedTuple):
         """The name as `pkg/srv/Name`."""
         return f"{self.package}/srv/{self.name}"
 
+    @property
+    def action(self) -> str:
+        """The name as `pkg/action/Name`."""
+        return f"{self.package}/action/{self.name}"
+
 
 def parse_type(text: str) -> TypeName:
-    """Parse the name of a type; `pkg/Name`, `pkg/msg/Name` and `pkg/srv/Name` are equal.
+    """Parse the name of a type; `pkg/Name`, `pkg/msg/Name`, `pkg/srv/Name` and `pkg/action/Name` are equal.
 
     Raises:
         InvalidRequest: The text is not the name of a type.

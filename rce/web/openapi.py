@@ -98,15 +98,16 @@ def path_parameters(
 
 
 def query_parameters(kind: type[msgspec.Struct]) -> tuple[Parameter, ...]:
-    """Return the fields of a type as optional parameters."""
+    """Return the fields of a type as parameters; those with a default are optional."""
     _, components = msgspec.json.schema_components([kind])
+    described = components[kind.__name__]
     found = []
-    for name, schema in components[kind.__name__].get("properties", {}).items():
+    for name, schema in described.get("properties", {}).items():
         options = [option for option in schema.get("anyOf", ()) if option != {"type": "null"}]
         if len(options) == 1:  # there is no null in a query
             schema = {key: value for key, value in schema.items() if key != "anyOf"} | options[0]
         schema = {key: value for key, value in schema.items() if (key, value) != ("default", None)}
-        found.append(Parameter("query", name, schema.pop("description", ""), schema, required=False))
+        found.append(Parameter("query", name, schema.pop("description", ""), schema, name in described["required"]))
     return tuple(found)
 
 

@@ -22,6 +22,7 @@ from rce.api.views.logs import LogLines as LogLines
 from rce.api.views.machines import Invited as Invited
 from rce.api.views.machines import MachineView as MachineView
 from rce.api.views.machines import NewInvitation as NewInvitation
+from rce.api.views.machines import ServiceView as ServiceView
 from rce.api.views.pages import Page as Page
 from rce.api.views.requests import NewConnection as NewConnection
 from rce.api.views.requests import NewEnvironment as NewEnvironment
@@ -32,6 +33,7 @@ from rce.api.views.resources import ConnectionView as ConnectionView
 from rce.api.views.resources import EnvironmentView as EnvironmentView
 from rce.api.views.resources import GroupView as GroupView
 from rce.api.views.resources import InterfaceView as InterfaceView
+from rce.api.views.resources import NodeEndView as NodeEndView
 from rce.api.views.resources import NodeView as NodeView
 from rce.api.views.resources import ParameterView as ParameterView
 from rce.api.views.resources import Rate as Rate
@@ -40,4 +42,6 @@ from rce.api.views.resources import Usage as Usage
 from rce.api.views.traces import HopView as HopView
 from rce.api.views.traces import MessageTrace as MessageTrace
 from rce.api.views.traces import Traced as Traced
+from rce.control.calls.watching import RosAction as RosAction
 from rce.control.calls.watching import RosName as RosName
+from rce.control.calls.watching import RosPackage as RosPackage

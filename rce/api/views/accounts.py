@@ -119,7 +119,7 @@ class AuditView(Struct, frozen=True):
     action: str
     object: str
     result: str
-    door: str  # rest, websocket, live, map-service, offline
+    door: str  # rest, websocket, live, map-service, knowledge-service, offline
     address: str
 
     @property

@@ -48,6 +48,7 @@ EventType = Literal[
     "node.died",
     "connection.made",
     "connection.gone",
+    "interface.gone",
     "limit.reached",
     "machine.joined",
     "machine.left",
@@ -55,7 +56,8 @@ EventType = Literal[
 """Types of events.
 
 `missed`: earlier events are no longer stored. An environment that did not start is `failed`, one that ended by itself
-is `lost`, and one that was destroyed is `gone`.
+is `lost`, and one that was destroyed is `gone`. An interface of an environment is `gone` after the robot that added it
+has left and nobody else uses it.
 """
 
 

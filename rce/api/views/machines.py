@@ -35,6 +35,13 @@ class MachineView(Struct, frozen=True):
     addresses: list[str] = []  # hosts at which others reach it
 
 
+class ServiceView(Struct, frozen=True):
+    """Service that has joined, and the URL of its API, which takes the same credentials."""
+
+    name: str
+    url: str
+
+
 class NewInvitation(Struct, frozen=True, forbid_unknown_fields=True):
     """Machine to invite. `address` is the one for other machines; empty for the one from which it connects."""
 

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from msgspec import Struct
 
-from rce.protocol.messages import ContainerData, InterfaceType, ParameterName, ParameterValue, Qos
+from rce.protocol.messages import (
+    ContainerData,
+    Format,
+    InterfaceType,
+    NodeRestart,
+    ParameterName,
+    ParameterValue,
+    Qos,
+)
 from rce.protocol.names import InterfaceTag, Tag, TagOrNone, Text, TypeText
 
 
@@ -26,6 +32,8 @@ class NewNode(Struct, frozen=True, forbid_unknown_fields=True):
     args: str = ""
     name: str = ""
     namespace: str = ""
+    existOk: bool = False
+    restart: NodeRestart = ""
 
 
 class NewParameter(Struct, frozen=True, forbid_unknown_fields=True):
@@ -45,7 +53,7 @@ class NewInterface(Struct, frozen=True, forbid_unknown_fields=True):
     className: TypeText
     addr: str = ""
     qos: Qos = Qos()
-    format: Literal["png", "jpeg", "json"] = "png"
+    format: Format = "png"
 
 
 class NewConnection(Struct, frozen=True, forbid_unknown_fields=True):

@@ -7,7 +7,7 @@ from typing import Literal
 from msgspec import Struct
 
 from rce.control.calls.environments import Egress
-from rce.protocol.messages import ContainerData, ParameterValue, Qos
+from rce.protocol.messages import ContainerData, NodeRestart, ParameterValue, Qos
 
 
 class Usage(Struct, frozen=True):
@@ -41,7 +41,11 @@ EnvironmentState = Literal["waiting", "starting", "ready", "away"]
 
 
 class EnvironmentView(Struct, frozen=True):
-    """Environment and its state. `containerData` has the resources that it actually got."""
+    """Environment and its state.
+
+    `containerData` has the resources that it actually got, and `notEnforced` those of them that its engine does not
+    enforce; `egress` is among these if programs in the environment reach more than that.
+    """
 
     user: str
     containerTag: str
@@ -55,20 +59,36 @@ class EnvironmentView(Struct, frozen=True):
     parameters: int
     interfaces: int
     usage: Usage | None = None
+    notEnforced: list[str] = []
+
+
+class NodeEndView(Struct, frozen=True):
+    """The last end of a node; `signal` is empty unless one killed it.
+
+    `count` is the number of its ends since a user started it.
+    """
+
+    time: float
+    status: int
+    signal: str
+    count: int
+    lines: list[str]
 
 
 class NodeView(Struct, frozen=True):
-    """ROS 2 node of an environment."""
+    """ROS 2 node of an environment. One that `waits` ended and is started again after a pause."""
 
     user: str
     containerTag: str
     nodeTag: str
-    state: Literal["starting", "running"]
+    state: Literal["starting", "running", "waiting", "ended"]
     pkg: str
     exe: str
     args: str
     name: str
     namespace: str
+    restart: NodeRestart = ""
+    end: NodeEndView | None = None
 
 
 class ParameterView(Struct, frozen=True):

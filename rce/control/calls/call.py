@@ -35,7 +35,3 @@ class BatchResult(Struct, frozen=True):
     """Result of calls about several named objects: the errors of those that failed."""
 
     failed: dict[str, ErrorInfo] = {}
-
-
-class Ping(Call[Nothing], frozen=True):
-    """Check that the peer is alive."""

@@ -40,7 +40,10 @@ class Route(Struct, frozen=True):
 
 
 class LinkSpec(Struct, frozen=True):
-    """Data link to another endpoint. The side with `dial` connects to the first of these addresses that answers."""
+    """Data link to another endpoint, `sender`.
+
+    The side with `dial` connects to the first of these addresses that answers.
+    """
 
     name: str
     key: str  # 32 hex digits, known to both ends, valid for opening the link once

@@ -63,6 +63,12 @@ class SetRelays(Call[Nothing], frozen=True):
     relays: list[str]
 
 
+class ReportRelays(Call[Nothing], frozen=True):
+    """Report the data relays of a task set that has several hosts: HOST:PORT by host, as in its Hello."""
+
+    relays: dict[str, str]
+
+
 class EnvironmentDied(Call[Nothing], frozen=True):
     """Report that an environment of this task set ended by itself or did not start."""
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import get_args
+from typing import Literal, get_args
 
 import msgspec
 from msgspec import Raw, Struct
 
 from rce.control.calls.call import Call, Nothing
-from rce.errors import ErrorInfo, InvalidRequest
+from rce.control.calls.watching import RosGraph
+from rce.errors import MALFORMED, ErrorInfo, InvalidRequest
 from rce.protocol.messages import Command, StatusData
 
 _commands: dict[str, type[Command]] = {kind.__name__: kind for kind in get_args(Command)}
@@ -81,12 +82,16 @@ class Execute(Call[Nothing], frozen=True):
             raise InvalidRequest(f"{self.kind[:80]!r} is not a command")
         try:
             return msgspec.msgpack.decode(self.item, type=_commands[self.kind])
-        except msgspec.DecodeError as error:
+        except MALFORMED as error:
             raise InvalidRequest(f"{self.kind}: {error}") from None
 
 
+Sort = Literal["msg", "srv", "action"]
+"""Sort of a type; also the directory of its definition and the suffix of that file."""
+
+
 class Definitions(Struct, frozen=True):
-    """Type definitions with their dependencies: text of `.msg` and `.srv` files by `pkg/msg/Name`, `pkg/srv/Name`."""
+    """Type definitions with their dependencies: text of the file by its name, as `pkg/msg/Name` or `pkg/srv/Name`."""
 
     texts: dict[str, str]
 
@@ -100,13 +105,23 @@ class DescribeType(Call[Definitions], frozen=True):
     timeout = 75.0  # an environment may have to start
     user: str
     type: str
-    service: bool
+    sort: Sort
+
+
+class ReadGraphFor(Call[RosGraph], frozen=True):
+    """Read the ROS graph of an environment of the robot's owner, if who opened the robot's session may see it.
+
+    Raises NotFound, Forbidden, Unavailable.
+    """
+
+    robot: str
+    environment: str
 
 
 class SendStatus(Call[Nothing], frozen=True):
-    """Send a status (ST) or an error (ER) to a robot of this Robot endpoint."""
+    """Send a status (ST) or an error (ER) to robots of this Robot endpoint."""
 
-    robot: str
+    robots: list[str]
     status: StatusData | None = None
     error: ErrorInfo | None = None
 

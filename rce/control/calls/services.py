@@ -8,11 +8,16 @@ from rce.control.calls.call import Call, Nothing
 
 
 class Identity(Struct, frozen=True):
-    """Authenticated user. `key` is the id of the API key, or empty after authentication with a password."""
+    """Authenticated user.
+
+    `key` is the id of the API key, or empty after authentication with a password. `reach` is that of the operation:
+    `own` things, or `all` users' things.
+    """
 
     user: str
     role: str
     key: str = ""
+    reach: str = "own"
 
 
 class Authenticate(Call[Identity], frozen=True):
@@ -23,7 +28,7 @@ class Authenticate(Call[Identity], frozen=True):
 
     user: str
     secret: str  # API key, or SHA-256 hex of the password
-    operation: str = "job.submit"  # or job.read
+    operation: str = "job.submit"  # or another of the service
     address: str = ""  # of the client
 
 

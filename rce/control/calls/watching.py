@@ -21,14 +21,15 @@ class ReadLog(Call[Log], frozen=True):
     """Read the last `lines` lines of a node's output, or of the environment's own output if `node` is empty.
 
     With `after`, the `next` of an earlier answer, return the lines since then, possibly not all of them. With `wait`,
-    answer when there are new lines, or after that many seconds. The log of a restarted node begins anew. Raises
-    NotFound.
+    answer when there are new lines, or after that many seconds. The log of a restarted node begins anew. `verbose`: the
+    environment's own output with all that is internal. Raises NotFound.
     """
 
     node: str
     lines: int = 100
     after: str = ""
     wait: float = 0
+    verbose: bool = False
 
 
 class RosName(Struct, frozen=True):
@@ -40,15 +41,52 @@ class RosName(Struct, frozen=True):
     subscribers: int = 0
 
 
+class RosAction(Struct, frozen=True):
+    """ROS action in an environment, with its types and the nodes that are servers and clients of it."""
+
+    name: str
+    types: list[str]
+    servers: list[str] = []
+    clients: list[str] = []
+
+
+class RosNode(Struct, frozen=True):
+    """ROS node in an environment, by its full name, with the names of its topics and services."""
+
+    name: str
+    publishes: list[str] = []
+    subscribes: list[str] = []
+    serves: list[str] = []
+
+
 class RosGraph(Struct, frozen=True):
-    """ROS topics and services of an environment, sorted by name."""
+    """ROS topics, services, actions and nodes of an environment, sorted by name."""
 
     topics: list[RosName]
     services: list[RosName]
+    actions: list[RosAction] = []
+    nodes: list[RosNode] = []
 
 
 class ReadGraph(Call[RosGraph], frozen=True):
-    """Read the ROS topics and services of an environment."""
+    """Read the ROS topics, services, actions and nodes of an environment."""
+
+
+class RosPackage(Struct, frozen=True):
+    """ROS package that nodes of an environment can use, with its executables."""
+
+    name: str
+    executables: list[str]
+
+
+class RosPackages(Struct, frozen=True):
+    """ROS packages with executables, sorted by name."""
+
+    packages: list[RosPackage]
+
+
+class ReadPackages(Call[RosPackages], frozen=True):
+    """Read the ROS packages of an environment that have executables."""
 
 
 class Counts(Struct, frozen=True):

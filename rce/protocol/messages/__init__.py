@@ -7,6 +7,7 @@ second step. Unknown keys are ignored, as in the original.
 from rce.protocol.messages.commands import ALIASES as ALIASES
 from rce.protocol.messages.commands import CN_ITEMS as CN_ITEMS
 from rce.protocol.messages.commands import CX_ITEMS as CX_ITEMS
+from rce.protocol.messages.commands import IMAGE_FORMATS as IMAGE_FORMATS
 from rce.protocol.messages.commands import AddInterface as AddInterface
 from rce.protocol.messages.commands import AddNode as AddNode
 from rce.protocol.messages.commands import Command as Command
@@ -18,7 +19,9 @@ from rce.protocol.messages.commands import CreateContainer as CreateContainer
 from rce.protocol.messages.commands import DeleteParameter as DeleteParameter
 from rce.protocol.messages.commands import DestroyContainer as DestroyContainer
 from rce.protocol.messages.commands import Disconnect as Disconnect
+from rce.protocol.messages.commands import Format as Format
 from rce.protocol.messages.commands import InterfaceType as InterfaceType
+from rce.protocol.messages.commands import NodeRestart as NodeRestart
 from rce.protocol.messages.commands import ParameterName as ParameterName
 from rce.protocol.messages.commands import ParameterValue as ParameterValue
 from rce.protocol.messages.commands import Qos as Qos
@@ -28,6 +31,8 @@ from rce.protocol.messages.commands import RemoveNode as RemoveNode
 from rce.protocol.messages.commands import SetParameter as SetParameter
 from rce.protocol.messages.data import MAX_MSG_ID as MAX_MSG_ID
 from rce.protocol.messages.data import DataMessage as DataMessage
+from rce.protocol.messages.data import GoalStatus as GoalStatus
+from rce.protocol.messages.data import Phase as Phase
 from rce.protocol.messages.frames import CURRENT_VERSION as CURRENT_VERSION
 from rce.protocol.messages.frames import FEATURES as FEATURES
 from rce.protocol.messages.frames import MINIMAL_VERSION as MINIMAL_VERSION

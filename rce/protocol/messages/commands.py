@@ -71,8 +71,16 @@ class DestroyContainer(Struct, frozen=True):
     containerTag: str
 
 
+NodeRestart = Literal["", "on-failure", "always", "no"]
+
+
 class AddNode(Struct, frozen=True):
-    """Start a ROS 2 node in an environment."""
+    """Start a ROS 2 node in an environment.
+
+    `restart` says when it is started again after it ended by itself; empty: after a failure, if it ran for 5 s and the
+    environment has not `restart: no`. With `existOk` a node of this tag that is as described is kept, and one that is
+    not is replaced.
+    """
 
     containerTag: str
     nodeTag: str
@@ -81,6 +89,8 @@ class AddNode(Struct, frozen=True):
     args: VariableValue = ""
     name: Short = ""
     namespace: Short = ""
+    existOk: bool = False
+    restart: NodeRestart = ""
 
 
 class RemoveNode(Struct, frozen=True):
@@ -95,14 +105,20 @@ InterfaceType = Literal[
     "SubscriberInterface",
     "ServiceClientInterface",
     "ServiceProviderInterface",
+    "ActionClientInterface",
+    "ActionProviderInterface",
     "PublisherConverter",
     "SubscriberConverter",
     "ServiceClientConverter",
     "ServiceProviderConverter",
+    "ActionClientConverter",
+    "ActionProviderConverter",
     "PublisherForwarder",
     "SubscriberForwarder",
     "ServiceClientForwarder",
     "ServiceProviderForwarder",
+    "ActionClientForwarder",
+    "ActionProviderForwarder",
 ]
 ALIASES: dict[str, InterfaceType] = {  # sent by C++ clients older than 2013
     "ServiceInterface": "ServiceClientInterface",
@@ -136,8 +152,16 @@ class Qos(Struct, frozen=True, omit_defaults=True):
         return self if self.depth or not is_large(type_name) else replace(self, depth=SHALLOW)
 
 
+Format = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_-]{0,39}$")]
+IMAGE_FORMATS = ("png", "jpeg", "json")
+
+
 class AddInterface(Struct, frozen=True):
-    """Add an interface to an environment (`…Interface`) or to a robot (`…Converter`, `…Forwarder`)."""
+    """Add an interface to an environment (`…Interface`) or to a robot (`…Converter`, `…Forwarder`).
+
+    The `format` of a Converter is that of images, or a converter of the Robot endpoint; that of a Forwarder is `cdr` or
+    `ros1`, where `png` stands for the default.
+    """
 
     endpointTag: str
     interfaceTag: str
@@ -145,7 +169,7 @@ class AddInterface(Struct, frozen=True):
     className: Short
     addr: Short = ""
     qos: Qos = Qos()
-    format: Literal["png", "jpeg", "json"] = "png"
+    format: Format = "png"
 
 
 class RemoveInterface(Struct, frozen=True):

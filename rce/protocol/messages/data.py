@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import msgspec
 from msgspec import UNSET, Raw, Struct, UnsetType
 
 MAX_MSG_ID = 255
+
+Phase = Literal["", "goal", "accepted", "rejected", "feedback", "cancel", "result"]
+GoalStatus = Literal["", "succeeded", "canceled", "aborted"]
 
 
 class DataMessage(Struct, frozen=True, omit_defaults=True):
     """DM: one message of the robot's interface `iTag`, with the value under `msg`, or the id of its blob under `msg*`.
 
     A robot that provides a service sends `error` in place of both to report a failure.
+
+    A message of an action has a `phase`, and the goal's UUID in 32 hex digits as its `msgID`. A result that a robot
+    sends or gets has a `status`; without a value, the phases `goal` and `result` have the default values of all fields.
+    A goal with `ifLost: cancel` is canceled when the session of the robot that has sent it ends.
     """
 
     iTag: str
@@ -20,3 +29,6 @@ class DataMessage(Struct, frozen=True, omit_defaults=True):
     msg: Raw | UnsetType = UNSET
     blob: Raw | UnsetType = msgspec.field(default=UNSET, name="msg*")
     error: str = ""
+    phase: Phase = ""
+    status: GoalStatus = ""
+    ifLost: Literal["leave", "cancel"] = "leave"

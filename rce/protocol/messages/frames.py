@@ -8,7 +8,9 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 from msgspec import UNSET, Meta, Raw, Struct, UnsetType
 
+from rce.choices import with_choices
 from rce.errors import InvalidRequest
+from rce.protocol.known_keys import check_keys
 
 CURRENT_VERSION = "20130902"
 MINIMAL_VERSION = "20130415"
@@ -30,13 +32,25 @@ _frame = msgspec.json.Decoder(Frame)
 _decoders: dict[type[Any], msgspec.json.Decoder[Any]] = {}
 
 
-# A string, or a token that Python's json module writes for a float but that is not JSON.
-_STRING_OR_TOKEN = re.compile(rb'"(?:[^"\\]|\\.)*+"|-?Infinity|NaN')
+MAX_LENIENT, MAX_TOKENS = 1024 * 1024, 20_000  # bytes, and tokens, of a frame: some 20 ms of the event loop
+# Everything up to a token that Python's json module writes for a float but that is not JSON, and the token. It matches
+# at every place, so that the time is linear, and once for each token.
+_TO_TOKEN = re.compile(
+    rb'((?:[^"NI\-]++|"(?:[^"\\]++|\\.)*+"?|-(?!Infinity)|N(?!aN)|I(?!nfinity))*+)(NaN|-?Infinity)?', re.DOTALL
+)
 
 
 def _quote_token(match: re.Match[bytes]) -> bytes:
-    token = match[0]
-    return token if token.startswith(b'"') else b'"' + token + b'"'
+    before, token = match.groups()
+    return before + b'"' + token + b'"' if token else before
+
+
+def _quote_tokens(payload: bytes) -> bytes:
+    """Return a frame with its tokens as strings; the same one if it has none or is too long."""
+    tokens = payload.count(b"NaN") + payload.count(b"Infinity")
+    if not 0 < tokens <= MAX_TOKENS or len(payload) > MAX_LENIENT:
+        return payload
+    return _TO_TOKEN.sub(_quote_token, payload)
 
 
 def decode_frame(payload: bytes) -> Frame:
@@ -51,24 +65,26 @@ def decode_frame(payload: bytes) -> Frame:
     try:
         return _frame.decode(payload)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        if b"NaN" in payload or b"Infinity" in payload:
-            quoted = _STRING_OR_TOKEN.sub(_quote_token, payload)
-            if quoted != payload:
-                return decode_frame(quoted)
+        quoted = _quote_tokens(payload)
+        if quoted != payload:
+            return decode_frame(quoted)
         raise InvalidRequest(f"the frame is not a JSON object with type and data: {error}") from None
 
 
-def decode_as(kind: type[T], raw: Raw | bytes, where: str) -> T:
+def decode_as(kind: type[T], raw: Raw | bytes, where: str, *, strict: bool = False) -> T:
     """Decode JSON as a `kind`.
 
     Args:
         kind: The type of the value.
         raw: The JSON.
         where: Place of the value in its frame, for the error.
+        strict: Refuse keys that the value does not have.
 
     Raises:
         InvalidRequest: The JSON is not a `kind`; the error names `where` and the path of the wrong field.
     """
+    if strict:
+        check_keys(kind, raw, where)
     decoder = _decoders.get(kind)
     if decoder is None:
         decoder = _decoders[kind] = msgspec.json.Decoder(kind)
@@ -78,6 +94,5 @@ def decode_as(kind: type[T], raw: Raw | bytes, where: str) -> T:
     except InvalidRequest as error:  # of a value that its type cannot describe
         raise InvalidRequest(f"{where}.{error}", field=error.info.field) from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        reason, _, path = str(error).partition(" - at `$")
-        path = path.rstrip("`").lstrip(".")
+        reason, path = with_choices(error, kind)
         raise InvalidRequest(f"{where}{'.' if path else ''}{path}: {reason}", field=path) from None

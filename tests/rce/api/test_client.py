@@ -34,8 +34,9 @@ def client(entry: object) -> ApiClient:
 
 
 def test_path_quotes_names_and_omits_empty_arguments() -> None:
-    query = {"user": "ann", "follow": True, "after": "", "kinds": [], "limit": 5, "quiet": False, "none": None}
-    assert path_of(("a b", "x/y"), query) == "api/v1/a%20b/x%2Fy?user=ann&follow=true&limit=5"
+    query: dict[str, object] = {"user": "ann", "follow": True, "limit": 5, "lines": 0}
+    query |= {"after": "", "kinds": [], "quiet": False, "none": None}
+    assert path_of(("a b", "x/y"), query) == "api/v1/a%20b/x%2Fy?user=ann&follow=true&limit=5&lines=0"
     assert path_of(("robots",), {}) == "api/v1/robots"
 
 
@@ -48,7 +49,7 @@ def test_items_are_requested_page_by_page() -> None:
     assert len(entry.paths) == 3
 
 
-@pytest.mark.parametrize("limit", [1, PAGE_SIZE, PAGE_SIZE + 1])
+@pytest.mark.parametrize("limit", [0, 1, PAGE_SIZE, PAGE_SIZE + 1])
 def test_items_are_limited(limit: int) -> None:
     assert len(list(client(FakeEntry(10 * PAGE_SIZE)).items(int, "numbers", limit=limit))) == limit
 

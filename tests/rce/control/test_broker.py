@@ -11,7 +11,8 @@ from twisted.internet.base import ReactorBase
 from twisted.spread.banana import encode
 
 from rce.control import broker, limits
-from rce.control.calls.call import Nothing, Ping
+from rce.control.calls.call import Nothing
+from rce.control.calls.endpoints import StopNode
 from rce.control.calls.joining import Hello
 from rce.control.calls.watching import Log, ReadLog
 from rce.control.connection import Handlers
@@ -25,7 +26,9 @@ PB = b"\x02\x82pb"  # the protocol dialect that a client chooses first
 
 @pytest.fixture
 async def listener(reactor: ReactorBase) -> AsyncIterator[Listener]:
-    async with listening(reactor) as listener:
+    handlers = Handlers()
+    handlers.do(StopNode, lambda call: None)
+    async with listening(reactor, handlers) as listener:
         yield listener
 
 
@@ -114,6 +117,7 @@ async def test_message_of_an_environment_has_one_mebibyte_at_most(listener: List
         [b"message", 9, b"root", b"join", 1, [b"tuple"], [b"dictionary"]],
         [b"message", 9, b"root", b"nothing", 1, [b"tuple"], [b"dictionary"]],
         [b"message", 9, b"nobody", b"join", 1, [b"tuple"], [b"dictionary"]],
+        [b"message", 9, [b"root"], b"join", 1, [b"tuple"], [b"dictionary"]],
         [b"message", 9, b"root", b"join", 1, [b"module", b"os"], [b"dictionary"]],
         [b"message", 9, b"root", b"join", 1, [b"tuple", [b"unicode", b"\xff"]], [b"dictionary"]],
         [b"message", 9, b"root", b"\xff", 1, [b"tuple"], [b"dictionary"]],
@@ -160,12 +164,13 @@ async def test_calls_of_an_environment_wait_while_its_user_has_used_the_budget(
 ) -> None:
     monkeypatch.setattr(limits, "BURST", 20)
     monkeypatch.setattr(limits, "CALLS_PER_SECOND", 1e-3)
+    monkeypatch.setattr(limits, "CALLS_PER_CONNECTION", 0)
     other, other_end = await listener.pair(Handlers())
     client, server = await listener.pair(Handlers(), hello=ENVIRONMENT)
-    calls = [asyncio.create_task(client.call(Ping())) for _ in range(500)]
+    calls = [asyncio.create_task(client.call(StopNode("n"))) for _ in range(500)]
     await asyncio.gather(*calls[:10])
     for _ in range(3):  # a round trip of another peer: whatever the environment has sent meanwhile, waits
-        assert await other.call(Ping()) == Nothing()
+        assert await other.call(StopNode("n")) == Nothing()
     assert 10 <= sum(each.done() for each in calls) <= 20 + broker.SLICE
     server.close()
     await asyncio.wait_for(client.lost, TIMEOUT)
@@ -173,13 +178,30 @@ async def test_calls_of_an_environment_wait_while_its_user_has_used_the_budget(
     await closed(other, other_end)
 
 
+async def test_pings_do_not_use_the_budget_of_a_user_unless_they_are_a_flood(
+    listener: Listener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(limits, "CALLS_PER_SECOND", 1e-3)
+    monkeypatch.setattr(limits, "CALLS_PER_CONNECTION", 0)
+    client, server = await listener.pair(Handlers(), hello=ENVIRONMENT)
+    budget = server._receiver.broker._budget
+    assert budget.connections == 1
+    used = budget._used
+    for number in range(10):
+        client._receiver.broker.ping()
+        await client.call(StopNode("n"))  # when it is answered, the ping was handled
+        assert budget._used - used == pytest.approx(number + 1 + number, abs=0.1), "the first ping is free"
+    await closed(client, server)
+    assert budget.connections == 0
+
+
 async def test_burst_of_calls_is_answered_in_slices(listener: Listener) -> None:
     """So another peer waits for one slice, not for the whole burst."""
     other, other_end = await listener.pair(Handlers())
     client, server = await listener.pair(Handlers())
-    calls = [asyncio.create_task(client.call(Ping())) for _ in range(2000)]
+    calls = [asyncio.create_task(client.call(StopNode("n"))) for _ in range(2000)]
     await asyncio.sleep(0)
-    await other.call(Ping())
+    await other.call(StopNode("n"))
     assert sum(each.done() for each in calls) < 1000
     await asyncio.gather(*calls)
     await closed(client, server)

@@ -11,11 +11,11 @@ from twisted.internet.base import ReactorBase
 from twisted.logger import Logger
 
 import rce
-from rce.control.calls.call import Nothing, Ping
+from rce.control.calls.call import Nothing
 from rce.control.calls.endpoints import StopNode
 from rce.control.calls.watching import Log, ReadLog, ReadMetrics
-from rce.control.connection import Handlers
-from rce.errors import InternalError, InvalidRequest, NotFound, Unavailable
+from rce.control.connection import Handlers, decode_pages
+from rce.errors import ErrorInfo, InternalError, InvalidRequest, NotFound, Unavailable
 from rce.process import logs, metrics
 from tests.support.control import TIMEOUT, closed, listening
 
@@ -83,14 +83,27 @@ async def test_full_disk_is_told(reactor: ReactorBase) -> None:
 
 
 async def test_result_of_a_wrong_type_is_an_error(reactor: ReactorBase) -> None:
-    async def wrong(call: ReadLog) -> Ping:
-        return Ping()
+    async def wrong(call: ReadLog) -> Nothing:
+        return Nothing()
 
     async with listening(reactor) as listener:
         client, server = await listener.pair(answering(wrong))  # type: ignore[arg-type]
         with pytest.raises(InvalidRequest, match="ReadLog with something else"):
             await server.call(ReadLog("n"))
         await closed(client, server)
+
+
+@pytest.mark.parametrize(
+    "page", [b"\x81\xa4node\xa1\xff", b"\xff", b"\x91" * 5000 + b"\x01"], ids=["no UTF-8", "no map", "deep"]
+)
+async def test_malformed_call_is_refused_without_a_traceback(page: bytes) -> None:
+    good, answer = await answering(never).answer("ReadLog", [page])
+    assert not good
+    assert decode_pages(answer, ErrorInfo).code == InvalidRequest.code
+
+
+async def never(call: ReadLog) -> Log:
+    raise AssertionError("it is called")
 
 
 async def test_metrics_of_a_process(reactor: ReactorBase) -> None:

@@ -28,14 +28,32 @@ class FakeClient:
         raise asyncio.CancelledError
 
 
-def test_credential_replaces_the_token_and_is_stored_for_the_owner_only(tmp_path: Path) -> None:
+def test_credential_is_stored_for_the_owner_only_before_it_is_sent(tmp_path: Path) -> None:
     file = tmp_path / "credential"
     credential = Credential(file, "token")
-    assert credential.secret == "token"
-    credential.keep(Welcome("secret"))
-    assert credential.secret == "secret"
-    assert Credential(file, "").secret == "secret"
+    own = credential.own
+    assert (credential.secret, file.read_text(), len(own)) == ("token", own, 64)
     assert file.stat().st_mode & 0o777 == 0o600
+    assert Credential(file, "token").secret == own  # it may have joined before it was killed
+    credential.keep(Welcome(own))
+    assert (credential.secret, credential.own) == (own, "")
+
+
+def test_process_without_a_token_makes_no_credential(tmp_path: Path) -> None:
+    credential = Credential(tmp_path / "credential", "")
+    assert (credential.secret, credential.own, credential.forget()) == ("", "", False)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_refused_credential_is_not_used_again(tmp_path: Path) -> None:
+    (tmp_path / "credential").write_text("old")
+    credential = Credential(tmp_path / "credential", "token")
+    assert (credential.secret, credential.own) == ("old", "")
+    assert credential.forget()
+    assert credential.secret == "token"
+    assert credential.own == (tmp_path / "credential").read_text() != "old"
+    assert not credential.forget()
+    assert list(tmp_path.iterdir()) == []
 
 
 async def test_token_is_tried_once_if_the_stored_credential_is_refused(tmp_path: Path) -> None:
@@ -45,7 +63,6 @@ async def test_token_is_tried_once_if_the_stored_credential_is_refused(tmp_path:
     with pytest.raises(asyncio.CancelledError):
         await stay_joined(cast(ControlClient, client), client.credential)
     assert client.tried == ["old", "token"]
-    assert not file.exists()
 
 
 @pytest.mark.parametrize(("stored", "token"), [("old", ""), ("old", "wrong"), ("", "wrong")])

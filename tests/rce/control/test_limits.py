@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rce.control.calls.joining import Hello
-from rce.control.limits import BURST, CALLS_PER_SECOND, Budget, Budgets
+from rce.control.limits import BURST, CALLS_PER_CONNECTION, CALLS_PER_SECOND, Budget, Budgets
 
 
 def test_burst_is_free_and_more_waits() -> None:
@@ -15,6 +15,14 @@ def test_burst_is_free_and_more_waits() -> None:
     assert budget.use(0) == 0.0
     now += BURST / CALLS_PER_SECOND
     assert budget.use(BURST) == 0.0
+
+
+def test_budget_grows_with_the_number_of_connections() -> None:
+    now = 100.0
+    budget = Budget(lambda: now)
+    budget.connections = 200
+    budget.use(BURST)
+    assert budget.use(CALLS_PER_SECOND + CALLS_PER_CONNECTION * 200) == 1.0
 
 
 def test_environments_of_a_user_share_a_budget() -> None:

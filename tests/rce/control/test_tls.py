@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import time
 from pathlib import Path
 
 import pytest
@@ -78,3 +79,17 @@ async def test_peer_without_a_valid_certificate_cannot_join(
             await connect(reactor, listener.description, HELLO, Handlers(), client_tls)
         assert listener.joiner.joined.empty()
         assert not failures
+
+
+async def test_removed_machine_cannot_connect(
+    reactor: ReactorBase, own: Tls, tmp_path: Path, authority: Authority
+) -> None:
+    now = time.time()
+    gone = Tls(certify(tmp_path / "gone", authority, ["127.0.0.1"], "gone"))
+    again = Tls(certify(tmp_path / "again", authority, ["127.0.0.1"], "gone", after=now - 60))
+    async with listening(reactor, tls=own) as listener:
+        own.set_removed({"gone": now - 60, "other": now})
+        with pytest.raises(Unavailable, match="because the machine was removed"):
+            await connect(reactor, listener.description, HELLO, Handlers(), gone)
+        assert listener.joiner.joined.empty()
+        await closed(*await listener.pair(Handlers(), again))

@@ -175,3 +175,10 @@ def test_keys_are_different_and_readable_without_a_password() -> None:
         key = serialization.load_pem_private_key(pem.encode(), None)
         assert isinstance(key, ec.EllipticCurvePrivateKey)
         assert isinstance(key.curve, ec.SECP256R1)
+
+
+def test_certificate_of_a_machine_that_is_added_again_begins_after_its_removal(authority: Authority) -> None:
+    removed = time.time() - 10.5
+    issued = authority.issue(signing_request(generate_key(), "beta"), "beta", ["beta"], after=removed)
+    valid_from = x509.load_pem_x509_certificate(issued.encode()).not_valid_before_utc.timestamp()
+    assert removed < valid_from <= removed + 1

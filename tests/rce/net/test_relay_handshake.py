@@ -23,7 +23,9 @@ def test_request_round_trip() -> None:
     assert RelayRequest.parse(request.line()) == request
 
 
-@pytest.mark.parametrize("line", [b"\n", b"{}\n", b"GET / HTTP/1.1\r\n", b'{"to": 1}\n'])
+@pytest.mark.parametrize(
+    "line", [b"\n", b"{}\n", b"GET / HTTP/1.1\r\n", b'{"to": 1}\n', b'{"to": "\xff"}\n', b"[" * 2000]
+)
 def test_malformed_request_is_refused(line: bytes) -> None:
     with pytest.raises(InvalidRequest, match="first line"):
         RelayRequest.parse(line)

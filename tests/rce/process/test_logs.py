@@ -95,3 +95,13 @@ def test_rate_limited_logger_suppresses_and_counts_warnings() -> None:
     limited.warn("no key from {address}", address="b")
     lines = [formatEvent(event) for event in seen.events]
     assert lines == ["no key from a", "no key from b (2 similar warnings suppressed)"]
+
+
+def test_text_of_a_namespace_has_its_events_and_all_warnings() -> None:
+    lines: list[str] = []
+    logs.add_text_observer(lines.append, "tests.environment.")
+    for namespace in ("tests.environment.nodes", "tests.control"):
+        log = Logger(namespace)
+        log.info("an info")
+        log.warn("a warn")
+    assert [line.split()[-1] for line in lines if "tests." in line] == ["info", "warn", "warn"]

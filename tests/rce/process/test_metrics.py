@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import pytest
 
 from rce.process import metrics
@@ -17,7 +19,7 @@ from rce.process.metrics import (
     merge_families,
     watch_loop,
 )
-from tests.support.master.hand_turned import HandTurnedLoop
+from tests.support.hand_turned import HandTurnedLoop
 
 
 @pytest.fixture(autouse=True)
@@ -85,3 +87,18 @@ def test_lag_of_the_loop_is_its_delay(monkeypatch: pytest.MonkeyPatch) -> None:
     task.cancel()
     hand.settle()
     hand.close()
+
+
+async def test_tasks_of_the_loop_are_counted() -> None:
+    def count() -> float:
+        return next(each.samples[0].value for each in metrics.collect_families("x") if each.name == "rce_tasks")
+
+    before = count()
+    tasks = [asyncio.create_task(asyncio.sleep(60)) for _ in range(3)]
+    assert count() == before + 3
+    for task in tasks:
+        task.cancel()
+
+
+def test_process_without_a_loop_has_no_tasks() -> None:
+    assert metrics._count_tasks() == 0

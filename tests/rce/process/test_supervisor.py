@@ -47,7 +47,7 @@ async def test_killed_process_is_restarted_until_it_is_stopped(make: Callable[[s
 
 async def test_process_that_ends_before_it_is_ready_fails_to_start(make: Callable[[str], ManagedProcess]) -> None:
     process = make("print('no announcement')")
-    with pytest.raises(StartFailed, match="rce test did not start"):
+    with pytest.raises(StartFailed, match="rce test did not start: it ended with status 0; see its output above"):
         await process.start()
     await process.stop()
 
@@ -55,6 +55,6 @@ async def test_process_that_ends_before_it_is_ready_fails_to_start(make: Callabl
 async def test_start_times_out(make: Callable[[str], ManagedProcess], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(supervisor, "START_TIMEOUT", 0.1)
     process = make("import time; time.sleep(60)")
-    with pytest.raises(StartFailed):
+    with pytest.raises(StartFailed, match=r"it was not ready after 0.1 s; if this machine is busy, try again"):
         await process.start()
     await process.stop()

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import io
+import os
 import sys
 from pathlib import Path
 
+import msgspec
 import pytest
 
-from rce.errors import StartFailed
+from rce.errors import InvalidRequest, StartFailed
 from rce.process import programs, up
 from rce.process.ready import Ready
+from rce.process.settings import load
 from rce.process.supervisor import ManagedProcess
 
 # A program that is ready at once, and records in a file when it starts and when it is terminated.
@@ -42,7 +45,7 @@ def lines(record: Path) -> list[str]:
 
 @pytest.fixture
 def settings(tmp_path: Path) -> up.Settings:
-    return up.Settings(data_dir=tmp_path / "data", typesupport="")
+    return up.Settings(data_dir=tmp_path / "data", typesupport="", allow_root=True)
 
 
 @pytest.fixture
@@ -65,16 +68,18 @@ def test_processes_have_directories_of_their_own_and_one_secret_each(settings: u
         "robot": f"{data}/robot",
         "container": f"{data}/container",
         "map-service": f"{data}/maps",
+        "knowledge-service": f"{data}/knowledge",
     }
     tokens = [process._environment["RCE_TOKEN"] for process in others]
     allowed = dict(each.rsplit(":", 1)[::-1] for each in master._environment["RCE_TOKENS"].split(","))
-    assert allowed == dict(zip(tokens, ["robot:robot-1", "container:machine-1", "service:map-service"], strict=True))
-    assert len(set(tokens)) == 3
+    names = ["robot:robot-1", "container:machine-1", "service:map-service", "service:knowledge-service"]
+    assert allowed == dict(zip(tokens, names, strict=True))
+    assert len(set(tokens)) == 4
 
 
 def test_others_dial_the_port_that_the_master_got(settings: up.Settings) -> None:
     settings.http_port = settings.ws_port = settings.maps_port = 0
-    master, robot, container, maps = up.make_processes(settings, io.StringIO())
+    master, robot, container, maps, _ = up.make_processes(settings, io.StringIO())
     assert arguments(master)["--http"] == "tcp:0:interface=127.0.0.1"
     assert arguments(master)["--control"] == "tcp:0:interface=127.0.0.1"
     master.ready = Ready("master", "http://0.0.0.0:9123/", "tcp:127.0.0.1:8123")
@@ -87,7 +92,7 @@ def test_others_dial_the_port_that_the_master_got(settings: up.Settings) -> None
 
 def test_restarted_processes_keep_their_ports(settings: up.Settings) -> None:
     settings.http_port = settings.ws_port = settings.maps_port = 0
-    master, robot, _, maps = up.make_processes(settings, io.StringIO())
+    master, robot, _, maps, _ = up.make_processes(settings, io.StringIO())
     master.ready = Ready("master", "http://127.0.0.1:9123/", "tcp:127.0.0.1:8123")
     robot.ready = Ready("robot", "ws://127.0.0.1:9124/")
     maps.ready = Ready("map-service", "http://127.0.0.1:9125/")
@@ -99,7 +104,7 @@ def test_restarted_processes_keep_their_ports(settings: up.Settings) -> None:
 
 def test_development_listens_on_loopback_only(settings: up.Settings) -> None:
     settings.host, settings.dev = "0.0.0.0", True
-    master, robot, _, maps = up.make_processes(settings, io.StringIO())
+    master, robot, _, maps, _ = up.make_processes(settings, io.StringIO())
     master.ready = Ready("master", "http://127.0.0.1:9000/", "tcp:127.0.0.1:8080")
     assert arguments(master)["--http"] == "tcp:9000:interface=127.0.0.1"
     assert "--dev" in arguments(master)
@@ -109,7 +114,7 @@ def test_development_listens_on_loopback_only(settings: up.Settings) -> None:
 @pytest.mark.parametrize("key", ["/k.pem", ""])
 def test_certificate_is_for_all_ports_of_users(settings: up.Settings, key: str) -> None:
     settings.certificate, settings.private_key = "/c.pem", key
-    master, robot, container, maps = up.make_processes(settings, io.StringIO())
+    master, robot, container, maps, _ = up.make_processes(settings, io.StringIO())
     master.ready = Ready("master", "https://127.0.0.1:9000/", "tcp:127.0.0.1:8080")
     assert arguments(master)["--http"].startswith("ssl:9000:interface")
     assert f"ssl:9000:interface=127.0.0.1:privateKey={key or '/c.pem'}:certKey=/c.pem" in master._arguments()[1]
@@ -132,13 +137,15 @@ async def test_master_starts_first_and_ends_last(settings: up.Settings, record: 
 
     async def started(entry: Ready) -> None:
         entries.append(entry)
-        assert {*lines(record)} == {"start master", "start robot", "start container", "start map-service"}
+        names = {"master", "robot", "container", "map-service", "knowledge-service"}
+        assert {*lines(record)} == {f"start {name}" for name in names}
 
     with (record.parent / "log").open("w") as log:
         await up.run(settings, started, log)
     assert [entry.program for entry in entries] == ["master"]
     assert lines(record)[0] == "start master"
-    assert lines(record)[4:] == ["stop map-service", "stop container", "stop robot", "stop master"]
+    ended = ["map-service", "knowledge-service", "container", "robot", "master"]
+    assert lines(record)[5:] == [f"stop {name}" for name in ended]
 
 
 async def test_platform_is_not_started_if_a_process_fails(
@@ -188,25 +195,74 @@ async def test_starts_under_way_are_cancelled_if_a_process_fails(
     assert events[0] == "start of the container is cancelled"
 
 
-async def test_platform_starts_without_a_map_service_that_is_not_installed(
+async def test_platform_starts_without_services_that_are_not_installed(
     settings: up.Settings, record: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(programs, "installed", lambda *names: False)
 
     async def started(entry: Ready) -> None:
-        assert "start map-service" not in lines(record)
+        assert not {"start map-service", "start knowledge-service"} & {*lines(record)}
 
     with (record.parent / "log").open("w+") as log:
         await up.run(settings, started, log)
         log.seek(0)
-        assert "starting without the map service" in log.read()
+        text = log.read()
+        assert "starting without the map service" in text
+        assert "pip install '.[server,knowledge]'" in text
 
 
-async def test_free_port_for_the_entry_means_free_ports_for_all(settings: up.Settings, record: Path) -> None:
-    settings.http_port = 0
+@pytest.mark.parametrize(
+    ("given", "ports"),
+    [
+        ([], ("9010", "9020")),
+        (["--http-port=0"], ("0", "0")),
+        (["--http-port=0", "--ws-port=9555"], ("9555", "0")),
+        (["--http-port=0", "--maps-port=9010"], ("0", "9010")),
+        (["--ws-port=0"], ("0", "9020")),
+    ],
+)
+def test_free_port_for_the_entry_means_free_ports_where_none_is_given(given: list[str], ports: tuple[str, str]) -> None:
+    master, robot, _, maps, _ = up.make_processes(load(up.Settings, "rce up", given, {}), io.StringIO())
+    master.ready = Ready("master", "http://127.0.0.1:9123/", "tcp:127.0.0.1:8123")
+    assert (arguments(robot)["--ws-port"], arguments(maps)["--port"]) == ports
+
+
+def test_welcome_has_the_address_and_how_to_sign_in(settings: up.Settings) -> None:
+    lines = up.welcome(settings, "http://127.0.0.1:9000/", Path("/data/up.log")).splitlines()
+    assert any("dashboard" in line and "http://127.0.0.1:9000/" in line for line in lines)
+    assert any("rce login http://127.0.0.1:9000/ --user admin" in line for line in lines)
+    assert len(lines) <= 10
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.0.2", "robots.example"])
+async def test_engine_without_isolation_does_not_serve_other_machines(settings: up.Settings, host: str) -> None:
+    settings.host = host
 
     async def started(entry: Ready) -> None:
-        assert (settings.ws_port, settings.maps_port) == (0, 0)
+        pytest.fail("it has started")
 
-    with (record.parent / "log").open("w") as log:
-        await up.run(settings, started, log)
+    with pytest.raises(InvalidRequest, match=r"not a loopback address: use --engine docker, or --allow-unisolated"):
+        await up.run(settings, started, io.StringIO())
+
+
+def test_other_machines_are_served_on_request_and_by_engines_with_isolation(settings: up.Settings) -> None:
+    settings.host = "0.0.0.0"
+    up.check_isolation(msgspec.structs.replace(settings, allow_unisolated=True))
+    up.check_isolation(msgspec.structs.replace(settings, engine="docker"))
+    up.check_isolation(msgspec.structs.replace(settings, dev=True))  # which listens at the loopback address
+    for local in ("127.0.0.1", "::1", "localhost"):
+        up.check_isolation(msgspec.structs.replace(settings, host=local))
+
+
+def test_nodes_run_as_root_only_on_request(settings: up.Settings, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    settings.allow_root = False
+    with pytest.raises(InvalidRequest, match=r"as root.*--allow-root"):
+        up.check_isolation(settings)
+    up.check_isolation(msgspec.structs.replace(settings, engine="docker"))
+    up.check_isolation(msgspec.structs.replace(settings, allow_root=True))
+
+
+def test_isolation_is_one_line() -> None:
+    assert up.isolation("process").startswith("the process engine does not isolate: nodes of all users run as ")
+    assert up.isolation("docker").startswith("the docker engine isolates")

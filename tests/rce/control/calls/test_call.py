@@ -8,13 +8,13 @@ import pkgutil
 import msgspec
 
 from rce.control import calls
-from rce.control.calls.call import BatchResult, Call, Nothing, Ping, result_type
-from rce.control.calls.endpoints import Sync
+from rce.control.calls.call import BatchResult, Call, Nothing, result_type
+from rce.control.calls.endpoints import StopNode, Sync
 from rce.control.calls.watching import Log, ReadLog
 
 
 def test_result_type_is_that_of_the_class() -> None:
-    assert [result_type(call) for call in (Ping, Sync, ReadLog)] == [Nothing, BatchResult, Log]
+    assert [result_type(call) for call in (StopNode, Sync, ReadLog)] == [Nothing, BatchResult, Log]
 
 
 def test_every_call_has_a_unique_name_and_a_result_and_can_be_decoded() -> None:

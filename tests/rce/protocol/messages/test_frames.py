@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from typing import Any, get_args
 
 import msgspec
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 
 from rce.errors import InvalidRequest
 from rce.protocol import messages as m
+from rce.protocol.messages.frames import MAX_LENIENT, decode_frame
 from tests.support.control import execute_round_trip
 
 KINDS: dict[str, type[Any]] = {
@@ -167,3 +169,21 @@ def test_any_damaged_frame_is_decoded_or_refused(text: str, place: int, put: byt
 @given(st.binary())
 def test_any_bytes_are_decoded_or_refused(payload: bytes) -> None:
     decode_all(payload)
+
+
+@pytest.mark.parametrize(
+    "text", [b'"\\' * 500_000, b'"a",' * 250_000, b"-" * 1_000_000, b"N" * 1_000_000, b"NaN," * 250_000], ids=range(5)
+)
+def test_malformed_frame_with_a_token_is_refused_in_linear_time(text: bytes) -> None:
+    """With a backslash after each quote it took hours, in the event loop of the Robot endpoint."""
+    began = time.process_time()
+    with pytest.raises(InvalidRequest):
+        decode_frame(b'{"a":NaN,' + text)
+    assert time.process_time() - began < 5
+
+
+def test_tokens_are_accepted_up_to_a_size() -> None:
+    start = b'{"type":"DM","data":[NaN,-Infinity,"NaN"'
+    assert bytes(decode_frame(start + b"]}").data) == b'["NaN","-Infinity","NaN"]'
+    with pytest.raises(InvalidRequest):
+        decode_frame(start + b" " * MAX_LENIENT + b"]}")

@@ -1,0 +1,58 @@
+"""Refusal of keys that a value does not have: a misspelt option is not an option that was left out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import Any
+
+import msgspec
+from msgspec import Raw, inspect
+
+from rce.errors import InvalidRequest
+from rce.spelling import did_you_mean
+
+
+def check_keys(kind: type, raw: Raw | bytes, where: str) -> None:
+    """Check that the objects of a JSON value have no keys but those of their types.
+
+    What is malformed otherwise is left to the decoder.
+
+    Args:
+        kind: Type of the value.
+        raw: The value.
+        where: Place of the value, for the error.
+
+    Raises:
+        InvalidRequest: There is such a key; the error has its path and the nearest one that there is.
+    """
+    try:
+        value = msgspec.json.decode(raw)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return
+    for path, key, known in _unknown(_type_of(kind), value, ""):
+        hint = did_you_mean(key, known) or f"there are {', '.join(known) or 'none'}"
+        field = f"{path}.{key[:80]}".lstrip(".")
+        raise InvalidRequest(f"{where}.{field}: there is no such key: {hint}", field=field)
+
+
+@lru_cache(None)
+def _type_of(kind: type) -> inspect.Type:
+    return inspect.type_info(kind)
+
+
+def _unknown(kind: inspect.Type, value: Any, path: str) -> Iterator[tuple[str, str, list[str]]]:
+    """Yield the unknown keys, each with the path of its object and the keys that this may have."""
+    if isinstance(kind, inspect.UnionType):
+        structs = [each for each in kind.types if isinstance(each, inspect.StructType)]
+        kind = structs[0] if len(structs) == 1 else kind
+    if isinstance(kind, inspect.StructType) and isinstance(value, dict):
+        fields = {field.encode_name: field.type for field in kind.fields}
+        for key, item in value.items():
+            if key in fields:
+                yield from _unknown(fields[key], item, f"{path}.{key}")
+            elif key != kind.tag_field:
+                yield path, key, list(fields)
+    elif isinstance(kind, inspect.ListType) and isinstance(value, list):
+        for index, item in enumerate(value):
+            yield from _unknown(kind.item_type, item, f"{path}[{index}]")

@@ -1,0 +1,53 @@
+"""Keys that a value does not have."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+from msgspec import UNSET, Struct, UnsetType
+
+from rce.errors import InvalidRequest
+from rce.protocol import messages as m
+from rce.protocol.known_keys import check_keys
+
+
+class Outer(Struct):
+    many: list[m.CreateContainer] = []
+    maybe: m.DestroyContainer | UnsetType = UNSET
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "field", "reason"),
+    [
+        (m.CreateContainer, {"containerTag": "b", "memory": 5}, "memory", "there are containerTag, containerData"),
+        (m.CreateContainer, {"containerData": {"memroy": 5}}, "containerData.memroy", "did you mean memory?"),
+        (m.CreateContainer, {"containerData": {"io": {"red": 5}}}, "containerData.io.red", "did you mean read?"),
+        (Outer, {"many": [{}, {"containerTga": "b"}]}, "many[1].containerTga", "did you mean containerTag?"),
+        (Outer, {"maybe": {"x": 1}}, "maybe.x", "there are containerTag"),
+    ],
+)
+def test_unknown_key_is_refused_with_the_nearest_one(kind: type, value: Any, field: str, reason: str) -> None:
+    with pytest.raises(InvalidRequest) as caught:
+        check_keys(kind, json.dumps(value).encode(), "data")
+    assert str(caught.value).startswith(f"data.{field}: there is no such key: {reason}")
+    assert caught.value.info.field == field
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"containerTag": "b", "containerData": {"env": {"ANY_NAME": "x"}, "groupIp": "1.2.3.4"}}',
+        '{"containerTag": 5, "containerData": []}',
+        "[1]",
+        '{"broken',
+        '"\xff',
+    ],
+)
+def test_what_has_no_unknown_key_is_left_to_the_decoder(text: str) -> None:
+    check_keys(m.CreateContainer, text.encode("latin-1"), "data")
+
+
+def test_values_of_parameters_may_have_any_keys() -> None:
+    check_keys(m.SetParameter, b'{"containerTag": "b", "name": "x", "value": {"any": [{"key": 1}]}}', "data")
