@@ -1,4 +1,4 @@
-"""Reader of ROS 2 interface packages: `package.xml`, `msg/*.msg` and `srv/*.srv`.
+"""Reader of ROS 2 interface packages: `package.xml`, `msg/*.msg`, `srv/*.srv` and `action/*.action`.
 
 Errors are reported with file and line before any code is generated.
 """
@@ -36,6 +36,12 @@ parser_errors = (
     *(ValueError, TypeError, NameError, IndexError, NotImplementedError),
 )
 
+SEPARATORS = {
+    ".srv": (1, "a service has one line --- between request and response"),
+    ".action": (2, "an action has two lines --- between goal, result and feedback"),
+}
+"""Number of lines that separate the sections of a file, and the rule for them."""
+
 
 class Reference(NamedTuple):
     """A message type that a definition uses."""
@@ -46,7 +52,7 @@ class Reference(NamedTuple):
 
 @dataclass(frozen=True)
 class Interface:
-    """A message or service.
+    """A message, service or action.
 
     Attributes:
         path: File, relative to the package.
@@ -64,8 +70,8 @@ class Package:
     Attributes:
         name: Name in package.xml.
         root: Directory of the package.
-        interfaces: Messages and services.
-        left_out: Files that are not supported: actions and IDL.
+        interfaces: Messages, services and actions.
+        left_out: Files that are not supported: IDL.
     """
 
     name: str
@@ -112,13 +118,12 @@ def read_packages(roots: Iterable[Path]) -> list[Package]:
 def read_package(root: Path) -> Package:
     """Read the package in a directory. Raises the same as `read_packages`."""
     name = package_name(root / "package.xml")
-    found = sorted([*root.glob("msg/*.msg"), *root.glob("srv/*.srv")])
+    found = sorted([*root.glob("msg/*.msg"), *root.glob("srv/*.srv"), *root.glob("action/*.action")])
     if not found:
-        raise InvalidRequest(f"{root} has neither msg/*.msg nor srv/*.srv")
+        raise InvalidRequest(f"{root} has neither msg/*.msg nor srv/*.srv nor action/*.action")
     check_file_names(found)
     interfaces = tuple(Interface(path.relative_to(root), read_definition(path, name)) for path in found)
-    left_out = sorted([*root.glob("action/*.action"), *root.glob("*/*.idl")])
-    return Package(name, root, interfaces, tuple(left_out))
+    return Package(name, root, interfaces, tuple(sorted(root.glob("*/*.idl"))))
 
 
 def package_name(manifest: Path) -> str:
@@ -180,7 +185,7 @@ def check_file_names(paths: Sequence[Path]) -> None:
 
 
 def read_definition(path: Path, package: str) -> dict[Reference, int]:
-    """Check a `.msg` or `.srv` file, and return the messages that it uses with the lines of their first use.
+    """Check a `.msg`, `.srv` or `.action` file, and return the messages that it uses with the lines of their first use.
 
     Raises:
         InvalidRequest: A line is malformed. The message has its number.
@@ -188,15 +193,14 @@ def read_definition(path: Path, package: str) -> dict[Reference, int]:
     sections: list[set[str]] = [set()]
     references: dict[Reference, int] = {}
     for number, line in numbered_lines(path):
-        if path.suffix == ".srv" and line == "---":
+        if path.suffix in SEPARATORS and line == "---":
             sections.append(set())
         else:
             used = read_line(line, package, sections[-1], f"{path}:{number}")
             references |= dict.fromkeys(used - references.keys(), number)
-    if path.suffix == ".srv" and len(sections) != 2:
-        raise InvalidRequest(
-            f"{path}: a service has one line --- between request and response, not {len(sections) - 1}"
-        )
+    wanted, rule = SEPARATORS.get(path.suffix, (0, ""))
+    if len(sections) - 1 != wanted:
+        raise InvalidRequest(f"{path}: {rule}, not {len(sections) - 1}")
     return references
 
 

@@ -40,9 +40,9 @@ SCRIPT = ROOT / "provisioning" / "provision"
 VENV = ROOT / ".venv"
 PYTHON = VENV / "bin" / "python"
 STAMP = VENV / "provisioned.json"
-DEMO_EXTRAS = ("server", "mapping", "ros", "images")  # the last for the examples
+DEMO_EXTRAS = ("server", "knowledge", "bag", "mapping", "mapping3d", "ros", "images")  # the last for the examples
 IMAGE_EXTRAS = ("server", "docker")
-TEST_EXTRAS = (*DEMO_EXTRAS, "docker", "bench", "postgresql", "docs", "dev")
+TEST_EXTRAS = (*DEMO_EXTRAS, "video", "docker", "bench", "postgresql", "docs", "dev")
 TEST_PACKAGE = ROOT / "tests" / "ros" / "Test"
 DOCKER_PROGRAMS = {  # a private daemon, what makes images without a registry, and disks and networks of environments
     "docker.io": "dockerd",
@@ -65,8 +65,11 @@ OPTIONAL_PROGRAMS = {  # single tests need them, and not every distribution has 
 IN_TWO_PROCESSES = ("-n", "2", "--dist", "loadgroup", "--no-loadscope-reorder", "--max-worker-restart=1")
 """Options of pytest. tests/conftest.py makes the groups and their order. A process that ends is replaced once, because
 pytest-xdist starts the test that ended it again."""
-QUICK = ("-m", "not e2e and not docker and not slow")
-REST = ("-m", "e2e or docker or slow")
+QUICK = ("-m", "not (e2e or docker or ros or slow)")
+REST = ("-m", "e2e or docker or ros or slow")
+UV_CONSTRAINTS = ("--constraints", CONSTRAINTS, "--build-constraints", CONSTRAINTS)
+KEEP_BYTECODE = {"PYTHONDONTWRITEBYTECODE": ""}
+"""Variables for the tests. They start hundreds of processes, each of which would compile the sources again."""
 IS_ROOT = os.geteuid() == 0
 APT_OPTIONS = ("-o", "Acquire::Retries=3", "-o", "DPkg::Lock::Timeout=300")  # a fresh machine may be updating itself
 POLICY = Path("/usr/sbin/policy-rc.d")  # decides whether a package may start its services
@@ -176,8 +179,17 @@ def is_installed(extras: Sequence[str]) -> bool:
 
 
 def install_project(extras: Sequence[str]) -> str:
-    """Install the checkout with these extras, editable, into the virtual environment."""
-    pip_install(PYTHON, "-e", f"{ROOT}[{','.join(extras)}]")
+    """Install the checkout with these extras, editable, into the virtual environment.
+
+    uv does it in a tenth of pip's time. It does not read pip's configuration, so pip takes over where uv fails, for
+    example because packages come from an index of the company.
+    """
+    project = ("-e", f"{ROOT}[{','.join(extras)}]")
+    pip_install(PYTHON, "uv")
+    try:
+        run(PYTHON, "-m", "uv", "pip", "install", "--python", PYTHON, *UV_CONSTRAINTS, *project)
+    except ProvisioningError:
+        pip_install(PYTHON, *project)
     STAMP.write_text(json.dumps(current_stamp(extras)))
     return f"rce[{','.join(extras)}]"
 
@@ -187,6 +199,12 @@ def build_typesupport(packages: Sequence[Path]) -> str:
     if shutil.which("g++") is None or not (Path(sysconfig.get_path("include")) / "Python.h").exists():
         return "skipped: needs g++ and Python's headers"
     return run(PYTHON, "-P", "-m", "provisioning.typesupport", *packages).strip().splitlines()[-1]
+
+
+def compile_kernels() -> str:
+    """Compile the Numba kernels of the mappers, so that neither the demo nor each process of the tests has to wait."""
+    run(PYTHON, "-P", "-c", "import rce.mapping.mappers", environment=KEEP_BYTECODE)
+    return "kernels of the mappers"
 
 
 def install_steps(extras: Sequence[str], tests: bool) -> list[Step]:
@@ -205,7 +223,8 @@ def install_steps(extras: Sequence[str], tests: bool) -> list[Step]:
 def setup_steps(extras: Sequence[str], packages: Sequence[Path], tests: bool) -> list[Step]:
     """Return the steps that install RCE and build the types of its messages."""
     types = Step("type support", lambda: "build what is not in its cache yet", lambda: build_typesupport(packages))
-    return [*install_steps(extras, tests), types]
+    kernels = Step("kernels", lambda: "compile what is not in its cache yet", compile_kernels)
+    return [*install_steps(extras, tests), types, kernels]
 
 
 # --- PostgreSQL for the tests -----------------------------------------------------------------------------------------
@@ -273,7 +292,7 @@ def test(options: argparse.Namespace, rest: list[str]) -> int:
     run_steps(steps)
     with postgresql() as variables:
         for command in commands:
-            status = run_in_foreground(command, cwd=ROOT, environment=variables)
+            status = run_in_foreground(command, cwd=ROOT, environment=KEEP_BYTECODE | variables)
             if status:
                 return status
     return 0
@@ -285,7 +304,7 @@ def check_steps() -> list[Step]:
     return [
         check_step("ruff check", tool / "ruff", "check", ".", SCRIPT),
         check_step("ruff format", tool / "ruff", "format", "--check", ".", SCRIPT),
-        check_step("mypy", tool / "mypy"),
+        check_step("mypy", tool / "mypy", "--num-workers", "2"),
         check_step("mypy provision", tool / "mypy", "--scripts-are-modules", SCRIPT),
     ]
 

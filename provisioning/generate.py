@@ -20,6 +20,7 @@ import rosidl_generator_type_description  # type: ignore[import-untyped]
 import rosidl_typesupport_c  # type: ignore[import-untyped]
 import rosidl_typesupport_fastrtps_c  # type: ignore[import-untyped]
 import rosidl_typesupport_introspection_c  # type: ignore[import-untyped]
+from rosidl_adapter.action import convert_action_to_idl
 from rosidl_adapter.msg import convert_msg_to_idl
 from rosidl_adapter.srv import convert_srv_to_idl
 from rosidl_cli.command.helpers import generate_visibility_control_file  # type: ignore[import-untyped]
@@ -33,6 +34,8 @@ INTROSPECTION = "rosidl_typesupport_introspection_c"
 CODE = ("rosidl_generator_c", FASTRTPS, INTROSPECTION, "rosidl_typesupport_c")
 PACKAGES = ("rosidl_generator_type_description", *CODE, "rosidl_generator_py")
 """Packages of the generators, which the generated code depends on beside the definitions."""
+
+TO_IDL = {".msg": convert_msg_to_idl, ".srv": convert_srv_to_idl, ".action": convert_action_to_idl}
 
 
 @dataclass(frozen=True)
@@ -89,8 +92,7 @@ def write_definitions(package: Package, share: Path) -> None:
         target = share / interface.path
         target.parent.mkdir(exist_ok=True)
         shutil.copy(package.root / interface.path, target)
-        convert = convert_msg_to_idl if target.suffix == ".msg" else convert_srv_to_idl
-        convert(share.absolute(), package.name, interface.path, target.parent)
+        TO_IDL[target.suffix](share.absolute(), package.name, interface.path, target.parent)
 
 
 def write_code(package: Package, python: Path, share: Path, work: Path) -> None:

@@ -18,13 +18,23 @@ from typing import TypeVar
 from urllib.parse import urlsplit
 
 import msgspec
+from cryptography.hazmat.primitives.asymmetric import ec
 
 from rce import __version__
 from rce.api.joining import JoinCode, JoinRequest, Membership, parse_join_code
 from rce.errors import ErrorInfo, InternalError, InvalidRequest, RceError, Unavailable
-from rce.net.certificates import Authority, certificate_hosts, fingerprint, generate_key, key_to_pem, signing_request
+from rce.net.certificates import (
+    Authority,
+    certificate_hosts,
+    fingerprint,
+    generate_key,
+    key_to_pem,
+    load_key,
+    signing_request,
+)
 from rce.net.tls import CA, CERTIFICATE, KEY
 
+JOINING_KEY = "joining.pem"  # the key while the machine has no certificate for it
 TIMEOUT = 20.0  # seconds
 T = TypeVar("T")
 
@@ -56,7 +66,7 @@ def join(directory: Path, code: JoinCode) -> Membership:
         InternalError: The answer is malformed.
     """
     authority = _authority(code)
-    key = generate_key()
+    key = _joining_key(directory / JOINING_KEY)
     join_request = JoinRequest(code.invitation, signing_request(key, code.invitation.name), __version__)
     trust = ssl.create_default_context(cadata=authority)
     status, body = _ask(code.url, trust, "POST", "machines", msgspec.json.encode(join_request))
@@ -66,7 +76,20 @@ def join(directory: Path, code: JoinCode) -> Membership:
     write(directory / KEY, key_to_pem(key), private=True)
     write(directory / CERTIFICATE, membership.certificate)
     write(directory / CA, authority)
+    (directory / JOINING_KEY).unlink()
     return membership
+
+
+def _joining_key(file: Path) -> ec.EllipticCurvePrivateKey:
+    """Return the key of an attempt to join that did not end, else a new one.
+
+    If the answer to that attempt was lost, the invitation is good for its key only.
+    """
+    if file.exists():
+        return load_key(file.read_text())
+    key = generate_key()
+    write(file, key_to_pem(key), private=True)
+    return key
 
 
 def _authority(code: JoinCode) -> str:

@@ -1,7 +1,8 @@
 """Builder of the images of environments from this checkout: `python -P -m provisioning.image`.
 
 `rce/system` is Debian, from a registry or, if there is none, by debootstrap. The Dockerfiles in `containers/images`
-build `rce/base`, `rce/mapping` and `rce/agent` on it. In them our code comes last, because it changes most often.
+build `rce/base`, `rce/mapping`, `rce/mapping3d` and `rce/agent` on it. In most of them our code comes last, because it
+changes most often.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ from pathlib import Path
 import docker
 from docker.errors import APIError, DockerException, ImageNotFound
 
+from provisioning.steps import CONSTRAINTS, ROOT
 from rce import __version__
 from rce.errors import RceError, StartFailed, Unavailable
 
-ROOT = Path(__file__).parents[1]
-CONSTRAINTS = ROOT / "constraints.txt"
 IMAGES = ROOT / "containers" / "images"
-SYSTEM, GROUND, BASE, MAPPING, AGENT = "rce/system", "rce/ground", "rce/base", "rce/mapping", "rce/agent"
+SYSTEM, GROUND, BASE, AGENT = "rce/system", "rce/ground", "rce/base", "rce/agent"
+MAPPING, MAPPING3D = "rce/mapping", "rce/mapping3d"
 RELEASE = "bookworm"
 REGISTRY_IMAGE = f"debian:{RELEASE}-slim"
 REGISTRY_TIMEOUT = 10.0  # seconds until a registry begins to answer
@@ -42,7 +43,12 @@ REMOVED_CONTENT = (  # directories of Debian that are emptied
 )
 CODE = ("rce", "endpoints", "converters", "containers/__init__.py", "containers/nodes")
 AGENT_CODE = ("rce", "containers")
-EXTRAS = {"base.txt": ("environment", "ros"), "mapping.txt": ("mapping",), "agent.txt": ("environment", "docker")}
+EXTRAS = {
+    "base.txt": ("environment", "ros"),
+    "mapping.txt": ("mapping",),
+    "mapping3d.txt": ("mapping3d",),
+    "agent.txt": ("environment", "docker"),
+}
 PIP_SETTINGS = ("PIP_INDEX_URL", "PIP_EXTRA_INDEX_URL", "PIP_TRUSTED_HOST", "PIP_DEFAULT_TIMEOUT")
 PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "NO_PROXY", "http_proxy", "https_proxy", "no_proxy")
 CERTIFICATES = ("PIP_CERT", "SSL_CERT_FILE", "REQUESTS_CA_BUNDLE", "CURL_CA_BUNDLE")
@@ -69,11 +75,12 @@ class Builder:
         self.make(context, base, f"{GROUND}{version}", {"SYSTEM": SYSTEM}, target="ground")
         self.make(context, base, f"{BASE}{version}", {"SYSTEM": SYSTEM})
         self.make(context, "images/mapping/Dockerfile", f"{MAPPING}{version}", {"GROUND": f"{GROUND}{version}"})
+        self.make(context, "images/mapping3d/Dockerfile", f"{MAPPING3D}{version}", {"MAPPING": f"{MAPPING}{version}"})
         self.make(context, "images/agent/Dockerfile", f"{AGENT}{version}", {"GROUND": f"{GROUND}{version}"})
 
     def sizes(self) -> dict[str, int]:
         """Return the sizes of the built images in bytes."""
-        tags = [f"{name}:{__version__}" for name in (BASE, MAPPING, AGENT)]
+        tags = [f"{name}:{__version__}" for name in (BASE, MAPPING, MAPPING3D, AGENT)]
         return {tag: self._api.inspect_image(tag)["Size"] for tag in tags}
 
     def _has(self, tag: str) -> bool:

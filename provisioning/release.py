@@ -19,7 +19,7 @@ from provisioning.steps import ROOT, ProvisioningError, Step, pip_environment, p
 from provisioning.system import CURRENT, DOCKER, OPT, System, public_python
 
 PACKAGES = ("rce", "master", "endpoints", "containers", "converters", "provisioning")
-FILES = ("pyproject.toml", "constraints.txt", "README.md", "LICENSE", "CHANGELOG.md")
+FILES = ("pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md")
 KEPT = 2  # releases: the current one and the previous, whose files environments may still use
 EXTRAS = {"master": ("server",), "robot": ("server",), "container": ("server",), "map-service": ("server", "mapping")}
 TYPESUPPORT = f"{OPT}/typesupport"
@@ -30,7 +30,7 @@ def required_extras(roles: Collection[str], engine: str) -> list[str]:
     """Return the extras of RCE that these roles need."""
     extras = {extra for role in roles for extra in EXTRAS[role]}
     if "container" in roles:
-        extras |= {"docker"} if engine in DOCKER else {"ros", "mapping"}
+        extras |= {"docker"} if engine in DOCKER else {"ros", "mapping", "mapping3d"}
     return sorted(extras)
 
 

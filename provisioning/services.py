@@ -90,6 +90,7 @@ def _administrator_step(system: System) -> Step:
     def add() -> str:
         password = secrets.token_urlsafe(15)
         command = as_user(f"{CURRENT}/bin/rce", "user", f"--data-dir={VAR}/master", "add", "admin", "--role", "admin")
+        command.append("--create")
         run(*command, secret=password + "\n")
         system.write(PASSWORD, password + "\n", 0o600)
         return f"user admin, password in {PASSWORD}"

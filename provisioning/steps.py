@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parent.parent  # the checkout
 LOG = ROOT / "build" / "provision.log"
-CONSTRAINTS = ROOT / "constraints.txt"  # exact versions of all dependencies
+CONSTRAINTS = ROOT / "provisioning" / "constraints.txt"  # exact versions of all dependencies
 NAME_COLUMNS = 16  # for the name of a step, which a space follows
 
 

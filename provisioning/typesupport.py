@@ -1,8 +1,7 @@
-"""Builder of type support for ROS 2 messages and services that the installed packages lack, with a cache.
+"""Builder of type support for ROS 2 messages, services and actions that the installed packages lack, with a cache.
 
 `python -m provisioning.typesupport [DIR…]` builds the interface packages of RCE (tf2_msgs, map_msgs and others) and
-those in DIR, prints the prefix with the result, and points the link `current` in the cache to it. It supports messages
-and services. Actions are left out and reported.
+those in DIR, prints the prefix with the result, and points the link `current` in the cache to it.
 """
 
 from __future__ import annotations
@@ -32,7 +31,8 @@ RUNTIME = (
     *("rosidl_typesupport_fastrtps_cpp", "rosidl_runtime_c", "rcutils", "rmw", "fastcdr"),
 )
 """Libraries of ROS 2 that generated code uses."""
-SERVICES_USE = ("service_msgs", "builtin_interfaces")
+GENERATED_USE = ("service_msgs", "builtin_interfaces", "action_msgs", "unique_identifier_msgs")
+"""Packages that the generated code of services and actions uses."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class TypeSupport:
     Attributes:
         prefix: Prefix like those of installed ROS 2 packages. In `AMENT_PREFIX_PATH` it gives access to definitions and
             nodes, and its directory `python` in `PYTHONPATH` to the modules.
-        left_out: Files that are not supported: actions and IDL.
+        left_out: Files that are not supported: IDL.
     """
 
     prefix: Path
@@ -89,7 +89,7 @@ def cache_key(packages: Sequence[Package]) -> str:
     """Return a hash of everything that the result depends on: packages, dependencies, generators and Python."""
     used = {reference for package in packages for reference in package.uses}
     files = [path for package in packages for path in package.files]
-    files += [rosinstall.required(name) / "package.xml" for name in (*generate.PACKAGES, *SERVICES_USE)]
+    files += [rosinstall.required(name) / "package.xml" for name in (*generate.PACKAGES, *GENERATED_USE)]
     files += [
         directory / "msg" / f"{name}.json" for package, name in sorted(used) if (directory := rosinstall.share(package))
     ]
@@ -149,7 +149,7 @@ def module_name(package: str) -> str:
 def link(package: Package, code: generate.Code, tools: compiler.Compiler, python: Path) -> None:
     """Compile and link the three libraries of a package."""
     used: list[str | Path] = []
-    for name in sorted({reference.package for reference in package.uses}.union(SERVICES_USE)):
+    for name in sorted({reference.package for reference in package.uses}.union(GENERATED_USE)):
         built = libraries(name, python)
         used += built if built[0].exists() else [f"{name}__{kind}" for kind in (*generate.CODE, "rosidl_generator_py")]
     used += RUNTIME
@@ -212,7 +212,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 1
     for path in result.left_out:
-        print(f"left out: {path}: only messages and services (.msg, .srv) are supported", file=sys.stderr)
+        print(f"left out: {path}: only .msg, .srv and .action are supported", file=sys.stderr)
     if not given.alone:
         replace_link(given.cache / "current", result.prefix)
     print(result.prefix)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from provisioning.steps import Commands
 
 BACKUPS = f"{VAR}/backup"
-IMAGES = ("rce/base", "rce/mapping", "rce/ground", "rce/system")
+IMAGES = ("rce/base", "rce/mapping", "rce/mapping3d", "rce/ground", "rce/system")
 LOCKS = "/tmp/rce-domains"  # locks of ROS domains, by the engine process
 STOP_TIMEOUT = 10.0  # seconds for processes to end
 

@@ -97,7 +97,7 @@ def _add_package(archive: tarfile.TarFile, package: str, entries: list[Entry]) -
             add_file(archive, source, f"prefix/lib/{package}/{name}")
             if place in (*PROGRAMS, package):
                 add_file(archive, source, f"prefix/lib/{package}/{program}")
-        elif name.split("/")[0] in ("msg", "srv"):
+        elif name.split("/")[0] in layout.INTERFACES:
             add_file(archive, source, f"prefix/share/{package}/{name}")
 
 

@@ -90,7 +90,14 @@ def test_names_of_ros_1_are_accepted(make_package: MakePackage) -> None:
     assert package.interfaces[0].references == {Reference("Own", "B"): 1}
 
 
-def test_actions_are_left_out(make_package: MakePackage) -> None:
-    root = make_package("own", {"msg/A.msg": "", "action/Go.action": "---\n---\n"})
+def test_action_has_three_sections(make_package: MakePackage) -> None:
+    [package] = read_packages([make_package("own", {"action/Go.action": "int32 a\n---\nint32 a\n---\nint32 a\n"})])
+    assert [each.path.name for each in package.interfaces] == ["Go.action"]
+    with pytest.raises(InvalidRequest, match="an action has two lines --- between goal, result and feedback, not 1"):
+        read_packages([make_package("other", {"action/Go.action": "---\n"})])
+
+
+def test_idl_is_left_out(make_package: MakePackage) -> None:
+    root = make_package("own", {"msg/A.msg": "", "msg/B.idl": ""})
     [package] = read_packages([root])
-    assert package.left_out == (root / "action" / "Go.action",)
+    assert package.left_out == (root / "msg" / "B.idl",)

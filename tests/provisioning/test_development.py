@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from provisioning import development, steps
+from provisioning.steps import CONSTRAINTS, ProvisioningError
 from tests.support.paths import ROOT
 
 SCRIPT = ROOT / "provisioning" / "provision"
@@ -20,10 +21,9 @@ SCRIPT = ROOT / "provisioning" / "provision"
 def checkout(tmp_path: Path) -> Path:
     """The files of a fresh checkout that the script reads."""
     (tmp_path / "provisioning").mkdir()
-    for path in [SCRIPT, *SCRIPT.parent.glob("*.py")]:
+    for path in [SCRIPT, *SCRIPT.parent.glob("*.py"), CONSTRAINTS]:
         shutil.copy(path, tmp_path / "provisioning")
-    for name in ("pyproject.toml", "constraints.txt"):
-        shutil.copy(ROOT / name, tmp_path)
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
     return tmp_path
 
 
@@ -35,7 +35,7 @@ def plan(checkout: Path, *arguments: str) -> str:
     return done.stdout
 
 
-INSTALLATION = ["system packages", "virtual env", "python packages", "type support"]
+INSTALLATION = ["system packages", "virtual env", "python packages", "type support", "kernels"]
 
 CHECKS = ["ruff check", "ruff format", "mypy", "mypy provision"]
 
@@ -62,9 +62,22 @@ def test_stages_of_test(checkout: Path, option: tuple[str, ...], steps: list[str
         assert f" -m '{marker}'" in line
 
 
+def test_pip_installs_where_uv_cannot(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    by_pip: list[tuple[object, ...]] = []
+
+    def fail(*command: object, **_: object) -> str:
+        raise ProvisioningError(f"{command} failed")
+
+    monkeypatch.setattr(development, "run", fail)
+    monkeypatch.setattr(development, "pip_install", lambda _python, *arguments: by_pip.append(arguments))
+    monkeypatch.setattr(development, "STAMP", tmp_path / "stamp")
+    assert development.install_project(["dev"]) == "rce[dev]"
+    assert by_pip == [("uv",), ("-e", f"{ROOT}[dev]")]
+
+
 def test_each_test_belongs_to_exactly_one_stage() -> None:
     quick, rest = development.QUICK[1], development.REST[1]
-    assert rest == " or ".join(part.removeprefix("not ") for part in quick.split(" and "))
+    assert quick == f"not ({rest})"
 
 
 @pytest.mark.parametrize(
@@ -90,8 +103,8 @@ def test_dry_run_of_image(checkout: Path) -> None:
 def test_changed_requirements_are_installed_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changed: str
 ) -> None:
-    for name in ("pyproject.toml", "constraints.txt"):
-        shutil.copy(ROOT / name, tmp_path)
+    for path in (ROOT / "pyproject.toml", CONSTRAINTS):
+        shutil.copy(path, tmp_path)
     paths = {"ROOT": tmp_path, "CONSTRAINTS": tmp_path / "constraints.txt"}
     for name, path in {**paths, "PYTHON": tmp_path / "python", "STAMP": tmp_path / "stamp"}.items():
         monkeypatch.setattr(development, name, path)

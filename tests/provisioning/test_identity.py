@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import ssl
 import time
 from collections.abc import AsyncIterator
@@ -115,6 +116,30 @@ async def test_invitation_is_valid_once(platform: Platform, machine: Path) -> No
         await join(machine, code)
 
 
+async def test_machine_whose_answer_was_lost_joins_again(
+    platform: Platform, machine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ask = identity._ask
+
+    def lose(url: str, trust: ssl.SSLContext, method: str, path: str, body: bytes | None = None) -> tuple[int, bytes]:
+        answer = ask(url, trust, method, path, body)
+        if method == "POST":
+            raise Unavailable("connection reset")
+        return answer
+
+    code = await platform.code()
+    monkeypatch.setattr(identity, "_ask", lose)
+    with pytest.raises(Unavailable):
+        await join(machine, code)
+    assert os.listdir(machine) == ["joining.pem"]
+    assert (machine / "joining.pem").stat().st_mode & 0o777 == 0o600
+    monkeypatch.undo()
+    membership = await join(machine, code)
+    assert sorted(os.listdir(machine)) == ["ca.pem", "cert.pem", "key.pem"]
+    ssl.create_default_context().load_cert_chain(machine / "cert.pem", machine / "key.pem")
+    await platform.processes.admit("beta", "container", membership.tokens["container"])
+
+
 async def test_body_that_does_not_come_is_not_waited_for(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(requests, "BODY_TIMEOUT", 0.05)
     trusted = ssl.create_default_context(cafile=str(platform.tls / "ca.pem"))
@@ -161,7 +186,7 @@ async def test_invitation_is_not_sent_to_an_unknown_server(platform: Platform, m
     code = await platform.code()
     with pytest.raises(InvalidRequest, match="nothing was sent"):
         await join(machine, msgspec.structs.replace(code, authority="0" * 64))
-    assert await platform.processes.redeem("beta", code.invitation.digest)
+    assert await platform.processes.redeem("beta", code.invitation.digest, "key")
 
 
 async def test_server_with_the_right_ca_but_without_its_key_is_refused(
@@ -176,7 +201,7 @@ async def test_server_with_the_right_ca_but_without_its_key_is_refused(
     with pytest.raises(Unavailable, match="certificate verify failed"):
         await join(machine, msgspec.structs.replace(code, url=impostor.url))
     await impostor.close()
-    assert await platform.processes.redeem("beta", code.invitation.digest)
+    assert await platform.processes.redeem("beta", code.invitation.digest, "key")
 
 
 async def test_refused_version_does_not_use_up_the_invitation(

@@ -172,12 +172,13 @@ def test_command_reports_what_it_leaves_out(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(module, "shipped", list)
-    root = make_package("own", {"srv/A.srv": "---\n", "action/Go.action": "---\n---\n"})
+    root = make_package("own", {"srv/A.srv": "---\n", "msg/B.idl": "", "action/Go.action": "---\n---\nint32 done\n"})
     assert main([str(root), "--cache", str(tmp_path / "cache")]) == 0
     output = capsys.readouterr()
-    assert f"left out: {root}/action/Go.action" in output.err
+    assert f"left out: {root}/msg/B.idl" in output.err
     prefix = Path(output.out.strip())
     assert (prefix / "python" / "own" / "srv" / "_a.py").exists()
+    assert (prefix / "python" / "own" / "action" / "_go.py").exists()
     assert (tmp_path / "cache" / "current").resolve() == prefix
 
 
