@@ -22,6 +22,7 @@ from twisted.logger import LogEvent, globalLogPublisher
 
 from rce.errors import Unavailable
 from rce.process import loop
+from tests.support.hand_turned import HandTurnedLoop
 
 if TYPE_CHECKING:
     from tests.support.island import Island
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 asyncio.set_event_loop_policy(uvloop.EventLoopPolicy())
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # inherited from a background shell, as the children would
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+os.environ["RCE_ALLOW_ROOT"] = "true"  # CI runs as root, in a container
 
 TESTS = Path(__file__).parent
 DOCKER_FIXTURES = {"docker_host", "images", "island", "swarm", "one_machine", "stand_in_image"}
@@ -79,6 +82,20 @@ def _limit_time(item: pytest.Item) -> None:
 def _needs_docker(item: pytest.Item) -> bool:
     fixtures = getattr(item, "fixturenames", ())
     return not DOCKER_FIXTURES.isdisjoint(fixtures) or "[docker" in item.name
+
+
+@pytest.fixture
+def hand() -> Iterator[HandTurnedLoop]:
+    """Event loop whose time is turned by hand; the test fails if an exception was not retrieved."""
+    hand = HandTurnedLoop()
+    unhandled: list[dict[str, Any]] = []
+    hand.set_exception_handler(lambda _, context: unhandled.append(context))
+    yield hand
+    for task in asyncio.all_tasks(hand):
+        task.cancel()
+    hand.settle()
+    hand.close()
+    assert not unhandled
 
 
 @pytest.fixture(scope="session", autouse=True)

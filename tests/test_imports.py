@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,41 +23,52 @@ MAY_IMPORT: dict[str, set[str]] = {
 ONLY_IN: dict[str, tuple[str, ...]] = {
     "docker": ("containers/docker/", "containers/swarm/", "provisioning/image.py", "provisioning/user_image.py"),
     "rclpy": ("endpoints/environment/", "containers/nodes/"),
-    "cv2": ("converters/", "endpoints/robot/worker.py", "rce/mapping/"),
+    "cv2": ("converters/", "endpoints/robot/worker.py", "rce/mapping/", "rce/mapping3d/"),
 }
 BASE = {"rce", "msgspec", "websockets", "yaml"} | set(sys.stdlib_module_names)
 # Modules of `rce` that need an extra, and what they may import for it. Modules of the base must not import them.
 WITH_EXTRA: dict[str, set[str]] = {
+    "rce/bag/": {"mcap"},
     "rce/net/certificates.py": {"cryptography"},
     "rce/control/broker.py": {"twisted"},
     "rce/control/client.py": {"twisted"},
     "rce/control/connection.py": {"twisted"},
     "rce/control/credential.py": {"twisted"},
     "rce/control/decoder.py": {"twisted"},
+    "rce/control/liveness.py": {"twisted"},
     "rce/control/server.py": {"twisted"},
-    "rce/control/tls.py": {"twisted"},
+    "rce/control/tls.py": {"twisted", "cryptography", "OpenSSL"},
     "rce/process/exposition.py": {"prometheus_client"},
     "rce/process/loop.py": {"twisted", "uvloop"},
     "rce/process/logs.py": {"twisted"},
     "rce/process/reactor.py": {"twisted", "uvloop"},
     # `job_program` maps in a process of its own; the service itself must not have these libraries in its memory.
     "rce/mapservice/": {"aiohttp", "lxml", "twisted"},
+    "rce/services/": {"aiohttp", "twisted"},
+    "rce/knowledge/": {"aiohttp", "twisted", "rdflib", "pyoxigraph", "pyparsing"},
     "rce/web/": {"aiohttp"},
     "rce/mapping/": {"numpy", "numba", "scipy", "cv2", "rosbags"},
+    "rce/mapping3d/": {"numpy", "numba", "scipy", "cv2", "rosbags", "gtsam"},
+    "rce/video/": {"av", "numpy"},
     "rce/cli/interactive.py": {"prompt_toolkit"},
     "rce/bench": {
-        *("numpy", "matplotlib", "twisted", "autobahn", "rosbags", "uvloop", "txaio", "playwright", "psutil"),
+        *("av", "numpy", "matplotlib", "twisted", "autobahn", "rosbags", "uvloop", "txaio", "playwright", "psutil"),
+        "sqlalchemy",
     },
+    "rce/cli/lazy/bag.py": {"mcap"},
     "rce/cli/lazy/bench.py": {"numpy"},
     "rce/cli/lazy/map.py": {"numpy"},
+    "rce/cli/lazy/map3d.py": {"numpy"},
+    "rce/cli/lazy/bench_map3d.py": {"numpy"},
     "rce/client/images.py": {"numpy", "PIL"},
 }
 # Packages inside `rce` that must stay below the others: what they may import of `rce`, beside themselves.
 LAYERS: dict[str, set[str]] = {
-    "rce/protocol/": {"rce.errors"},
+    "rce/protocol/": {"rce.choices", "rce.errors", "rce.spelling"},
     "rce/net/": {"rce.errors"},
-    "rce/client/": {"rce.errors", "rce.protocol", "rce.net", "rce.api", "rce.structfile"},
+    "rce/client/": {"rce.errors", "rce.protocol", "rce.net", "rce.api", "rce.spelling", "rce.structfile"},
     "rce/web/": {"rce.errors", "rce.net", "rce.api", "rce.process"},
+    "rce/services/": {"rce.choices", "rce.errors", "rce.control", "rce.net", "rce.process", "rce.web"},
     "rce/api/": {"rce.errors", "rce.protocol", "rce.control.calls"},
 }
 PURE = "master/graph/"
@@ -68,9 +80,10 @@ def relative(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
 
-def imported(path: Path) -> Iterator[tuple[str, bool]]:
-    """Yield the modules that a file imports, and for each whether importing the file imports it."""
-    yield from _imports(ast.parse(path.read_text(), str(path)), path, True)
+@functools.cache
+def imported(path: Path) -> tuple[tuple[str, bool], ...]:
+    """Return the modules that a file imports, and for each whether importing the file imports it."""
+    return tuple(_imports(ast.parse(path.read_text(), str(path)), path, True))
 
 
 def _imports(node: ast.AST, path: Path, at_once: bool) -> Iterator[tuple[str, bool]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import functools
+import hashlib
 import json
 import os
 import re
@@ -15,9 +16,12 @@ from collections.abc import AsyncIterator, Iterator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 
+from rce.client import Robot, Subscriber
+from rce.errors import NotFound
 from tests.support.domains import domain
 from tests.support.e2e.chromium import chromium, open_page, visit
 from tests.support.e2e.real_platform import RCE, USER, RealPlatform
@@ -126,6 +130,41 @@ async def test_two_robots(platform: RealPlatform) -> None:
         assert await lander.output() == [f"the rover is at x = {number * 0.5:.1f}" for number in range(5)]
 
 
+async def test_board(platform: RealPlatform, tmp_path: Path) -> None:
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler: install gcc to run this")
+    board = str(tmp_path / "board")
+    build = (compiler, "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-o", board, str(EXAMPLES / "board.c"))
+    async with started(*build) as program:
+        assert await program.output() == []
+    async with Robot(platform.url, user=USER, robot="desk", password=USER) as desk:
+        assert desk.connection is not None
+        address = urlsplit(desk.connection.endpoint)
+        words = (str(address.hostname), str(address.port), hashlib.sha256(USER.encode()).hexdigest())
+        async with started(board, *words) as program:
+            await program.line("connected")
+            temperatures = await find(desk, "temperature", "std_msgs/Float64", "board/temperature")
+            light = await desk.publisher("light", "std_msgs/Bool", to="board/light")
+            first, second = [(await temperatures.get(timeout=TIMEOUT))["data"] for _ in range(2)]
+            assert second == first + 0.25
+            for switch, shown in ((True, "light on"), (False, "light off")):
+                await light.publish({"data": switch})
+                assert await program.line("light") == shown
+    async with started(board, *words[:2], "0" * 64) as program:
+        assert "401" in await program.line("board:")
+
+
+async def find(robot: Robot, tag: str, type_name: str, to: str) -> Subscriber:
+    """Subscribe to another robot's interface as soon as it is there."""
+    async with asyncio.timeout(TIMEOUT):
+        while True:
+            try:
+                return await robot.subscriber(tag, type_name, to=to)
+            except NotFound:
+                await asyncio.sleep(0.05)
+
+
 async def test_group(platform: RealPlatform) -> None:
     assert await output_of("group.py", platform.url) == ["hello from the other environment"]
 
@@ -202,12 +241,11 @@ async def test_robot_file_of_its_page(platform: RealPlatform, tmp_path: Path) ->
     assert line_out in page
     async with started(RCE, "run", str(file)) as robot:
         await robot.line("is running")
-        robot.write(line_in)
-        assert json.loads(await robot.line('"heard"')) == {
-            "iTag": "heard",
-            "type": "std_msgs/String",
-            "msg": {"data": "hi"},
-        }
+        answer = asyncio.create_task(robot.line('"heard"'))
+        while not answer.done():  # the node and the interface may not have discovered each other at first
+            robot.write(line_in)
+            await asyncio.wait([answer], timeout=1)
+        assert json.loads(answer.result()) == {"iTag": "heard", "type": "std_msgs/String", "msg": {"data": "hi"}}
         await robot.interrupt()
 
 

@@ -23,8 +23,8 @@ MODULE = re.compile(r"`(\w+\.py)`")
 LINK = re.compile(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)")
 ANCHORED = re.compile(r"\]\(([^)#:\s]*)#([^)]+)\)")
 HEADING = re.compile(r"^#+ (.+)$", re.M)
-IMAGES = {"rce/base", "rce/mapping", "rce/agent"}  # of containers
-USERS_FILES = {"setup.py", "talker.py"}  # of packages that users push
+IMAGES = {"rce/base", "rce/mapping", "rce/mapping3d", "rce/agent"}  # of containers
+USERS_FILES = {"setup.py", "talker.py", "packed_scan.py"}  # of packages that users push, and of converters
 MADE_BY_THE_HOOKS = {"getting-started.md", "contributing.md", "changelog.md"}
 
 
@@ -83,6 +83,7 @@ def test_navigation_has_every_page() -> None:
     assert sorted(named) == sorted({str(page.relative_to(DOCS)) for page in PAGES} | MADE_BY_THE_HOOKS)
 
 
+@pytest.mark.slow
 def test_site_builds_and_loads_nothing_from_other_hosts(tmp_path: Path) -> None:
     pytest.importorskip("material", reason="needs MkDocs: pip install '.[docs]'")
     pytest.importorskip("mkdocstrings", reason="needs mkdocstrings: pip install '.[docs]'")

@@ -218,12 +218,13 @@ async def test_nodes_request_actions(platform: RealPlatform, robots: dict[str, R
     rover.spin()
 
     async def response(name: str, state: str) -> str:
-        def find() -> list[str]:
+        def ended() -> list[dict[str, str]]:
             responses = [json.loads(each.data) for each in answers]
-            return [each.get("message", "") for each in responses if (each["id"], each["state"]) == (name, state)]
+            return [each for each in responses if each["id"] == name and each["state"] in ("done", "failed")]
 
-        await until(find, 150, f"{name} {state}")
-        return find()[0]
+        await until(ended, 150, f"end of {name}")
+        assert ended()[0]["state"] == state, answers
+        return ended()[0].get("message", "")
 
     async with bridge(platform, "rover", tmp_path, **config):
         await until(services["off"].service_is_ready, 20)

@@ -46,6 +46,20 @@ async def test_topic_echo_hz_pub_and_list(env: dict[str, str]) -> None:
     await no_guest_interfaces(env)
 
 
+@pytest.mark.parametrize(
+    ("type_name", "message", "reason"),
+    [
+        ("std_msgs/String", "{data: 5}", "std_msgs/msg/String data: Expected str, got int"),
+        ("std_msgs/String", "{dat: hi}", "did you mean data?"),
+        ("std_msgs/Strang", "{data: hi}", "has type std_msgs/msg/String, not std_msgs/Strang"),
+        ("geometry_msgs/Twist", "{linear: {x: 1}}", "has type std_msgs/msg/String, not geometry_msgs/Twist"),
+    ],
+)
+async def test_wrong_message_is_not_published(env: dict[str, str], type_name: str, message: str, reason: str) -> None:
+    report = await rce("topic", "pub", f"{BRAIN}/say", type_name, message, env=env, status=1)
+    assert reason in report
+
+
 async def test_service_call_prints_the_response(env: dict[str, str]) -> None:
     service = f"{BRAIN}/echo/get_parameters"
     answer = await rce("service", "call", service, "rcl_interfaces/GetParameters", "{names: [use_sim_time]}", env=env)
@@ -128,7 +142,7 @@ def _use_console(env: dict[str, str]) -> None:
         console.type("\r")
         console.expect("containerTag +console_brain")
         console.type("robot lst\r")
-        console.expect("there is no command `robot lst`")
+        console.expect("there is no command 'robot lst'")
         console.type("watch -n 0.2 node list console_brain\r")
         console.expect("rce_demo/echo")
         console.expect("rce_demo/echo")

@@ -20,6 +20,7 @@ from tests.support.e2e.consoles import on_terminal, rce, user_environ
 from tests.support.e2e.mapping import SCANS, check_files, rce_map, relations
 from tests.support.e2e.real_platform import USER, RealPlatform, containers, until
 from tests.support.e2e.recordings import piece
+from tests.support.e2e.traffic import Echo
 from tests.support.paths import DATA
 
 docker = pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
@@ -121,11 +122,7 @@ async def test_environments_of_one_user_are_connected(contained: RealPlatform) -
         await robot.add_interface("one", "out", "SubscriberInterface", STRING, addr="/heard")
         await robot.add_interface("two", "in", "PublisherInterface", STRING, addr="/say")
         await robot.connect("one/out", "two/in")
-        heard = await two.subscriber("/heard", STRING)
-        say = await one.publisher("/say", STRING)
-        async with asyncio.timeout(20):
-            await say.publish({"data": "hello"})
-            assert await anext(aiter(heard)) == {"data": "hello"}
+        await Echo(await one.publisher("/say", STRING), await two.subscriber("/heard", STRING)).answers()
 
 
 async def test_shared_memory_suffices_for_five_nodes(contained: RealPlatform) -> None:
@@ -221,15 +218,12 @@ async def test_killed_environment_is_restarted(contained: RealPlatform, images: 
 async def test_environment_survives_its_task_set(contained: RealPlatform, images: Any) -> None:
     """The task set is killed; the environment works on, and the next task set adopts it."""
     async with contained.robot("r6") as robot, robot.environment("lasting") as lasting:
-        await lasting.add_node("echo", "rce_demo", "echo.py")
-        heard = await lasting.subscriber("/heard", STRING)
-        say = await lasting.publisher("/say", STRING)
+        echo = await Echo.of(lasting)
+        await echo.answers()
         (before,) = [each["Id"] for each in containers(images, contained)]
         killed = contained.pid("-m containers ")
         contained.kill(killed)
-        async with asyncio.timeout(20):
-            await say.publish({"data": "still here"})
-            assert await anext(aiter(heard)) == {"data": "still here"}
+        await echo.once()
         await until(lambda: contained.pid("-m containers ", but=killed))
         await lasting.add_node("another", "rce_demo", "echo.py")  # the relay to the Master is open again
         assert [each["Id"] for each in containers(images, contained)] == [before]

@@ -17,7 +17,7 @@ import pytest
 
 from tests.support.e2e import hostile_programs as programs
 from tests.support.e2e.real_platform import USER, RealPlatform
-from tests.support.e2e.traffic import next_event
+from tests.support.e2e.traffic import Echo, next_event
 
 pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
@@ -25,7 +25,6 @@ from rce.client import Environment, Robot
 from rce.protocol.messages import LimitEvent
 
 MB = 1024 * 1024
-STRING = "std_msgs/String"
 DISK = 50 * MB if os.geteuid() == 0 else 0
 
 
@@ -38,8 +37,7 @@ class Siege:
     robot: Robot
     hostile: str  # the container
     victim: Environment
-    say: Any
-    heard: Any
+    echo: Echo
 
     async def attack(self, program: str, *arguments: str) -> dict[str, Any]:
         """Run a program while the victim works; return what it reports, its exit status and its output."""
@@ -53,10 +51,8 @@ class Siege:
 
     async def works(self) -> None:
         """Check that messages pass from the robot to a node of the victim and back, and that the platform serves it."""
-        async with asyncio.timeout(20):
-            await self.say.publish({"data": "still"})
-            assert await anext(aiter(self.heard)) == {"data": "still"}
-            await self.victim.set_parameter("round", 1)
+        await self.echo.once()
+        await self.victim.set_parameter("round", 1)
 
 
 @pytest.fixture(scope="module")
@@ -66,12 +62,11 @@ async def siege(contained: RealPlatform, images: Any) -> AsyncIterator[Siege]:
         robot.environment("victim", cpu=1) as victim,
         robot.environment("siege", memory=700 * MB, cpu=0.5, pids=100, disk=DISK),
     ):
-        await victim.add_node("echo", "rce_demo", "echo.py")
-        heard = await victim.subscriber("/heard", STRING)
-        say = await victim.publisher("/say", STRING)
+        echo = await Echo.of(victim)
+        await echo.answers()
         label = f"rce.environment={USER}/siege"
         (hostile,) = [each["Id"] for each in images.containers(filters={"label": label})]
-        yield Siege(contained, images, robot, hostile, victim, say, heard)
+        yield Siege(contained, images, robot, hostile, victim, echo)
 
 
 async def test_fork_bomb_is_limited(siege: Siege) -> None:

@@ -14,12 +14,11 @@ from typing import Any
 
 import pytest
 
-from rce.client import Environment
-from rce.errors import NotFound, RceError, TimedOut
+from rce.errors import NotFound, RceError
 from tests.support.e2e.real_platform import USER, RealPlatform, containers, until
+from tests.support.e2e.traffic import Echo
 
 MB = 1024 * 1024
-STRING = "std_msgs/String"
 MANY, ROBOTS = 20, 5
 TASK_SET = r"-m containers( |$)"
 
@@ -100,44 +99,19 @@ async def test_environments_of_a_killed_task_set_are_adopted(site: Site) -> None
     async with site.platform.robot("keeper", 60) as robot, AsyncExitStack() as stack:
         made = [stack.enter_async_context(robot.environment(f"kept{number}", **site.options)) for number in range(5)]
         environments = await asyncio.gather(*made)
-        round_trips = [await RoundTrip.with_node(environment) for environment in environments]
+        echoes = [await Echo.of(environment) for environment in environments]
+        await asyncio.gather(*(echo.answers() for echo in echoes))
         before = site.lives()
         assert len(before) == 5
         killed = site.platform.pid(TASK_SET)
         site.platform.kill(killed)
-        await asyncio.gather(*(round_trip.check() for round_trip in round_trips))
+        await asyncio.gather(*(echo.once() for echo in echoes))
         await until(lambda: site.platform.pid(TASK_SET, but=killed), what="a new task set")
         await robot.create_environment("fresh")  # it works again
         await robot.destroy_environment("fresh")
         assert site.lives() == before
-        await asyncio.gather(*(round_trip.check() for round_trip in round_trips))
+        await asyncio.gather(*(echo.once() for echo in echoes))
     assert site.left() == []
-
-
-class RoundTrip:
-    """Messages from a robot to a node and back."""
-
-    def __init__(self, name: str, publisher: Any, subscriber: Any) -> None:
-        self._name, self._publisher, self._subscriber = name, publisher, subscriber
-        self._checks = 0
-
-    @staticmethod
-    async def with_node(environment: Environment) -> RoundTrip:
-        await environment.add_node("echo", "rce_demo", "echo.py")
-        subscriber = await environment.subscriber("/heard", STRING)
-        return RoundTrip(environment.tag, await environment.publisher("/say", STRING), subscriber)
-
-    async def check(self) -> None:
-        """Send a message until it comes back: messages are lost until DDS discovery has finished."""
-        self._checks += 1
-        message = {"data": f"check {self._checks} of {self._name}"}
-        async with asyncio.timeout(30):
-            while True:
-                await self._publisher.publish(message)
-                with suppress(TimedOut):
-                    while await self._subscriber.get(1) != message:
-                        pass
-                    return
 
 
 @pytest.mark.parametrize("moment", ["at once", "when something exists", "when it runs"])

@@ -27,6 +27,7 @@ from rce.bench.nodes import Place
 from rce.client import Robot
 from rce.protocol.messages import EnvironmentEvent
 from tests.support.e2e import reach
+from tests.support.e2e.traffic import Echo
 from tests.support.island import IN_INTERNET, IN_PRIVATE, METADATA, MPI_IMAGE, OWN
 
 if TYPE_CHECKING:
@@ -106,7 +107,7 @@ async def platform(inside: Any, tmp_path_factory: pytest.TempPathFactory) -> Asy
     directory = tmp_path_factory.mktemp("networked")
     (directory / "data" / "master").mkdir(parents=True)
     for user, egress in (("ann", "none"), ("bob", "none"), ("net", "internet"), ("wide", "all")):
-        rce_user(directory, "add", user, given=f"{password(user)}\n")
+        rce_user(directory, "add", "--create", user, given=f"{password(user)}\n")
         if egress != "none":
             rce_user(directory, "limits", user, f"egress={egress}")
     rce_user(directory, "limits", "ann", f"images={MPI_IMAGE}")
@@ -168,11 +169,7 @@ async def test_members_resolve_each_other_and_later_members(platform: RealPlatfo
             assert (await containers["ann/second"].run(name, "First")).strip() == first.addresses["group"]
             # A node in the first environment echoes what the robot publishes and receives through the second.
             await first_one.add_node("echo", "rce_demo", "echo.py")
-            heard = await second.subscriber("/heard", STRING)
-            say = await second.publisher("/say", STRING)
-            async with asyncio.timeout(30):
-                await say.publish({"data": "to the other"})
-                assert await anext(aiter(heard)) == {"data": "to the other"}
+            await Echo(await second.publisher("/say", STRING), await second.subscriber("/heard", STRING)).answers()
         async with asyncio.timeout(10):
             ready = await anext(events)
         assert ready == EnvironmentEvent("First", "ready", address=first.addresses["group"])

@@ -47,7 +47,7 @@ async def test_messages_metrics_and_requests_can_be_traced(platform: RealPlatfor
 
     def follow() -> list[views.MessageTrace]:
         api = ApiClient(platform.url, user="testUser", password="testUser")
-        return api.get(views.Traced, "interfaces", "observer", "say", "trace", messages=1, seconds=30).messages
+        return api.get(views.Traced, "interfaces", "observer", "say", "trace", messages=5, seconds=30).messages
 
     heard = asyncio.ensure_future(anext(aiter(subscriber)))
     while not heard.done():
@@ -57,7 +57,9 @@ async def test_messages_metrics_and_requests_can_be_traced(platform: RealPlatfor
     while not following.done():
         await publisher.publish({"data": "hello"})
         await asyncio.wait([following], timeout=0.1)
-    ((to, row),) = paths((await following)[0])
+    traced = await following
+    assert len({each.message for each in traced}) == 5
+    ((to, row),) = paths(traced[0])
     assert to == "observed/into"
     assert list(row) == ["sent", "received", "delivered", "total"]
     assert all(0 < microseconds < 5e6 for microseconds in row.values())
@@ -102,10 +104,10 @@ async def test_prometheus_scrapes_all_processes(platform: RealPlatform, robot: R
     try:
         async with asyncio.timeout(60):
             address = await _listening_address(process)
-            while len(up) < 5 or "0" in up.values():
+            while len(up) < 6 or "0" in up.values():
                 await asyncio.sleep(0.2)  # it scrapes once a second
                 up = await asyncio.to_thread(_query, address, "up")
-        assert set(up) == {"master", "robot-1", "machine-1", "map-service", "testUser/observed"}
+        assert set(up) == {"master", "robot-1", "machine-1", "map-service", "knowledge-service", "testUser/observed"}
         found = await asyncio.to_thread(_query, address, 'rce_environments{state="ready"}')
         assert found == {"master": "1"}
     except BaseException as error:

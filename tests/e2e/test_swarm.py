@@ -18,10 +18,10 @@ from prometheus_client.parser import text_string_to_metric_families
 docker = pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
 from rce.api.http import EntryClient, basic
-from rce.client import Environment, Publisher, Subscriber
 from tests.support.e2e.machines import Host, Machines
 from tests.support.e2e.mapping import rce_map
 from tests.support.e2e.real_platform import until
+from tests.support.e2e.traffic import Echo
 from tests.support.swarm_nodes import HOST_IMAGE, Node, Swarm, host_mounts, load_host_image, swarm_of
 
 STRING = "std_msgs/String"
@@ -79,35 +79,6 @@ def tags(node: Node) -> list[str]:
     """Return the tags of the environments that run on a node."""
     found = node.api().containers(filters={"label": "rce.environment"})
     return [each["Labels"]["rce.environment"].partition("/")[2] for each in found]
-
-
-class Echo:
-    """A node that echoes messages, and a robot's interfaces to it."""
-
-    def __init__(self, say: Publisher, heard: Subscriber) -> None:
-        self._say = say
-        self._heard = heard
-        self._count = 0
-
-    @classmethod
-    async def of(cls, environment: Environment) -> Echo:
-        await environment.add_node("echo", "rce_demo", "echo.py")
-        return cls(await environment.publisher("/say", STRING), await environment.subscriber("/heard", STRING))
-
-    async def answers(self, seconds: float) -> None:
-        """Wait until a message sent from now on is answered; messages may be lost while the node is not running."""
-        first = self._count + 1
-        async with asyncio.timeout(seconds):
-            while True:
-                self._count += 1
-                self._say.offer({"data": str(self._count)})
-                try:
-                    async with asyncio.timeout(0.5):
-                        while int((await self._heard.get())["data"]) < first:
-                            pass
-                        return
-                except TimeoutError:
-                    continue
 
 
 def relayed(url: str) -> dict[str, float]:

@@ -41,10 +41,10 @@ async def world(platform: RealPlatform) -> AsyncIterator[World]:
         yield World(robot, environment)
 
 
-async def round_trip(world: World, type_name: str, value: Any, raw: bool = False) -> Any:
+async def round_trip(world: World, type_name: str, value: Any, raw: bool = False, format: str = "png") -> Any:
     name = type_name.partition("/")[2]
-    back = await world.environment.subscriber(f"/out_{name}", type_name, raw=raw)
-    out = await world.environment.publisher(f"/in_{name}", type_name, raw=raw)
+    back = await world.environment.subscriber(f"/out_{name}", type_name, raw=raw, format=format)
+    out = await world.environment.publisher(f"/in_{name}", type_name, raw=raw, format=format)
     try:
         await out.publish(value)
         return await back.get(20)
@@ -89,6 +89,13 @@ async def test_point_cloud_as_cdr(world: World) -> None:
     cdr = b"\x00\x01\x00\x00" + struct.pack("<iII4sIIIB3xIII", 7, 8, 4, b"map\0", 1, 1024, 0, 0, 1, 1024, 1024)
     cdr += data + b"\x01"
     assert (await round_trip(world, "sensor_msgs/PointCloud2", cdr, raw=True))[: len(cdr)] == cdr
+
+
+async def test_scan_as_ros1_bytes(world: World) -> None:
+    """A message of ROS 1 reaches a node of ROS 2, and comes back in the form of ROS 1."""
+    header = struct.pack("<III", 0, 1_700_000_000, 5) + struct.pack("<I5s", 5, b"laser")
+    scan = header + struct.pack("<7f", -1.5, 1.5, 0.5, 0, 0.25, 0, 30) + struct.pack("<I5fI", 5, 1, 2, 3, 4, 5, 0)
+    assert await round_trip(world, "sensor_msgs/LaserScan", scan, raw=True, format="ros1") == scan
 
 
 async def test_transforms_and_map_updates(world: World) -> None:

@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 from rce.client import Disconnected, Reconnected, Robot
+from rce.client.backlog import Offline
 from rce.client.events import Event
 from rce.client.stream import Stream
 from rce.errors import (
@@ -188,6 +189,25 @@ class ClientContract:
             await subscriber.close()
             await until(lambda: not publisher.connected)
 
+    @pytest.mark.parametrize(("offline", "arrive"), [("drop", []), ("newest", [2]), ("store", [0, 1, 2])])
+    async def test_publisher_that_does_not_wait_keeps_what_it_should(
+        self, platform: Platform, offline: Offline, arrive: list[int]
+    ) -> None:
+        async with platform.robot("a") as a, platform.robot("b") as b:
+            publisher = await a.publisher("out", STRING, offline=offline)
+            for number in range(3):
+                await publisher.publish({"data": str(number)}, wait=False)
+            assert publisher.dropped == 3 - len(arrive)
+            subscriber = await b.subscriber("in", STRING, to="a/out")
+            await publisher.wait_connected(10)
+            await publisher.publish({"data": "last"}, wait=True)
+            for number in arrive:
+                assert await subscriber.get(10) == {"data": str(number)}
+            assert await subscriber.get(10) == {"data": "last"}
+            for number in range(20):
+                await publisher.publish({"data": str(number)}, wait=False)
+                assert await subscriber.get(10) == {"data": str(number)}
+
     async def test_resumed_session_keeps_interfaces_and_connections(self, platform: Platform) -> None:
         async with platform.robot("a") as a, platform.robot("b") as b:
             subscriber = await b.subscriber("in", STRING)
@@ -327,7 +347,16 @@ class ClientContract:
     async def test_name_in_use_is_rejected(self, platform: Platform) -> None:
         async with platform.robot("a"):
             with pytest.raises(AlreadyExists):
-                await platform.robot("a").open()
+                await platform.robot("a").open(wait=0)
+
+    async def test_restarted_robot_waits_for_its_name(self, platform: Platform) -> None:
+        first, second = platform.robot("a"), platform.robot("a")
+        await first.open()
+        opening = asyncio.create_task(second.open())
+        await first.close()
+        await opening
+        assert second.connected
+        await second.close()
 
     async def test_configure_executes_commands_in_order(self, platform: Platform) -> None:
         async with platform.robot("a") as a:

@@ -25,10 +25,10 @@ class CommandResult(NamedTuple):
     errors: str
 
 
-async def rce_map(*words: str | Path, temporary: Path) -> CommandResult:
+async def rce_map(*words: str | Path, temporary: Path, command: str = "map") -> CommandResult:
     """Run the command with `temporary` as its directory for temporary files."""
     process = await asyncio.create_subprocess_exec(
-        *(RCE, "map", *map(str, words)),
+        *(RCE, command, *map(str, words)),
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
         env={**os.environ, "TMPDIR": str(temporary)},

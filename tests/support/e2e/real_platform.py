@@ -122,8 +122,12 @@ class RealPlatform:
         return processes_of(self.directory)
 
     def pid(self, pattern: str, but: int = 0) -> int:
-        """Return the pid of the one process whose command line matches, or 0 if there is none except `but`."""
-        found = [pid for pid, words in self.processes().items() if re.search(pattern, words) and pid != but]
+        """Return the pid of the one process whose command line matches, or 0 if there is none except `but`.
+
+        A child that has not executed its program yet has the command line of its parent, and does not count.
+        """
+        matching = {pid for pid, words in self.processes().items() if re.search(pattern, words)}
+        found = [pid for pid in matching if pid != but and _parent(pid) not in matching]
         assert len(found) <= 1, found
         return found[0] if found else 0
 
@@ -170,6 +174,13 @@ def kill_processes(directory: Path) -> list[str]:
         with suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)
     return list(left.values())
+
+
+def _parent(pid: int) -> int:
+    """Return the pid of a process's parent, or 0 if the process has ended."""
+    with suppress(OSError):
+        return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
+    return 0
 
 
 def _words(pid: int, mark: str) -> str | None:

@@ -1,13 +1,15 @@
-"""Continuous traffic between a robot and a node in its environment."""
+"""Messages between a robot and a node in its environment: continuous ones, and single ones."""
 
 from __future__ import annotations
 
 import asyncio
 import json
 import time
+from contextlib import suppress
 from typing import TypeVar
 
-from rce.client import Environment, Event, Robot, Stream
+from rce.client import Environment, Event, Publisher, Robot, Stream, Subscriber
+from rce.errors import TimedOut
 from rce.protocol.messages import Qos
 from tests.support.e2e.real_platform import until
 
@@ -92,6 +94,37 @@ class Traffic:
         answer = await self.parameters.call({}, timeout=20)
         value: str = json.loads(answer["msg"])["str"]
         return value
+
+
+class Echo:
+    """A node that sends messages back, and a robot's interfaces to it."""
+
+    def __init__(self, say: Publisher, heard: Subscriber, name: str = "") -> None:
+        self._say, self._heard, self._name = say, heard, name
+        self._count = 0
+
+    @classmethod
+    async def of(cls, environment: Environment) -> Echo:
+        await environment.add_node("echo", "rce_demo", "echo.py")
+        heard = await environment.subscriber("/heard", STRING)
+        return cls(await environment.publisher("/say", STRING), heard, environment.tag)
+
+    async def answers(self, seconds: float = 30.0) -> None:
+        """Send messages until one comes back: they are lost until DDS discovery has finished."""
+        async with asyncio.timeout(seconds):
+            while True:
+                with suppress(TimedOut):
+                    await self.once(1)
+                    return
+
+    async def once(self, seconds: float = 20.0) -> None:
+        """Send one message and wait until it comes back."""
+        self._count += 1
+        message = {"data": f"{self._name} {self._count}"}
+        self._say.offer(message)
+        end = time.monotonic() + seconds
+        while await self._heard.get(max(end - time.monotonic(), 0.001)) != message:
+            pass
 
 
 async def next_event(events: Stream[Event], kind: type[E], word: str = "") -> E:

@@ -1,5 +1,8 @@
 #!/usr/bin/env python3
-"""Send messages on /in_NAME back on /out_NAME, through Python objects, for each type PACKAGE/NAME in the arguments."""
+"""Send messages on /in_NAME back on /out_NAME, through Python objects, for each type PACKAGE/NAME in the arguments.
+
+Subscriptions and publishers keep DEPTH messages, or as many as the first argument says.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +21,11 @@ DEPTH = 1000  # for times when a busy machine does not run this node
 class RelayNode(Node):
     def __init__(self, types: list[str]) -> None:
         super().__init__("relay")
+        depth = int(types.pop(0)) if types[0].isdigit() else DEPTH
         for package, name in (each.split("/") for each in types):
             kind = getattr(importlib.import_module(f"{package}.msg"), name)
-            out = self.create_publisher(kind, f"/out_{name}", DEPTH)
-            self.create_subscription(kind, f"/in_{name}", out.publish, DEPTH)
+            out = self.create_publisher(kind, f"/out_{name}", depth)
+            self.create_subscription(kind, f"/in_{name}", out.publish, depth)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,57 @@
+"""`rce bag`: topics of an environment are recorded, described, and played in another environment."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from pathlib import Path
+
+from rce.bag.reader import read
+from rce.client import Publisher
+from tests.support.e2e.consoles import rce, running, user_environ
+from tests.support.e2e.real_platform import RealPlatform
+
+STRING, POSE = "std_msgs/String", "geometry_msgs/PoseStamped"
+COUNT = 50
+PERIOD = 0.02  # seconds
+
+
+async def speak(numbers: Publisher, pose: Publisher) -> None:
+    """Publish numbered strings and a pose."""
+    await pose.publish({"header": {"frame_id": "map"}, "pose": {"position": {"x": 1.5}}})
+    for number in range(COUNT):
+        await numbers.publish({"data": str(number)})
+        await asyncio.sleep(PERIOD)
+
+
+async def test_recording_is_played_as_it_was(platform: RealPlatform, tmp_path: Path) -> None:
+    file, env = tmp_path / "a.mcap", user_environ(tmp_path, platform.url)
+    async with platform.robot("bagged") as robot, robot.environment("bag_source"), robot.environment("bag_target"):
+        source = robot.environment("bag_source")
+        numbers, pose = await source.publisher("/number", STRING), await source.publisher("/pose", POSE)
+        words = ("bag", "record", "bag_source", "/number", "/pose", "--out", str(file))
+        async with running(*words, env=env) as recording:
+            await recording.expect_line("2 topics into")
+            await speak(numbers, pose)
+            assert await recording.interrupt() == 0
+        recorded = list(read(file))
+        texts = [each.cdr for each in recorded if each.topic == "/number"]
+        assert [int(text[8:].rstrip(b"\0")) for text in texts] == list(range(COUNT))
+        found = json.loads(await rce("bag", "info", str(file), "--json", env=env))
+        assert found["types"] == {"/number": "std_msgs/msg/String", "/pose": "geometry_msgs/msg/PoseStamped"}
+        assert found["counts"] == {"/number": COUNT, "/pose": 1}
+        assert found["complete"]
+        heard = await robot.environment("bag_target").subscriber("/number", STRING)
+        poses = await robot.environment("bag_target").subscriber("/pose", POSE)
+        clock = await robot.environment("bag_target").subscriber("/clock", "rosgraph_msgs/Clock")
+        await rce("bag", "play", str(file), "bag_target", "--clock", "--rate", "2", env=env)
+        assert [(await heard.get(30))["data"] for _ in range(COUNT)] == [str(number) for number in range(COUNT)]
+        assert (await poses.get(30))["pose"]["position"]["x"] == 1.5
+        assert (await clock.get(30))["clock"]["sec"] == recorded[0].time // 1_000_000_000
+
+
+async def test_topic_that_does_not_exist_is_named(platform: RealPlatform, tmp_path: Path) -> None:
+    env = user_environ(tmp_path, platform.url)
+    async with platform.robot("bagged") as robot, robot.environment("bag_empty"):
+        words = ("bag", "record", "bag_empty", "/nuber", "--out", str(tmp_path / "b.mcap"))
+        assert "there is no topic /nuber in bag_empty" in await rce(*words, env=env, status=1)

@@ -1,0 +1,40 @@
+"""`rce bench control` with a platform of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections import Counter
+
+from rce.bench.control import FLOOR_SAMPLES, NODES
+from tests.support.e2e.real_platform import RCE
+
+
+async def test_each_kind_is_measured_for_each_number_of_robots() -> None:
+    process = await asyncio.create_subprocess_exec(
+        *(RCE, "bench", "control", "--robots", "1,2", "--count", "2", "--json"),
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+    )
+    output, errors = await asyncio.wait_for(process.communicate(), 120)
+    assert process.returncode == 0, errors.decode()
+    phases = json.loads(output)["phases"]
+    assert Counter((phase["robots"], phase["kind"], len(phase["seconds"])) for phase in phases) == Counter(
+        {(0, kind, FLOOR_SAMPLES): 1 for kind in ("bare Perspective Broker call", "bare SQLite transaction")}
+        | {
+            (robots, kind, robots * each): 1
+            for robots in (1, 2)
+            for kind, each in {
+                "log in by password": 2,
+                "log in by key": 2,
+                "create environment": 1,
+                "add node": NODES,
+                "add interface": 4,
+                "connect": 2,
+                "disconnect": 2,
+                "remove interface": 4,
+                "remove node": NODES,
+                "destroy environment": 1,
+            }.items()
+        }
+    )

@@ -1,0 +1,131 @@
+"""Accessibility of the dashboard: axe-core finds no violation on any page, and everything works by the keyboard."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from typing import Any
+
+import pytest
+
+from rce.protocol.messages import AddInterface
+from tests.support.e2e.axe import violations
+from tests.support.e2e.chromium import PHONE, chromium, open_page, sign_in, visit
+from tests.support.e2e.real_platform import USER, RealPlatform
+
+STRING = "std_msgs/String"
+OWN = (
+    *(
+        "#/",
+        "#/environments/{user}/ward",
+        "#/topics/{user}/ward?topic=/heard",
+        "#/map/{user}/ward",
+        "#/image/{user}/ward",
+    ),
+    *("#/space/{user}/ward", "#/panels", "#/recordings", "#/knowledge", "#/packages", "#/parameters/{user}/ward"),
+    *("#/trace/{user}/ward/heard", "#/events", "#/keys", "#/audit"),
+    *("examples/joystick.html", "terminal.html#{user}/ward"),
+)
+SOME = ("#/", "#/environments/{user}/ward", "#/topics/{user}/ward?topic=/heard", "#/keys")  # with all kinds of elements
+NAME = """(({ ariaLabel, labels, innerText }) => ariaLabel || labels?.[0]?.innerText || innerText)
+(document.activeElement)"""
+"""Script that returns the name of what has the focus."""
+ADMINISTRATORS = ("#/machines", "#/users", "#/users/{user}")
+
+
+@pytest.fixture(scope="module")
+async def browser() -> AsyncIterator[Any]:
+    async with chromium() as browser:
+        yield browser
+
+
+async def check_pages(page: Any, url: str, pages: tuple[str, ...]) -> None:
+    for each in pages:
+        await visit(page, "about:blank")
+        await visit(page, f"{url}ui/{each.format(user=USER)}")
+        await page.get_by_role("heading", level=1).wait_for()
+        await page.wait_for_load_state("networkidle") if each.startswith("examples") else None
+        assert await violations(page) == [], each
+
+
+@pytest.mark.parametrize(
+    ("pages", "options"),
+    [(OWN, {}), (SOME, {"color_scheme": "dark", "viewport": PHONE})],
+    ids=["light", "dark phone"],
+)
+async def test_pages_have_no_violations(
+    browser: Any, platform: RealPlatform, pages: tuple[str, ...], options: dict[str, Any]
+) -> None:
+    async with platform.robot("nurse") as robot, robot.environment("ward") as ward:
+        await ward.add_node("echo", "rce_demo", "echo.py")
+        await robot.configure(AddInterface("ward", "heard", "SubscriberInterface", STRING, "/heard"))
+        async with open_page(browser, **options) as (page, _):
+            await visit(page, f"{platform.url}ui/")
+            await page.get_by_role("heading", name="Sign in").wait_for()
+            assert await violations(page) == [], "sign-in"
+            await sign_in(page, platform.url, USER, USER)
+            await check_pages(page, platform.url, pages)
+            await visit(page, f"{platform.url}ui/#/")
+            await page.get_by_role("button", name="New environment").click()
+            await page.get_by_role("dialog").wait_for()
+            assert await violations(page) == [], "dialog"
+        async with open_page(browser, **options) as (page, _):
+            await sign_in(page, platform.url, "admin", "admin")
+            await check_pages(page, platform.url, ADMINISTRATORS)
+
+
+async def tab_to(page: Any, name: str) -> None:
+    """Press Tab until the focus is on the element of this name."""
+    for _ in range(80):
+        await page.keyboard.press("Tab")
+        focused = await page.evaluate(NAME)
+        if focused.strip().startswith(name):
+            return
+    raise AssertionError(f"Tab does not lead to {name}")
+
+
+async def test_everything_is_reached_by_the_keyboard(browser: Any, platform: RealPlatform) -> None:
+    """Sign in, create an environment, start a node in it, read a topic, stop the environment: without a mouse."""
+    async with open_page(browser) as (page, _):
+        keyboard = page.keyboard
+        await visit(page, f"{platform.url}ui/")
+        await page.get_by_role("heading", name="Sign in").wait_for()
+        await keyboard.type(USER)  # the focus is on the first field
+        await tab_to(page, "Password")
+        await keyboard.type(USER)
+        await keyboard.press("Enter")
+        await page.get_by_role("heading", name="Robots and environments").wait_for()
+        await tab_to(page, "New environment")
+        await keyboard.press("Enter")
+        await page.get_by_role("dialog").wait_for()
+        await keyboard.type("typed")
+        await keyboard.press("Enter")
+        await page.get_by_role("dialog").wait_for(state="detached")
+        await page.get_by_role("link", name="typed").wait_for()
+        await tab_to(page, "typed")
+        await keyboard.press("Enter")
+        await page.get_by_role("heading", name="typed").wait_for()
+        await tab_to(page, "Start node")
+        await keyboard.press("Enter")
+        for label, text in (("Name", "echo"), ("ROS package", "rce_demo"), ("Executable", "echo.py")):
+            if label != "Name":  # the first field has the focus
+                await tab_to(page, label)
+            else:
+                await page.get_by_role("dialog").wait_for()
+            await keyboard.type(text)
+        await keyboard.press("Enter")
+        await page.get_by_role("dialog").wait_for(state="detached")
+        await page.get_by_role("cell", name="rce_demo echo.py").wait_for()
+        await tab_to(page, "Topics and services")
+        await keyboard.press("Enter")
+        await page.get_by_role("link", name="/heard").wait_for()
+        await tab_to(page, "/heard")
+        await keyboard.press("Enter")
+        await page.get_by_role("button", name="Publish").wait_for()
+        await page.go_back()
+        await page.go_back()
+        await tab_to(page, "Stop environment")
+        await keyboard.press("Enter")
+        await page.get_by_role("dialog").wait_for()
+        await tab_to(page, "Stop environment")
+        await keyboard.press("Enter")
+        await page.get_by_role("heading", name="Robots and environments").wait_for()

@@ -1,0 +1,163 @@
+"""The examples of npm `@foxglove/ws-protocol-examples` at the gateway of a real platform.
+
+`simple-client` is not among them: it knows messages in JSON and protobuf only, and those of ROS 2 are CDR. The servers
+and `mcap-play` are no clients.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+import signal
+import subprocess
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rce.client import Environment
+from rce.protocol.messages import Qos
+from tests.support.e2e.consoles import rce
+from tests.support.e2e.foreign_suites import node_modules
+from tests.support.e2e.gateways import Gateway, open_gateway
+from tests.support.e2e.node import node_command
+from tests.support.e2e.real_platform import RealPlatform
+
+PROGRAM = "@foxglove/ws-protocol-examples/dist/cjs/ws-protocol-examples/src/index.js"
+WAIT = 60.0  # seconds
+STRING = "std_msgs/String"
+
+
+@pytest.fixture(scope="module")
+async def gateway(platform: RealPlatform, tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Gateway]:
+    async with open_gateway(platform, tmp_path_factory.mktemp("home"), "viewed") as gateway:
+        yield gateway
+
+
+@pytest.fixture(scope="module")
+def examples(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    modules = node_modules(tmp_path_factory.mktemp("foxglove"), "@foxglove/ws-protocol-examples@0.10.0")
+    return modules / PROGRAM
+
+
+class Example:
+    """An example that runs; its output so far is `output`."""
+
+    def __init__(self, process: asyncio.subprocess.Process) -> None:
+        self._process = process
+        self.output = ""
+
+    async def expect(self, pattern: str) -> None:
+        """Wait until the output has a match, or the end."""
+        assert self._process.stdout is not None
+        async with asyncio.timeout(WAIT):
+            while not re.search(pattern, self.output):
+                chunk = await self._process.stdout.read(65536)
+                assert chunk, f"ended without {pattern!r}: {self.output}"
+                self.output += chunk.decode()
+
+    async def finish(self, number: int = 0) -> str:
+        """Send a signal, if one is given, and return the output at the end."""
+        if number:
+            self._process.send_signal(number)
+        rest, _ = await asyncio.wait_for(self._process.communicate(), WAIT)
+        return self.output + rest.decode()
+
+
+@asynccontextmanager
+async def running(examples: Path, *words: str) -> AsyncIterator[Example]:
+    process = await asyncio.create_subprocess_exec(
+        *node_command(), str(examples), *words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    )
+    try:
+        yield Example(process)
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
+
+
+@asynccontextmanager
+async def publishing(environment: Environment, topic: str) -> AsyncIterator[None]:
+    """Publish on a topic ten times a second."""
+    publisher = await environment.publisher(topic, STRING, qos=Qos(depth=10))
+
+    async def publish() -> None:
+        while True:
+            await publisher.publish({"data": "recorded"})
+            await asyncio.sleep(0.1)
+
+    task = asyncio.create_task(publish())
+    try:
+        yield
+    finally:
+        task.cancel()
+        await publisher.close()
+
+
+@pytest.mark.parametrize("encoding", ["json", "cdr"])
+async def test_publish_client(gateway: Gateway, examples: Path, encoding: str) -> None:
+    subscriber = await gateway.environment.subscriber("/chatter", STRING)
+    async with running(examples, "publish-client", "-e", encoding, gateway.foxglove):
+        assert (await subscriber.get(WAIT))["data"].startswith("hello world")
+    await subscriber.close()
+
+
+async def test_service_client(gateway: Gateway, examples: Path) -> None:
+    def answer(request: Any) -> Any:
+        return {"success": request["data"], "message": "as you like"}
+
+    provider = await gateway.environment.service_provider("/set_bool", "std_srvs/SetBool", answer)
+    async with running(examples, "service-client", gateway.foxglove) as example:
+        output = await example.finish()
+    assert "callId: 123" in output
+    assert "encoding: 'cdr'" in output
+    await provider.close()
+
+
+async def test_param_client(gateway: Gateway, examples: Path) -> None:
+    async with running(examples, "param-client", gateway.foxglove) as example:
+        await example.expect(r"/example_fibonacci\.use_sim_time', value: false")
+        await example.expect(r"parameter updates\n.*/example_fibonacci\.use_sim_time', value: true")
+
+
+async def test_perf_test_client(gateway: Gateway, examples: Path) -> None:
+    async with (
+        publishing(gateway.environment, "/measured"),
+        running(examples, "perf-test-client", gateway.foxglove) as example,
+    ):
+        await received(gateway, "/measured")
+        output = await example.finish(signal.SIGINT)
+    found = re.search(r"\| /measured +\| (\d+)", output)
+    assert found is not None, output
+    assert int(found[1]) > 0, output
+
+
+async def test_mcap_record(gateway: Gateway, examples: Path, tmp_path: Path) -> None:
+    file = tmp_path / "record.mcap"
+    words = ["mcap-record", "--no-compression", "-o", str(file), gateway.foxglove]
+    async with publishing(gateway.environment, "/recorded"), running(examples, *words) as example:
+        await received(gateway, "/recorded")
+        await example.finish(signal.SIGINT)
+    recorded = file.read_bytes()
+    assert b"std_msgs/msg/String" in recorded
+    assert b"\0\1\0\0\x09\0\0\0recorded\0" in recorded
+
+
+async def received(gateway: Gateway, topic: str) -> None:
+    """Wait until somebody subscribes to a topic, and then as long as thirty messages take.
+
+    The examples show what they have received at their end only.
+    """
+    async with asyncio.timeout(WAIT):
+        while not await has_subscribers(gateway, topic):  # noqa: ASYNC110  # a graph has no event
+            await asyncio.sleep(0.2)
+    await asyncio.sleep(3)
+
+
+async def has_subscribers(gateway: Gateway, topic: str) -> bool:
+    listed = json.loads(await rce("topic", "list", gateway.environment.tag, "--json", env=gateway.env))
+    return any(each["name"] == topic and each["subscribers"] for each in listed)
