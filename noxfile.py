@@ -64,17 +64,17 @@ def rest(session: nox.Session) -> None:
 @nox.session(venv_backend="virtualenv")
 def docs(session: nox.Session) -> None:
     """Build the documentation site into build/site."""
-    session.install("-c", "constraints.txt", "-e", ".[docs]", "ruff")  # ruff wraps signatures
+    session.install("-c", "provisioning/constraints.txt", "-e", ".[docs]", "ruff")  # ruff wraps signatures
     quiet = {"NO_MKDOCS_2_WARNING": "1"}  # an advertisement of MkDocs Material for its successor
     session.run("mkdocs", "build", "--strict", *session.posargs, env=quiet)
 
 
 @nox.session(venv_backend="virtualenv")
 def lock(session: nox.Session) -> None:
-    """Update constraints.txt to the newest versions that pyproject.toml allows. Then run all tests."""
+    """Update provisioning/constraints.txt to the newest versions that pyproject.toml allows. Then run all tests."""
     session.install("uv")
     session.run(
         "uv", "pip", "compile", "--quiet", "--upgrade", "--universal", "--all-extras", "--strip-extras",
         "--no-emit-index-url", "--python-version", "3.11", "--custom-compile-command", "nox -s lock",
-        "--output-file", "constraints.txt", "pyproject.toml",
+        "--output-file", "provisioning/constraints.txt", "pyproject.toml",
     )  # fmt: skip
