@@ -239,6 +239,8 @@ def describe(state: State) -> tuple[int, str]:
     reason = describe_end(status)
     if state.out_of_memory:
         reason += f"; it exceeded its memory of {state.memory // MB} MB"
+    elif state.status == KILLED and state.memory:  # Docker misses the event of a container that has just started
+        reason += f"; it may have exceeded its memory of {state.memory // MB} MB"
     return status, reason
 
 

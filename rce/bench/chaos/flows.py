@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from contextlib import suppress
 from typing import Any
 
 from msgspec import Struct
@@ -85,10 +86,14 @@ class Flow:
         self._task = asyncio.create_task(self._send(publisher))
 
     async def end(self) -> None:
-        """Send nothing more."""
-        if self._task is not None:
-            self._task.cancel()
-            await asyncio.gather(self._task, return_exceptions=True)
+        """Send nothing more, and wait until the last message has arrived or counts as lost."""
+        if self._task is None:
+            return
+        self._task.cancel()
+        await asyncio.gather(self._task, return_exceptions=True)
+        if self._sent:
+            with suppress(TimedOut):  # `count` reports it
+                await self.wait_for_message(max(self._sent.values()), SETTLED)
 
     def receive(self, message: dict[str, Any]) -> None:
         """Take in a message that arrived."""
@@ -111,13 +116,13 @@ class Flow:
         self._disturbed.append((since - BEFORE, until + AFTER))
 
     async def wait_for_message(self, since: float, seconds: float) -> None:
-        """Wait until a message that was sent after a time has arrived.
+        """Wait until a message that was sent at a time or later has arrived.
 
         Raises:
             TimedOut: None has.
         """
         until = time.monotonic() + seconds
-        while not any(self._sent[number] > since for number in self._latest()):
+        while not any(self._sent[number] >= since for number in self._latest()):
             if time.monotonic() > until:
                 raise TimedOut(f"no message of flow {self.name} arrived for {seconds:g} s")
             await asyncio.sleep(POLL_INTERVAL)

@@ -129,7 +129,6 @@ class Run:
             await self._fail(robots, began + self._plan.seconds)
             for flow in robots.flows:
                 await flow.end()
-            await asyncio.sleep(1)
             for task in working:
                 task.cancel()
             counts = [flow.count() for flow in robots.flows]

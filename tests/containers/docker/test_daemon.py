@@ -217,6 +217,8 @@ async def test_output_that_is_not_utf8_is_readable(daemon: Daemon) -> None:
         (State(3, False, 0), 3, "ended with status 3"),
         (State(137, False, 0), -9, "was killed by signal 9 (Killed)"),
         (State(137, True, 32 * MB), -9, "was killed by signal 9 (Killed); it exceeded its memory of 32 MB"),
+        (State(137, False, 32 * MB), -9, "was killed by signal 9 (Killed); it may have exceeded its memory of 32 MB"),
+        (State(143, False, 32 * MB), -15, "was killed by signal 15 (Terminated)"),
         (State(128, False, 0), 128, "ended with status 128"),
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from typing import cast
 
@@ -68,6 +69,25 @@ async def test_messages_sent_before_the_first_one_that_arrived_can_be_forgotten(
     assert flow.lost() == ([0, 1], [])
     flow.forget_earlier()
     assert flow.lost() == ([], [])
+
+
+async def test_end_waits_for_messages_under_way(flow: Flow, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Slow(Ends):
+        def offer(self, message: dict[str, str], keep: int) -> bool:
+            asyncio.get_running_loop().call_later(2 * flows.POLL_INTERVAL, self._flow.receive, message)
+            return True
+
+    await send(flow, Slow(flow), monkeypatch)
+    count = flow.count()
+    assert count.received == count.sent
+
+
+async def test_end_does_not_wait_for_a_lost_message(flow: Flow, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(flows, "SETTLED", 0.0)
+    flow.begin(cast(Publisher, Ends(flow, (0,))), cast(Subscriber, Ends(flow)))
+    await asyncio.sleep(0)  # the first message is sent
+    await flow.end()
+    assert flow.lost() == ([0], [])
 
 
 async def test_message_may_be_lost_with_the_process_that_had_it(flow: Flow, monkeypatch: pytest.MonkeyPatch) -> None:
