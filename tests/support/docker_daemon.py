@@ -16,7 +16,7 @@ import docker
 import pytest
 from docker.errors import DockerException
 
-START_TIMEOUT = 30.0
+START_TIMEOUT = 120.0
 NO_HOST_NETWORK = ("--bridge=none", "--iptables=false")  # does not change the network of this machine
 NEEDED = ("dockerd", "containerd", "runc", "iptables")
 

@@ -41,7 +41,7 @@ async def open_page(browser: Any, **options: Any) -> AsyncIterator[tuple[Any, li
     """Open a page in a context of its own. Yields it and the errors that it logs; none may be left at the end."""
     context = await browser.new_context(**{"viewport": WIDE, **options})
     page = await context.new_page()
-    page.set_default_timeout(30_000)
+    page.set_default_timeout(60_000)
     errors: list[str] = []
 
     def record_error(message: Any) -> None:

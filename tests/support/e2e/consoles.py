@@ -19,7 +19,7 @@ from pathlib import Path
 
 from tests.support.e2e.real_platform import RCE, USER
 
-TIMEOUT = 60.0
+TIMEOUT = 120.0
 MAX_MATCH = 1000  # bytes
 _control = re.compile(rb"\x1b\[[0-9;?]*[A-Za-z]|\x1b[=>]")
 

@@ -122,7 +122,7 @@ token, own = variables["RCE_TOKEN"], variables["RCE_NAME"]
 async def join(reactor, role, name, secret):
     try:
         await asyncio.wait_for(connect(reactor, "unix:/run/rce/control.sock", Hello(role, name, secret, __version__),
-                                       Handlers()), 10)
+                                       Handlers()), 60)
         return "joined"
     except RceError as error:
         return error.code

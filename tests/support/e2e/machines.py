@@ -20,8 +20,8 @@ from rce.client import Robot
 from tests.support.e2e.real_platform import USER, kill_processes
 
 MODULES = {"master": "master", "robot": "endpoints.robot", "container": "containers"}
-START_TIMEOUT = 60.0
-STOP_TIMEOUT = 60.0
+START_TIMEOUT = 120.0
+STOP_TIMEOUT = 120.0
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ class Machines:
         left = kill_processes(self.directory)
         assert not left, f"processes are left over: {left}"
 
-    def robot(self, name: str, timeout: float = 40.0) -> Robot:
+    def robot(self, name: str, timeout: float = 60.0) -> Robot:
         return Robot(self.master.ready["url"], user=USER, robot=name, password=USER, timeout=timeout)
 
     def url(self, host: str) -> str:

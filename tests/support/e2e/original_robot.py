@@ -21,7 +21,7 @@ from websockets.exceptions import ConnectionClosed
 
 Received = dict[str, Any] | bytes
 PASSWORD = hashlib.sha256(b"testUser").hexdigest()
-TIMEOUT = 20.0
+TIMEOUT = 60.0
 
 
 async def get(url: str, **query: str) -> tuple[int, str, str]:
@@ -29,7 +29,7 @@ async def get(url: str, **query: str) -> tuple[int, str, str]:
 
     def fetch() -> tuple[int, str, str]:
         try:
-            with urllib.request.urlopen(f"{url}?{urlencode(query)}", timeout=10) as response:
+            with urllib.request.urlopen(f"{url}?{urlencode(query)}", timeout=TIMEOUT) as response:
                 return response.status, response.headers["Content-Type"], response.read().decode()
         except urllib.error.HTTPError as error:
             with error:

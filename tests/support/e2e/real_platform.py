@@ -16,13 +16,13 @@ from typing import Any, Self
 from rce.client import Robot
 
 RCE = str(Path(sys.executable).with_name("rce"))
-START_TIMEOUT = 40.0
-STOP_TIMEOUT = 40.0
+START_TIMEOUT = 120.0
+STOP_TIMEOUT = 120.0
 USER = "testUser"
 _segment = re.compile(r"/dev/shm/fastdds_[0-9a-f]{16}")
 
 
-async def until(condition: Callable[[], object], seconds: float = 20.0, what: str = "") -> None:
+async def until(condition: Callable[[], object], seconds: float = 60.0, what: str = "") -> None:
     """Poll a condition that has no event, such as processes and files, until it holds or the time is over."""
     try:
         async with asyncio.timeout(seconds):
@@ -112,7 +112,7 @@ class RealPlatform:
         """Assert that no process, directory or shared memory is left."""
         assert not self.processes(), "processes are left over"
         assert not list((self.directory / "data" / "container" / "environments").glob("*")), "directories are left over"
-        end = time.monotonic() + 5
+        end = time.monotonic() + 30
         while left := [path for path in self.segments if path.exists()]:  # another platform may be removing it
             assert time.monotonic() < end, f"segments of shared memory are left over: {left}"
             time.sleep(0.1)
@@ -132,13 +132,16 @@ class RealPlatform:
         return found[0] if found else 0
 
     def environment_pid(self, tag: str, but: int = 0) -> int:
-        """Return the pid of an Environment endpoint, or 0 if there is none except `but`."""
+        """Return the pid of an Environment endpoint, or 0 if there is none except `but`.
+
+        A child that has not executed its program yet does not count, as in `pid`.
+        """
         variable = f"RCE_NAME={USER}/{tag}\0".encode()
-        for pid, words in self.processes().items():
-            if pid != but and "endpoints.environment" in words:
-                with suppress(OSError):
-                    if variable in Path(f"/proc/{pid}/environ").read_bytes():
-                        return pid
+        endpoints = {pid for pid, words in self.processes().items() if "endpoints.environment" in words}
+        for pid in endpoints - {but}:
+            with suppress(OSError):
+                if variable in Path(f"/proc/{pid}/environ").read_bytes() and _parent(pid) not in endpoints:
+                    return pid
         return 0
 
     def kill(self, pid: int) -> None:
@@ -153,7 +156,7 @@ class RealPlatform:
             with suppress(OSError):
                 self.segments |= {Path(each) for each in _segment.findall(Path(f"/proc/{pid}/maps").read_text())}
 
-    def robot(self, name: str, timeout: float = 30.0) -> Robot:
+    def robot(self, name: str, timeout: float = 60.0) -> Robot:
         """Return a robot of the test user."""
         return Robot(self.url, user=USER, robot=name, password=USER, timeout=timeout)
 
@@ -194,8 +197,9 @@ def _words(pid: int, mark: str) -> str | None:
     return None
 
 
-def containers(api: Any, platform: RealPlatform) -> list[dict[str, Any]]:
-    """Return the containers of a platform with the engine `docker`, stopped ones included."""
-    label = f"rce.directory={platform.directory / 'data' / 'container'}"
-    found: list[dict[str, Any]] = api.containers(all=True, filters={"label": label})
+def containers(api: Any, platform: RealPlatform, tag: str = "") -> list[dict[str, Any]]:
+    """Return the containers of a platform with the engine `docker`, stopped ones included; with a tag only its own."""
+    labels = [f"rce.directory={platform.directory / 'data' / 'container'}"]
+    labels += [f"rce.environment={USER}/{tag}"] if tag else []
+    found: list[dict[str, Any]] = api.containers(all=True, filters={"label": labels})
     return found

@@ -70,7 +70,7 @@ class Traffic:
             self.duplicates.append(number)
         self.received[number] = time.monotonic()
 
-    async def wait_for_round_trip(self, seconds: float = 30.0) -> None:
+    async def wait_for_round_trip(self, seconds: float = 60.0) -> None:
         """Wait until a message that is sent from now on has come back."""
         now = time.monotonic()
         await until(lambda: any(self.sent[number] > now for number in self.received), seconds, "traffic")
@@ -91,7 +91,7 @@ class Traffic:
 
     async def parameter(self) -> str:
         """Return the parameter `str` as a node sees it."""
-        answer = await self.parameters.call({}, timeout=20)
+        answer = await self.parameters.call({}, timeout=60)
         value: str = json.loads(answer["msg"])["str"]
         return value
 
@@ -109,7 +109,7 @@ class Echo:
         heard = await environment.subscriber("/heard", STRING)
         return cls(await environment.publisher("/say", STRING), heard, environment.tag)
 
-    async def answers(self, seconds: float = 30.0) -> None:
+    async def answers(self, seconds: float = 60.0) -> None:
         """Send messages until one comes back: they are lost until DDS discovery has finished."""
         async with asyncio.timeout(seconds):
             while True:
@@ -117,7 +117,7 @@ class Echo:
                     await self.once(1)
                     return
 
-    async def once(self, seconds: float = 20.0) -> None:
+    async def once(self, seconds: float = 60.0) -> None:
         """Send one message and wait until it comes back."""
         self._count += 1
         message = {"data": f"{self._name} {self._count}"}
@@ -129,7 +129,7 @@ class Echo:
 
 async def next_event(events: Stream[Event], kind: type[E], word: str = "") -> E:
     """Return the next event of that kind whose text contains the word."""
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(60):
         async for event in events:
             if isinstance(event, kind) and word in str(event):
                 return event
