@@ -121,6 +121,7 @@ class ActionClientInterface(RosInterface):
         self._status = payload
 
     def _ended(self, id: str, answer: bytes | RceError) -> None:
+        self._feedback.take_all()  # the server sent it before the result
         self._forget(id)
         if isinstance(answer, RceError):
             self._fail(id, answer)

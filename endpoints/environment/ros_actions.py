@@ -69,13 +69,21 @@ class ActionTopic:
 
     def take(self, wait_set: _rclpy.WaitSet) -> None:
         """Take the messages that have come."""
-        if not wait_set.is_ready("subscription", self._index):
-            return
-        for _ in range(MAX_BATCH):
-            found = self._subscription.handle.take_message(self._kind, True)
-            if found is None:
-                return
+        if wait_set.is_ready("subscription", self._index):
+            for _ in range(MAX_BATCH):
+                if not self._take_one():
+                    return
+
+    def take_all(self) -> None:
+        """Take the messages that have come, before something that came after them is processed."""
+        while self._take_one():
+            pass
+
+    def _take_one(self) -> bool:
+        found = self._subscription.handle.take_message(self._kind, True)
+        if found is not None:
             self._taken(bytes(found[0]))
+        return found is not None
 
     def destroy(self) -> None:
         """Destroy the subscription."""

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 import uuid
 from collections.abc import AsyncIterator
+from typing import Any
 
 import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 pytest.importorskip("test_msgs", reason="needs ros-test-msgs: pip install '.[dev]'")
 
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from test_msgs.action import Fibonacci
 
@@ -60,6 +64,43 @@ async def test_goal_gets_feedback_and_result(asking: Asking) -> None:
     assert feedback == [[0], [0, 1], [0, 1, 2]]
     ended = next(each for each in received if each.phase == Phase.SUCCEEDED)
     assert numbers(ended.payload) == [0, 1, 2]
+
+
+class LateServer(Server):
+    """Action server that begins a goal when it is told to."""
+
+    def __init__(self, node: Node, action: str) -> None:
+        self.begin = threading.Event()
+        super().__init__(node, action)
+
+    def _execute(self, goal: Any) -> Any:
+        self.begin.wait(LIMIT)
+        return super()._execute(goal)
+
+
+async def test_feedback_that_waits_together_with_the_result_comes_before_it(world: RosWorld) -> None:
+    name, count = f"/fibonacci_{uuid.uuid4().hex[:8]}", 40
+    server = LateServer(world.other, name)
+    interface = await interface_of(ActionClientInterface, world, name, [])
+    peer = Peer(interface)
+
+    def wait_for_the_result() -> None:  # in the ROS thread, which takes nothing meanwhile
+        wait_set = _rclpy.WaitSet(0, 0, 0, 1, 0, 0, world.ros._handle)
+        wait_set.clear_entities()
+        wait_set.add_client(interface._get_result._client._handle)
+        server.begin.set()
+        wait_set.wait(int(LIMIT * 1e9))
+
+    async with spinning(world.other):
+        peer.send(uuid.uuid4().hex, Phase.GOAL, goal(count))
+        await peer.until(Phase.ACCEPTED)
+        while not await world.ros.run(lambda: bool(interface._get_result._in_flight)):
+            pass  # the result has not been requested yet
+        await world.ros.run(wait_for_the_result)
+        phases = [(await peer.next()).phase for _ in range(count + 1)]
+        assert phases == [Phase.FEEDBACK] * count + [Phase.SUCCEEDED]
+        interface.close()
+        server.destroy()
 
 
 async def test_rejected_goal_ends(asking: Asking) -> None:
