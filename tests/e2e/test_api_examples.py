@@ -27,5 +27,5 @@ async def test_examples_of_the_api(fragile: RealPlatform, tmp_path: Path) -> Non
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.STDOUT,
     )
-    output, _ = await asyncio.wait_for(bash.communicate(), 120)
+    output, _ = await asyncio.wait_for(bash.communicate(), 400)
     assert bash.returncode == 0, output.decode()[-4000:]

@@ -16,7 +16,7 @@ async def test_each_kind_is_measured_for_each_number_of_robots() -> None:
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
     )
-    output, errors = await asyncio.wait_for(process.communicate(), 120)
+    output, errors = await asyncio.wait_for(process.communicate(), 400)
     assert process.returncode == 0, errors.decode()
     phases = json.loads(output)["phases"]
     assert Counter((phase["robots"], phase["kind"], len(phase["seconds"])) for phase in phases) == Counter(
