@@ -83,10 +83,10 @@ async def test_page_shows_entries_with_their_texts_and_versions(platform: RealPl
         await page.get_by_role("button", name="Search").click()
         await page.get_by_role("link", name="room.one").click()
         text = page.get_by_label("OWL text")
-        await page.wait_for_function("() => document.querySelector('pre').textContent.includes('bed1')")
+        await page.wait_for_function("() => document.querySelector('pre')?.textContent.includes('bed1')")
         assert await text.text_content() == BED
         await page.get_by_role("button", name="Read version 1").click()
-        await page.wait_for_function("() => document.querySelector('pre').textContent.includes('cup1')")
+        await page.wait_for_function("() => document.querySelector('pre')?.textContent.includes('cup1')")
         await page.get_by_role("button", name="Show map.png").first.click()
         await page.wait_for_function("() => document.querySelector('canvas.picture')?.width === 60")
         await screenshot(page, "knowledge")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import itertools
 import json
 import re
 
@@ -47,6 +49,7 @@ async def test_echo_client(platform: RealPlatform) -> None:
             connection("c1/resp", "bot1/resp"),
         )
         await robot.take_frame(status("req", True), status("resp", True))
+        await until_discovered(robot)
         await robot.send(message("req", STRING, {"data": "hello"}))
         data = await robot.take_data("resp")
         assert re.fullmatch("[0-9a-f]{32}", data.pop("msgID"))
@@ -55,6 +58,20 @@ async def test_echo_client(platform: RealPlatform) -> None:
         await robot.take_frame(status("req", False), status("resp", False))
         await robot.commands_processed()
         assert robot.received == []
+
+
+async def until_discovered(robot: OriginalRobot) -> None:
+    """Send numbers until one comes back, and take those after it: they are lost until DDS discovery has finished."""
+    async with asyncio.timeout(60):
+        for number in itertools.count():
+            await robot.send(message("req", STRING, {"data": str(number)}))
+            try:
+                data = await robot.take_data("resp", 1)
+            except AssertionError:
+                continue
+            while data["msg"] != {"data": str(number)}:
+                data = await robot.take_data("resp")
+            return
 
 
 async def websocket(platform: RealPlatform) -> str:
@@ -99,8 +116,8 @@ async def test_services_in_both_directions(platform: RealPlatform) -> None:
             connection("services/use", "caller/use"),
         )
         await robot.take_frame(status("echo", True), status("serve", True), status("use", True))
-        await robot.send(message("echo", ECHO, {"data": "hi"}, "5d0c8a"))
-        assert await robot.take_data("echo") == message("echo", ECHO, {"data": "hi"}, "5d0c8a")["data"]
+        answer = await robot.call("echo", ECHO, {"data": "hi"}, "5d0c8a")
+        assert answer == message("echo", ECHO, {"data": "hi"}, "5d0c8a")["data"]
 
         await robot.send(message("use", ECHO, {"data": "ask"}, "mine"))
         asked = await robot.take_data("serve")
@@ -130,8 +147,7 @@ async def test_parameters_of_all_kinds(platform: RealPlatform) -> None:
             connection("parameters/ask", "setter/ask"),
         )
         await robot.take_frame(status("ask", True))
-        await robot.send(message("ask", "Test/ParameterTest", {}, "1"))
-        told = json.loads((await robot.take_data("ask"))["msg"]["msg"])
+        told = json.loads((await robot.call("ask", "Test/ParameterTest", {}, "1"))["msg"]["msg"])
         assert told.pop("str").endswith("Test")
         assert yaml.safe_load(told.pop("list")) == mixed
         assert told == {name: values[name] for name in told}
@@ -163,8 +179,7 @@ async def test_peculiarities_of_the_cpp_client(platform: RealPlatform) -> None:
             connection("cpp/in", "cpp/out"),
         )
         await robot.take_frame(*(status(tag, True) for tag in ("echo", "serve", "in", "out")))
-        await robot.send(message("echo", ECHO, {"data": "hi"}, "7"))
-        assert (await robot.take_data("echo"))["msg"] == {"data": "hi"}
+        assert (await robot.call("echo", ECHO, {"data": "hi"}, "7"))["msg"] == {"data": "hi"}
         await robot.send(name.encode() + png, message("out", image, name, key="msg*"))
         got = await robot.take_data("in")
         blob = await robot.take_blob(got["msg*"])

@@ -60,7 +60,13 @@ class OriginalRobot:
         code, _, body = await get(self._url, userID="testUser", version="20130902")
         assert code == 200, body
         query = urlencode({"userID": "testUser", "robotID": self.name, "password": PASSWORD})
-        self._socket = await connect(f"{json.loads(body)['url']}?{query}", max_size=None, compression=None)
+        self._socket = await connect(
+            f"{json.loads(body)['url']}?{query}",
+            max_size=None,
+            compression=None,
+            open_timeout=TIMEOUT,
+            ping_interval=None,  # the answer to a ping is not read while `reading` is clear
+        )
         self._reader = asyncio.create_task(self._read())
         return self
 
@@ -117,6 +123,27 @@ class OriginalRobot:
         )
         data: dict[str, Any] = frame["data"]
         return data
+
+    async def call(self, tag: str, type_name: str, value: Any, msg_id: str) -> dict[str, Any]:
+        """Call the service of a node until it answers, and return the `data` of the answer.
+
+        The node may still be starting, and its first answer is lost if DDS discovery has not finished. Each call ends
+        with an answer or an error.
+        """
+
+        def ends(frame: Any) -> bool:
+            if not isinstance(frame, dict):
+                return False
+            failed = frame["type"] == "ER" and ("did not appear" in frame["data"] or "did not answer" in frame["data"])
+            return failed or (frame["type"] == "DM" and frame["data"]["iTag"] == tag)
+
+        async with asyncio.timeout(2 * TIMEOUT):
+            while True:
+                await self.send(message(tag, type_name, value, msg_id))
+                frame = await self.take(ends)
+                if frame["type"] == "DM":
+                    data: dict[str, Any] = frame["data"]
+                    return data
 
     async def take_blob(self, name: str) -> bytes:
         frame: bytes = await self.take(lambda frame: isinstance(frame, bytes) and frame[:32] == name.encode())

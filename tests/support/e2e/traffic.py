@@ -6,16 +6,16 @@ import asyncio
 import json
 import time
 from contextlib import suppress
-from typing import TypeVar
+from typing import Any, TypeVar
 
-from rce.client import Environment, Event, Publisher, Robot, Stream, Subscriber
-from rce.errors import TimedOut
+from rce.client import Environment, Event, Publisher, Robot, ServiceClient, Stream, Subscriber
+from rce.errors import NotFound, TimedOut
 from rce.protocol.messages import Qos
 from tests.support.e2e.real_platform import until
 
 STRING = "std_msgs/String"
 PERIOD = 0.02  # seconds between messages
-LATENCY_LIMIT = 1.0  # seconds for an undisturbed message on a busy machine
+LATENCY_LIMIT = 2.0  # seconds for an undisturbed message on a busy machine
 RESTARTABLE_AFTER = 6.0  # seconds after which a node that ends is restarted
 DEEP = Qos(reliability="reliable", depth=1000)
 E = TypeVar("E")
@@ -78,20 +78,25 @@ class Traffic:
         assert list(self.received) == sorted(self.received)
 
     async def check_undisturbed(self, since: float) -> None:
-        """Assert that all messages sent since then have come back in time."""
+        """Assert that all messages sent since then have come back in time.
+
+        A fault that holds them up does so for most of the time since then. A busy machine does not: it makes that time
+        longer as well.
+        """
+        limit = max(LATENCY_LIMIT, (time.monotonic() - since) / 2)
         last = next(reversed(self.sent))
         await until(lambda: last in self.received, what=f"the message {last} of {self.robot.name}")
         late = {
             number: round(self.received.get(number, 1e9) - sent, 2)
             for number, sent in self.sent.items()
-            if since < sent and number <= last and self.received.get(number, 1e9) - sent > LATENCY_LIMIT
+            if since < sent and number <= last and self.received.get(number, 1e9) - sent > limit
         }
         assert not late, f"{self.robot.name}: messages that are lost or late, by seconds: {late}"
         assert not self.duplicates
 
     async def parameter(self) -> str:
         """Return the parameter `str` as a node sees it."""
-        answer = await self.parameters.call({}, timeout=60)
+        answer = await call(self.parameters, {})
         value: str = json.loads(answer["msg"])["str"]
         return value
 
@@ -111,20 +116,44 @@ class Echo:
 
     async def answers(self, seconds: float = 60.0) -> None:
         """Send messages until one comes back: they are lost until DDS discovery has finished."""
+        sent: set[str] = set()
         async with asyncio.timeout(seconds):
             while True:
+                sent.add(self._send())
                 with suppress(TimedOut):
-                    await self.once(1)
+                    await self._hear(sent, 1)
                     return
 
     async def once(self, seconds: float = 60.0) -> None:
         """Send one message and wait until it comes back."""
+        await self._hear({self._send()}, seconds)
+
+    def _send(self) -> str:
         self._count += 1
-        message = {"data": f"{self._name} {self._count}"}
-        self._say.offer(message)
+        text = f"{self._name} {self._count}"
+        self._say.offer({"data": text})
+        return text
+
+    async def _hear(self, texts: set[str], seconds: float) -> None:
         end = time.monotonic() + seconds
-        while await self._heard.get(max(end - time.monotonic(), 0.001)) != message:
+        while (await self._heard.get(max(end - time.monotonic(), 0.001)))["data"] not in texts:
             pass
+
+
+async def call(service: ServiceClient, request: Any, seconds: float = 60.0) -> Any:
+    """Call the service of a node until it answers.
+
+    The node may still be starting, and its first answer is lost if DDS discovery has not finished.
+    """
+    async with asyncio.timeout(seconds):
+        while True:
+            try:
+                return await service.call(request, 10)
+            except TimedOut:
+                pass
+            except NotFound as error:
+                if "did not appear" not in str(error):
+                    raise
 
 
 async def next_event(events: Stream[Event], kind: type[E], word: str = "") -> E:
