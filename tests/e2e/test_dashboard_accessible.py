@@ -1,16 +1,19 @@
-"""Accessibility of the dashboard: axe-core finds no violation on any page, and everything works by the keyboard."""
+"""All pages of the dashboard: nothing is cut off, axe-core finds no violation, and the keyboard suffices."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import AsyncIterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from rce.protocol.messages import AddInterface
 from tests.support.e2e.axe import violations
-from tests.support.e2e.chromium import PHONE, chromium, open_page, sign_in, visit
+from tests.support.e2e.chromium import NARROW, PHONE, WIDE, chromium, open_page, sign_in, visit
 from tests.support.e2e.real_platform import USER, RealPlatform
+from tests.support.e2e.squeezed import squeezed
 
 STRING = "std_msgs/String"
 OWN = (
@@ -25,7 +28,8 @@ OWN = (
     *("#/trace/{user}/ward/heard", "#/events", "#/keys", "#/audit"),
     *("examples/joystick.html", "terminal.html#{user}/ward"),
 )
-SOME = ("#/", "#/environments/{user}/ward", "#/topics/{user}/ward?topic=/heard", "#/keys")  # with all kinds of elements
+SOME = {"#/", "#/environments/{user}/ward", "#/topics/{user}/ward?topic=/heard", "#/keys"}  # with all kinds of elements
+FORMS = {"light": (WIDE, "light"), "dark": (WIDE, "dark"), "narrow": (NARROW, "light"), "phone": (PHONE, "dark")}
 NAME = """(({ ariaLabel, labels, innerText }) => ariaLabel || labels?.[0]?.innerText || innerText)
 (document.activeElement)"""
 """Script that returns the name of what has the focus."""
@@ -38,39 +42,43 @@ async def browser() -> AsyncIterator[Any]:
         yield browser
 
 
-async def check_pages(page: Any, url: str, pages: tuple[str, ...]) -> None:
+async def check(page: Any, name: str, pictures: Path, *, thorough: bool) -> None:
+    """Check a page in all forms, `thorough` with axe-core, and leave pictures for a person to look at."""
+    for form, (size, colors) in FORMS.items():
+        await page.set_viewport_size(size)
+        await page.emulate_media(color_scheme=colors)
+        await page.screenshot(path=pictures / f"{re.sub('[^a-z]+', '-', name).strip('-')}-{form}.png")
+        assert await squeezed(page) == [], (name, form)
+        if form == "light" or thorough:
+            assert await violations(page) == [], (name, form)
+
+
+async def check_pages(page: Any, url: str, pages: tuple[str, ...], pictures: Path) -> None:
     for each in pages:
         await visit(page, "about:blank")
         await visit(page, f"{url}ui/{each.format(user=USER)}")
         await page.get_by_role("heading", level=1).wait_for()
         await page.wait_for_load_state("networkidle") if each.startswith("examples") else None
-        assert await violations(page) == [], each
+        await check(page, each, pictures, thorough=each in SOME)
 
 
-@pytest.mark.parametrize(
-    ("pages", "options"),
-    [(OWN, {}), (SOME, {"color_scheme": "dark", "viewport": PHONE})],
-    ids=["light", "dark phone"],
-)
-async def test_pages_have_no_violations(
-    browser: Any, platform: RealPlatform, pages: tuple[str, ...], options: dict[str, Any]
-) -> None:
+async def test_pages_have_room_and_no_violations(browser: Any, platform: RealPlatform, tmp_path: Path) -> None:
     async with platform.robot("nurse") as robot, robot.environment("ward") as ward:
         await ward.add_node("echo", "rce_demo", "echo.py")
         await robot.configure(AddInterface("ward", "heard", "SubscriberInterface", STRING, "/heard"))
-        async with open_page(browser, **options) as (page, _):
+        async with open_page(browser) as (page, _):
             await visit(page, f"{platform.url}ui/")
             await page.get_by_role("heading", name="Sign in").wait_for()
-            assert await violations(page) == [], "sign-in"
+            await check(page, "sign-in", tmp_path, thorough=True)
             await sign_in(page, platform.url, USER, USER)
-            await check_pages(page, platform.url, pages)
+            await check_pages(page, platform.url, OWN, tmp_path)
             await visit(page, f"{platform.url}ui/#/")
             await page.get_by_role("button", name="New environment").click()
             await page.get_by_role("dialog").wait_for()
-            assert await violations(page) == [], "dialog"
-        async with open_page(browser, **options) as (page, _):
+            await check(page, "dialog", tmp_path, thorough=True)
+        async with open_page(browser) as (page, _):
             await sign_in(page, platform.url, "admin", "admin")
-            await check_pages(page, platform.url, ADMINISTRATORS)
+            await check_pages(page, platform.url, ADMINISTRATORS, tmp_path)
 
 
 async def tab_to(page: Any, name: str) -> None:

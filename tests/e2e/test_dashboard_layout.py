@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 from collections.abc import AsyncIterator
 from typing import Any
 
+import cv2
 import pytest
 
 from rce.protocol.messages import AddInterface
 from tests.support.e2e.chromium import NARROW, PHONE, WIDE, chromium, open_page, sign_in, visit
 from tests.support.e2e.real_platform import USER, RealPlatform
+from tests.support.e2e.squeezed import squeezed
+from tests.support.pictures import color
 
 STRING = "std_msgs/String"
-SQUEEZED = """() => {
-    const all = (name) => [...document.querySelectorAll(name)];
-    const cut = (each) => each.getBoundingClientRect().left < 0 || each.getBoundingClientRect().right > innerWidth;
-    const broken = (each) => each.getClientRects().length > 1;
-    const found = [...all("main button, main a").filter(cut), ...all("main td .mono").filter(broken)];
-    const wide = document.documentElement.scrollWidth > innerWidth ? ["the page"] : [];
-    return [...wide, ...found.map((each) => each.textContent)];
-}"""
-"""Script that returns what is cut off or broken into lines."""
 
 
 @pytest.fixture(scope="module")
@@ -39,12 +34,12 @@ async def test_narrow_pages_break_no_words_and_hide_no_buttons(browser: Any, pla
         for width in (WIDE, NARROW, PHONE):
             async with open_page(browser, viewport=width) as (page, _):
                 await sign_in(page, platform.url, USER, USER)
-                assert await page.evaluate(SQUEEZED) == []
+                assert await squeezed(page) == []
                 await visit(page, f"{platform.url}ui/#/environments/{USER}/wardrobe")
                 await page.get_by_role("cell", name="/said_by_the_robot").wait_for()
                 await page.get_by_role("cell", name="rce_demo echo.py").wait_for()
                 await page.locator(".figure").filter(has_text="MB").wait_for()
-                assert await page.evaluate(SQUEEZED) == []
+                assert await squeezed(page) == []
 
 
 async def test_filter_is_in_the_address_and_keeps_the_peers(browser: Any, platform: RealPlatform) -> None:
@@ -114,3 +109,25 @@ async def test_new_environment_has_variables_and_suggestions(browser: Any, platf
             await page.get_by_role("link", name="filled").click()
             await page.get_by_text("COLOUR=blue").wait_for()
         await robot.environment("filled").destroy()
+
+
+async def test_page_without_a_choice_shows_a_topic_that_the_environment_has(
+    browser: Any, platform: RealPlatform
+) -> None:
+    picture = cv2.imencode(".png", color(0, 32, 24))[1].tobytes()
+    async with platform.robot("photographer") as robot, robot.environment("studio2") as studio:
+        camera = await studio.publisher("/lens/compressed", "sensor_msgs/CompressedImage")
+
+        async def film() -> None:
+            while True:
+                await camera.publish({"format": "png", "data": picture})
+                await asyncio.sleep(0.1)
+
+        filming = asyncio.create_task(film())
+        async with open_page(browser) as (page, _):
+            await sign_in(page, platform.url, USER, USER)
+            await visit(page, f"{platform.url}ui/#/image/{USER}/studio2")
+            await page.get_by_text(re.compile("^32 . 24, ")).wait_for()
+            assert await page.get_by_label("Topic", exact=True).input_value() == "/lens/compressed"
+        filming.cancel()
+        await asyncio.gather(filming, return_exceptions=True)

@@ -1,7 +1,7 @@
 // Page of the audit log.
 
 import { remember } from "./address.js";
-import { attempt, h, show, table, time } from "./dom.js";
+import { attempt, h, longName, show, table, time } from "./dom.js";
 
 const FILTERS = [["user", "User"], ["action", "Action"], ["object", "Object"], ["result", "Result"]];
 
@@ -21,7 +21,7 @@ export function auditPage(main, app, query) {
       Time: (each) => h("span.when", time(each.time)),
       User: (each) => each.user || h("span.soft", "nobody"),
       Action: (each) => each.action,
-      Object: (each) => h("span.any", each.object),
+      Object: (each) => longName(each.object),
       Result: (each) => h(each.result === "ok" ? "span" : "span.bad", each.result),
       From: (each) => `${each.door} ${each.address}`,
     }, entries, "Nothing was done that fits."));

@@ -107,5 +107,8 @@ export function rate(each) {
   return `${messages}/s · ${bytes(each.bytes)}/s`;
 }
 
+/** Return a long name, which is broken between its parts where it has no room. */
+export const longName = (text) => h("span.any", text.split(/(?<=[/.])/).flatMap((part) => [part, h("wbr")]));
+
 export const short = (type) => type.split("/").pop();
 export const time = (seconds) => (seconds ? new Date(seconds * 1000).toLocaleString() : "");

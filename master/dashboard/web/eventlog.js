@@ -1,7 +1,7 @@
 // Page of events: what happened since the Master started, and what happens, with filters.
 
 import { remember } from "./address.js";
-import { h, show, table, time } from "./dom.js";
+import { h, longName, show, table, time } from "./dom.js";
 import { tell } from "./forms.js";
 
 const KEPT = 2000;
@@ -23,7 +23,7 @@ export function eventsPage(main, app, query) {
     show(list, table({
       Time: (each) => h("span.when", time(each.time)),
       Type: (each) => h(BAD.has(each.type) ? "span.bad" : "span", each.type),
-      Object: (each) => h("span.any", each.object),
+      Object: (each) => longName(each.object),
       Reason: (each) => each.text ?? "",
       " ": (each) => each.lines?.length && h("button.small", { "data-of": each.id, "aria-label": `Output of ${each.object}` }, "Output"),
     }, found.slice(-SHOWN).reverse(), "Nothing has happened that fits."));

@@ -17,7 +17,7 @@ export function machinesPage(main, app) {
     "#Cores": (each) => each.usage?.cores.toFixed(2) ?? "",
     "#Memory": (each) => (each.usage ? bytes(each.usage.memory) : ""),
     Features: (each) => [...each.features, each.gpus && `${each.gpusUsed} of ${each.gpus} GPUs`].filter(Boolean).join(", "),
-    Address: (each) => h("span.mono", each.url),
+    Address: (each) => each.url && h("span.mono", each.url),
     " ": (each) => app.me.may("machine.remove", "") && h("button.small.danger", { "data-of": each.name, "aria-label": `Remove ${each.name}` }, "Remove"),
   }, [...app.live.machines.values()].sort((a, b) => a.role.localeCompare(b.role) || a.name.localeCompare(b.name)), "No machine has joined."));
   list.onclick = (event) => {

@@ -64,6 +64,7 @@ async function start() {
     live.on(drawBar);
     followEvents(app, ended.signal);
     window.addEventListener("hashchange", route);
+    window.addEventListener("resize", showCurrent);
     route();
   } catch (error) {
     if (error.status === 401) return forget("Sign in again: your key has expired or was revoked.");
@@ -83,8 +84,14 @@ function route() {
   const [match, page] = found;
   const given = new URLSearchParams(query);
   if (given.get("everybody") && app.live.user !== "*" && app.me.may("environment.read", "*")) app.live.watch("*");
+  showCurrent();
   leave = page(main, app, ...match.slice(1).map((part) => part ?? ""), given);
   return undefined;
+}
+
+/** Scroll the bar, where it is narrow, to the link of the current page. */
+function showCurrent() {
+  bar.querySelector("nav [aria-current]")?.scrollIntoView({ inline: "center", block: "nearest" });
 }
 
 function drawBar() {
@@ -149,6 +156,7 @@ async function signOut() {
 function forget(message = "") {
   sessionStorage.removeItem(KEY);
   window.removeEventListener("hashchange", route);
+  window.removeEventListener("resize", showCurrent);
   leave?.();
   leave = null;
   app?.live.close();

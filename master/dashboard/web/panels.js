@@ -2,7 +2,7 @@
 // panels put them together.
 
 import { readCloud, readMap, readPath, readPose, readScan, readTransforms, readUpdate } from "./cdr.js";
-import { topicsOf } from "./chooser.js";
+import { typesOfTopics } from "./chooser.js";
 import { h } from "./dom.js";
 import { MapPicture } from "./mapview.js";
 import { Picture } from "./picture.js";
@@ -13,17 +13,19 @@ import { Transforms } from "./tf.js";
 const LATCHED = { reliability: "reliable", durability: "transient_local", depth: 1 };
 const BEST_EFFORT = { depth: 5 };
 const ORANGE = [1, 0.55, 0.2, 1];
+const IMAGES = ["sensor_msgs/Image", "sensor_msgs/CompressedImage"];
+const POSES = ["geometry_msgs/PoseWithCovarianceStamped", "geometry_msgs/PoseStamped"];
 
 /** Kinds of panels: their name, the fields that say what they show, and how they are made. */
 export const KINDS = {
   map: { label: "Map", make: mapPanel, fields: [
-    { name: "topic", label: "Map", type: "nav_msgs/OccupancyGrid", value: "/map" },
-    { name: "pose", label: "Pose", type: "geometry_msgs/PoseWithCovarianceStamped", value: "/pose" },
-    { name: "path", label: "Path", type: "nav_msgs/Path", value: "/path" }] },
-  image: { label: "Image", make: imagePanel, fields: [{ name: "topic", label: "Topic", type: "sensor_msgs/Image", value: "/image_raw" }] },
+    { name: "topic", label: "Map", types: ["nav_msgs/OccupancyGrid"], value: "/map" },
+    { name: "pose", label: "Pose", types: POSES, value: "/pose", optional: true },
+    { name: "path", label: "Path", types: ["nav_msgs/Path"], value: "/path", optional: true }] },
+  image: { label: "Image", make: imagePanel, fields: [{ name: "topic", label: "Topic", types: IMAGES, value: "/image_raw" }] },
   space: { label: "3D", make: spacePanel, fields: [
-    { name: "scan", label: "Laser scan", type: "sensor_msgs/LaserScan", value: "/scan" },
-    { name: "cloud", label: "Point cloud", type: "sensor_msgs/PointCloud2", value: "/points" }] },
+    { name: "scan", label: "Laser scan", types: ["sensor_msgs/LaserScan"], value: "/scan" },
+    { name: "cloud", label: "Point cloud", types: ["sensor_msgs/PointCloud2"], value: "/points" }] },
 };
 
 /** A map with the robot's pose, trail and path. */
@@ -42,7 +44,7 @@ function mapPanel(app, owner, environment, { topic, pose, path }) {
   // A node may lack these topics: then the map is shown without them.
   const optional = (promise) => promise.catch(() => {});
   optional(guest.subscribe(`${topic}_updates`, "map_msgs/OccupancyGridUpdate", { ...take(readUpdate, (update) => picture.update(update)), depth: 10 }));
-  if (pose) optional(guest.subscribe(pose, topicsOf(app, owner, environment).get(pose) ?? "geometry_msgs/PoseWithCovarianceStamped", take(readPose, (at) => picture.pose(at))));
+  if (pose) optional(typesOfTopics(app, owner, environment).then((types) => guest.subscribe(pose, types.get(pose) ?? POSES[0], take(readPose, (at) => picture.pose(at)))));
   if (path) optional(guest.subscribe(path, "nav_msgs/Path", { qos: LATCHED, ...take(readPath, (poses) => picture.path(poses)) }));
   return { element, stop: () => { picture.stop(); guest.close(); } };
 }
@@ -51,8 +53,8 @@ function mapPanel(app, owner, environment, { topic, pose, path }) {
 function imagePanel(app, owner, environment, { topic }) {
   const picture = new Picture();
   const guest = new Guest(app, owner, environment);
-  const type = topicsOf(app, owner, environment).get(topic) ?? "sensor_msgs/Image";
-  guest.subscribe(topic, type, { format: "jpeg", depth: 1, qos: { depth: 1 }, callback: (message) => picture.take(message) })
+  const options = { format: "jpeg", depth: 1, qos: { depth: 1 }, callback: (message) => picture.take(message) };
+  typesOfTopics(app, owner, environment).then((types) => guest.subscribe(topic, types.get(topic) ?? IMAGES[0], options))
     .catch((error) => { picture.status.textContent = error.message; });
   return { element: h("div", picture.status, picture.element), stop: () => guest.close() };
 }

@@ -1,6 +1,6 @@
 // Pages that show one panel of an environment: map, image, points in space.
 
-import { chooser } from "./chooser.js";
+import { chooser, typesOfTopics } from "./chooser.js";
 import { h } from "./dom.js";
 import { endedNotice } from "./ended.js";
 import { KINDS } from "./panels.js";
@@ -18,8 +18,16 @@ export function viewPage(page, kind, hint) {
     }
     app.reveal(owner);
     const ended = endedNotice(app, owner, environment);
-    const panel = make(app, owner, environment, pick.values());
-    main.append(ended.element, h("section.panel", panel.element));
-    return () => { pick.stop(); ended.stop(); panel.stop(); };
+    const section = h("section.panel");
+    main.append(ended.element, section);
+    let stop = () => {};
+    const open = () => {
+      const panel = make(app, owner, environment, pick.values());
+      section.append(panel.element);
+      stop = panel.stop;
+    };
+    if (fields.some((each) => query.has(each.name))) open();
+    else typesOfTopics(app, owner, environment).then((types) => { if (section.isConnected) { pick.choose(types); open(); } });
+    return () => { pick.stop(); ended.stop(); stop(); };
   };
 }
