@@ -14,9 +14,13 @@ const WORDS = {
 
 /** Follow the events of the user whom the feed shows, until `signal`. */
 export async function followEvents(app, signal) {
+  let after = ""; // the last event
   while (!signal.aborted) {
     try {
-      for await (const event of app.api.follow("/events", {}, signal)) tellOf(app, event);
+      for await (const event of app.api.follow("/events", { after }, signal)) {
+        after = event.id;
+        tellOf(app, event);
+      }
     } catch (error) {
       if (signal.aborted || (error.status >= 400 && error.status < 500)) return; // not allowed, which will not change
     }

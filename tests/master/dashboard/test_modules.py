@@ -54,6 +54,24 @@ def test_path_that_no_archive_can_hold_is_refused(path: str) -> None:
     assert path in run("tar.js", script)
 
 
+def test_events_go_on_after_the_last_one_when_the_stream_breaks() -> None:
+    asked = run(
+        "events.js",
+        """const [asked, signal] = [[], { aborted: false }];
+        globalThis.setTimeout = (work) => queueMicrotask(work);
+        const follow = async function* (path, query) {
+            asked.push(query.after ?? "");
+            signal.aborted = asked.length === 2;
+            if (signal.aborted) return;
+            yield { id: "1f-7", type: "robot.came" };
+            throw new TypeError("network error");
+        };
+        await m.followEvents({ api: { follow } }, signal);
+        return asked;""",
+    )
+    assert asked == ["", "1f-7"]
+
+
 def test_terminal_frames_are_those_of_the_console() -> None:
     frames = run(
         "terminalstream.js",
