@@ -31,6 +31,7 @@ from rce.errors import (
 from rce.protocol.blobs import PART
 from rce.protocol.messages import AddInterface, Connect, ConnectionEvent
 
+WAIT = 60.0  # seconds; a limit that only ends a test that hangs
 STRING, POSE, SET_BOOL = "std_msgs/String", "geometry_msgs/Pose2D", "std_srvs/SetBool"
 
 
@@ -39,7 +40,7 @@ class Platform(ABC):
 
     @abstractmethod
     def robot(self, name: str) -> Robot:
-        """Return a robot of that user, not connected yet, whose commands time out after 10 s."""
+        """Return a robot of that user, not connected yet, whose commands time out after 60 s at most."""
 
     @abstractmethod
     def break_socket(self, robot: str) -> None:
@@ -51,8 +52,8 @@ class Platform(ABC):
 
 
 async def until(condition: Callable[[], bool]) -> None:
-    """Run the event loop until the condition holds, for 10 s at most."""
-    async with asyncio.timeout(10):
+    """Run the event loop until the condition holds, for WAIT seconds at most."""
+    async with asyncio.timeout(WAIT):
         while not condition():  # noqa: ASYNC110  # the condition has no event to wait for
             await asyncio.sleep(0)
 
@@ -60,7 +61,7 @@ async def until(condition: Callable[[], bool]) -> None:
 async def state_of_connection(events: Stream[Event]) -> str:
     """Return what the next event about a connection reports."""
     while True:
-        event = await events.get(10)
+        event = await events.get(WAIT)
         if isinstance(event, ConnectionEvent):
             return event.state
 
@@ -73,7 +74,7 @@ class ClientContract:
             subscriber = await b.subscriber("in", POSE)
             publisher = await a.publisher("out", POSE, to="b/in")
             await publisher.publish({"x": 1.5, "y": -2.0, "theta": 0.5})
-            assert await subscriber.get(10) == {"x": 1.5, "y": -2.0, "theta": 0.5}
+            assert await subscriber.get(WAIT) == {"x": 1.5, "y": -2.0, "theta": 0.5}
             assert subscriber.connected
 
     async def test_callback_gets_each_message_once_in_order(self, platform: Platform) -> None:
@@ -92,7 +93,7 @@ class ClientContract:
             publisher = await a.publisher("out", STRING, to="b/in")
             for number in range(100):
                 await publisher.publish({"data": str(number)})
-            await asyncio.wait_for(done.wait(), 10)
+            await asyncio.wait_for(done.wait(), WAIT)
             assert received == [str(number) for number in range(100)]
 
     async def test_raw_bytes_of_any_size_arrive_unchanged(self, platform: Platform) -> None:
@@ -102,7 +103,7 @@ class ClientContract:
             for size in (1, 1000, PART, 3 * PART + 1):
                 payload = random.randbytes(size)
                 await publisher.publish(payload)
-                assert await subscriber.get(10) == payload
+                assert await subscriber.get(WAIT) == payload
 
     async def test_small_message_overtakes_large_one(self, platform: Platform) -> None:
         async with platform.robot("a") as a, platform.robot("b") as b:
@@ -119,7 +120,7 @@ class ClientContract:
             velocities = await a.publisher("velocities", POSE, to="b/velocities")
             await images.publish(bytes(20_000_000))
             await velocities.publish({"x": 1.0})
-            await asyncio.wait_for(done.wait(), 20)
+            await asyncio.wait_for(done.wait(), WAIT)
             assert order == ["small", "large"]
 
     async def test_service_responses_and_errors(self, platform: Platform) -> None:
@@ -173,7 +174,7 @@ class ClientContract:
             subscriber = await b.subscriber("in", STRING)
             publisher = await a.publisher("out", STRING, to="b/in")
             await publisher.publish({"data": "x"})
-            assert await subscriber.get(10) == {"data": "x"}
+            assert await subscriber.get(WAIT) == {"data": "x"}
 
     async def test_without_peer_publish_raises_and_offer_drops(self, platform: Platform) -> None:
         async with platform.robot("a") as a, platform.robot("b") as b:
@@ -183,9 +184,9 @@ class ClientContract:
             assert not publisher.offer({"data": "x"})
             assert publisher.dropped == 1
             subscriber = await b.subscriber("in", STRING, to="a/out")
-            await publisher.wait_connected(10)
+            await publisher.wait_connected(WAIT)
             assert publisher.offer({"data": "y"})
-            assert await subscriber.get(10) == {"data": "y"}
+            assert await subscriber.get(WAIT) == {"data": "y"}
             await subscriber.close()
             await until(lambda: not publisher.connected)
 
@@ -199,14 +200,14 @@ class ClientContract:
                 await publisher.publish({"data": str(number)}, wait=False)
             assert publisher.dropped == 3 - len(arrive)
             subscriber = await b.subscriber("in", STRING, to="a/out")
-            await publisher.wait_connected(10)
+            await publisher.wait_connected(WAIT)
             await publisher.publish({"data": "last"}, wait=True)
             for number in arrive:
-                assert await subscriber.get(10) == {"data": str(number)}
-            assert await subscriber.get(10) == {"data": "last"}
+                assert await subscriber.get(WAIT) == {"data": str(number)}
+            assert await subscriber.get(WAIT) == {"data": "last"}
             for number in range(20):
                 await publisher.publish({"data": str(number)}, wait=False)
-                assert await subscriber.get(10) == {"data": str(number)}
+                assert await subscriber.get(WAIT) == {"data": str(number)}
 
     async def test_resumed_session_keeps_interfaces_and_connections(self, platform: Platform) -> None:
         async with platform.robot("a") as a, platform.robot("b") as b:
@@ -217,12 +218,12 @@ class ClientContract:
             for robot, name in ((a, "a"), (b, "b")):
                 events = robot.events()
                 platform.break_socket(name)
-                assert isinstance(await events.get(10), Disconnected)
-                assert await events.get(10) == Reconnected(resumed=True)
+                assert isinstance(await events.get(WAIT), Disconnected)
+                assert await events.get(WAIT) == Reconnected(resumed=True)
                 await publisher.publish({"data": name})
                 await answer.publish({"data": name})
-                assert await subscriber.get(10) == {"data": name}
-                assert await back.get(10) == {"data": name}
+                assert await subscriber.get(WAIT) == {"data": name}
+                assert await back.get(WAIT) == {"data": name}
 
     async def test_new_session_restores_interfaces_and_connections(self, platform: Platform) -> None:
         async with platform.robot("a") as a, platform.robot("b") as b:
@@ -234,10 +235,10 @@ class ClientContract:
             await gone.close()
             events = a.events()
             await platform.end_session("a")
-            assert isinstance(await events.get(10), Disconnected)
-            assert await events.get(10) == Reconnected(resumed=False)
+            assert isinstance(await events.get(WAIT), Disconnected)
+            assert await events.get(WAIT) == Reconnected(resumed=False)
             await publisher.publish({"data": "again"})
-            assert await subscriber.get(10) == {"data": "again"}
+            assert await subscriber.get(WAIT) == {"data": "again"}
             assert (await call.call({"data": True}))["success"]
             with pytest.raises(NotFound):
                 await a.remove_interface("a", "gone")
@@ -253,7 +254,7 @@ class ClientContract:
                 subscriber = await b.subscriber("in", STRING)
                 assert await state_of_connection(events) == "restored"
                 await publisher.publish({"data": "again"})
-                assert await subscriber.get(10) == {"data": "again"}
+                assert await subscriber.get(WAIT) == {"data": "again"}
 
     async def test_new_session_connects_when_the_other_robot_is_back(self, platform: Platform) -> None:
         async with platform.robot("a") as a:
@@ -262,12 +263,12 @@ class ClientContract:
                 publisher = await a.publisher("out", STRING, to="b/in")
             events = a.events()
             await platform.end_session("a")
-            while not isinstance(await events.get(10), NotFound):
+            while not isinstance(await events.get(WAIT), NotFound):
                 pass  # a was told that b/in does not exist
             async with platform.robot("b") as b:
                 subscriber = await b.subscriber("in", STRING)
                 await publisher.publish({"data": "again"})
-                assert await subscriber.get(10) == {"data": "again"}
+                assert await subscriber.get(WAIT) == {"data": "again"}
 
     async def test_connection_to_a_removed_interface_is_gone(self, platform: Platform) -> None:
         async with platform.robot("a") as a, platform.robot("b") as b:
@@ -283,7 +284,7 @@ class ClientContract:
             platform.break_socket("a")
             publisher = await a.publisher("out", STRING, to="b/in")
             await publisher.publish({"data": "x"})
-            assert await subscriber.get(10) == {"data": "x"}
+            assert await subscriber.get(WAIT) == {"data": "x"}
 
     async def test_service_call_raises_unavailable_when_socket_breaks(self, platform: Platform) -> None:
         async with platform.robot("a") as a, platform.robot("b") as b:
@@ -296,13 +297,13 @@ class ClientContract:
             await b.service_provider("serve", SET_BOOL, hang)
             client = await a.service_client("call", SET_BOOL, to="b/serve")
             call = asyncio.create_task(client.call({"data": True}))
-            await asyncio.wait_for(called.wait(), 10)
+            await asyncio.wait_for(called.wait(), WAIT)
             events = a.events()
             platform.break_socket("a")
             with pytest.raises(Unavailable, match="not known"):
                 await call
-            assert isinstance(await events.get(10), Disconnected)
-            assert await events.get(10) == Reconnected(resumed=True)
+            assert isinstance(await events.get(WAIT), Disconnected)
+            assert await events.get(WAIT) == Reconnected(resumed=True)
 
     async def test_no_message_is_delivered_twice_across_reconnections(self, platform: Platform) -> None:
         async with platform.robot("a") as a, platform.robot("b") as b:
@@ -335,7 +336,7 @@ class ClientContract:
                     await publisher.publish({"data": "x" * 100_000})
             assert [message async for message in own] == []
             for _ in range(20):
-                await subscriber.get(10)
+                await subscriber.get(WAIT)
             with pytest.raises(Unavailable):
                 await a.connect("a/out", "b/in")
 

@@ -55,6 +55,13 @@ async def rce(*words: str, env: Mapping[str, str], given: str = "", status: int 
     return out.decode() if status == 0 else report
 
 
+async def no_guest_interfaces(env: Mapping[str, str]) -> None:
+    """Wait until the interfaces of guests are removed, which happens shortly after their programs end."""
+    async with asyncio.timeout(TIMEOUT):
+        while "@" in await rce("interface", "list", env=env):
+            pass
+
+
 class RunningCommand:
     """A command that prints until it is interrupted, read line by line from a pipe."""
 
