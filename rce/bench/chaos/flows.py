@@ -20,7 +20,7 @@ PERIOD = 0.05  # seconds between messages
 KEEP = 1000  # messages that may wait in each queue
 DEEP = Qos(reliability="reliable", depth=KEEP)
 POLL_INTERVAL = 0.01  # seconds
-BEFORE, AFTER = 2.0, 1.0  # seconds around a fault in which messages may be under way at the process that fails
+AFTER = 1.0  # seconds after a fault in which messages may still be sent to the process that failed
 START_TIMEOUT = 60.0  # seconds until the first message of a flow has arrived
 SETTLED = 15.0  # seconds after which a message that has not arrived is lost
 
@@ -74,7 +74,7 @@ class Flow:
         self._received: dict[int, float] = {}
         self._duplicates = self._reordered = self._declined = self._drops = 0
         self._newest = -1
-        self._disturbed: list[tuple[float, float]] = []
+        self._disturbed: list[tuple[int, float]] = []  # newest number that had arrived before, and end
         self._reported: dict[tuple[str, str], int] = {}
         self._task: asyncio.Task[None] | None = None
         self._publisher: Publisher | None = None
@@ -112,8 +112,12 @@ class Flow:
         self._reported[event.iTag, event.where] = event.count
 
     def disturb(self, since: float, until: float) -> None:
-        """Permit the loss of messages that were under way in a period, by the monotonic clock."""
-        self._disturbed.append((since - BEFORE, until + AFTER))
+        """Permit the loss of messages that were under way in a period, by the monotonic clock.
+
+        Messages keep their order, so those after the newest one that had arrived were under way.
+        """
+        newest = max((number for number, at in self._received.items() if at < since), default=-1)
+        self._disturbed.append((newest, until + AFTER))
 
     async def wait_for_message(self, since: float, seconds: float) -> None:
         """Wait until a message that was sent at a time or later has arrived.
@@ -156,7 +160,7 @@ class Flow:
         lost: tuple[list[int], list[int]] = [], []
         for number, at in self._sent.items():
             if at < settled and number not in self._received:
-                lost[any(since <= at <= until for since, until in self._disturbed)].append(number)
+                lost[any(number > newest and at <= until for newest, until in self._disturbed)].append(number)
         return lost
 
     async def _send(self, publisher: Publisher) -> None:

@@ -97,6 +97,20 @@ async def test_message_may_be_lost_with_the_process_that_had_it(flow: Flow, monk
     assert (flow.count().lost, flow.count().lost_in_faults) == (0, 1)
 
 
+async def test_message_that_was_under_way_for_long_may_be_lost(flow: Flow) -> None:
+    flow._sent = {0: 0.0, 1: 10.0, 2: 30.0}
+    flow._received = {0: 1.0, 2: 31.0}
+    flow.disturb(20.0, 25.0)
+    assert flow.lost() == ([], [1])
+
+
+async def test_message_that_was_lost_before_a_fault_is_a_problem(flow: Flow) -> None:
+    flow._sent = {0: 0.0, 1: 10.0, 2: 10.1}
+    flow._received = {0: 1.0, 2: 10.2}
+    flow.disturb(10.3, 11.0)
+    assert flow.lost() == ([1], [])
+
+
 def test_duplicates_and_changes_of_order_are_problems(flow: Flow) -> None:
     for number in (1, 3, 2, 3):
         flow.receive({"data": str(number)})
