@@ -46,15 +46,14 @@ class Site:
         found = [*self.lives(), *(str(path) for path in places)]
         found += [words for words in self.platform.processes().values() if "endpoints.environment" in words]
         found += self.networks()
-        disks = [path.read_text().strip() for path in Path("/sys/block").glob("loop*/loop/backing_file")]
-        return found + [disk for disk in disks if disk.startswith(str(container))]
+        return found + [disk for disk in disks() if disk.startswith(str(container))]
 
     def networks(self) -> list[str]:
         """Return networks of groups, and rules of the packet filter for them."""
         if self.engine != "docker":
             return []
         label = f"rce.directory={self.platform.directory / 'data' / 'container'}"
-        rules = subprocess.check_output(["iptables", "-S"], text=True).splitlines()
+        rules = subprocess.check_output(["iptables", "-w", "-S"], text=True).splitlines()
         named = [each["Name"] for each in self._api.networks(filters={"label": label})]
         return named + [rule for rule in rules if "--comment rce-" in rule]
 
@@ -67,6 +66,15 @@ class Site:
     @property
     def _environments(self) -> Path:
         return self.platform.directory / "data" / "container" / "environments"
+
+
+def disks() -> list[str]:
+    """Return the files behind loop devices."""
+    found = []
+    for path in Path("/sys/block").glob("loop*/loop/backing_file"):
+        with suppress(OSError):  # detached meanwhile
+            found.append(path.read_text().strip())
+    return found
 
 
 @pytest.fixture(scope="module", params=["process", "docker"])
@@ -87,7 +95,7 @@ async def site(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPath
 async def test_many_environments_at_the_same_time(site: Site) -> None:
     """Five robots create 20 environments. All run when they are acknowledged, and nothing is left afterwards."""
     async with AsyncExitStack() as stack:
-        robots = [await stack.enter_async_context(site.platform.robot(f"r{number}", 120)) for number in range(ROBOTS)]
+        robots = [await stack.enter_async_context(site.platform.robot(f"r{number}", 240)) for number in range(ROBOTS)]
         tags = [(robots[number % ROBOTS], f"many{number}") for number in range(MANY)]
         await asyncio.gather(*(robot.create_environment(tag) for robot, tag in tags))
         assert set(site.lives()) == {f"{USER}/{tag}" for _, tag in tags}
@@ -96,7 +104,7 @@ async def test_many_environments_at_the_same_time(site: Site) -> None:
 
 
 async def test_environments_of_a_killed_task_set_are_adopted(site: Site) -> None:
-    async with site.platform.robot("keeper", 60) as robot, AsyncExitStack() as stack:
+    async with site.platform.robot("keeper", 120) as robot, AsyncExitStack() as stack:
         made = [stack.enter_async_context(robot.environment(f"kept{number}", **site.options)) for number in range(5)]
         environments = await asyncio.gather(*made)
         echoes = [await Echo.of(environment) for environment in environments]
@@ -121,7 +129,7 @@ async def test_task_set_killed_during_a_start_leaves_nothing(site: Site, moment:
         "when something exists": site.networks if site.engine == "docker" else site.left,
         "when it runs": site.lives,
     }
-    async with site.platform.robot("starter", 60) as robot:
+    async with site.platform.robot("starter", 120) as robot:
         start = asyncio.create_task(robot.create_environment("begun", **site.options))
         await until(reached[moment], what=moment)
         await site.kill_task_set()
@@ -137,7 +145,7 @@ async def test_task_set_killed_during_a_start_leaves_nothing(site: Site, moment:
 
 @pytest.mark.parametrize("moment", ["at once", "when one is removed"])
 async def test_task_set_killed_during_a_stop_leaves_nothing(site: Site, moment: str) -> None:
-    async with site.platform.robot("stopper", 60) as robot:
+    async with site.platform.robot("stopper", 120) as robot:
         tags = ["ending0", "ending1", "ending2"]
         await asyncio.gather(*(robot.create_environment(tag, **site.options) for tag in tags))
         stops = [asyncio.create_task(robot.destroy_environment(tag)) for tag in tags]

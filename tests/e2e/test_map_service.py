@@ -21,7 +21,8 @@ from tests.support.e2e.recordings import LOG, piece
 from tests.support.paths import DATA
 
 RESULTS = ["log.txt", "map.pgm", "map.png", "map.yaml", "times.json", "trajectory.txt"]
-TIMEOUT = 120.0  # seconds
+TIMEOUT = 240.0  # seconds
+MANY = 1900  # scans; mapping them takes far longer than a restart of the Master
 SERVICE = r"-m rce\.mapservice "
 MASTER = r"-m master "
 
@@ -97,7 +98,7 @@ async def test_malformed_recordings_are_refused(platform: RealPlatform, bag: str
 
 async def test_job_survives_restarts_of_master_and_service(fragile: RealPlatform, tmp_path: Path) -> None:
     service = maps(fragile)
-    upload = await asyncio.to_thread(service.upload, piece(tmp_path / "piece.log", 1000))
+    upload = await asyncio.to_thread(service.upload, piece(tmp_path / "piece.log", MANY))
     job = await asyncio.to_thread(service.submit, [upload.id])
 
     async def mapping() -> Job:
@@ -111,20 +112,20 @@ async def test_job_survives_restarts_of_master_and_service(fragile: RealPlatform
     assert (await mapping()).state == "running"
     old = fragile.pid(MASTER)
     fragile.kill(old)
-    await until(lambda: fragile.pid(MASTER, but=old), 30.0)
+    await until(lambda: fragile.pid(MASTER, but=old))
     seen = await mapping()
     assert seen.error is None
     assert seen.state == "running", "the job ended too soon for this test"
     old = fragile.pid(SERVICE)
     fragile.kill(old)
-    await until(lambda: fragile.pid(SERVICE, but=old), 30.0)
+    await until(lambda: fragile.pid(SERVICE, but=old))
     last = await asyncio.wait_for(asyncio.to_thread(lambda: [*service.watch(job.id)][-1]), TIMEOUT)
     assert last.state == "done", last
-    assert last.scans == 1000
+    assert last.scans == MANY
     await asyncio.to_thread(service.fetch, job.id, "trajectory.txt", tmp_path / "trajectory.txt")
-    assert np.loadtxt(tmp_path / "trajectory.txt").shape == (1000, 4)
+    assert np.loadtxt(tmp_path / "trajectory.txt").shape == (MANY, 4)
     environments = fragile.directory / "data" / "container" / "environments"
-    await until(lambda: not list(environments.iterdir()), 30.0, "the environment of the first attempt is removed")
+    await until(lambda: not list(environments.iterdir()), what="the environment of the first attempt is removed")
 
 
 async def test_benchmark_of_a_large_recording() -> None:

@@ -78,7 +78,7 @@ async def drive(platform: RealPlatform, parts: dict[str, list[Scan]]) -> dict[st
 
 async def position_at(poses: Stream[Any], stamp: float) -> NDArray[np.float64]:
     """Return x and y (2,) of the pose of this stamp, or of the first one after it."""
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(60):
         async for message in poses:
             time, pose = message["header"]["stamp"], message["pose"]["pose"]["position"]
             if time["sec"] + time["nanosec"] / 1e9 > stamp - 1e-3:

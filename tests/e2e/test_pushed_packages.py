@@ -35,7 +35,7 @@ async def bare(arguments: list[str], tmp_path_factory: pytest.TempPathFactory) -
 
 
 def bob(platform: RealPlatform) -> Robot:
-    return Robot(platform.url, user=OTHER, robot="r2", password=PASSWORD, timeout=30)
+    return Robot(platform.url, user=OTHER, robot="r2", password=PASSWORD, timeout=60)
 
 
 def archives(platform: RealPlatform) -> set[str]:
@@ -72,9 +72,9 @@ async def test_package_is_pushed_shared_changed_and_removed(bare: RealPlatform, 
                 assert len(archives(bare)) == 2  # the older version is in use
 
                 await echo(theirs)
-                before = _endpoint(bare, "theirs")
+                before = bare.environment_pid("theirs", user=OTHER)
                 bare.kill(before)  # it restarts with the same version
-                await until(lambda: _endpoint(bare, "theirs", before) != 0, 60)
+                await until(lambda: bare.environment_pid("theirs", before, OTHER))
                 await echo(theirs)
                 for environment in (mine, theirs):
                     with pytest.raises(NotFound, match=f"no executable {OTHER_NODE}"):
@@ -89,14 +89,6 @@ async def test_package_is_pushed_shared_changed_and_removed(bare: RealPlatform, 
         await until(lambda: not archives(bare))
         with pytest.raises(NotFound):
             await ann.create_environment("mine", packages=["Test"])
-
-
-def _endpoint(platform: RealPlatform, tag: str, but: int = 0) -> int:
-    wanted = f"RCE_NAME={OTHER}/{tag}\0".encode()
-    for pid, words in platform.processes().items():
-        if pid != but and "endpoints.environment" in words and wanted in Path(f"/proc/{pid}/environ").read_bytes():
-            return pid
-    return 0
 
 
 async def test_unsuitable_packages_are_refused(bare: RealPlatform, tmp_path: Path) -> None:

@@ -31,9 +31,9 @@ async def running(name: str, *words: str, **environment: str) -> AsyncIterator[d
     )
     try:
         assert process.stdout is not None
-        yield json.loads(await asyncio.wait_for(process.stdout.readline(), 30))
+        yield json.loads(await asyncio.wait_for(process.stdout.readline(), 120))
         process.send_signal(signal.SIGTERM)
-        assert await asyncio.wait_for(process.wait(), 20) == 0
+        assert await asyncio.wait_for(process.wait(), 60) == 0
     finally:
         if process.returncode is None:
             process.kill()

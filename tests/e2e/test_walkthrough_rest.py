@@ -29,5 +29,5 @@ async def test_walkthrough(tmp_path: Path) -> None:
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.STDOUT,
         )
-        output, _ = await asyncio.wait_for(bash.communicate(), 90)
+        output, _ = await asyncio.wait_for(bash.communicate(), 300)
         assert bash.returncode == 0, output.decode()[-4000:]

@@ -5,7 +5,7 @@
 export async function run(rce, { url, user, password, WebSocket, tag, skip = [] }) {
   const passed = [];
   const robot = (name, more = {}) => new rce.Robot(url, {
-    user, password, robot: `${tag}${name}`, timeout: 20, ...(WebSocket ? { WebSocket } : {}), ...more });
+    user, password, robot: `${tag}${name}`, timeout: 60, ...(WebSocket ? { WebSocket } : {}), ...more });
   for (const [name, test] of Object.entries(tests)) {
     if (skip.includes(name)) continue;
     const open = [];
@@ -53,7 +53,7 @@ async function pair(make, type, options = {}) {
 
 async function event(events, topic) {
   for (;;) {
-    const each = await events.get(20);
+    const each = await events.get(60);
     if (each.topic === topic) return each;
   }
 }
@@ -65,20 +65,20 @@ const tests = {
     const { a, b, publisher, subscriber } = await pair(make, POSE);
     for (const pose of [{ x: 1.5, y: -2, theta: 0.5 }, { x: NaN, y: Infinity, theta: -Infinity }]) {
       await publisher.publish(pose);
-      equal(await subscriber.get(10), pose);
+      equal(await subscriber.get(60), pose);
     }
     const numbers = await b.subscriber("numbers", INT64);
     const number = await a.publisher("number", INT64, { to: `${b.name}/numbers` });
     await number.publish({ data: -42 });
-    equal(await numbers.get(10), { data: -42 });
+    equal(await numbers.get(60), { data: -42 });
     if (JSON.rawJSON) {
       await number.publish({ data: 9007199254740993n });
-      equal(await numbers.get(10), { data: 9007199254740993n });
+      equal(await numbers.get(60), { data: 9007199254740993n });
     }
     const words = await b.subscriber("words", STRING);
     const word = await a.publisher("word", STRING, { to: `${b.name}/words` });
     await word.publish({ data: "NaN" });
-    equal(await words.get(10), { data: "NaN" });
+    equal(await words.get(60), { data: "NaN" });
   },
 
   async "blobs of any size arrive unchanged"(make) {
@@ -86,7 +86,7 @@ const tests = {
     for (const size of [1, 1000, 262144, 3 * 262144 + 1]) {
       const bytes = Uint8Array.from({ length: size }, (_, index) => (index * 7919) >> 3);
       await publisher.publish(bytes);
-      const got = await subscriber.get(10);
+      const got = await subscriber.get(60);
       equal([got instanceof Uint8Array, got.length, got.every((byte, index) => byte === bytes[index])], [true, size, true]);
     }
   },
@@ -119,19 +119,19 @@ const tests = {
     const feedback = [];
     for await (const each of goal) feedback.push(each.sequence);
     equal(feedback, [[1]]);
-    equal(await goal.result(20), { status: "succeeded", value: { sequence: [3] } });
+    equal(await goal.result(60), { status: "succeeded", value: { sequence: [3] } });
     await throws(rce.Forbidden, client.sendGoal({ order: -1 }), "rejected");
     const canceled = await client.sendGoal({ order: 0 });
-    await canceled.cancel(20);
-    equal(await canceled.result(20), { status: "canceled", value: { sequence: [0] } });
-    await throws(rce.NotFound, canceled.cancel(20), "has ended");
-    await throws(rce.RceError, (await client.sendGoal({ order: 10 })).result(20), "too many");
+    await canceled.cancel(60);
+    equal(await canceled.result(60), { status: "canceled", value: { sequence: [0] } });
+    await throws(rce.NotFound, canceled.cancel(60), "has ended");
+    await throws(rce.RceError, (await client.sendGoal({ order: 10 })).result(60), "too many");
     const kept = await client.sendGoal({ order: 0 });
     const events = a.events();
     breakSocket(a);
     await event(events, "reconnected");
-    await kept.cancel(20);
-    equal((await kept.result(20)).status, "canceled");
+    await kept.cancel(60);
+    equal((await kept.result(60)).status, "canceled");
   },
 
   async "service responses, errors and timeouts"(make, rce) {
@@ -172,7 +172,7 @@ const tests = {
     const subscriber = await b.subscriber("in", STRING, { to: `${a.name}/out` });
     await publisher.waitConnected();
     equal(publisher.offer({ data: "y" }), true);
-    equal(await subscriber.get(10), { data: "y" });
+    equal(await subscriber.get(60), { data: "y" });
   },
 
   async "resumed session keeps interfaces and connections"(make) {
@@ -185,7 +185,7 @@ const tests = {
       equal((await event(events, "reconnected")).resumed, true);
       await late.close();
       await publisher.publish({ data: each.name });
-      equal(await subscriber.get(10), { data: each.name });
+      equal(await subscriber.get(60), { data: each.name });
     }
   },
 
@@ -197,7 +197,7 @@ const tests = {
     breakSocket(a, 1000); // ends the session
     equal((await event(events, "reconnected")).resumed, false);
     await publisher.publish({ data: "again" });
-    equal(await subscriber.get(10), { data: "again" });
+    equal(await subscriber.get(60), { data: "again" });
     await throws(rce.NotFound, a.removeInterface(a.name, "gone"));
   },
 
@@ -210,7 +210,7 @@ const tests = {
     const subscriber = await again.subscriber("in", STRING);
     equal((await event(events, "connection")).state, "restored");
     await publisher.publish({ data: "again" });
-    equal(await subscriber.get(10), { data: "again" });
+    equal(await subscriber.get(60), { data: "again" });
   },
 
   async "new session connects when the other robot is back"(make, rce) {
@@ -222,7 +222,7 @@ const tests = {
     const again = await make("b");
     const subscriber = await again.subscriber("in", STRING);
     await publisher.publish({ data: "again" });
-    equal(await subscriber.get(10), { data: "again" });
+    equal(await subscriber.get(60), { data: "again" });
   },
 
   async "refused robots get the reason"(make, rce) {
@@ -239,7 +239,7 @@ const tests = {
     for (let count = 0; count < 20; count += 1) await publisher.publish({ data: "x".repeat(100_000) });
     await a.close();
     for await (const message of own) throw new Error(`got ${message}`);
-    for (let count = 0; count < 20; count += 1) await subscriber.get(10);
+    for (let count = 0; count < 20; count += 1) await subscriber.get(60);
     await throws(rce.Unavailable, a.connect("x/y", "y/z"));
   },
 

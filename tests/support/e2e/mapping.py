@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tests.support.e2e.real_platform import RCE
 from tests.support.paths import DATA
 
-TIMEOUT = 180.0  # seconds
+TIMEOUT = 300.0  # seconds
 
 
 class CommandResult(NamedTuple):

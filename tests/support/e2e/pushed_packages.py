@@ -6,8 +6,8 @@ import asyncio
 from typing import Any
 
 from rce.client import Environment
-from rce.errors import NotFound, TimedOut
 from tests.support.e2e.real_platform import RCE
+from tests.support.e2e.traffic import call
 
 STRING_ECHO = "Test/StringEcho"
 
@@ -26,16 +26,8 @@ async def echo(environment: Environment) -> None:
 
 
 async def answer(environment: Environment, name: str, type_name: str, request: dict[str, str]) -> Any:
-    """Call a service, and retry while its node is starting."""
+    """Call a service of a node, which may still be starting."""
     service = await environment.service_client(name, type_name)
-    async with asyncio.timeout(120):
-        while True:
-            try:
-                found = await service.call(request)
-                await service.close()
-                return found
-            except NotFound as error:
-                if "did not appear" not in str(error):
-                    raise
-            except TimedOut:
-                pass  # DDS may lose the first answer during discovery
+    found = await call(service, request, 120)
+    await service.close()
+    return found

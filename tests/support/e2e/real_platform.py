@@ -131,12 +131,12 @@ class RealPlatform:
         assert len(found) <= 1, found
         return found[0] if found else 0
 
-    def environment_pid(self, tag: str, but: int = 0) -> int:
+    def environment_pid(self, tag: str, but: int = 0, user: str = USER) -> int:
         """Return the pid of an Environment endpoint, or 0 if there is none except `but`.
 
         A child that has not executed its program yet does not count, as in `pid`.
         """
-        variable = f"RCE_NAME={USER}/{tag}\0".encode()
+        variable = f"RCE_NAME={user}/{tag}\0".encode()
         endpoints = {pid for pid, words in self.processes().items() if "endpoints.environment" in words}
         for pid in endpoints - {but}:
             with suppress(OSError):
