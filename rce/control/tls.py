@@ -40,7 +40,10 @@ class _Certificates:
 
 
 def wrap_server_factory(tls: Tls, factory: Any) -> TLSMemoryBIOFactory:
-    """Wrap a factory in TLS that admits only machines of the platform, and none that was removed."""
+    """Wrap a factory in TLS that admits only machines of the platform.
+
+    A machine that was removed is refused, and its open connections are closed.
+    """
     certificates = _Certificates(tls)
     options = CertificateOptions(
         privateKey=certificates.own.privateKey.original,
@@ -55,7 +58,16 @@ def wrap_server_factory(tls: Tls, factory: Any) -> TLSMemoryBIOFactory:
 
     # Twisted resumes no sessions, so that each handshake verifies.
     options.getContext().set_verify(VERIFY_PEER | VERIFY_FAIL_IF_NO_PEER_CERT, verify)
-    return TLSMemoryBIOFactory(options, False, factory)  # type: ignore[arg-type]  # mypy does not know zope's interfaces
+    wrapped = TLSMemoryBIOFactory(options, False, factory)  # type: ignore[arg-type]  # mypy does not know zope's interfaces
+
+    def close_removed() -> None:
+        for protocol in list(wrapped.protocols):
+            certificate = protocol.getPeerCertificate()
+            if certificate is not None and _is_removed(tls, certificate):
+                protocol.abortConnection()
+
+    tls.after_removal.append(close_removed)
+    return wrapped
 
 
 def _is_removed(tls: Tls, certificate: X509) -> bool:

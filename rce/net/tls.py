@@ -15,7 +15,7 @@ import asyncio
 import logging
 import re
 import ssl
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any, cast
@@ -40,6 +40,7 @@ class Tls:
         directory: The directory with the certificates.
         server: Context for accepting connections.
         client: Context for opening connections.
+        after_removal: Called after a machine was removed, to close connections that are not watched.
 
     Raises:
         InvalidRequest: The files cannot be used.
@@ -50,6 +51,7 @@ class Tls:
         self._removed: Mapping[str, float] = {}
         self._reported: set[str] = set()  # removed machines of which the log has a warning
         self._open: set[asyncio.Transport] = set()
+        self.after_removal: list[Callable[[], None]] = []
         ca = directory / CA
         try:
             self.server = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=ca)
@@ -69,6 +71,8 @@ class Tls:
         for transport in self._open:
             if self._is_of_removed(transport.get_extra_info("peercert") or {}):
                 transport.abort()
+        for close in self.after_removal:
+            close()
 
     def is_removed(self, machine: str, valid_from: float) -> bool:
         """Return whether a certificate with this common name and begin of validity is of a machine that was removed."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import shutil
 import time
 from pathlib import Path
@@ -93,3 +94,16 @@ async def test_removed_machine_cannot_connect(
             await connect(reactor, listener.description, HELLO, Handlers(), gone)
         assert listener.joiner.joined.empty()
         await closed(*await listener.pair(Handlers(), again))
+
+
+async def test_connection_of_a_machine_that_is_removed_is_closed(
+    reactor: ReactorBase, own: Tls, tmp_path: Path, authority: Authority
+) -> None:
+    gone = Tls(certify(tmp_path / "gone", authority, ["127.0.0.1"], "gone"))
+    async with listening(reactor, tls=own) as listener:
+        kept, lost = await listener.pair(Handlers(), own), await listener.pair(Handlers(), gone)
+        own.set_removed({"gone": time.time()})
+        for end in lost:
+            await asyncio.wait_for(end.lost, 30)
+        assert not any(end.lost.done() for end in kept)
+        await closed(*kept)
