@@ -120,10 +120,12 @@ class Networks:
             raise StartFailed(f"environment {spec.name} did not start: {error}") from None
 
     async def leave(self, environment: str) -> None:
-        """Remove an environment, whose container is gone, from its networks; remove networks without members."""
+        """Remove an environment, whose container is gone, from its networks; remove networks without members.
+
+        It is a member until its networks are removed, so that a second call waits for the first.
+        """
         for name in [name for name, members in self._members.items() if environment in members]:
-            self._members[name].discard(environment)
-            await self._remove_unused(name)
+            await self._remove_unused(name, environment)
 
     async def recover(self) -> None:
         """Adopt the networks of an earlier task set and restore their rules; remove unused networks and rules."""
@@ -193,17 +195,25 @@ class Networks:
             await self._call(lambda api: _create(api, network))
             await self._firewall.set_rules(network.bridge, network.rules)
 
-    async def _remove_unused(self, name: str) -> None:
+    async def _remove_unused(self, name: str, leaving: str = "") -> None:
+        """Remove a network that has no members but the one that is leaving; then that one has left."""
         async with self._lock(name):
-            if self._members.get(name):
+            members = self._members.get(name, set())
+            if leaving and leaving not in members:
                 return
-            self._members.pop(name, None)
-            bridge = await self._call(lambda api: _remove(api, name))
-            try:
-                if bridge:
-                    await self._firewall.remove_rules(bridge)
-            except Unavailable as error:  # harmless without the bridge; the next task set removes them when it starts
-                log.warn("the rules for {bridge} were not removed: {error}", bridge=bridge, error=str(error))
+            if not members - {leaving}:
+                await self._remove(name)
+            members.discard(leaving)
+            if not members:
+                self._members.pop(name, None)
+
+    async def _remove(self, name: str) -> None:
+        bridge = await self._call(lambda api: _remove(api, name))
+        try:
+            if bridge:
+                await self._firewall.remove_rules(bridge)
+        except Unavailable as error:  # harmless without the bridge; the next task set removes them when it starts
+            log.warn("the rules for {bridge} were not removed: {error}", bridge=bridge, error=str(error))
 
     def _lock(self, name: str) -> asyncio.Lock:
         lock = self._locks.get(name)

@@ -60,7 +60,7 @@ def environ(pid: int) -> list[bytes]:
     try:
         for _ in range(EXEC_TRIES):
             text = (process / "environ").read_bytes()
-            if text or not _in_exec(process):
+            if text or not _has_variables(process):
                 break
             time.sleep(EXEC_TIME)
     except (FileNotFoundError, ProcessLookupError, PermissionError):
@@ -68,11 +68,14 @@ def environ(pid: int) -> list[bytes]:
     return text.split(b"\0")
 
 
-def _in_exec(process: Path) -> bool:
-    """Return True during execve(2), when a process has new memory without its variables yet (proc_pid_stat(5))."""
+def _has_variables(process: Path) -> bool:
+    """Return True if a process has variables, or will have them: during execve(2) its new memory lacks them.
+
+    See proc_pid_stat(5). A zombie has no memory.
+    """
     stat = (process / "stat").read_text().rpartition(")")[2].split()
-    virtual_size, end_of_environment = int(stat[20]), int(stat[48])
-    return virtual_size > 0 and end_of_environment == 0
+    virtual_size, begin, end = int(stat[20]), int(stat[47]), int(stat[48])
+    return virtual_size > 0 and (end == 0 or end > begin)
 
 
 def has_marker(pid: int, run: str) -> bool:

@@ -13,7 +13,7 @@ import pytest
 
 from rce.control.calls.environments import StartEnvironment, StopEnvironment
 from tests.support.containers.engine_contract import spec
-from tests.support.containers.fake_master import FakeMaster, joined
+from tests.support.containers.fake_master import WAIT, FakeMaster, joined
 from tests.support.containers.process_world import STAND_IN, ProcessWorld
 
 pytestmark = pytest.mark.slow  # starts the program many times
@@ -56,7 +56,7 @@ def world(tmp_path: Path) -> ProcessWorld:
 
 
 async def ended(process: asyncio.subprocess.Process) -> tuple[int | None, str]:
-    _, errors = await asyncio.wait_for(process.communicate(), 30)
+    _, errors = await asyncio.wait_for(process.communicate(), WAIT)
     return process.returncode, errors.decode()
 
 
@@ -77,7 +77,7 @@ async def test_environments_survive_a_killed_task_set(
     assert master.hellos[-1].token == "credential"
     assert master.hellos[-1].environments == {"ann/a": spec(run=1).run, "ann/c": spec(run=3).run}
     await world.end("ann/c")
-    died = await asyncio.wait_for(master.deaths.get(), 10)
+    died = await asyncio.wait_for(master.deaths.get(), WAIT)
     assert (died.name, died.run) == ("ann/c", spec(run=3).run)
     assert "last words" in died.reason
     await control.call(StopEnvironment("ann/a"))

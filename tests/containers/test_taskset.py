@@ -31,7 +31,7 @@ from rce.process.exposition import prometheus_text
 from rce.process.metrics import Family, gauge_family
 from tests.support.certificates import certify
 from tests.support.containers.engine_contract import spec
-from tests.support.containers.fake_master import FakeMaster, joined
+from tests.support.containers.fake_master import WAIT, FakeMaster, joined
 
 
 class Running:
@@ -136,7 +136,7 @@ async def test_task_set_tells_how_its_environments_are_dialled(
         engine.on_relays()  # as nothing has changed, nothing is reported
         monkeypatch.setattr(EngineOnHosts, "hosts", {"n1": "n1:1", "n2": "n2:1"})
         engine.on_relays()
-        assert (await asyncio.wait_for(master.relays.get(), 10)).relays == {"n1": "n1:1", "n2": "n2:1"}
+        assert (await asyncio.wait_for(master.relays.get(), WAIT)).relays == {"n1": "n1:1", "n2": "n2:1"}
         assert master.relays.empty()
 
 
@@ -194,7 +194,7 @@ async def test_end_is_reported_with_last_lines(master: FakeMaster, tmp_path: Pat
         control = await joined(master)
         await control.call(StartEnvironment(spec()))
         running.machine.end("ann/map", 3)
-        died = await asyncio.wait_for(master.deaths.get(), 10)
+        died = await asyncio.wait_for(master.deaths.get(), WAIT)
         assert died == EnvironmentDied("ann/map", spec().run, "ended with status 3\nlast words of ann/map")
 
 
@@ -204,6 +204,9 @@ async def test_task_set_rejoins_a_restarted_master(master: FakeMaster, tmp_path:
         await control.call(StartEnvironment(spec("ann/a", 1)))
         await control.call(StartEnvironment(spec("ann/b", 2)))
         await master.down()
+        async with asyncio.timeout(WAIT):
+            while running.task_set._link.connected:  # noqa: ASYNC110  # it has no event of its own
+                await asyncio.sleep(0.001)
         running.machine.end("ann/b", 1)
         await master.up()
         control = await joined(master)
@@ -211,7 +214,7 @@ async def test_task_set_rejoins_a_restarted_master(master: FakeMaster, tmp_path:
         assert second.token == "credential"
         assert second.incarnation == first.incarnation != ""
         assert second.environments["ann/a"] == spec(run=1).run
-        died = await asyncio.wait_for(master.deaths.get(), 10)  # the report waited for the Master
+        died = await asyncio.wait_for(master.deaths.get(), WAIT)  # the report waited for the Master
         assert died.name == "ann/b"
         await control.call(StopEnvironment("ann/a"))
         assert running.machine.running == {}
@@ -268,5 +271,5 @@ async def test_limit_is_reported(master: FakeMaster, tmp_path: Path) -> None:
         await control.call(StartEnvironment(spec()))
         assert running.machine.watcher is not None
         running.machine.watcher.report_limit("ann/map", spec().run, "memory")
-        report = await asyncio.wait_for(master.limits.get(), 10)
+        report = await asyncio.wait_for(master.limits.get(), WAIT)
         assert report == LimitReached("ann/map", spec().run, "memory")

@@ -28,8 +28,8 @@ from tests.support.paths import ROOT
 
 # Of bridges and their networks 10.NUMBER.87.0/24, apart from those of Swarm (10.0) and the platform (10.127, 10.128).
 NUMBERS = range(20, 120)
-START_TIMEOUT = 40.0
-STOP_TIMEOUT = 40.0
+START_TIMEOUT = 120.0
+STOP_TIMEOUT = 120.0
 HOST_IMAGE = "rce-test/host:1"  # an empty image; containers see the Python of this machine by mounts
 NEEDED = ("dockerd", "containerd", "runc", "iptables", "ip", "nsenter", "unshare")
 # Each machine has its own /run, with Docker's usual socket, and its own Docker directory at a path common to all.

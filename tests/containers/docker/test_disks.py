@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -45,7 +46,10 @@ def test_disk_is_an_empty_file_system_of_its_owner(directory: Path) -> None:
         assert 6 * MB < seen.f_bavail * seen.f_frsize <= 8 * MB
     finally:
         subprocess.run(["umount", mount], check=True)
-    assert attached(directory) == set()
+    deadline = time.monotonic() + 60
+    while attached(directory):  # a container that starts at this moment has a copy of the mount for an instant
+        assert time.monotonic() < deadline, "the device goes with its last mount"
+        time.sleep(0.01)
 
 
 @needs_root

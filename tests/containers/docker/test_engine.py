@@ -74,7 +74,7 @@ async def test_users_do_not_share_kernel_limits(world: DockerWorld, endings: End
         made = []
         for number, name in enumerate(("ann/a", "bob/b")):
             await engine.start(spec(name, number))
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(60):
                 while "ready" not in (lines := await engine.last_lines(name)):  # noqa: ASYNC110
                     await asyncio.sleep(0.05)
             made.append(lines[0])

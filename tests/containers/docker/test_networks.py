@@ -7,7 +7,7 @@ import subprocess
 from collections.abc import AsyncIterator, Callable
 from ipaddress import IPv4Network
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 from msgspec.structs import replace
@@ -108,7 +108,7 @@ async def test_flushed_rules_are_restored(world: DockerWorld, engine: DockerEngi
     output("iptables", "-F", "INPUT")
     assert rules() != before
     engine._on_resumed()  # as after a restart of Docker
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(60):
         while rules() != before:  # noqa: ASYNC110
             await asyncio.sleep(0.05)
 
@@ -124,7 +124,7 @@ async def test_rules_flushed_by_another_program_are_restored_within_seconds(
         await engine.start(replace(member("ann/a", 2), egress="internet"))
         before, jump = rules(), "-A FORWARD -j DOCKER-USER"
         output("iptables", *flush)
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             while rules() != before or jump not in output("iptables", "-S", "FORWARD"):  # noqa: ASYNC110
                 await asyncio.sleep(0.05)
 
@@ -208,6 +208,27 @@ async def test_start_with_egress_fails_without_a_packet_filter(
     monkeypatch.undo()
     await engine.stop("ann/a")
     assert networks(world) == {}
+
+
+async def test_second_removal_waits_for_the_one_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The agent of a node sees that a container is gone, and is told to remove its environment."""
+    removing, removed = asyncio.Event(), asyncio.Event()
+
+    async def call(work: object) -> str:
+        removing.set()
+        await removed.wait()
+        return ""
+
+    networks = module.Networks(cast(module.DockerCall, call), {"rce.platform": "machine"}, EGRESS_POOL, NAMESERVERS)
+    networks._members["fleet"] = {"ann/a"}
+    first = asyncio.create_task(networks.leave("ann/a"))
+    await removing.wait()
+    second = asyncio.create_task(networks.leave("ann/a"))
+    await asyncio.sleep(0)
+    assert not second.done()
+    removed.set()
+    await asyncio.gather(first, second)
+    assert networks._members == {}
 
 
 def with_egress(name: str, egress: Egress) -> EnvironmentSpec:

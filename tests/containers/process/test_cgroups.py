@@ -116,7 +116,7 @@ def test_everything_in_a_group_is_killed_with_it(groups: ControlGroups) -> None:
     groups.create(RUN, ContainerData())
     process = begin(groups, "import sys; sys.stdin.readline(); sys.stdin.readline()")
     groups.remove(RUN)
-    assert process.wait(10) == -9
+    assert process.wait(60) == -9
 
 
 def test_process_that_has_ended_is_not_moved(groups: ControlGroups) -> None:

@@ -8,6 +8,7 @@ import secrets
 import signal
 import subprocess
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -82,13 +83,32 @@ def test_process_that_is_gone_has_no_variables(program: Program) -> None:
     tree._kill(child.pid, RUN)  # does nothing
 
 
+def test_variables_are_read_again_after_execve(program: Program, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They were not there yet when they were read, and execve(2) ended before its state was read."""
+    child, read, reads = program.start(), Path.read_bytes, 0
+
+    def read_early(path: Path) -> bytes:
+        nonlocal reads
+        reads += 1
+        return read(path) if reads > 1 else b""
+
+    monkeypatch.setattr(Path, "read_bytes", read_early)
+    assert has_marker(child.pid, RUN)
+
+
+def test_process_without_variables_has_none() -> None:
+    with subprocess.Popen(["sleep", "1000"], env={}) as child:
+        assert [each for each in environ(child.pid) if each] == []
+        child.kill()
+
+
 async def test_end_of_a_watched_process_is_reported_once(program: Program) -> None:
     ends: list[str] = []
     child = program.start()
     watch = Watch(child.pid, lambda: ends.append("ended"))
     assert ends == []
     watch.send(signal.SIGTERM)
-    await asyncio.wait_for(watch.ended.wait(), 10)
+    await asyncio.wait_for(watch.ended.wait(), 60)
     assert ends == ["ended"]
     assert child.wait() == -signal.SIGTERM
     watch.close()
@@ -100,7 +120,7 @@ async def test_closed_watch_reports_nothing(program: Program) -> None:
     closed, open_ = Watch(child.pid, lambda: ends.append("closed")), Watch(child.pid, lambda: ends.append("open"))
     closed.close()
     child.kill()
-    await asyncio.wait_for(open_.ended.wait(), 10)
+    await asyncio.wait_for(open_.ended.wait(), 60)
     assert ends == ["open"]
     assert not closed.ended.is_set()
 

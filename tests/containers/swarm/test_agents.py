@@ -58,7 +58,7 @@ async def agents(
 async def test_metrics_of_agents_that_do_not_answer_are_left_out(
     agents: tuple[Agents, list[Control]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "METRICS_TIMEOUT", 2.0)  # the agent that answers may need some time on a busy machine
+    monkeypatch.setattr(module, "METRICS_TIMEOUT", 5.0)  # the agent that answers may need some time on a busy machine
     metrics = await agents[0].metrics()
     assert list(metrics) == ["well"]
     assert "process_resident_memory_bytes" in {family.name for family in metrics["well"]}
@@ -69,19 +69,19 @@ async def test_agents_are_told_of_removed_machines_at_once_and_when_they_join(
 ) -> None:
     agents[0].set_removed_machines({"m7": 5.0})
     for _ in range(3):
-        assert await asyncio.wait_for(told.get(), 20) == SetRemovedMachines({"m7": 5.0})
+        assert await asyncio.wait_for(told.get(), 60) == SetRemovedMachines({"m7": 5.0})
     handlers = Handlers()
     handlers.do(SetRemovedMachines, told.put_nowait)
     port = agents[1][0].address  # of the task set
     control, _ = await connect(reactor, port, Hello(ROLE, "new", "secret", __version__), handlers)
-    assert await asyncio.wait_for(told.get(), 20) == SetRemovedMachines({"m7": 5.0})
+    assert await asyncio.wait_for(told.get(), 60) == SetRemovedMachines({"m7": 5.0})
     agents[1].append(control)
 
 
 async def test_relay_of_a_node_is_known_while_its_agent_is_away(agents: tuple[Agents, list[Control]]) -> None:
     assert agents[0].relays == dict.fromkeys(("well", "mute", "old"), "127.0.0.1:1")
     agents[1][0].close()
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(60):
         while agents[0].report("well") is not None:  # noqa: ASYNC110  # it has no event of its own
             await asyncio.sleep(0)
     assert agents[0].relays["well"] == "127.0.0.1:1"

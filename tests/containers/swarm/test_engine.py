@@ -58,7 +58,7 @@ async def test_end_without_an_agent_is_reported_later(world: SwarmWorld, engine:
     (agent,) = world.api.containers(filters={"label": [f"rce.directory={world.directory}", "rce.agent"]})
     world.api.kill(agent["Id"])
     await world.end("ann/a")
-    ended = await endings.next(30)
+    ended = await endings.next(120)  # Swarm takes some seconds to restart the agent
     assert (ended.name, ended.status) == ("ann/a", 3)
     assert world.alive() == {"bob/b": spec(run=2).run}
     assert endings.none()

@@ -125,7 +125,7 @@ def ask(
     request = urllib.request.Request(f"{scheme}://{registry.address}{path}", headers=headers, method=method)
     context = ssl._create_unverified_context()  # as Docker on the nodes, which does not know the CA
     try:
-        with urllib.request.urlopen(request, timeout=10, context=context) as answer:
+        with urllib.request.urlopen(request, timeout=60, context=context) as answer:
             return Answer(answer.status, answer.read(), answer.headers)
     except urllib.error.HTTPError as error:
         with error:

@@ -42,6 +42,9 @@ class ContainerWorld(World):
 
     async def end(self, name: str) -> None:
         container = self._container(name)
+        async with asyncio.timeout(60):
+            while b"ready" not in await asyncio.to_thread(self.api.logs, container):  # noqa: ASYNC110
+                await asyncio.sleep(0.01)  # the kernel drops signals that the first process does not handle yet
         await asyncio.to_thread(self.api.kill, container, "SIGUSR1")
         await asyncio.to_thread(self.api.wait, container)
 

@@ -71,7 +71,7 @@ class Endings:
     def __call__(self, ended: EnvironmentEnded) -> None:
         self._queue.put_nowait(ended)
 
-    async def next(self, seconds: float = 20) -> EnvironmentEnded:
+    async def next(self, seconds: float = 60) -> EnvironmentEnded:
         return await asyncio.wait_for(self._queue.get(), seconds)
 
     def none(self) -> bool:
@@ -128,7 +128,7 @@ class EngineContract:
         used = await engine.usage()
         assert list(used) == ["ann/map"]
         assert used["ann/map"].seconds >= 0
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(60):
             while not used["ann/map"].memory:  # a process has none during its exec
                 await asyncio.sleep(0.01)
                 used = await engine.usage()

@@ -21,6 +21,8 @@ from rce.control.connection import Control, Handlers
 from rce.control.server import listen
 from rce.errors import Unauthorized
 
+WAIT = 60.0  # seconds until a test gives up; programs start slowly on a busy machine
+
 
 class FakeMaster:
     """Admits task sets with an accepted token or credential, and records their calls.
@@ -83,4 +85,4 @@ class FakeMaster:
 
 
 async def joined(master: FakeMaster) -> Control:
-    return await asyncio.wait_for(master.joined.get(), 10)
+    return await asyncio.wait_for(master.joined.get(), WAIT)

@@ -21,7 +21,7 @@ STAND_IN = (sys.executable, "-I", "-S", str(TESTS / "support" / "containers" / "
 
 async def until(condition: Callable[[], bool]) -> None:
     """Wait until another process has made a condition true."""
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(60):
         while not condition():  # noqa: ASYNC110  # the other process cannot notify this one
             await asyncio.sleep(0.002)
 

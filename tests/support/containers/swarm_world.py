@@ -15,7 +15,7 @@ from tests.support.containers.container_world import IMAGE, ContainerWorld
 from tests.support.containers.engine_contract import CAPACITY, FEATURES
 from tests.support.swarm_nodes import HOST_IMAGE, Node, Swarm, host_mounts
 
-RESET_TIMEOUT = 30.0  # seconds
+RESET_TIMEOUT = 60.0  # seconds
 
 
 class SwarmWorld(ContainerWorld):

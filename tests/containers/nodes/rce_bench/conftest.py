@@ -9,6 +9,8 @@ import pytest
 
 from tests.support.spin import spin_until
 
+DEPTH = 1000  # so that nothing is lost while this process does not run
+
 
 class Bench:
     """Nodes on one executor.
@@ -37,14 +39,14 @@ class Bench:
 
     def publisher(self, kind: Any, topic: str) -> Any:
         """Return a publisher that a node has discovered."""
-        made = self.robot.create_publisher(kind, topic, 10)
+        made = self.robot.create_publisher(kind, topic, DEPTH)
         self.until(lambda: made.get_subscription_count() == 1)
         return made
 
     def received(self, kind: Any, topic: str) -> list[Any]:
         """Return the list that messages of a topic are added to, once its publisher was discovered."""
         found: list[Any] = []
-        self.robot.create_subscription(kind, topic, found.append, 10)
+        self.robot.create_subscription(kind, topic, found.append, DEPTH)
         self.until(lambda: all(each.get_subscription_count() for each in self._publishers(topic)))
         return found
 

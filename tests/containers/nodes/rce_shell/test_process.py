@@ -13,7 +13,7 @@ import pytest
 
 from rce.protocol.terminal import Request
 
-LIMIT = 30.0  # seconds until a test gives up
+LIMIT = 60.0  # seconds until a test gives up
 Start = Callable[..., Any]
 
 
@@ -97,9 +97,11 @@ def test_read_returns_at_once_and_no_more_than_asked_for(start: Start) -> None:
 def test_write_returns_what_the_terminal_accepts(start: Start) -> None:
     process = start("stty raw -echo; echo ready; sleep 1000")
     output_until(process, b"ready")
-    accepted = [process.write(b"x" * 4096) for _ in range(100)]
-    assert accepted[0] > 0
-    assert accepted[-1] == 0, "the program reads nothing"
+    accepted = 0
+    while part := process.write(b"x" * 4096):
+        accepted += part
+        assert accepted < 1_000_000, "the program reads nothing"
+    assert accepted > 0
 
 
 def test_program_sees_new_sizes(start: Start) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Iterator
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -13,6 +14,8 @@ from rce.protocol import terminal
 from rce.protocol.terminal import Request
 
 pytest.importorskip("rclpy", reason="needs the extra `ros`")
+
+LIMIT = 60.0  # seconds until a test gives up
 
 
 class Client:
@@ -67,11 +70,10 @@ class Client:
 
     def until(self, condition: Callable[[], bool]) -> None:
         """Run the session step by step until a condition holds."""
-        for _ in range(400):  # each waits for up to a quarter of a second
-            if condition():
-                return
+        deadline = time.monotonic() + LIMIT
+        while not condition():
+            assert time.monotonic() < deadline, f"the condition does not hold; output: {self.output!r}"
             self.step()
-        raise AssertionError(f"the condition does not hold; output: {self.output!r}")
 
     def step(self) -> None:
         self.shell._wait()
