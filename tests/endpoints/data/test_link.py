@@ -8,10 +8,11 @@ from typing import cast
 from unittest.mock import Mock
 
 from endpoints.data.frames import Message
-from endpoints.data.link import LoopLink
+from endpoints.data.link import LoopLink, StreamLink
 from endpoints.data.throttle import BURST, Throttle
 from tests.support.endpoints.ends import A, B, End, Listener
 from tests.support.endpoints.raw_robot import WAIT
+from tests.support.hand_turned import HandTurnedLoop
 
 
 async def test_messages_pass_complete_and_in_order_both_ways(pair: tuple[End, End]) -> None:
@@ -96,41 +97,35 @@ class Waits:
         return self._left.pop(0) if self._left else 0.0
 
 
-async def test_pause_outlasts_wait_of_rate_limit() -> None:
-    loop = asyncio.get_running_loop()
+def waiting(transport: Mock) -> tuple[StreamLink, asyncio.Future[None]]:
+    """Return a link that waits for a second because of its rate limit, and is paused until the future is done."""
+    link = End(throttle=cast(Throttle, Waits(1.0))).link
+    link.attach(transport)
+    link.buffer_updated(0)
+    until: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+    link.pause(until)
+    return link, until
+
+
+def test_pause_outlasts_wait_of_rate_limit(hand: HandTurnedLoop) -> None:
     transport = Mock(is_closing=lambda: False)
-    end = End(throttle=cast(Throttle, Waits(0.01)))
-    end.link.attach(transport)
-    end.link.buffer_updated(0)  # which pauses for the wait
-    until: asyncio.Future[None] = loop.create_future()
-    end.link.pause(until)
-    timer = loop.create_future()
-    loop.call_later(0.01, timer.set_result, None)  # due after that of the wait, which was set before it
-    await timer
-    await asyncio.sleep(0)  # for the callbacks of the wait's future
+    link, until = hand.do(lambda: waiting(transport))
+    hand.turn(1.0)
     transport.pause_reading.assert_called_once()
     transport.resume_reading.assert_not_called()
-    until.set_result(None)
-    await asyncio.sleep(0)
+    hand.do(lambda: until.set_result(None))
     transport.resume_reading.assert_called_once()
-    end.link.close()
+    hand.do(link.close)
 
 
-async def test_wait_of_rate_limit_outlasts_pause() -> None:
-    loop = asyncio.get_running_loop()
+def test_wait_of_rate_limit_outlasts_pause(hand: HandTurnedLoop) -> None:
     transport = Mock(is_closing=lambda: False)
-    resumed = loop.create_future()
-    transport.resume_reading.side_effect = lambda: resumed.set_result(None)
-    end = End(throttle=cast(Throttle, Waits(0.05)))
-    end.link.attach(transport)
-    end.link.buffer_updated(0)
-    until: asyncio.Future[None] = loop.create_future()
-    end.link.pause(until)
-    until.set_result(None)
-    await asyncio.sleep(0)
-    assert not resumed.done()
-    await asyncio.wait_for(resumed, WAIT)
-    end.link.close()
+    link, until = hand.do(lambda: waiting(transport))
+    hand.do(lambda: until.set_result(None))
+    transport.resume_reading.assert_not_called()
+    hand.turn(1.0)
+    transport.resume_reading.assert_called_once()
+    hand.do(link.close)
 
 
 async def test_flood_does_not_starve_other_tasks(pair: tuple[End, End]) -> None:

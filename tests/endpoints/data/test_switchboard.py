@@ -198,7 +198,7 @@ async def test_route_over_link_that_is_closed_while_opening_fails(board: Board) 
     await asyncio.sleep(0)
     board.close_link("slow")
     with pytest.raises(Unavailable):
-        await asyncio.wait_for(route, 10)
+        await asyncio.wait_for(route, 60)
     assert not board.at(0).peers
     assert not board.lost, "a link closed on purpose is not lost"
 
@@ -227,7 +227,7 @@ async def test_sync_is_answered_before_links_open(board: Board) -> None:
     """A link of one user that never opens would block the calls about everybody's interfaces."""
     routes = [Route(spec(0).id, spec(1).id, "l"), Route(spec(0).id, spec(2).id, "slow")]
     call = Sync([spec(0), spec(1)], [LinkSpec("l", ""), LinkSpec("slow", "00" * 16)], routes)
-    assert await asyncio.wait_for(board.sync(call, board.make), 10) == {}
+    assert await asyncio.wait_for(board.sync(call, board.make), 60) == {}
     assert [peer.hex() for peer in board.at(0).peers] == [spec(1).id]
     board.links["slow"].opened.set_result(None)
     await settle()

@@ -10,7 +10,7 @@ from twisted.internet.base import ReactorBase
 
 from rce.control.calls.endpoints import NodeSpec, StartNode
 from tests.support.domains import domain
-from tests.support.endpoints.environment_driver import FakeMaster, driven
+from tests.support.endpoints.environment_driver import FakeMaster, driven, wait_for_line
 
 if TYPE_CHECKING:
     from tests.support.endpoints.ros_world import RosWorld
@@ -22,6 +22,7 @@ async def master(running_reactor: ReactorBase, tmp_path_factory: pytest.TempPath
     pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
     async with driven(running_reactor, tmp_path_factory.mktemp("environment")) as (master, _):
         await master.call(StartNode(NodeSpec("echo", "probe", "echo.py")))
+        await wait_for_line(master, "echo", "words is")  # the last thing that it does before it is ready
         yield master
 
 

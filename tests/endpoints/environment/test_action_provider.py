@@ -38,7 +38,12 @@ async def test_node_sends_goal_that_the_peer_carries_out(world: RosWorld) -> Non
         peer.send(asked.msg_id, Phase.ACCEPTED)
         handle = await _done(accepted)
         assert handle.accepted
+        topic = f"{name}/_action/feedback"
+        await world.until(lambda: bool(world.ros.node.count_subscribers(topic)))
         peer.send(asked.msg_id, Phase.FEEDBACK, bytes(serialize_message(Fibonacci.Feedback(sequence=[1]))))
+        async with asyncio.timeout(LIMIT):
+            while not feedback:  # noqa: ASYNC110  # another thread receives it
+                await asyncio.sleep(0.01)
         canceling = handle.cancel_goal_async()
         assert (await peer.until(Phase.CANCEL)).msg_id == asked.msg_id
         peer.send(asked.msg_id, Phase.CANCEL)

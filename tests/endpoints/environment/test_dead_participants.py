@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import secrets
 import signal
 import subprocess
 import sys
@@ -19,8 +20,10 @@ from std_msgs.msg import String
 
 from endpoints.environment.dead_participants import farewell
 from rce.control.calls.endpoints import NodeSpec, StartNode, StopNode
+from rce.control.calls.watching import ReadGraph
 from rce.protocol.messages import Qos
-from tests.support.endpoints.environment_driver import FakeMaster
+from tests.support.domains import domain
+from tests.support.endpoints.environment_driver import LIMIT, FakeMaster
 
 TALKER = """
 import time, rclpy
@@ -35,10 +38,10 @@ OBSERVER = """
 import subprocess, sys, time, rclpy
 from endpoints.environment.dead_participants import tell_of_dead
 
-def until(condition):
-    deadline = time.monotonic() + 10  # half of the lease
+def until(condition, limit=60):
+    deadline = time.monotonic() + limit
     while not condition():
-        assert time.monotonic() < deadline, "not within 10 s"
+        assert time.monotonic() < deadline, f"not within {limit} s"
         time.sleep(0.01)
 
 rclpy.init()
@@ -56,7 +59,7 @@ finally:
     talker.kill()
     talker.wait()
 assert tell() == 1
-until(lambda: not infos("/farewell"))
+until(lambda: not infos("/farewell"), 15)  # less than the lease
 until(lambda: tell() == 0)  # its other endpoints go one after the other
 """
 
@@ -65,37 +68,45 @@ def test_killed_participant_is_removed_at_once() -> None:
     """Without the message it stays for the 20 s of its lease.
 
     The processes have a network of their own: Fast DDS derives the id of the host from its addresses, and other tests
-    add and remove networks meanwhile.
+    add and remove networks meanwhile. Shared memory is that of the machine, hence the domain.
     """
     separate = ["unshare", "--net"] if os.geteuid() == 0 else ["unshare", "--net", "--map-root-user"]
     network = ["sh", "-c", 'ip link set lo up && exec "$@"', "sh"]
-    environ = os.environ | {"ROS_DOMAIN_ID": "1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    environ = os.environ | {"ROS_DOMAIN_ID": str(domain("farewell")), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     command = [*separate, *network, sys.executable, "-c", OBSERVER, TALKER]
-    done = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=240, check=False)
     assert done.returncode == 0, done.stderr
 
 
 async def test_messages_after_the_death_of_a_node_wait_for_its_successor(master: FakeMaster) -> None:
-    node = NodeSpec("killed", "probe", "echo.py", namespace="killed")
-    there = await master.interface("PublisherInterface", "std_msgs/String", "/killed/there", Qos(durability="volatile"))
-    back = await master.interface("SubscriberInterface", "std_msgs/String", "/killed/back")
+    place = f"killed_{secrets.token_hex(8)}"  # by which its process is found
+    node = NodeSpec("killed", "probe", "echo.py", namespace=place)
+    qos = Qos(durability="volatile")
+    there = await master.interface("PublisherInterface", "std_msgs/String", f"/{place}/there", qos)
+    back = await master.interface("SubscriberInterface", "std_msgs/String", f"/{place}/back")
     await master.call(StartNode(node))
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(LIMIT):
         while back.received.empty():
             there.publish(serialize_message(String(data="ready")))
             await asyncio.sleep(0.1)
-    os.kill(pid_of("__ns:=/killed"), signal.SIGKILL)
+    os.kill(pid_of(f"__ns:=/{place}"), signal.SIGKILL)
     assert (await master.died()).node == "killed"
+    async with asyncio.timeout(15):  # less than the lease
+        while await has_subscription(master, f"/{place}/there"):  # noqa: ASYNC110  # of another process
+            await asyncio.sleep(0.05)
     numbers = [str(number) for number in range(20)]
     for number in numbers:
         there.publish(serialize_message(String(data=number)))
-        await asyncio.sleep(0.05)  # the first ones may be lost, until DDS has removed the node
     await master.call(StartNode(node))
     received: list[str] = []
     while received[-1:] != numbers[-1:]:
-        received.append(deserialize_message(await back.next(30), String).data)
+        received.append(deserialize_message(await back.next(), String).data)
     assert received[-10:] == numbers[-10:]
     await master.call(StopNode("killed"))
+
+
+async def has_subscription(master: FakeMaster, topic: str) -> bool:
+    return any(each.name == topic and each.subscribers for each in (await master.call(ReadGraph())).topics)
 
 
 def pid_of(word: str) -> int:

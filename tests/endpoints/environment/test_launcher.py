@@ -22,7 +22,7 @@ def launch(*command: str, parent: int | None = None) -> tuple[int, str, str]:
         os.close(write)
         with os.fdopen(read) as report:
             reported = report.read()
-        output, _ = process.communicate(timeout=10)
+        output, _ = process.communicate(timeout=60)
     return process.returncode, output, reported
 
 
@@ -41,7 +41,7 @@ def test_command_does_not_start_after_death_of_parent() -> None:
 
 def test_report_is_closed_when_command_runs() -> None:
     read, write = os.pipe()
-    arguments = [*PYTHON, str(LAUNCHER), str(os.getpid()), str(write), "sleep", "60"]
+    arguments = [*PYTHON, str(LAUNCHER), str(os.getpid()), str(write), "sleep", "1000"]
     with subprocess.Popen(arguments, pass_fds=[write]) as process:
         os.close(write)
         with os.fdopen(read) as report:
@@ -53,8 +53,8 @@ def test_report_is_closed_when_command_runs() -> None:
 def test_command_dies_with_its_parent() -> None:
     start = (
         "import os, subprocess, sys\n"
-        f"command = [*{PYTHON!r}, {str(LAUNCHER)!r}, str(os.getpid()), '1', 'sh', '-c', 'echo $$ >&2; exec sleep 60']\n"
-        "subprocess.Popen(command)\n"
+        f"launcher = [*{PYTHON!r}, {str(LAUNCHER)!r}, str(os.getpid()), '1']\n"
+        "subprocess.Popen([*launcher, 'sh', '-c', 'echo $$ >&2; exec sleep 1000'])\n"
         "sys.stdin.read()"
     )
     with subprocess.Popen(
@@ -64,6 +64,6 @@ def test_command_dies_with_its_parent() -> None:
         pid = int(parent.stderr.readline())
         parent.send_signal(signal.SIGKILL)
         assert parent.stderr.read() == ""  # the command has the pipe, too, so this waits for its end
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + 60
     while is_alive(pid):
         assert time.monotonic() < deadline

@@ -13,7 +13,7 @@ pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 from twisted.internet.base import ReactorBase
 
 from rce.control.calls.endpoints import NodeSpec, StartNode
-from tests.support.endpoints.environment_driver import NAME, FakeMaster, driven, is_alive, wait_for_line
+from tests.support.endpoints.environment_driver import LIMIT, NAME, FakeMaster, driven, is_alive, wait_for_line
 
 
 async def start_node(master: FakeMaster) -> int:
@@ -23,7 +23,7 @@ async def start_node(master: FakeMaster) -> int:
 
 
 async def process_ended(pid: int) -> None:
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(LIMIT):
         while is_alive(pid):  # noqa: ASYNC110
             await asyncio.sleep(0.01)
 
@@ -33,7 +33,7 @@ async def test_nodes_end_with_endpoint(reactor: ReactorBase, tmp_path: Path, num
     async with driven(reactor, tmp_path) as (master, process):
         pid = await start_node(master)
         process.send_signal(number)
-        status = await asyncio.wait_for(process.wait(), 10)
+        status = await asyncio.wait_for(process.wait(), LIMIT)
         await process_ended(pid)
         assert status == (0 if number != signal.SIGKILL else -signal.SIGKILL)
 
@@ -44,7 +44,7 @@ async def test_endpoint_joins_with_token_and_rejoins_with_credential(reactor: Re
         assert master.hello.addresses == []  # the Master knows the way to it from the task set
         pid = await start_node(master)
         (await master.joined).close()
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(LIMIT):
             while master.hello.token == "token":  # noqa: ASYNC110
                 await asyncio.sleep(0.01)
         assert master.hello.token == "credential"
@@ -56,5 +56,5 @@ async def test_refused_endpoint_ends_with_its_nodes(reactor: ReactorBase, tmp_pa
         pid = await start_node(master)
         master.refuse = True
         (await master.joined).close()
-        assert await asyncio.wait_for(process.wait(), 10) == 1
+        assert await asyncio.wait_for(process.wait(), LIMIT) == 1
         await process_ended(pid)

@@ -16,7 +16,7 @@ from endpoints.environment.node import NodeProcess
 from endpoints.environment.output_log import OutputLog
 from rce.control.calls.endpoints import NodeSpec
 from rce.errors import StartFailed
-from tests.support.endpoints.environment_driver import is_alive
+from tests.support.endpoints.environment_driver import LIMIT, is_alive
 
 SPEC = NodeSpec("brain", "p", "e")
 QUICK_STEPS = ((signal.SIGINT, 0.2), (signal.SIGTERM, 0.2), (signal.SIGKILL, 10.0))
@@ -52,7 +52,7 @@ async def start(tmp_path: Path, ended: list[int]) -> AsyncIterator[Start]:
 
 async def line(process: NodeProcess, text: str) -> str:
     """Return the first line of the output that contains `text`, once there is one."""
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(LIMIT):
         position = ""
         while True:
             lines, position = await process.output.wait_since(position, 1)
@@ -63,7 +63,7 @@ async def line(process: NodeProcess, text: str) -> str:
 
 async def test_status_and_output_of_process_that_ends(start: Start, ended: list[int], tmp_path: Path) -> None:
     process = await start("sh", "-c", "pwd; echo $WORD; echo error >&2; exit 3", WORD="variable")
-    assert await asyncio.wait_for(process.over, 10) == 3
+    assert await asyncio.wait_for(process.over, LIMIT) == 3
     assert (ended, process.stopping) == ([3], False)
     assert process.output.last_lines(10) == [str(tmp_path), "variable", "error"]
 
@@ -76,7 +76,7 @@ async def test_node_whose_output_cannot_be_stored_is_not_blocked(
 
     monkeypatch.setattr(OutputLog, "_append", fail)
     process = await start("sh", "-c", "head -c 1000000 /dev/zero; exit 3")  # more than a pipe holds
-    assert await asyncio.wait_for(process.over, 10) == 3
+    assert await asyncio.wait_for(process.over, LIMIT) == 3
 
 
 @pytest.mark.parametrize("command", ["/nowhere/node", "/etc/passwd"])
@@ -95,7 +95,10 @@ async def test_missing_directory_is_rejected(tmp_path: Path) -> None:
     assert len(os.listdir("/proc/self/fd")) <= before + 1, "the pipe of the report is closed; the log may be open"
 
 
-async def test_stopped_process_gets_sigint_first(start: Start, ended: list[int]) -> None:
+async def test_stopped_process_gets_sigint_first(
+    start: Start, ended: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(node, "STOP_STEPS", ((signal.SIGINT, LIMIT), (signal.SIGKILL, LIMIT)))
     process = await start("sh", "-c", "trap 'exit 5' INT; echo ready; while true; do sleep 0.01; done")
     await line(process, "ready")
     await process.stop()
@@ -116,7 +119,7 @@ async def test_process_that_ignores_signals_is_killed(
 async def test_processes_that_a_node_leaves_behind_are_killed(start: Start) -> None:
     process = await start("sh", "-c", "sleep 60 & echo child $!")
     child = int((await line(process, "child")).split()[1])
-    assert await asyncio.wait_for(process.over, 10) == 0
+    assert await asyncio.wait_for(process.over, LIMIT) == 0
     assert not is_alive(child)
 
 
@@ -127,7 +130,7 @@ async def test_open_output_of_other_process_is_not_awaited_forever(
     process = await start("sh", "-c", "setsid sleep 60 & echo child $!")
     child = int((await line(process, "child")).split()[1])
     try:
-        assert await asyncio.wait_for(process.over, 10) == 0
+        assert await asyncio.wait_for(process.over, LIMIT) == 0
     finally:
         if is_alive(child):
             os.kill(child, signal.SIGKILL)

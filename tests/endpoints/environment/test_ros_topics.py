@@ -51,7 +51,7 @@ async def test_messages_left_in_middleware_do_not_wake_thread(monkeypatch: pytes
             await asyncio.sleep(0.01)
         ros.post(subscription.start)
         publisher.publish(String(data="heard"))
-        await asyncio.wait_for(received.get(), 10)
+        await asyncio.wait_for(received.get(), 60)
         await ros.run(subscription.pause)
         for _ in range(5):
             publisher.publish(String(data="left"))
@@ -59,7 +59,7 @@ async def test_messages_left_in_middleware_do_not_wake_thread(monkeypatch: pytes
         await asyncio.sleep(0.1)  # a busy thread makes thousands of turns in this time
         assert ros.turns - before < MAX_TURNS
         ros.post(subscription.resume)
-        assert b"left" in await asyncio.wait_for(received.get(), 10)
+        assert b"left" in await asyncio.wait_for(received.get(), 60)
     finally:
         await ros.stop()
         node.destroy_node()

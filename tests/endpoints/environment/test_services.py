@@ -11,12 +11,13 @@ pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 
 import msgspec
 from rclpy.serialization import deserialize_message, serialize_message
+from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from endpoints.data.frames import Message
 from rce.control.calls.endpoints import NodeSpec, StartNode, StopNode
 from rce.errors import ConversionError, NotFound, UnknownType
-from tests.support.endpoints.environment_driver import FakeMaster
+from tests.support.endpoints.environment_driver import LIMIT, FakeMaster, wait_for_line
 
 TRUE = serialize_message(SetBool.Request(data=True))
 
@@ -32,7 +33,7 @@ async def test_concurrent_calls_get_their_own_responses(master: FakeMaster) -> N
     for name, value in requests.items():
         robot.request(Message(robot.id, name, serialize_message(SetBool.Request(data=value))))
     for _ in range(200):
-        message = await asyncio.wait_for(robot.received.get(), 10)
+        message = await asyncio.wait_for(robot.received.get(), LIMIT)
         assert deserialize_message(bytes(message.payload), SetBool.Response).success is not requests.pop(message.msg_id)
 
 
@@ -45,8 +46,12 @@ async def test_only_requesting_peer_gets_response(master: FakeMaster) -> None:
 
 async def test_request_waits_until_service_appears(master: FakeMaster) -> None:
     robot = await master.interface("ServiceClientInterface", "std_srvs/SetBool", "/soon/flip")
+    begin = await master.interface("PublisherInterface", "std_msgs/String", "/soon/begin")
+    await master.call(StartNode(NodeSpec("soon", "probe", "echo.py", "later", namespace="soon")))
+    await wait_for_line(master, "soon", "words is")
     answer = asyncio.create_task(robot.call(TRUE))
-    await master.call(StartNode(NodeSpec("soon", "probe", "echo.py", namespace="soon")))
+    await asyncio.sleep(0)  # so that the request goes before the message at which the node provides the service
+    begin.publish(serialize_message(String()))
     assert not deserialize_message(await answer, SetBool.Response).success
     await master.call(StopNode("soon"))
 

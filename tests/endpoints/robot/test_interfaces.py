@@ -5,10 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import struct
-import time
 import uuid
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import cv2
@@ -139,14 +136,24 @@ async def test_slow_robot_gets_newest_messages_and_report_of_drops(platform: Pla
         name = f"{number:032x}"
         await a.send(image(name), name.encode() + number.to_bytes(4, "big") + blob)
     await a.expect_silence()
-    assert platform.endpoint.sessions[f"{USER}/b"].outbox.backlog(b"") == 0
+    assert platform.endpoint.sessions[f"{USER}/b"].outbox.backlog(b"") < 20, "there is no report for each message"
     b.socket.transport.resume_reading()
-    frames = await b.until(lambda frame: isinstance(frame, dict) and frame["data"].get("topic") == "drops")
-    drops = frames.pop()["data"]
-    numbers = [int.from_bytes(frame[32:36], "big") for frame in frames if isinstance(frame, bytes)]
+    numbers: list[int] = []
+    lost = 0
+
+    def is_complete(frame: Any) -> bool:
+        nonlocal lost
+        if isinstance(frame, bytes):
+            numbers.append(int.from_bytes(frame[32:36], "big"))
+        elif frame["data"].get("topic") == "drops":  # so far
+            lost = frame["data"]["count"]
+            assert frame["data"] == {"topic": "drops", "iTag": "in", "count": lost, "where": "on the way to the robot"}
+        return len(numbers) + lost == 40
+
+    await b.until(is_complete)
+    assert lost > 0
     assert numbers == sorted(numbers)
     assert numbers[-3:] == [37, 38, 39]
-    assert drops == {"topic": "drops", "iTag": "in", "count": 40 - len(numbers), "where": "on the way to the robot"}
 
 
 async def test_deep_queue_of_slow_robot_is_bounded_by_bytes(platform: Platform) -> None:
@@ -183,7 +190,7 @@ async def test_robot_without_events_gets_summaries_of_all_drops(platform: Platfo
             got += 1
         elif frame["type"] == "ER":
             assert frame.keys() == {"type", "data"}
-            lost += int(frame["data"].partition("in: ")[2].split()[0])
+            lost = int(frame["data"].partition("in: ")[2].split()[0])  # so far
             assert "on the way to the robot" in frame["data"]
         return got + lost == 20
 
@@ -235,36 +242,33 @@ async def send_picture(robot: Robot, tag: str, data: bytes, msg_id: str = "n") -
     await robot.send(frame, name.encode() + data)
 
 
-@contextmanager
-def longest_turn() -> Iterator[list[float]]:
-    """Measure the processor time of the event loop's longest turn, in seconds."""
-    longest = [0.0]
-    run = asyncio.Handle._run
-
-    def measured(handle: asyncio.Handle) -> None:
-        begin = time.thread_time()
-        run(handle)
-        longest[0] = max(longest[0], time.thread_time() - begin)
-
-    asyncio.Handle._run = measured  # type: ignore[method-assign]
-    try:
-        yield longest
-    finally:
-        asyncio.Handle._run = run  # type: ignore[method-assign]
-
-
-async def test_pictures_do_not_stop_the_event_loop_and_stay_in_order(platform: Platform) -> None:
+async def test_large_pictures_are_converted_outside_of_the_event_loop_and_stay_in_order(
+    platform: Platform, monkeypatch: pytest.MonkeyPatch
+) -> None:
     a, b = await pair(platform, IMAGE)
-    with longest_turn() as longest:
-        for side in (3000, 8, 1500):
-            await send_picture(a, "out", png(side), str(side))
-        frames = []
-        async with asyncio.timeout(60):
-            for _ in range(3):
-                frames.append(json.loads(await b.socket.recv()))
-                await b.socket.recv()
+    pictures = {side: png(side) for side in (3000, 8, 1500)}
+    converted_here: list[tuple[int, ...]] = []
+    decode, encode = cv2.imdecode, cv2.imencode
+
+    def watched_decode(*arguments: Any) -> Any:
+        found: Any = decode(*arguments)
+        converted_here.append(found.shape)
+        return found
+
+    def watched_encode(kind: str, pixels: np.ndarray[Any, Any]) -> Any:
+        converted_here.append(pixels.shape)
+        return encode(kind, pixels)
+
+    monkeypatch.setattr(cv2, "imdecode", watched_decode)
+    monkeypatch.setattr(cv2, "imencode", watched_encode)
+    for side, data in pictures.items():
+        await send_picture(a, "out", data, str(side))
+    frames = []
+    for _ in pictures:
+        frames.append(await b.receive())
+        await b.receive()
     assert [frame["data"]["msgID"] for frame in frames] == ["3000", "8", "1500"]
-    assert longest[0] < 0.03, "decoding and encoding 9 megapixels takes longer"
+    assert set(converted_here) <= {(8, 8)}, "the small one may be converted in place"
 
 
 @pytest.mark.parametrize("features", ["", "ack"])
@@ -336,7 +340,7 @@ async def test_message_too_large_for_its_receiver_is_reported_and_the_next_is_de
     answer = await a.receive()
     assert (answer["type"], answer["error"]["code"]) == ("ER", "limit_exceeded")
     assert (answer["error"]["fields"]["iTag"], answer["error"]["fields"]["msgID"]) == ("out", "large")
-    frames = await b.receive_all(2)
+    frames = sorted(await b.receive_all(2), key=lambda frame: frame["type"])  # the report comes after a second
     assert frames[0]["data"]["msgID"] == "small"
     assert frames[1]["data"] == {"topic": "drops", "iTag": "in", "count": 1, "where": "on the way to the robot"}
 

@@ -71,31 +71,37 @@ async def too_late(provider: Robot, kind: str, name: str) -> Any:
                 return await provider.receive()
 
 
-async def test_failed_service_calls_are_reported(make_platform: Any) -> None:
+async def failure(caller: Robot) -> tuple[str, str]:
+    """Return the id of the next call that failed, and the code of its error."""
+    answer = await caller.receive()
+    assert answer["type"] == "ER", answer
+    assert answer["error"]["fields"]["iTag"] == "ask"
+    return answer["error"]["fields"]["msgID"], answer["error"]["code"]
+
+
+async def test_service_call_without_an_answer_times_out(make_platform: Any) -> None:
     platform = await make_platform(service_timeout=0.2)
     caller, provider = await service(platform, "ack")
     kind = "std_srvs/SetBool"
-
-    async def failure() -> tuple[str, str]:
-        answer = await caller.receive()
-        assert answer["type"] == "ER", answer
-        assert answer["error"]["fields"]["iTag"] == "ask"
-        return answer["error"]["fields"]["msgID"], answer["error"]["code"]
-
     await caller.data("ask", {"data": True}, kind, "late")
     late = (await provider.receive())["data"]["msgID"]
-    assert await failure() == ("late", "timed_out")
+    assert await failure(caller) == ("late", "timed_out")
     assert (await too_late(provider, kind, late))["error"]["code"] == "not_connected"
+
+
+async def test_failed_service_calls_are_reported(platform: Platform) -> None:
+    caller, provider = await service(platform, "ack")
+    kind = "std_srvs/SetBool"
 
     await caller.data("ask", {"data": True}, kind, "refused")
     name = (await provider.receive())["data"]["msgID"]
     await provider.send({"type": "DM", "data": {"iTag": "serve", "type": kind, "msgID": name, "error": "no motor"}})
-    assert (await failure())[0] == "refused"
+    assert (await failure(caller))[0] == "refused"
 
     await caller.data("ask", {"data": True}, kind, "wrong")
     name = (await provider.receive())["data"]["msgID"]
     await provider.data("serve", {"success": "perhaps"}, kind, name)
-    assert (await failure()) == ("wrong", "conversion")
+    assert await failure(caller) == ("wrong", "conversion")
     assert (await provider.receive())["error"]["code"] == "conversion"
 
     await caller.data("ask", {"data": True}, kind, "cut")

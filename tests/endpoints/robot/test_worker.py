@@ -28,7 +28,7 @@ def served() -> Iterator[socket.socket]:
     thread.start()
     yield ours
     ours.close()
-    thread.join(10)
+    thread.join(60)
     assert not thread.is_alive(), "it ends when the other end is closed"
     theirs.close()
 

@@ -34,7 +34,7 @@ class FakeWorker:
 
     def call(self, request: Request, buffers: Sequence[Buffer]) -> tuple[Answer, list[bytearray]]:
         self._begun.append(bytes(buffers[0]).decode())
-        self.go.get(timeout=10)
+        self.go.get(timeout=60)
         return Converted(), [bytearray(buffers[0])]
 
     def stop(self) -> None:

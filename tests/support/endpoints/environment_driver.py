@@ -43,6 +43,7 @@ from tests.support.paths import TESTS
 
 NAME = "user/env"
 RUN = "ab" * 16
+LIMIT = 60.0  # seconds until a test gives up; nodes start slowly on a busy machine
 PACKAGES = TESTS / "endpoints" / "environment" / "packages"
 R = TypeVar("R")
 
@@ -61,9 +62,9 @@ class Robot(Interface):
         else:
             self.received.put_nowait(message)
 
-    async def next(self, seconds: float = 10) -> bytes:
+    async def next(self) -> bytes:
         """Return the next message; raise the error of an error message."""
-        message = await asyncio.wait_for(self.received.get(), seconds)
+        message = await asyncio.wait_for(self.received.get(), LIMIT)
         if message.error:
             raise error_of(message)
         return bytes(message.payload)
@@ -71,9 +72,9 @@ class Robot(Interface):
     def publish(self, payload: bytes) -> None:
         self.send(Message(self.id, "nil", payload))
 
-    async def call(self, payload: bytes, seconds: float = 10) -> bytes:
+    async def call(self, payload: bytes) -> bytes:
         self.request(Message(self.id, secrets.token_hex(16), payload))
-        return await self.next(seconds)
+        return await self.next()
 
 
 class FakeMaster:
@@ -105,7 +106,7 @@ class FakeMaster:
         return Nothing()
 
     async def call(self, call: Call[R]) -> R:
-        return await (await asyncio.wait_for(asyncio.shield(self.joined), 20)).call(call)
+        return await (await asyncio.wait_for(asyncio.shield(self.joined), LIMIT)).call(call)
 
     async def link(self) -> str:
         """Return the name of the link to the environment, opened at the first call."""
@@ -151,14 +152,14 @@ class FakeMaster:
 
     async def died(self) -> NodeDied:
         """Return the next report of a node that ended by itself."""
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(LIMIT):
             while not isinstance(found := await self.reports.get(), NodeDied):
                 pass
             return found
 
     async def report(self, interface: str) -> Report:
         """Return the next report about an interface of the environment, given its tag."""
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(LIMIT):
             while not isinstance(found := await self.reports.get(), Report) or found.interface != interface:
                 pass
             return found
@@ -171,7 +172,7 @@ class FakeMaster:
 async def wait_for_line(master: FakeMaster, tag: str, text: str) -> str:
     """Return the last complete line of a node's output that contains `text`, once there is one."""
     position = "beginning"
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(LIMIT):
         while True:
             log = await master.call(ReadLog(tag, after=position, wait=1))
             found = [line for line in log.lines if text in line]
@@ -219,10 +220,10 @@ async def driven(
         cwd=directory,
     )
     try:
-        await asyncio.wait_for(asyncio.shield(master.joined), 20)
+        await asyncio.wait_for(asyncio.shield(master.joined), LIMIT)
         yield master, process
     finally:
         if process.returncode is None:
             process.terminate()
-        await asyncio.wait_for(process.wait(), 10)
+        await asyncio.wait_for(process.wait(), LIMIT)
         await master.close()

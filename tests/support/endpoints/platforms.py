@@ -116,7 +116,7 @@ class Processes(RobotClients):
         log.close()
         self._running[program] = process
         assert process.stdout is not None
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(WAIT):
             while line := await process.stdout.readline():
                 if (announced := ready.parse(line)) is not None:
                     return announced
@@ -160,7 +160,7 @@ class Processes(RobotClients):
         status = {}
         for program, process in self._running.items():
             try:
-                status[program] = await asyncio.wait_for(process.wait(), 10)
+                status[program] = await asyncio.wait_for(process.wait(), WAIT)
             except TimeoutError:
                 process.kill()
                 status[program] = await process.wait()

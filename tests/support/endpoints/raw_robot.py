@@ -10,7 +10,7 @@ from typing import Any
 
 from websockets.asyncio.client import ClientConnection, connect
 
-WAIT = 10.0  # seconds until a test that waits for something gives up
+WAIT = 60.0  # seconds until a test that waits for something gives up
 USER = "testUser"
 PASSWORD = hashlib.sha256(USER.encode()).hexdigest()
 Json = dict[str, Any]
@@ -108,7 +108,8 @@ class RobotClients:
         query = f"userID={more.pop('user', USER)}&robotID={tag}&{secret}"
         query += f"&features={features}" if features else ""
         query += "".join(f"&{key}={more.pop(key)}" for key in ("resume", "compress") if key in more)
-        more = {"max_size": None, "compression": None, "close_timeout": 1, "ping_interval": None} | more
+        timeouts = {"open_timeout": WAIT, "close_timeout": 1, "ping_interval": None}
+        more = {"max_size": None, "compression": None} | timeouts | more
         socket = await connect(f"ws://127.0.0.1:{self.port}/?{query}", **more)
         self._open.append(socket)
         return Robot(tag, socket)

@@ -14,7 +14,7 @@ from endpoints.environment.ros import RosThread
 from tests.support.domains import domain
 
 NODE = "tested_endpoint"
-LIMIT = 20.0  # seconds until a test gives up
+LIMIT = 60.0  # seconds until a test gives up
 
 
 class RosWorld:

@@ -5,15 +5,28 @@ from __future__ import annotations
 
 import sys
 import time
+from functools import partial
+from typing import Any
 
 import rclpy
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
+
+PATIENCE = 30.0  # seconds
+
+
+def publish(publisher: Publisher[Any], message: Any) -> None:
+    """Publish a message as soon as there is a subscription: before, it would be lost."""
+    until = time.monotonic() + PATIENCE
+    while not publisher.get_subscription_count() and time.monotonic() < until and rclpy.ok():
+        time.sleep(0.001)
+    publisher.publish(message)
 
 
 class Echo(Node):
@@ -26,18 +39,24 @@ class Echo(Node):
             durability=DurabilityPolicy.TRANSIENT_LOCAL if "latched" in sys.argv else DurabilityPolicy.VOLATILE,
         )
         back = self.create_publisher(String, "back", qos)
-        self.create_subscription(String, "there", back.publish, qos)
+        self.create_subscription(String, "there", partial(publish, back), qos)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         kept = self.create_publisher(String, "latched", latched)
         while "once_subscribed" in sys.argv and not kept.get_subscription_count():
             time.sleep(0.0001)  # to publish right when the subscription appears
         kept.publish(String(data="kept"))
-        self.create_service(SetBool, "flip", self.flip)
+        if "later" in sys.argv:
+            self.create_subscription(String, "begin", self.begin, 10)
+        else:
+            self.begin()
         self.declare_parameter("speed", 1.0)
         self.declare_parameter("words", ["none"])
         self.add_on_set_parameters_callback(self.check)
         for name in ("speed", "words"):
             self.get_logger().info(f"{name} is {self.get_parameter(name).value}")
+
+    def begin(self, _: String | None = None) -> None:
+        self.create_service(SetBool, "flip", self.flip)
 
     def flip(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         response.success = not request.data
