@@ -65,8 +65,12 @@ def test_one_sample_has_no_trend() -> None:
 def program(tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
     """Process of this one with the command line of a Master."""
     (tmp_path / "master").mkdir()
-    (tmp_path / "master" / "__main__.py").write_text("input()")
-    started = subprocess.Popen([sys.executable, "-m", "master"], cwd=tmp_path, stdin=subprocess.PIPE)
+    (tmp_path / "master" / "__init__.py").touch()  # else that of this checkout is found
+    (tmp_path / "master" / "__main__.py").write_text("print(flush=True)\ninput()")
+    pipe = subprocess.PIPE
+    started = subprocess.Popen([sys.executable, "-m", "master"], cwd=tmp_path, stdin=pipe, stdout=pipe)
+    assert started.stdout is not None
+    started.stdout.readline()  # before, it has neither memory nor a command line for an instant
     yield started
     started.kill()
     started.wait()

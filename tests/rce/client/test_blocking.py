@@ -36,11 +36,11 @@ T = TypeVar("T")
 
 async def run_script(function: Callable[..., T], *arguments: Any) -> T:
     """Run a script in a thread while the fake platform runs on this loop."""
-    return await asyncio.wait_for(asyncio.to_thread(function, *arguments), 20)
+    return await asyncio.wait_for(asyncio.to_thread(function, *arguments), 60)
 
 
 def robot(url: str, name: str = "a", password: str = "testUser") -> BlockingRobot:
-    return BlockingRobot(url, user="testUser", robot=name, password=password, timeout=10)
+    return BlockingRobot(url, user="testUser", robot=name, password=password, timeout=60)
 
 
 def test_constructor_has_the_arguments_of_robot() -> None:

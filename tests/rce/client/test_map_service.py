@@ -155,7 +155,7 @@ async def test_job_is_watched_and_its_files_are_fetched(service: Service, tmp_pa
             loop.call_soon_threadsafe(updates.put_nowait, update)
 
     watching = asyncio.create_task(in_thread(watch))
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(60):
         service.runner.report(job.id, Report("mapping", 3))
         while (await updates.get()).scans != 3:
             pass

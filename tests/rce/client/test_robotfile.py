@@ -42,7 +42,7 @@ class Console:
         return await self.next()
 
     async def next(self) -> dict[str, Any]:
-        return await asyncio.wait_for(self.output.get(), 10)
+        return await asyncio.wait_for(self.output.get(), 60)
 
 
 async def test_robot_is_set_up_in_order_processes_lines_and_is_cleaned_up(fake: FakePlatform, tmp_path: Path) -> None:
@@ -125,7 +125,7 @@ async def test_process_can_exit_while_standard_input_is_read() -> None:
     assert process.stdin is not None
     assert process.stderr is not None
     process.stdin.write(b"{}\n")  # read; then the thread waits for the next line, which does not come
-    error = await asyncio.wait_for(process.stderr.read(), 20)
+    error = await asyncio.wait_for(process.stderr.read(), 60)
     assert await process.wait() == 0, error.decode()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import ssl
+import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -151,8 +152,11 @@ async def test_client_that_does_not_read_is_disconnected(monkeypatch: pytest.Mon
         writer.transport.abort()
 
 
+@pytest.mark.slow
 async def test_client_that_reads_slowly_gets_the_whole_response(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "UNREAD_TIMEOUT", 0.5)
+    """It takes longer than the time for which a client may read nothing."""
+    monkeypatch.setattr(server, "UNREAD_TIMEOUT", 3.0)
+    began = time.monotonic()
 
     async def large(request: web.BaseRequest) -> web.Response:
         return web.Response(body=bytes(20_000_000))
@@ -163,8 +167,9 @@ async def test_client_that_reads_slowly_gets_the_whole_response(monkeypatch: pyt
         received = 0
         while piece := await asyncio.wait_for(reader.read(1_000_000), 20):
             received += len(piece)
-            await asyncio.sleep(0.001)
+            await asyncio.sleep(len(piece) / 5_000_000)
         assert received > 20_000_000
+        assert time.monotonic() - began > 3.0
         writer.close()
 
 

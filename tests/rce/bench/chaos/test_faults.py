@@ -73,7 +73,7 @@ async def test_stopped_process_runs_again(tmp_path: Path, victim: subprocess.Pop
     def state() -> str:
         return Path(f"/proc/{victim.pid}/stat").read_text().rpartition(")")[2].split()[0]
 
-    striking = asyncio.create_task(nemesis(tmp_path, victim.pid).strike(Fault("stop", "master", 0.3)))
+    striking = asyncio.create_task(nemesis(tmp_path, victim.pid).strike(Fault("stop", "master", 1.0)))
     await until(lambda: state() == "T")
     await striking
     await until(lambda: state() != "T")
