@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 import uvloop
+from hypothesis import HealthCheck, settings
 from twisted.internet.base import ReactorBase
 from twisted.logger import LogEvent, globalLogPublisher
 
@@ -32,6 +33,9 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # inherited from a backgr
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 os.environ["RCE_ALLOW_ROOT"] = "true"  # CI runs as root, in a container
+# A busy machine stands still for a moment now and then; that is no fault of an example.
+settings.register_profile("tests", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("tests")
 
 TESTS = Path(__file__).parent
 DOCKER_FIXTURES = {"docker_host", "images", "island", "swarm", "one_machine", "stand_in_image"}

@@ -188,8 +188,9 @@ class Agent:
                 self._preparing[task.run] = asyncio.create_task(self._prepare(task))
         for run in [run for run in self._served if run not in running]:
             self._stop_serving(run)
+        connected = self._link.connected
         for task in tasks:
-            if (task.ended or task.run in self._dead) and task.run not in self._end_reported:
+            if connected and (task.ended or task.run in self._dead) and task.run not in self._end_reported:
                 await self._report_end(task)
         await self._docker.sweep({task.run for task in tasks})
         self._adopted = set(self._preparing if self._adopted is None else self._adopted & self._preparing.keys())
@@ -199,7 +200,8 @@ class Agent:
             _denies_new_privileges(),
             self._data_relay.address.removeprefix("relay:"),
         )
-        if report != self._report and self._link.connected:
+        # Only after all ends: the task set takes a run that is missing in a report for one whose end nobody saw.
+        if report != self._report and connected and self._link.connected:
             await self._notify(report)
             self._report = report
 

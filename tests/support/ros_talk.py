@@ -52,7 +52,10 @@ def call(node: Node, name: str) -> dict[str, object]:
     client = node.create_client(kind, address)
     client.wait_for_service()
     future = client.call_async(kind.Request(**request))
-    rclpy.spin_until_future_complete(node, future)
+    while not future.done():
+        rclpy.spin_until_future_complete(node, future, timeout_sec=5)
+        if not future.done():  # the answer is lost if the service had not discovered this client yet
+            future = client.call_async(kind.Request(**request))
     response = future.result()
     return {field: plain(getattr(response, field)) for field in response.get_fields_and_field_types()}
 
