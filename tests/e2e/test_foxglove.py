@@ -16,6 +16,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from rce.client import Environment
@@ -24,11 +25,12 @@ from tests.support.e2e.consoles import rce
 from tests.support.e2e.foreign_suites import node_modules
 from tests.support.e2e.gateways import Gateway, open_gateway
 from tests.support.e2e.node import node_command
-from tests.support.e2e.real_platform import RealPlatform
+from tests.support.e2e.real_platform import RealPlatform, until
 
 PROGRAM = "@foxglove/ws-protocol-examples/dist/cjs/ws-protocol-examples/src/index.js"
 WAIT = 60.0  # seconds
 STRING = "std_msgs/String"
+MESSAGE_SIZE = 32  # bytes in a frame of the WebSocket
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +60,10 @@ class Example:
                 chunk = await self._process.stdout.read(65536)
                 assert chunk, f"ended without {pattern!r}: {self.output}"
                 self.output += chunk.decode()
+
+    def bytes_read(self) -> int:
+        """Return the number of bytes that it has read from files and sockets."""
+        return int(psutil.Process(self._process.pid).io_counters().read_chars)
 
     async def finish(self, number: int = 0) -> str:
         """Send a signal, if one is given, and return the output at the end."""
@@ -129,7 +135,7 @@ async def test_perf_test_client(gateway: Gateway, examples: Path) -> None:
         publishing(gateway.environment, "/measured"),
         running(examples, "perf-test-client", gateway.foxglove) as example,
     ):
-        await received(gateway, "/measured")
+        await received(gateway, example, "/measured")
         output = await example.finish(signal.SIGINT)
     found = re.search(r"\| /measured +\| (\d+)", output)
     assert found is not None, output
@@ -140,22 +146,23 @@ async def test_mcap_record(gateway: Gateway, examples: Path, tmp_path: Path) -> 
     file = tmp_path / "record.mcap"
     words = ["mcap-record", "--no-compression", "-o", str(file), gateway.foxglove]
     async with publishing(gateway.environment, "/recorded"), running(examples, *words) as example:
-        await received(gateway, "/recorded")
+        await received(gateway, example, "/recorded")
         await example.finish(signal.SIGINT)
     recorded = file.read_bytes()
     assert b"std_msgs/msg/String" in recorded
     assert b"\0\1\0\0\x09\0\0\0recorded\0" in recorded
 
 
-async def received(gateway: Gateway, topic: str) -> None:
-    """Wait until somebody subscribes to a topic, and then as long as thirty messages take.
+async def received(gateway: Gateway, example: Example, topic: str) -> None:
+    """Wait until an example subscribes to a topic and has read as much as thirty messages.
 
     The examples show what they have received at their end only.
     """
     async with asyncio.timeout(WAIT):
         while not await has_subscribers(gateway, topic):  # noqa: ASYNC110  # a graph has no event
             await asyncio.sleep(0.2)
-    await asyncio.sleep(3)
+    before = example.bytes_read()
+    await until(lambda: example.bytes_read() > before + 30 * MESSAGE_SIZE, what=f"messages of {topic}")
 
 
 async def has_subscribers(gateway: Gateway, topic: str) -> bool:

@@ -48,6 +48,7 @@ async def test_use_case_1_robots_and_environments_on_two_machines(machines: Mach
 
 async def test_use_case_3_robots_of_two_machines(machines: Machines) -> None:
     """Messages between robots at two Robot endpoints, without environments."""
+    await machines.wait_for_no_robots()
     async with machines.robot("one") as one, machines.robot("two") as two:
         assert machine_of(machines, one) != machine_of(machines, two)
         for sender, receiver in ((one, two), (two, one)):
@@ -56,7 +57,7 @@ async def test_use_case_3_robots_of_two_machines(machines: Machines) -> None:
             await publisher.wait_connected()
             for number in range(200):
                 publisher.offer({"data": f"{number} from {sender.name}"}, keep=1000)
-            async with asyncio.timeout(30):
+            async with asyncio.timeout(60):
                 received = [(await subscriber.get())["data"] for _ in range(200)]
             assert received == [f"{number} from {sender.name}" for number in range(200)]
 
@@ -69,6 +70,7 @@ async def test_environments_of_a_lost_machine_move(machines: Machines, wires: Ne
 
 
 async def test_robots_of_a_killed_endpoint_resume_at_the_other(machines: Machines) -> None:
+    await machines.wait_for_no_robots()
     async with machines.robot("one") as one, machines.robot("two") as two, one.environment("brain") as brain:
         traffic = Traffic(one, brain)
         await traffic.start()

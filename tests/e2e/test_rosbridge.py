@@ -111,7 +111,10 @@ PAGE = """
     setInterval(() => out.publish({ linear: { x: (speed += 1) } }), 100);
     const service = { ros, name: "/example_fibonacci/get_parameters", serviceType: "rcl_interfaces/GetParameters" };
     const parameters = new ROSLIB.Service(service);
-    parameters.callService({ names: ["use_sim_time"] }, (answer) => show("service", answer.values[0].type));
+    // The first answer of a node is lost if DDS discovery has not finished.
+    const ask = () => parameters.callService(
+      { names: ["use_sim_time"] }, (answer) => show("service", answer.values[0].type), () => setTimeout(ask, 100));
+    ask();
     const action = new ROSLIB.Action({ ros, name: "/fibonacci", actionType: "example_interfaces/Fibonacci" });
     action.sendGoal({ order: 3 }, (result) => show("action", result.sequence));
   });

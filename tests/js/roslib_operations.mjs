@@ -5,12 +5,14 @@ const [url, modules] = process.argv.slice(2);
 const ROSLIB = await import(pathToFileURL(`${modules}/roslib/dist/RosLib.js`).href);
 const ros = new ROSLIB.Ros();
 const wait = (ms) => new Promise((r) => setTimeout(r, ms));
-const within = (p, what, ms = 20000) => Promise.race([p, new Promise((_, j) => setTimeout(() => j(new Error("timeout: " + what)), ms))]);
+const within = (p, what, ms = 60000) => Promise.race([p, new Promise((_, j) => setTimeout(() => j(new Error("timeout: " + what)), ms))]);
 await within(new Promise((r, j) => { ros.on("connection", r); ros.on("error", j); ros.connect(url); }), "connect");
 const results = {};
 const check = (name, ok, info = "") => { results[name] = ok; console.log(ok ? "ok  " : "FAIL", name, ok ? "" : JSON.stringify(info)); };
 const attempt = async (name, f) => { try { check(name, true, await f()); } catch (e) { check(name, false, String(e && e.stack || e)); } };
+const listed = async (call, name) => { while (!(await within(cb((r, j) => ros[call](r, j)), call)).includes(name)) await wait(100); };
 const assert = (c, m) => { if (!c) throw new Error(m); };
+const once = (f) => { let done = false; return () => { if (!done) { done = true; f(); } }; };
 const cb = (f) => new Promise((r, j) => f(r, j));
 ros.setStatusLevel && ros.setStatusLevel("info", "s");
 ros.on("status", (s) => console.log("status", JSON.stringify(s)));
@@ -19,10 +21,9 @@ for (const compression of ["none", "png", "cbor"]) {
     const name = "/js_" + compression;
     const t = new ROSLIB.Topic({ ros, name, messageType: "sensor_msgs/msg/LaserScan", compression });
     const got = within(new Promise((r) => t.subscribe(r)), name);
-    await wait(500);
     const p = new ROSLIB.Topic({ ros, name, messageType: "sensor_msgs/LaserScan" });
-    p.publish({ header: { frame_id: "laser" }, ranges: [1, 2.5, null] });
-    const m = await got;
+    const repeat = setInterval(() => p.publish({ header: { frame_id: "laser" }, ranges: [1, 2.5, null] }), 200);
+    const m = await got.finally(() => clearInterval(repeat));
     assert(m.header.frame_id === "laser", JSON.stringify(m));
     assert(m.header.stamp.sec > 1e9, "stamp");
     assert(Math.abs(m.ranges[1] - 2.5) < 1e-6 && m.ranges.length === 3, JSON.stringify(m.ranges));
@@ -32,14 +33,16 @@ for (const compression of ["none", "png", "cbor"]) {
 await attempt("throttle", async () => {
   const p = new ROSLIB.Topic({ ros, name: "/js_fast", messageType: "std_msgs/String" });
   const t = new ROSLIB.Topic({ ros, name: "/js_fast", messageType: "std_msgs/String", throttle_rate: 500, queue_length: 1 });
-  let n = 0; t.subscribe(() => n++); await wait(700); p.advertise(); await wait(300);
-  for (let i = 0; i < 40; i++) { p.publish({ data: "x" + i }); await wait(25); }
-  await wait(600); assert(n >= 2 && n <= 5, "n=" + n); t.unsubscribe();
+  let n = 0; t.subscribe(() => n++);
+  const begin = Date.now();
+  for (let i = 0; (i < 40 || n < 4) && i < 2400; i++) { p.publish({ data: "x" + i }); await wait(25); }
+  const most = (Date.now() - begin) / 500 + 2;
+  assert(n >= 4 && n <= most, `n=${n}, not 4 to ${most}`); t.unsubscribe();
 });
 await attempt("service both ways", async () => {
   const s = new ROSLIB.Service({ ros, name: "/js_bool", serviceType: "std_srvs/SetBool" });
   s.advertise((req, res) => { res.success = req.data; res.message = "got"; return true; });
-  await wait(1500);
+  await listed("getServices", "/js_bool");
   const c = new ROSLIB.Service({ ros, name: "/js_bool", serviceType: "std_srvs/SetBool" });
   const r = await within(cb((r, j) => c.callService({ data: true }, r, j)), "call");
   assert(r.success === true && r.message === "got", JSON.stringify(r)); s.unadvertise();
@@ -48,7 +51,7 @@ await attempt("service that fails or does not answer", async () => {
   // A service of ROS 2 cannot answer with an error, so the caller waits for its timeout.
   const s = new ROSLIB.Service({ ros, name: "/js_fail", serviceType: "std_srvs/Trigger" });
   s.advertise(() => false);
-  await wait(1500);
+  await listed("getServices", "/js_fail");
   const c = new ROSLIB.Service({ ros, name: "/js_fail", serviceType: "std_srvs/Trigger" });
   let failed;
   try { await within(cb((r, j) => c.callService({}, r, j, 2)), "call"); } catch (e) { failed = String(e); }
@@ -68,27 +71,28 @@ await attempt("action goal", async () => {
 });
 await attempt("action cancel", async () => {
   const a = new ROSLIB.Action({ ros, name: "/fibonacci", actionType: "example_interfaces/Fibonacci" });
-  const ended = within(new Promise((r) => { const id = a.sendGoal({ order: 30 }, (x) => r(["result", x]), () => {}, (e) => r(["failed", String(e)])); setTimeout(() => a.cancelGoal(id), 1500); }), "cancel");
+  const ended = within(new Promise((r) => { const id = a.sendGoal({ order: 30 }, (x) => r(["result", x]), once(() => a.cancelGoal(id)), (e) => r(["failed", String(e)])); }), "cancel");
   const e = await ended; assert(String(e[1]).includes("canceled"), JSON.stringify(e));
 });
 await attempt("cancelAllGoals", async () => {
   const a = new ROSLIB.Action({ ros, name: "/fibonacci", actionType: "example_interfaces/Fibonacci" });
   if (!a.cancelAllGoals) return;
-  const ended = within(new Promise((r) => { a.sendGoal({ order: 30 }, (x) => r(["result", x]), () => {}, (e) => r(["failed", String(e)])); setTimeout(() => a.cancelAllGoals(), 1500); }), "cancelAll");
+  const ended = within(new Promise((r) => { a.sendGoal({ order: 30 }, (x) => r(["result", x]), once(() => a.cancelAllGoals()), (e) => r(["failed", String(e)])); }), "cancelAll");
   const e = await ended; assert(String(e[1]).includes("canceled"), JSON.stringify(e));
 });
 await attempt("action server", async () => {
   const server = new ROSLIB.Action({ ros, name: "/js_fib", actionType: "example_interfaces/Fibonacci" });
   const cancels = [];
   server.advertise((goal, id) => {
-    if (goal.order < 100) { server.sendFeedback(id, { sequence: [0] }); setTimeout(() => server.setSucceeded(id, { sequence: [0, goal.order] }), 200); }
+    server.sendFeedback(id, { sequence: [0] });
+    if (goal.order < 100) { setTimeout(() => server.setSucceeded(id, { sequence: [0, goal.order] }), 200); }
   }, (id) => { cancels.push(id); server.setCanceled(id, { sequence: [9] }); });
-  await wait(1500);
+  await listed("getActionServers", "/js_fib");
   const a = new ROSLIB.Action({ ros, name: "/js_fib", actionType: "example_interfaces/Fibonacci" });
   const seen = [];
   const r = await within(cb((r, j) => a.sendGoal({ order: 7 }, r, (f) => seen.push(f), j)), "goal");
   assert(r.sequence[1] === 7 && seen.length === 1, JSON.stringify([r, seen]));
-  const c = await within(new Promise((r) => { const id = a.sendGoal({ order: 200 }, (x) => r(["result", x]), () => {}, (e) => r(["failed", String(e)])); setTimeout(() => a.cancelGoal(id), 800); }), "cancel at server");
+  const c = await within(new Promise((r) => { const id = a.sendGoal({ order: 200 }, (x) => r(["result", x]), once(() => a.cancelGoal(id)), (e) => r(["failed", String(e)])); }), "cancel at server");
   assert(cancels.length === 1, "cancel not seen"); assert(String(c[1]).includes("canceled"), JSON.stringify(c));
   server.unadvertise();
 });

@@ -16,12 +16,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
+from rce.api.client import ApiClient
+from rce.api.views.resources import RobotView
 from rce.client import Robot
 from tests.support.e2e.real_platform import USER, kill_processes
 
 MODULES = {"master": "master", "robot": "endpoints.robot", "container": "containers"}
 START_TIMEOUT = 120.0
 STOP_TIMEOUT = 120.0
+GRACE, MACHINE_GRACE = 10.0, 2.0  # seconds; a robot on a busy machine returns within the first
 
 
 @dataclass(frozen=True)
@@ -98,12 +101,10 @@ class Machines:
         hosts: Sequence[Host],
         arguments: Sequence[str],
         size: int,
-        grace: float = 2,
         ws_port: int = 9010,
     ) -> None:
         self.directory = directory
         self.hosts = {host.name: host for host in hosts}
-        self.grace = grace
         self._arguments = arguments
         self._size = size
         self._ws_port = ws_port
@@ -139,8 +140,8 @@ class Machines:
             "--http=tcp:0:interface=127.0.0.1",
             f"--control=tcp:0:interface={host.address}",
             "--dev",
-            f"--grace={self.grace}",
-            f"--machine-grace={self.grace}",
+            f"--grace={GRACE}",
+            f"--machine-grace={MACHINE_GRACE}",
             *host.tls_words(),
         )
         await asyncio.gather(*map(self.start_program, self.programs))
@@ -160,7 +161,7 @@ class Machines:
             port = self._ws_port if host.command_prefix else 0  # every port is free in a network namespace
             public = f"ws://{host.address}:{port}/" if port else ""
             words += [f"--ws-host={host.address}", f"--ws-port={port}", f"--public-url={public}"]
-            words += [f"--grace={self.grace}"]
+            words += [f"--grace={GRACE}"]
         else:
             words += [
                 f"--features={host.name}",
@@ -180,6 +181,13 @@ class Machines:
 
     def robot(self, name: str, timeout: float = 60.0) -> Robot:
         return Robot(self.master.ready["url"], user=USER, robot=name, password=USER, timeout=timeout)
+
+    async def wait_for_no_robots(self) -> None:
+        """Wait until all robots have left, so that the next two get different Robot endpoints."""
+        api = ApiClient(self.master.ready["url"], user=USER, password=USER)
+        async with asyncio.timeout(60):
+            while await asyncio.to_thread(lambda: [*api.items(RobotView, "robots")]):  # noqa: ASYNC110
+                await asyncio.sleep(0.1)
 
     def url(self, host: str) -> str:
         """Return the URL of the Robot endpoint on a machine."""
@@ -202,6 +210,6 @@ class Machines:
             (json.loads(line)["time"], name)
             for name in self.hosts
             for line in self.log(f"container-{name}").splitlines()
-            if f"started {USER}/{tag}" in json.loads(line)["message"]
+            if f"started {USER}/{tag}" in line  # others may be incomplete
         ]
         return max(started)[1]

@@ -69,6 +69,7 @@ async def use_case_1(machines: Machines) -> None:
     Numbers go from a robot into one environment, from there to an environment on the other machine (C2C-2), and from
     there to robots on both machines.
     """
+    await machines.wait_for_no_robots()
     async with (
         machines.robot("one") as one,
         machines.robot("two") as two,
@@ -104,7 +105,7 @@ async def wait_until_connected(publisher: Publisher, subscribers: Sequence[Subsc
 
 
 async def next_number(stream: Subscriber) -> int:
-    while not (text := (await stream.get(30))["data"]):
+    while not (text := (await stream.get(60))["data"]):
         pass
     return int(text)
 
@@ -114,6 +115,7 @@ async def check_failover_under_traffic(machines: Machines, wires: Network, how: 
 
     When the machine is back, its old environments are removed, and it accepts new ones.
     """
+    await machines.wait_for_no_robots()
     async with (
         machines.robot(f"one_{how}") as one,
         machines.robot(f"two_{how}") as two,

@@ -95,8 +95,9 @@ class Target:
         found = []
         for program in self.processes._running:
             log = self.processes.log(program)
-            lines = log[self._read.get(program, 0) :].split("\n")  # `splitlines` splits at more than that
-            self._read[program] = len(log)
+            end = log.rfind("\n") + 1  # what follows is being written
+            lines = log[self._read.get(program, 0) : end].split("\n")  # `splitlines` splits at more than that
+            self._read[program] = end
             found += [f"{program}: {line}" for line in lines if _is_defect(line)]
         return found
 
