@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from rce.errors import NoCapacity
@@ -21,7 +22,7 @@ DOMAINS = range(1, 102)
 class Domains:
     """The ROS domains of this host."""
 
-    def __init__(self, directory: Path = DIRECTORY, domains: range = DOMAINS) -> None:
+    def __init__(self, directory: Path = DIRECTORY, domains: Sequence[int] = DOMAINS) -> None:
         self._directory = directory
         self._domains = domains
 

@@ -22,6 +22,7 @@ from rce.net.sockets import unix_socket_path
 from rce.process.host import host_identity
 from tests.support.containers.engine_contract import Endings, EngineContract, opened, spec, with_options
 from tests.support.containers.process_world import ProcessWorld
+from tests.support.domains import domain
 
 
 @pytest.fixture
@@ -122,7 +123,7 @@ async def test_running_process_holds_its_domain_without_a_task_set(world: Proces
 
 
 async def test_start_fails_if_all_domains_are_in_use(world: ProcessWorld, tmp_path: Path) -> None:
-    world.domains = Domains(tmp_path / "domains", range(90, 91))
+    world.domains = Domains(tmp_path / "domains", [domain("the only one")])
     async with opened(world.engine(Endings())) as engine:
         await engine.start(spec("ann/a", 1))
         with pytest.raises(NoCapacity, match="all 1 ROS domains"):

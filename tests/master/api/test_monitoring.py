@@ -72,7 +72,7 @@ async def test_database_that_does_not_answer_is_missing(served: Served, monkeypa
         assert "database" in text
     assert len(asked) == 1, "who asks again and again does not pile up work"
     hangs.set_result(None)
-    await asyncio.sleep(0)
+    monkeypatch.setattr("master.storage.store.PATIENCE", 20.0)
     assert (await ask(served, "/readyz"))[0] == 200
 
 

@@ -14,6 +14,7 @@ from containers.process import tree as processes
 from containers.process.domains import Domains
 from containers.process.engine import ProcessEngine
 from tests.support.containers.engine_contract import CAPACITY, FEATURES, World
+from tests.support.domains import domain
 from tests.support.paths import TESTS
 
 STAND_IN = (sys.executable, "-I", "-S", str(TESTS / "support" / "containers" / "stand_in.py"))
@@ -29,7 +30,8 @@ async def until(condition: Callable[[], bool]) -> None:
 class ProcessWorld(World):
     def __init__(self, directory: Path) -> None:
         self.root = directory / "environments"
-        self.domains = Domains(directory / "domains")
+        # This process holds them on the machine: an engine removes the ports of its domains from shared memory.
+        self.domains = Domains(directory / "domains", [domain(f"environment {number}") for number in range(8)])
 
     def engine(self, ended: Callable[[EnvironmentEnded], None], *behaviour: str) -> ProcessEngine:
         return ProcessEngine(
