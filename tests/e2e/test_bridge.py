@@ -72,7 +72,7 @@ class RobotRos:
     def stop(self) -> None:
         self._executor.shutdown()
         if self._thread.ident is not None:
-            self._thread.join(5)
+            self._thread.join()
         self.node.destroy_node()
         self._context.try_shutdown()
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import re
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -14,11 +16,13 @@ from rce.client import Event, Robot, Stream
 from rce.errors import Unauthorized
 from rce.mapping.evaluation.simulation import simulate
 from rce.mapping.robot import MappingRobot
+from rce.mapping.scans import Scan
 from rce.protocol.messages import AddInterface
 from tests.support.e2e.chromium import NARROW, chromium, open_page, screenshot, sign_in, visit
-from tests.support.e2e.real_platform import USER, RealPlatform
+from tests.support.e2e.real_platform import USER, RealPlatform, until
+from tests.support.e2e.traffic import STRING, Echo
 
-STRING, IMAGE, TWIST = "std_msgs/String", "sensor_msgs/Image", "geometry_msgs/Twist"
+IMAGE, TWIST = "sensor_msgs/Image", "geometry_msgs/Twist"
 TRAIL = """(canvas) => {
     const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
     let count = 0;
@@ -135,8 +139,15 @@ async def prepared(mapping: MappingRobot) -> AsyncIterator[None]:
     yield
 
 
+def laps() -> Iterator[Scan]:
+    """Yield scans for as long as the pages need."""
+    records = simulate().records
+    for lap in itertools.count():
+        for scan in records:
+            yield replace(scan, stamp=scan.stamp + 1000 * lap)
+
+
 async def test_live_map_and_graph_of_a_mapping_robot(browser: Any, platform: RealPlatform) -> None:
-    recording = simulate().records[:700]
     async with (
         platform.robot("surveyor") as robot,
         robot.environment("building") as building,
@@ -148,7 +159,7 @@ async def test_live_map_and_graph_of_a_mapping_robot(browser: Any, platform: Rea
         assert await page.locator("div.head").first.inner_text() == "Map", "nothing is chosen yet"
         await visit(page, f"{platform.url}ui/#/map/{USER}/building")
         canvas = page.locator("canvas.map")
-        driving = asyncio.create_task(mapping.drive(recording, lambda _: None))
+        driving = asyncio.create_task(mapping.drive(laps(), lambda _: None))
         await page.get_by_role("status").filter(has_text="cells of").wait_for()
         early = await wait_for_trail(canvas, 10)
         await wait_for_trail(canvas, 1.3 * early)
@@ -160,7 +171,8 @@ async def test_live_map_and_graph_of_a_mapping_robot(browser: Any, platform: Rea
         await page.get_by_role("heading", name="building").wait_for()
         await page.get_by_role("cell", name="rce_mapping mapper").wait_for()
         await page.locator(".figure").filter(has_text="MB").wait_for()
-        await driving
+        assert not driving.done()
+        driving.cancel()
         await screenshot(page, "environment")
         await visit(page, f"{platform.url}ui/#/map/{USER}/building")
         await wait_for_trail(canvas, 10)
@@ -213,14 +225,13 @@ async def test_connect_and_disconnect_by_mouse_and_keyboard(browser: Any, platfo
         await port(page, "middle", "echo").focus()
         await page.keyboard.press("Enter")
         await page.get_by_role("button", name="connection middle/echo to right/heard").wait_for()
-        await said.publish({"data": "hello"})
-        assert await heard.get(20) == {"data": "hello"}
+        await Echo(said, heard).answers()
         await screenshot(page, "connected")
         await page.get_by_role("button", name="connection left/said to middle/words").focus()
         await page.keyboard.press("Enter")
         await page.get_by_role("dialog").get_by_role("button", name="Disconnect").click()
         await page.get_by_text("Disconnected left/said and middle/words").wait_for()
-        assert not said.connected
+        await until(lambda: not said.connected)
 
 
 async def test_create_and_remove_by_mouse(browser: Any, platform: RealPlatform) -> None:
@@ -291,10 +302,10 @@ async def test_live_image_and_joystick(browser: Any, platform: RealPlatform) -> 
                 await page.get_by_text(re.compile("64 . 48, ")).wait_for()
                 await page.locator("#stick").focus()
                 await page.keyboard.down("ArrowUp")
-                assert (await velocity.get(10))["linear"]["x"] == 0.5
+                assert (await velocity.get(60))["linear"]["x"] == 0.5
                 await screenshot(page, "joystick")
                 await page.keyboard.up("ArrowUp")
-                async with asyncio.timeout(10):
+                async with asyncio.timeout(60):
                     while (await velocity.get())["linear"]["x"]:
                         pass
         finally:
@@ -328,7 +339,7 @@ async def test_pages_of_administrators(browser: Any, platform: RealPlatform) -> 
             await dialog.get_by_role("button", name="Revoke").click()
             await row.wait_for(state="detached")
             with pytest.raises(Unauthorized, match="revoked"):
-                await asyncio.wait_for(read_until_end(events), 10)
+                await asyncio.wait_for(read_until_end(events), 60)
 
 
 async def read_until_end(events: Stream[Event]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import AsyncIterator
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +83,10 @@ async def test_pages_have_room_and_no_violations(browser: Any, platform: RealPla
 
 
 async def tab_to(page: Any, name: str) -> None:
-    """Press Tab until the focus is on the element of this name."""
+    """Wait for the element of this name, and press Tab until it has the focus."""
+    roles = ("button", "link", "textbox", "combobox")
+    found = [page.get_by_role(role, name=name) for role in roles]
+    await reduce(lambda one, other: one.or_(other), found).first.wait_for()
     for _ in range(80):
         await page.keyboard.press("Tab")
         focused = await page.evaluate(NAME)

@@ -13,9 +13,9 @@ import pytest
 from rce.client import Robot
 from tests.support.e2e.chromium import chromium, open_page, sign_in, visit
 from tests.support.e2e.real_platform import USER, RealPlatform
+from tests.support.e2e.traffic import STRING, call
 from tests.support.recordings import carmen, flaser
 
-STRING = "std_msgs/String"
 DROPPED = """([name, text]) => {
     const dropped = new DataTransfer();
     dropped.items.add(new File([text], name));
@@ -41,6 +41,8 @@ async def page(browser: Any, platform: RealPlatform) -> AsyncIterator[Any]:
 async def test_parameters_are_edited_within_their_ranges(page: Any, platform: RealPlatform) -> None:
     async with platform.robot("tuner") as robot, robot.environment("tuned") as tuned:
         await tuned.add_node("mapper", "rce_mapping", "mapper")
+        names = await tuned.service_client("/mapper/list_parameters", "rcl_interfaces/ListParameters")
+        await call(names, {"prefixes": [], "depth": 0}, 120)  # the node may still be starting
         await visit(page, f"{platform.url}ui/#/environments/{USER}/tuned")
         await page.get_by_role("link", name="Of running nodes").click()
         field = page.get_by_label("map_update_interval", exact=True)
@@ -64,6 +66,7 @@ async def test_terminal_runs_commands(page: Any, platform: RealPlatform) -> None
         await visit(page, f"{platform.url}ui/#/environments/{USER}/office")
         await page.get_by_role("link", name="Terminal").click()
         await page.get_by_role("status").filter(has_text="connected").wait_for()
+        await page.locator("#terminal :focus").wait_for(state="attached")
         await page.keyboard.type("echo $((6 * 7))! && exit 3\n")
         await page.locator(".xterm-rows").filter(has_text=re.compile("42!")).wait_for()
         await page.get_by_role("status").filter(has_text="ended with status 3").wait_for()
@@ -85,8 +88,8 @@ async def test_package_is_pushed_shared_and_removed(page: Any, platform: RealPla
     await dialog.get_by_role("button", name="Share").click()
     await page.get_by_text("shared with everybody").wait_for()
     async with platform.robot("visitor") as robot, robot.environment("stage", packages=["dropped_talker"]) as stage:
-        await stage.add_node("talk", "dropped_talker", "talk")
         events = robot.events()
+        await stage.add_node("talk", "dropped_talker", "talk")
         await asyncio.wait_for(node_ends(events), 60)
     await page.get_by_role("button", name="Stop sharing").click()
     await page.get_by_text("not shared", exact=True).wait_for()
@@ -146,7 +149,7 @@ async def test_recording_is_uploaded_and_its_map_shown(page: Any, platform: Real
     dropped = await page.evaluate_handle(DROPPED, [recording.name, recording.read_text()])
     await page.locator(".drop").dispatch_event("drop", {"dataTransfer": dropped})
     row = page.get_by_role("row").filter(has_text="map.png")
-    await row.wait_for(timeout=120_000)
+    await row.wait_for(timeout=300_000)
     await row.get_by_role("button", name="Show map").click()
     dialog = page.get_by_role("dialog")
     await dialog.get_by_role("img", name="Map").wait_for()
@@ -169,8 +172,11 @@ async def test_goal_of_an_action_gets_feedback_and_result_and_is_canceled(page: 
         await page.get_by_role("link", name="/fibonacci", exact=True).click()
         goal = page.get_by_label("Send goal test_msgs/Fibonacci")
         await goal.fill('{"order": 8}')
-        await page.get_by_role("button", name="Send goal").click()
-        await page.get_by_role("status").filter(has_text="succeeded").wait_for()
+        succeeded = page.get_by_role("status").filter(has_text="succeeded")
+        unanswered = page.get_by_role("alert").filter(has_text="did not")
+        while not await succeeded.is_visible():  # the answer is lost if DDS discovery has not finished
+            await page.get_by_role("button", name="Send goal").click()
+            await succeeded.or_(unanswered).first.wait_for()
         assert "13" in await page.locator("pre.message").last.inner_text()
         await goal.fill('{"order": 0}')
         await page.get_by_role("button", name="Send goal").click()

@@ -11,8 +11,9 @@ from typing import Any
 from rce.client import Robot
 from tests.support.e2e.chromium import chromium, open_page, screenshot, sign_in, visit
 from tests.support.e2e.real_platform import USER, RealPlatform
+from tests.support.e2e.traffic import STRING, Echo
 
-TWIST, STRING, SET_BOOL = "geometry_msgs/Twist", "std_msgs/String", "std_srvs/SetBool"
+TWIST, SET_BOOL = "geometry_msgs/Twist", "std_srvs/SetBool"
 PLOTTED = """(canvas) => {
     const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
     let count = 0;
@@ -49,6 +50,7 @@ async def test_topics_are_shown_plotted_and_published_and_services_called(platfo
 
         await yard.service_provider("/light", SET_BOOL, switch)
         heard = await yard.subscriber("/heard", STRING)
+        await Echo(await yard.publisher("/say", STRING), heard).answers()
         driving = asyncio.create_task(drive(robot))
         try:
             await visit(page, f"{platform.url}ui/#/topics/{USER}/yard")
@@ -63,12 +65,14 @@ async def test_topics_are_shown_plotted_and_published_and_services_called(platfo
 
             await page.get_by_role("link", name="/say").click()
             message = page.get_by_label(f"Publish {STRING}")
-            async with asyncio.timeout(30):
+            async with asyncio.timeout(60):
                 while json.loads(await message.input_value() or "null") != {"data": ""}:  # noqa: ASYNC110
                     await asyncio.sleep(0.1)
             await message.fill('{"data": "hello"}')
             await page.get_by_role("button", name="Publish").click()
-            assert await heard.get(30) == {"data": "hello"}
+            async with asyncio.timeout(60):
+                while await heard.get() != {"data": "hello"}:
+                    pass
             await message.fill('{"data": ')
             await page.get_by_role("button", name="Publish").click()
             await page.get_by_role("alert").filter(has_text="JSON").wait_for()
@@ -84,6 +88,6 @@ async def test_topics_are_shown_plotted_and_published_and_services_called(platfo
 
 
 async def wait_for_line(canvas: Any) -> None:
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(60):
         while not await canvas.evaluate(PLOTTED) > 50:  # noqa: ASYNC110
             await asyncio.sleep(0.2)
