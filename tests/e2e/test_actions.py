@@ -138,10 +138,18 @@ async def test_console_lists_actions_and_sends_goals(platform: RealPlatform, wor
     assert "Action servers: 1\n    /fibonacci\n" in await rce("action", "info", action, env=env)
     numbers = "\n  sequence:\n  - 0\n  - 1\n  - 1\n"
     feedback, result = f"feedback:{numbers}", f"status: succeeded\nresult:{numbers}"
-    sending = ("action", "send_goal", action, TYPE, "{order: 3}", "--feedback")
-    while (answer := await rce(*sending, env=env)) != feedback + result:
-        assert answer == result, "the feedback is lost if the server has not discovered its subscription yet"
-    assert "rejected the goal" in await rce("action", "send_goal", action, TYPE, "{order: -1}", env=env, status=1)
+
+    async def send(*words: str) -> str:  # the answer, or the feedback, is lost if DDS discovery has not finished
+        while "did not answer" in (report := await rce("action", "send_goal", action, *words, env=env, status=None)):
+            pass
+        command, _, printed = report.partition("\n")
+        return f"{command.rpartition(': ')[2]}\n{printed}"
+
+    while (answer := await send(TYPE, "{order: 3}", "--feedback")) != f"0\n{feedback}{result}\n":
+        assert answer == f"0\n{result}\n"
+    rejected = await send(TYPE, "{order: -1}")
+    assert rejected.startswith("1\n")
+    assert "rejected the goal" in rejected
     async with running("action", "send_goal", action, TYPE, "{order: 0}", "-f", env=env) as endless:
         await endless.expect_line("feedback:")
         assert await endless.interrupt() == 130
