@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import functools
+import gc
 import inspect
 import os
 import signal
@@ -63,6 +64,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(marker)
         item.add_marker(pytest.mark.xdist_group("docker" if conditions["docker"] else path.as_posix()))
         _limit_time(item)
+
+
+def pytest_collection_finish() -> None:
+    """Leave all modules and tests out of garbage collection, which would stop the event loop for a second at times."""
+    gc.collect()
+    gc.freeze()
 
 
 def _limit_time(item: pytest.Item) -> None:

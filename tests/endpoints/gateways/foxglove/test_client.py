@@ -16,7 +16,7 @@ from endpoints.gateways.foxglove.client import SUBPROTOCOLS
 from endpoints.gateways.graphs import Graphs
 from rce.control.calls.watching import RosGraph, RosName
 from tests.support.endpoints.platforms import Platform
-from tests.support.endpoints.raw_robot import PASSWORD, USER
+from tests.support.endpoints.raw_robot import PASSWORD, USER, eventually
 
 
 @pytest.fixture(autouse=True)
@@ -62,7 +62,7 @@ async def test_client_without_subprotocol_is_refused(platform: Platform) -> None
     with pytest.raises(InvalidStatus) as refused:
         await dial(platform)
     assert refused.value.response.status_code == 400
-    assert not platform.endpoint.sessions
+    await eventually(lambda: not platform.endpoint.sessions)
 
 
 HOSTILE: list[str | bytes] = [
