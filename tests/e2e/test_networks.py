@@ -38,11 +38,16 @@ STRING = "std_msgs/String"
 PACKAGES = ROS_PACKAGES
 Target = tuple[str, str, int]  # kind, address, port
 LISTEN = """
-import json, time, rclpy
+import json, sys, time, rclpy
 rclpy.init()
 node = rclpy.create_node("looker")
-time.sleep(4)
-print(json.dumps(sorted(name for name, _ in node.get_topic_names_and_types() if name.startswith("/secret"))))
+def topics():
+    return {name for name, _ in node.get_topic_names_and_types() if name.startswith("/secret")}
+end = time.monotonic() + 60
+while not topics() >= set(sys.argv[1:]) and time.monotonic() < end:
+    time.sleep(0.1)
+time.sleep(4)  # within which others would be discovered
+print(json.dumps(sorted(topics())))
 """
 SPEAK = """
 import sys, rclpy
@@ -80,7 +85,7 @@ class Inside:
 
     async def serve(self) -> None:
         self.begin(REACH, "serve")
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(120):
             while await self.reached("127.0.0.1") != set(both("127.0.0.1")):  # noqa: ASYNC110
                 await asyncio.sleep(0.1)
 
@@ -117,7 +122,7 @@ async def platform(inside: Any, tmp_path_factory: pytest.TempPathFactory) -> Asy
     label = f"rce.directory={directory / 'data' / 'container'}"
     assert not inside.containers(all=True, filters={"label": label})
     assert not inside.networks(filters={"label": label})
-    assert "--comment rce-" not in output("iptables", "-S")
+    assert "--comment rce-" not in output("iptables", "-w", "-S")
 
 
 def rce_user(directory: Path, *words: str, given: str = "") -> None:
@@ -135,7 +140,7 @@ def output(*command: str) -> str:
 
 
 def robot(platform: RealPlatform, user: str, name: str) -> Robot:
-    return Robot(platform.url, user=user, robot=name, password=password(user), timeout=90)
+    return Robot(platform.url, user=user, robot=name, password=password(user), timeout=120)
 
 
 def seen(api: Any, platform: RealPlatform) -> dict[str, Inside]:
@@ -170,7 +175,7 @@ async def test_members_resolve_each_other_and_later_members(platform: RealPlatfo
             # A node in the first environment echoes what the robot publishes and receives through the second.
             await first_one.add_node("echo", "rce_demo", "echo.py")
             await Echo(await second.publisher("/say", STRING), await second.subscriber("/heard", STRING)).answers()
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(60):
             ready = await anext(events)
         assert ready == EnvironmentEvent("First", "ready", address=first.addresses["group"])
 
@@ -187,7 +192,7 @@ async def test_open_mpi_runs_over_a_group_of_three(platform: RealPlatform, insid
             await each.add_node("member", "Mpi", "member.py")
         result = await first.subscriber("/mpi", STRING)
         await first.add_node("launch", "Mpi", "launch.py", args="m1 m2 m3")
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(120):
             assert await anext(aiter(result)) == {"data": "sum 6 of 3 ranks on m1 m2 m3"}
 
 
@@ -205,6 +210,8 @@ async def test_hostile_nodes_reach_only_what_is_allowed(platform: RealPlatform, 
     async with AsyncExitStack() as stack:
         for server in servers:
             stack.callback(server.kill)
+            assert server.stdout is not None
+            assert await asyncio.wait_for(server.stdout.readline(), 60) == b"serving\n"
         made = [
             stack.enter_async_context(its.environment(tag, group=group, restart="no"))
             for user, environments in users.items()
@@ -270,9 +277,9 @@ async def check_egress(here: dict[str, Inside]) -> None:
 async def check_discovery(here: dict[str, Inside]) -> None:
     """A node that is configured with the addresses of all others discovers only those of its group."""
     profile = EVERYWHERE | {"ROS_STATIC_PEERS": ";".join(addresses(*here.values()))}
-    found = await asyncio.gather(*(here[each].run(LISTEN, **profile) for each in ("ann/a1", "wide/w1")))
-    topics = [json.loads(each.splitlines()[-1]) for each in found]
-    assert topics == [["/secret_ann_a1", "/secret_ann_a2"], ["/secret_wide_w1"]]
+    expected = {"ann/a1": ["/secret_ann_a1", "/secret_ann_a2"], "wide/w1": ["/secret_wide_w1"]}
+    found = await asyncio.gather(*(here[each].run(LISTEN, *topics, **profile) for each, topics in expected.items()))
+    assert [json.loads(each.splitlines()[-1]) for each in found] == [*expected.values()]
 
 
 async def check_data_ports(attacker: Inside) -> None:

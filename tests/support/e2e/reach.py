@@ -19,13 +19,13 @@ import time
 
 TCP, UDP, MULTICAST = 7000, 7001, 7002
 GROUP = "239.1.2.3"
-TIMEOUT = 1.0  # seconds
+TIMEOUT = 5.0  # seconds, for answers on a busy machine
 
 
 def serve() -> None:
     listener = socket.create_server(("0.0.0.0", TCP), backlog=50)
     for port in (UDP, MULTICAST):
-        threading.Thread(target=echo, args=(port,), daemon=True).start()
+        threading.Thread(target=echo, args=(echo_socket(port),), daemon=True).start()
     print("serving", flush=True)
     while True:
         connection, _ = listener.accept()
@@ -33,13 +33,17 @@ def serve() -> None:
         connection.close()
 
 
-def echo(port: int) -> None:
+def echo_socket(port: int) -> socket.socket:
     line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     line.bind(("0.0.0.0", port))
     if port == MULTICAST:
         for name in interfaces():
             request = struct.pack("4s4si", socket.inet_aton(GROUP), b"\0" * 4, socket.if_nametoindex(name))
             line.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, request)
+    return line
+
+
+def echo(line: socket.socket) -> None:
     while True:
         data, sender = line.recvfrom(100)
         line.sendto(data, sender)
