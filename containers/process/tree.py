@@ -69,13 +69,13 @@ def environ(pid: int) -> list[bytes]:
 
 
 def _has_variables(process: Path) -> bool:
-    """Return True if a process has variables, or will have them: during execve(2) its new memory lacks them.
+    """Return True if a process has variables, or may get some: during execve(2) its new memory lacks them.
 
-    See proc_pid_stat(5). A zombie has no memory.
+    See proc_pid_stat(5). A zombie has no memory. The kernel sets the end of the code after the variables.
     """
     stat = (process / "stat").read_text().rpartition(")")[2].split()
-    virtual_size, begin, end = int(stat[20]), int(stat[47]), int(stat[48])
-    return virtual_size > 0 and (end == 0 or end > begin)
+    virtual_size, end_of_code, begin, end = (int(stat[place]) for place in (20, 24, 47, 48))
+    return virtual_size > 0 and (end_of_code == 0 or end > begin)
 
 
 def has_marker(pid: int, run: str) -> bool:

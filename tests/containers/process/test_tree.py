@@ -96,6 +96,27 @@ def test_variables_are_read_again_after_execve(program: Program, monkeypatch: py
     assert has_marker(child.pid, RUN)
 
 
+@pytest.mark.parametrize(
+    ("size", "end_of_code", "begin", "end", "has_variables"),
+    [
+        (1, 9, 5, 7, True),
+        (1, 0, 0, 0, True),
+        (1, 0, 5, 5, True),
+        (1, 9, 5, 5, False),
+        (0, 0, 0, 0, False),
+    ],
+    ids=["running", "execve begun", "execve at the variables", "none", "zombie"],
+)
+def test_process_during_execve_may_have_variables(
+    tmp_path: Path, size: int, end_of_code: int, begin: int, end: int, has_variables: bool
+) -> None:
+    fields = ["0"] * 50
+    for place, value in ((20, size), (24, end_of_code), (47, begin), (48, end)):
+        fields[place] = str(value)
+    (tmp_path / "stat").write_text(f"7 (a) b) {' '.join(fields)}\n")
+    assert tree._has_variables(tmp_path) == has_variables
+
+
 def test_process_without_variables_has_none() -> None:
     with subprocess.Popen(["sleep", "1000"], env={}) as child:
         assert [each for each in environ(child.pid) if each] == []
