@@ -117,18 +117,19 @@ async def test_process_that_ignores_signals_is_killed(
 
 
 async def test_processes_that_a_node_leaves_behind_are_killed(start: Start) -> None:
-    process = await start("sh", "-c", "sleep 60 & echo child $!")
+    process = await start("sh", "-c", "sleep 1000 & echo child $!")
     child = int((await line(process, "child")).split()[1])
     assert await asyncio.wait_for(process.over, LIMIT) == 0
     assert not is_alive(child)
 
 
 async def test_open_output_of_other_process_is_not_awaited_forever(
-    start: Start, monkeypatch: pytest.MonkeyPatch
+    start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(node, "OUTPUT_TIMEOUT", 0.05)
-    process = await start("sh", "-c", "setsid sleep 60 & echo child $!")
+    process = await start("sh", "-c", "setsid sleep 1000 & echo child $!; until [ -e go ]; do sleep 0.01; done")
     child = int((await line(process, "child")).split()[1])
+    (tmp_path / "go").touch()
     try:
         assert await asyncio.wait_for(process.over, LIMIT) == 0
     finally:
