@@ -95,12 +95,16 @@ async def test_map_service_job_runs_in_a_container_of_its_user(
     """The container belongs to the user who submitted the job, and is removed afterwards."""
     service = MapServiceClient(contained.url, user=USER, password=USER)
 
-    def submit_and_watch() -> tuple[Job, set[str]]:
+    def submit_and_watch() -> Job:
         name = service.submit([service.upload(piece(tmp_path / "piece.log", 100)).id]).id
-        seen = [each["Labels"][ENVIRONMENT] for _ in service.watch(name) for each in containers(images, contained)]
-        return service.job(name), set(seen)
+        return list(service.watch(name))[-1]
 
-    job, seen = await asyncio.to_thread(submit_and_watch)
+    seen: set[str] = set()
+    watching = asyncio.create_task(asyncio.to_thread(submit_and_watch))
+    while not watching.done():
+        seen |= {each["Labels"][ENVIRONMENT] for each in await asyncio.to_thread(containers, images, contained)}
+        await asyncio.wait([watching], timeout=0.05)
+    job = await watching
     assert (job.state, job.scans) == ("done", 100), job
     assert seen == {f"{USER}/map_{job.id}_1"}
     assert containers(images, contained) == []
@@ -132,7 +136,7 @@ async def test_shared_memory_suffices_for_five_nodes(contained: RealPlatform) ->
         heard = await full.subscriber("/heard", STRING)
         say = await full.publisher("/say", STRING)
         answers: Counter[str] = Counter()
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(180):
             for attempt in itertools.count():  # the nodes do not all start at once
                 await say.publish({"data": str(attempt)})
                 with suppress(TimedOut):
@@ -144,7 +148,7 @@ async def test_shared_memory_suffices_for_five_nodes(contained: RealPlatform) ->
 
 async def test_hostile_node_is_confined(contained: RealPlatform, images: Any) -> None:
     async with contained.robot("r2") as robot, robot.environment("hostile"):
-        (container,) = [each["Id"] for each in containers(images, contained)]
+        (container,) = [each["Id"] for each in containers(images, contained, "hostile")]
         call = images.exec_create(container, ["python3", "-c", ATTEMPTS])
         output = await asyncio.to_thread(images.exec_start, call["Id"])
         seen = json.loads(output)
@@ -182,8 +186,8 @@ def _converse(env: dict[str, str]) -> None:
         shell.type("tty; stty size\r")
         shell.expect("/dev/pts/0")
         shell.expect("24 80")
-        shell.type("sleep 1000\r")
-        shell.expect("sleep 1000")
+        shell.type("sh -c 'echo star\"\"ted; sleep 1000'\r")
+        shell.expect("started")  # by a program that gets the Ctrl-C
         shell.type("\x03")
         shell.expect("ready_")
         shell.type("python3 -c 'import rclpy; print(rclpy.__name__)'; exit 7\r")
@@ -195,7 +199,7 @@ async def test_joining_the_master_needs_a_credential(
     contained: RealPlatform, reactor: ReactorBase, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async with contained.robot("r3") as robot, robot.environment("honest"):
-        (path,) = (contained.directory / "data" / "container" / "environments").rglob("control.sock")
+        (path,) = (contained.directory / "data" / "container" / "environments" / USER / "honest").rglob("control.sock")
         monkeypatch.chdir(path.parent)  # the whole path may be too long for a socket address
         hello = Hello("environment", f"{USER}/honest", "guessed", __version__)
         with pytest.raises(Unauthorized):
@@ -204,11 +208,11 @@ async def test_joining_the_master_needs_a_credential(
 
 async def test_killed_environment_is_restarted(contained: RealPlatform, images: Any) -> None:
     async with contained.robot("r4") as robot, robot.environment("mortal") as mortal:
-        (first,) = [each["Id"] for each in containers(images, contained)]
+        (first,) = [each["Id"] for each in containers(images, contained, "mortal")]
         images.kill(first)
 
         def another() -> bool:
-            present = [each["Id"] for each in containers(images, contained) if each["State"] == "running"]
+            present = [each["Id"] for each in containers(images, contained, "mortal") if each["State"] == "running"]
             return bool(present) and present != [first]
 
         await until(another)
@@ -220,13 +224,13 @@ async def test_environment_survives_its_task_set(contained: RealPlatform, images
     async with contained.robot("r6") as robot, robot.environment("lasting") as lasting:
         echo = await Echo.of(lasting)
         await echo.answers()
-        (before,) = [each["Id"] for each in containers(images, contained)]
+        (before,) = [each["Id"] for each in containers(images, contained, "lasting")]
         killed = contained.pid("-m containers ")
         contained.kill(killed)
         await echo.once()
         await until(lambda: contained.pid("-m containers ", but=killed))
         await lasting.add_node("another", "rce_demo", "echo.py")  # the relay to the Master is open again
-        assert [each["Id"] for each in containers(images, contained)] == [before]
+        assert [each["Id"] for each in containers(images, contained, "lasting")] == [before]
     await until(lambda: containers(images, contained) == [])  # at once only if the task set has joined the Master again
 
 

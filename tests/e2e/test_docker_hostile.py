@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from tests.support.e2e import hostile_programs as programs
-from tests.support.e2e.real_platform import USER, RealPlatform
+from tests.support.e2e.real_platform import USER, RealPlatform, containers
 from tests.support.e2e.traffic import Echo, next_event
 
 pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
@@ -64,8 +64,7 @@ async def siege(contained: RealPlatform, images: Any) -> AsyncIterator[Siege]:
     ):
         echo = await Echo.of(victim)
         await echo.answers()
-        label = f"rce.environment={USER}/siege"
-        (hostile,) = [each["Id"] for each in images.containers(filters={"label": label})]
+        (hostile,) = [each["Id"] for each in containers(images, contained, "siege")]
         yield Siege(contained, images, robot, hostile, victim, echo)
 
 
@@ -93,8 +92,7 @@ async def test_files_in_memory_count_towards_the_limit(siege: Siege) -> None:
     """Files in `/dev/shm` and `/tmp` count towards the memory of their environment, so only that one is affected."""
     events = siege.robot.events()
     async with siege.robot.environment("flooded", memory=200 * MB):
-        label = f"rce.environment={USER}/flooded"
-        (container,) = [each["Id"] for each in siege.api.containers(filters={"label": label})]
+        (container,) = [each["Id"] for each in containers(siege.api, siege.platform, "flooded")]
         call = siege.api.exec_create(container, ["python3", "-c", programs.HEAD + programs.FILES_IN_MEMORY])
         running = asyncio.create_task(asyncio.to_thread(siege.api.exec_start, call["Id"]))
         assert "memory" in (await next_event(events, LimitEvent, "flooded")).reason

@@ -42,13 +42,13 @@ async def test_pushed_package_is_mounted_where_requested(contained_bare: RealPla
     cache = contained_bare.directory / "data/container/packages"
     async with contained_bare.robot("r1") as robot:
         async with robot.environment("plain"):
-            assert not _mounts(images, contained_bare, cache)
+            assert not _mounts(images, contained_bare, "plain", cache)
         async with robot.environment("brain", packages=["Test"]) as brain:
-            (mount,) = _mounts(images, contained_bare, cache)
+            (mount,) = _mounts(images, contained_bare, "brain", cache)
             assert not mount["RW"]
             await brain.add_node("echo", "Test", "stringEcho.py")
             await echo(brain)
-            (container,) = containers(images, contained_bare)
+            (container,) = containers(images, contained_bare, "brain")
             words = ["sh", "-c", f"exec 2>&1; ls {cache}; touch {mount['Destination']}/x"]
             call = images.exec_create(container["Id"], words)
             seen = (await asyncio.to_thread(images.exec_start, call["Id"])).decode()
@@ -57,8 +57,8 @@ async def test_pushed_package_is_mounted_where_requested(contained_bare: RealPla
     await until(lambda: not list((cache / "uses").iterdir()))
 
 
-def _mounts(api: Any, platform: RealPlatform, cache: Path) -> list[dict[str, Any]]:
-    (container,) = containers(api, platform)
+def _mounts(api: Any, platform: RealPlatform, tag: str, cache: Path) -> list[dict[str, Any]]:
+    (container,) = containers(api, platform, tag)
     mounts: list[dict[str, Any]] = api.inspect_container(container["Id"])["Mounts"]
     return [mount for mount in mounts if mount["Source"].startswith(str(cache))]
 
@@ -70,7 +70,7 @@ async def test_image_of_a_user_has_its_packages(contained_bare: RealPlatform, im
             await robot.create_environment("early", image=f"users/{USER.lower()}/workspace")
         name = (await rce("image", "build", str(WORKSPACE), "--for", USER, "--data-dir", master)).strip()
         assert name == f"users/{USER.lower()}/workspace"
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(120):
             while not await _created(robot, name):  # noqa: ASYNC110
                 await asyncio.sleep(0.5)  # the Master notices changes by another process within seconds
         async with robot.environment("brain", image=name) as brain:

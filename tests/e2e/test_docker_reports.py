@@ -59,7 +59,7 @@ async def test_failed_start_has_a_reason(
 
 async def test_requested_image_is_used(contained: RealPlatform, images: Any) -> None:
     async with contained.robot("reporter2") as robot, robot.environment("small", image="rce/base"):
-        (container,) = containers(images, contained)
+        (container,) = containers(images, contained, "small")
         assert container["Image"] == f"rce/base:{__version__}"
 
 
@@ -67,7 +67,7 @@ async def test_end_of_an_environment_is_reported(contained: RealPlatform, images
     async with contained.robot("reporter3") as robot:
         events = robot.events()
         await robot.create_environment("ending", restart="no")
-        (container,) = containers(images, contained)
+        (container,) = containers(images, contained, "ending")
         await asyncio.to_thread(images.kill, container["Id"])
         while (event := await next_event(events, EnvironmentEvent)).state != "gone":
             pass
@@ -78,7 +78,7 @@ async def test_killed_process_is_reported_and_environment_continues(contained: R
     """A process beyond the memory limit is killed, its environment works on, and the robot gets an event."""
     async with contained.robot("reporter4") as robot, robot.environment("tight", memory=250 * MB) as tight:
         events = robot.events()
-        (container,) = containers(images, contained)
+        (container,) = containers(images, contained, "tight")
         hog = images.exec_create(container["Id"], ["python3", "-c", "x = [bytearray(1 << 20) for _ in range(1000)]"])
         await asyncio.to_thread(images.exec_start, hog["Id"])
         assert images.exec_inspect(hog["Id"])["ExitCode"] == 137
