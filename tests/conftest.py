@@ -41,7 +41,7 @@ settings.load_profile("tests")
 TESTS = Path(__file__).parent
 DOCKER_FIXTURES = {"docker_host", "images", "island", "swarm", "one_machine", "stand_in_image"}
 ROS_FOLDERS = ("e2e", "endpoints/environment", "containers/nodes", "provisioning")
-TIMEOUTS = {"docker": 1200, "e2e": 600}  # seconds; the first test with Docker builds the images
+TIMEOUTS = {"docker": 2400, "e2e": 600}  # seconds; the first test with Docker builds the images
 
 
 @pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
