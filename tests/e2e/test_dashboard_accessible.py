@@ -48,7 +48,7 @@ async def check(page: Any, name: str, pictures: Path, *, thorough: bool) -> None
     for form, (size, colors) in FORMS.items():
         await page.set_viewport_size(size)
         await page.emulate_media(color_scheme=colors)
-        await page.screenshot(path=pictures / f"{re.sub('[^a-z]+', '-', name).strip('-')}-{form}.png")
+        await page.screenshot(path=pictures / f"{re.sub('[^a-z]+', '-', name).strip('-') or 'graph'}-{form}.png")
         assert await squeezed(page) == [], (name, form)
         if form == "light" or thorough:
             assert await violations(page) == [], (name, form)

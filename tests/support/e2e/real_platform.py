@@ -43,13 +43,15 @@ class RealPlatform:
         segments: Shared memory of Fast DDS that its processes have used.
     """
 
-    def __init__(self, directory: Path, *arguments: str, dev: bool = True) -> None:
+    def __init__(self, directory: Path, *arguments: str, dev: bool = True, program: str = RCE) -> None:
+        """Prepare a platform that the command `program` starts with these arguments of `rce up`."""
         self._mode = ["--dev"] if dev else []
         self.directory = directory
         self.url = ""
         self.output = ""
         self.segments: set[Path] = set()
         self._arguments = arguments
+        self._program = program
         self._process: asyncio.subprocess.Process
 
     async def __aenter__(self) -> Self:
@@ -74,7 +76,7 @@ class RealPlatform:
 
     async def start(self) -> None:
         words = [
-            RCE,
+            self._program,
             "up",
             *self._mode,
             "--http-port",

@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 import os
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 from tests.support.e2e.consoles import TerminalProcess, user_environ
 from tests.support.e2e.real_platform import kill_processes
+from tests.support.e2e.transcripts import play, steps
 
 PROMPT = "<$?>"
 CACHES = {"PIP_CACHE_DIR": "pip", "UV_CACHE_DIR": "uv"}  # kept, so that not all is downloaded again
@@ -60,3 +62,10 @@ class Shell:
         text, status = re.split(r"<(\d+)>$", seen)[:2]
         assert status == "0", f"$ {command}\n{seen}"
         return text.replace("\r", "")
+
+    async def follow(self, document: Path, replaced: Mapping[str, str]) -> int:
+        """Type the commands of a document, and compare their output with what it shows; return their number."""
+        commands = list(steps(document, replaced))
+        for step in commands:
+            await asyncio.to_thread(play, self._terminal, step)
+        return len(commands)

@@ -1,18 +1,15 @@
-"""The steps of docs/walkthrough-browser.md on a fresh platform."""
+"""The steps of docs/walkthrough-browser.md, done in a browser."""
 
 from __future__ import annotations
 
 import re
 from contextlib import AsyncExitStack
-from pathlib import Path
 from typing import Any
 
 from rce.client import Robot
-from tests.support.e2e.chromium import chromium, open_page, visit
+from tests.support.e2e.chromium import visit
 from tests.support.e2e.real_platform import RealPlatform
-from tests.support.paths import ROOT
 
-GUIDE = ROOT / "docs" / "walkthrough-browser.md"
 STEP = re.compile(r"^\d+\. (\w[\w ]*?) \*\*(.+?)\*\*(?: (?:with )?`(.+)`)?$", re.MULTILINE)
 PRINTED = "the password that was printed"
 
@@ -58,15 +55,11 @@ def password(platform: RealPlatform) -> str:
     return found[1]
 
 
-async def test_walkthrough(tmp_path: Path) -> None:
-    steps = STEP.findall(GUIDE.read_text())
-    assert len(steps) == len(re.findall(r"^\d+\. ", GUIDE.read_text(), re.MULTILINE)) > 30
-    async with (
-        chromium() as browser,
-        RealPlatform(tmp_path, dev=False) as platform,
-        open_page(browser) as (page, _),
-        AsyncExitStack() as stack,
-    ):
+async def follow(guide: str, page: Any, platform: RealPlatform) -> int:
+    """Do all steps of a guide, given by its text, on a platform that has just been started; return their number."""
+    steps = STEP.findall(guide)
+    assert len(steps) == len(re.findall(r"^\d+\. ", guide, re.MULTILINE))
+    async with AsyncExitStack() as stack:
         reader = Reader(page, platform, stack)
         for number, step in enumerate(steps):
             try:
@@ -74,3 +67,4 @@ async def test_walkthrough(tmp_path: Path) -> None:
             except Exception as error:
                 error.add_note(f"step {number + 1}: {step}")
                 raise
+    return len(steps)
