@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import re
-from typing import NoReturn, TypeVar
+from collections.abc import Callable
+from typing import Any, NoReturn, TypeVar
 
 import msgspec
 
+from converters.model import Message
 from converters.scalars import FieldError
 from converters.wire import Buffer
 
@@ -29,6 +32,16 @@ def decode(decoder: msgspec.json.Decoder[Model], raw: Buffer | msgspec.Raw) -> M
             refuse(error)
         return _decode_lenient(decoder, data)
     except (UnicodeDecodeError, RecursionError) as error:
+        refuse(error)
+
+
+def decode_converted(
+    message: Message, raw: Buffer | msgspec.Raw, convert: Callable[[Message, Any], Any]
+) -> msgspec.Struct:
+    """Decode a message after the conversions of a dialect; raises FieldError with the path of the field at fault."""
+    try:
+        return msgspec.convert(convert(message, json.loads(bytes(raw))), message.annotation)  # type: ignore[no-any-return]
+    except (ValueError, RecursionError) as error:
         refuse(error)
 
 

@@ -7,7 +7,6 @@ fields that the type does not have.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable
 from contextlib import suppress
@@ -51,11 +50,7 @@ def duration(seconds: int, nanoseconds: int) -> float:
 
 def decode(message: Message, raw: Buffer | msgspec.Raw) -> msgspec.Struct:
     """Decode JSON with the conversions of the original; raises FieldError with the path of the field at fault."""
-    try:
-        value = json.loads(bytes(raw))
-        return msgspec.convert(_converted(message, value), message.annotation)  # type: ignore[no-any-return]
-    except (ValueError, RecursionError) as error:
-        json_text.refuse(error)
+    return json_text.decode_converted(message, raw, _converted)
 
 
 def _converted(message: Message, value: Any) -> Any:

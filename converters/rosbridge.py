@@ -6,7 +6,6 @@ It writes NaN and infinities as null. It accepts null for a float, `secs` and `n
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from typing import Any
@@ -28,11 +27,7 @@ def number(value: float) -> float | None:
 
 def decode(message: Message, raw: Buffer | msgspec.Raw) -> msgspec.Struct:
     """Decode JSON with the conversions of rosbridge; raises FieldError with the path of the field at fault."""
-    try:
-        value = json.loads(bytes(raw))
-        return msgspec.convert(_converted(message, value), message.annotation)  # type: ignore[no-any-return]
-    except (ValueError, RecursionError) as error:
-        json_text.refuse(error)
+    return json_text.decode_converted(message, raw, _converted)
 
 
 def _converted(message: Message, value: Any) -> Any:

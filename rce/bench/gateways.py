@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import defaultdict
+from collections.abc import Sized
 from contextlib import suppress
 from typing import Any
 
@@ -97,10 +98,7 @@ class FoxgloveClient:
 
     async def drain(self) -> None:
         """Discard late answers to messages that were sent again while nodes started."""
-        with suppress(TimeoutError):
-            async with asyncio.timeout(QUIET):
-                while True:
-                    await self._socket.recv(decode=False)
+        await _drain(self._socket)
 
 
 async def channel_echo(client: FoxgloveClient, topic: str) -> Sample:
@@ -112,8 +110,7 @@ async def channel_echo(client: FoxgloveClient, topic: str) -> Sample:
         await client.publish(CDR.make(size))
         content = await client.message()
         seconds = time.perf_counter() - started
-        if len(content) < size:
-            raise ConversionError(f"{topic}: the answer has {len(content)} of {size} bytes")
+        _check_size(topic, content, size)
         return seconds
 
     await retry(lambda timeout: _within(sample, timeout))
@@ -141,10 +138,7 @@ class RosbridgeClient:
 
     async def drain(self) -> None:
         """Discard late answers to messages that were sent again while nodes started."""
-        with suppress(TimeoutError):
-            async with asyncio.timeout(QUIET):
-                while True:
-                    await self._socket.recv(decode=False)
+        await _drain(self._socket)
         self._received.clear()
 
 
@@ -158,13 +152,25 @@ async def topic_echo(client: RosbridgeClient, payload: Payload, topic: str) -> S
         await client.send(op="publish", topic=topic, msg=payload.make(size))
         content = payload.read(await client.message(f"{topic}_back"))
         seconds = time.perf_counter() - started
-        if len(content) < size:
-            raise ConversionError(f"{topic}: the answer has {len(content)} of {size} bytes")
+        _check_size(topic, content, size)
         return seconds
 
     await retry(lambda timeout: _within(sample, timeout))
     await client.drain()
     return sample
+
+
+async def _drain(socket: ClientConnection) -> None:
+    """Read until nothing has come for QUIET seconds."""
+    with suppress(TimeoutError):
+        async with asyncio.timeout(QUIET):
+            while True:
+                await socket.recv(decode=False)
+
+
+def _check_size(topic: str, content: Sized, size: int) -> None:
+    if len(content) < size:
+        raise ConversionError(f"{topic}: the answer has {len(content)} of {size} bytes")
 
 
 async def _within(sample: Sample, timeout: float) -> float:  # noqa: ASYNC109  # as `Subscriber.get`

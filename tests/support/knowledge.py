@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import aiohttp
 import pytest
@@ -79,6 +79,13 @@ class Service:
         self.limits = limits
         self.anonymous = anonymous
         self.master = FakeMaster()
+
+    async def __aenter__(self) -> Self:
+        await self.start()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.stop()
 
     async def start(self) -> None:
         self.service = KnowledgeService(self.directory, lambda: self.master, self.limits, self.anonymous)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import aiohttp
 
@@ -120,6 +120,13 @@ class Service:
         self.directory = directory
         self.master = FakeMaster()
         self.runner = FakeRunner()
+
+    async def __aenter__(self) -> Self:
+        await self.start()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.stop()
 
     async def start(self) -> None:
         self.service = MapService(self.directory, lambda: self.master, self.runner, LIMITS, "http://entry/")

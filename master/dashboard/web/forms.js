@@ -1,6 +1,6 @@
 // Dialogs: a form, a question, a text.
 
-import { h } from "./dom.js";
+import { attempt, h } from "./dom.js";
 
 /** Open a dialog with `fields` {name, label, …attributes, help, options}. `submit(values)` runs on confirmation; if the
  * server refuses, the dialog stays open with the error. */
@@ -69,4 +69,22 @@ function values(dialog, fields) {
     else if (input.value !== "") given[name] = type === "number" ? Number(input.value) : input.value.trim();
   }
   return given;
+}
+
+/** Show a picture, which `load` fetches as a blob, in a dialog. */
+export function tellPicture(title, load) {
+  const canvas = h("canvas.picture", { role: "img", "aria-label": title });
+  tell(title, canvas);
+  attempt(async () => {
+    const bitmap = await createImageBitmap(await load());
+    [canvas.width, canvas.height] = [bitmap.width, bitmap.height];
+    canvas.getContext("2d").drawImage(bitmap, 0, 0);
+  });
+}
+
+/** Have the browser store a file. */
+export function save(blob, name) {
+  const link = h("a", { href: URL.createObjectURL(blob), download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
 }

@@ -2,7 +2,7 @@
 
 import { attempt, bytes, h, notice, show, state, table, time } from "./dom.js";
 import { dropArea } from "./dropped.js";
-import { confirm, tell } from "./forms.js";
+import { confirm, save, tellPicture } from "./forms.js";
 import { mapService } from "./mapservice.js";
 
 const REFRESH = 2000; // milliseconds
@@ -115,19 +115,4 @@ function uploadTable(files, jobs) {
   }, files, "No recordings are stored.");
 }
 
-function showMap(service, id) {
-  const canvas = h("canvas.picture", { role: "img", "aria-label": "Map" });
-  tell("Map", canvas);
-  attempt(async () => {
-    const bitmap = await createImageBitmap(await service.file(id, "map.png"));
-    [canvas.width, canvas.height] = [bitmap.width, bitmap.height];
-    canvas.getContext("2d").drawImage(bitmap, 0, 0);
-  });
-}
-
-/** Have the browser store a file. */
-function save(blob, name) {
-  const link = h("a", { href: URL.createObjectURL(blob), download: name });
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
-}
+const showMap = (service, id) => tellPicture("Map", () => service.file(id, "map.png"));

@@ -2,7 +2,7 @@
 
 import { Api, Problem } from "./api.js";
 import { attempt, bytes, h, show, table, time } from "./dom.js";
-import { tell } from "./forms.js";
+import { save, tellPicture } from "./forms.js";
 
 const NAME = "knowledge-service";
 const KINDS = ["recipe", "object", "environment"];
@@ -90,19 +90,4 @@ const button = (does, of, text, name = "") => h("button.small", { "data-do": doe
 const fileButtons = (version, file) => h("div.files", button("fetch", version, `${file.name} (${bytes(file.size)})`, file.name),
   PICTURE.test(file.name) && button("picture", version, `Show ${file.name}`, file.name));
 
-function showPicture(api, path, name) {
-  const canvas = h("canvas.picture", { role: "img", "aria-label": name });
-  tell(name, canvas);
-  attempt(async () => {
-    const bitmap = await createImageBitmap(await api.file(path));
-    [canvas.width, canvas.height] = [bitmap.width, bitmap.height];
-    canvas.getContext("2d").drawImage(bitmap, 0, 0);
-  });
-}
-
-/** Have the browser store a file. */
-function save(blob, name) {
-  const link = h("a", { href: URL.createObjectURL(blob), download: name });
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
-}
+const showPicture = (api, path, name) => tellPicture(name, () => api.file(path));

@@ -14,27 +14,15 @@ from endpoints.environment import service_calls
 from endpoints.environment.ros import RosThread
 from endpoints.environment.service_calls import MAX_IN_FLIGHT, TIMEOUT, ServiceCall, ServiceCaller
 from rce.errors import NotFound, RceError, TimedOut
-from tests.support.endpoints.fake_ros import InstantRos
+from tests.support.endpoints.fake_ros import InstantService
 
 Answer = bytes | RceError
 
 
-class Service(InstantRos):
-    """Fake of the ROS thread and of the client in it; `answer` is the function that takes responses."""
+class Service(InstantService):
+    """`answer` is the function that takes responses."""
 
-    is_available = True
     answer: Callable[[int, bytes], None]
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.requests: list[bytes] = []
-
-    def available(self) -> bool:
-        return self.is_available
-
-    def call(self, request: bytes) -> int:
-        self.requests.append(request)
-        return len(self.requests)
 
 
 def caller(monkeypatch: pytest.MonkeyPatch, service: Service, *, endless: bool) -> ServiceCaller:

@@ -20,25 +20,9 @@ from endpoints.environment.services import ServiceClientInterface
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import RceError
 from rce.net.budget import INTERFACE
-from tests.support.endpoints.fake_ros import InstantRos
+from tests.support.endpoints.fake_ros import InstantService
 
 PEER = b"p" * 16
-
-
-class Service(InstantRos):
-    """Fake of the ROS thread and of the client in it."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.is_available = True
-        self.requests: list[bytes] = []
-
-    def available(self) -> bool:
-        return self.is_available
-
-    def call(self, request: bytes) -> int:
-        self.requests.append(request)
-        return len(self.requests)
 
 
 class Robot:
@@ -53,8 +37,8 @@ class Robot:
 
 
 @pytest.fixture
-async def parts(monkeypatch: pytest.MonkeyPatch) -> tuple[ServiceClientInterface, Service, Robot]:
-    service, robot = Service(), Robot()
+async def parts(monkeypatch: pytest.MonkeyPatch) -> tuple[ServiceClientInterface, InstantService, Robot]:
+    service, robot = InstantService(), Robot()
     spec = InterfaceSpec("11" * 16, "user/env", "tag", "ServiceClientInterface", "a/B", "/name")
     interface = ServiceClientInterface(spec, service.context())
     monkeypatch.setattr(service_calls, "RawClient", lambda *arguments: service)
@@ -68,7 +52,7 @@ def send_requests(interface: ServiceClientInterface, count: int) -> None:
         interface.receive(Message(PEER, str(number), str(number).encode()), interface.peers[PEER])
 
 
-Parts = tuple[ServiceClientInterface, Service, Robot]
+Parts = tuple[ServiceClientInterface, InstantService, Robot]
 
 
 async def test_requests_in_flight_are_limited(parts: Parts) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
 import ssl
 from collections.abc import AsyncIterator
@@ -19,6 +18,7 @@ from rce.net import pending_logins
 from rce.net.certificates import Authority
 from rce.net.tls import CA, CERTIFICATE, KEY, public_tls_context
 from tests.support.certificates import certify
+from tests.support.dripping import drip
 from tests.support.endpoints.platforms import Platform, pair
 from tests.support.endpoints.raw_robot import PASSWORD, USER, Robot, dm, eventually
 
@@ -143,19 +143,7 @@ async def test_robot_that_answers_pings_stays_connected(platform: Platform) -> N
 async def test_dripping_handshake_is_cut_off(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "HANDSHAKE_TIMEOUT", 0.2)
     listener = await server.listen(platform.endpoint, "127.0.0.1", 0, None)
-    reader, writer = await asyncio.open_connection("127.0.0.1", listener.port)
-
-    async def drip() -> None:
-        writer.write(b"GET / HTTP/1.1\r\n")
-        while True:
-            writer.write(b"X: y\r\n")
-            await asyncio.sleep(0.02)
-
-    dripping = asyncio.create_task(drip())
-    with contextlib.suppress(ConnectionResetError):
-        assert await asyncio.wait_for(reader.read(), 20) == b""
-    dripping.cancel()
-    writer.close()
+    assert await drip(listener.port) == b""
     listener.close()
 
 

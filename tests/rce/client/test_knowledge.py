@@ -17,10 +17,8 @@ from tests.support.knowledge import BED, CUP, Service, new_entry
 
 @pytest.fixture
 async def service(tmp_path: Path) -> AsyncIterator[Service]:
-    service = Service(tmp_path / "knowledge")
-    await service.start()
-    yield service
-    await service.stop()
+    async with Service(tmp_path / "knowledge") as service:
+        yield service
 
 
 @pytest.fixture

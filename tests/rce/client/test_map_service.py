@@ -68,10 +68,8 @@ class BreakingProxy:
 
 @pytest.fixture
 async def service(tmp_path: Path) -> AsyncIterator[Service]:
-    service = Service(tmp_path / "maps")
-    await service.start()
-    yield service
-    await service.stop()
+    async with Service(tmp_path / "maps") as service:
+        yield service
 
 
 @pytest.fixture

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
-
 import pytest
 
-from tests.support.e2e.node import node_command
+from tests.support.e2e.node import run_script
 from tests.support.fake_platform import FakePlatform
 from tests.support.paths import TESTS
 
@@ -21,19 +19,7 @@ TIMEOUT = 60
 @pytest.mark.slow
 async def test_client_contract() -> None:
     async with FakePlatform() as platform:
-        process = await asyncio.create_subprocess_exec(
-            *node_command(),
-            str(TESTS / "js" / "run_in_node.mjs"),
-            platform.url,
-            *NEED_REAL_PLATFORM,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.PIPE,
-        )
-        try:
-            out, err = await asyncio.wait_for(process.communicate(), TIMEOUT)
-        finally:
-            if process.returncode is None:
-                process.kill()
-                await process.wait()
-    assert process.returncode == 0, err.decode()
+        script = str(TESTS / "js" / "run_in_node.mjs")
+        status, out, err = await run_script(script, platform.url, *NEED_REAL_PLATFORM, timeout=TIMEOUT)
+    assert status == 0, err
     assert len(out.splitlines()) >= 8

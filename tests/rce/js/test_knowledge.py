@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
 from pathlib import Path
 
-from tests.support.e2e.node import node_command
+from tests.support.e2e.node import run_script
 from tests.support.knowledge import Service
 from tests.support.paths import TESTS
 
@@ -13,16 +12,6 @@ TIMEOUT = 60
 
 
 async def test_client_in_node(tmp_path: Path) -> None:
-    service = Service(tmp_path / "knowledge")
-    await service.start()
-    pipe = asyncio.subprocess.PIPE
-    words = (*node_command(), str(TESTS / "js" / "knowledge.mjs"), service.root)
-    process = await asyncio.create_subprocess_exec(*words, stdout=pipe, stderr=pipe)
-    try:
-        out, err = await asyncio.wait_for(process.communicate(), TIMEOUT)
-    finally:
-        if process.returncode is None:
-            process.kill()
-            await process.wait()
-        await service.stop()
-    assert (process.returncode, out) == (0, b"done\n"), err.decode()
+    async with Service(tmp_path / "knowledge") as service:
+        status, out, err = await run_script(str(TESTS / "js" / "knowledge.mjs"), service.root, timeout=TIMEOUT)
+    assert (status, out) == (0, "done\n"), err

@@ -15,10 +15,8 @@ from tests.support.knowledge import LIMITS, Service
 @pytest.fixture
 async def service(tmp_path: Path) -> AsyncIterator[Service]:
     """Running knowledge service with a fake Master."""
-    service = Service(tmp_path / "knowledge")
-    await service.start()
-    yield service
-    await service.stop()
+    async with Service(tmp_path / "knowledge") as service:
+        yield service
 
 
 @pytest.fixture

@@ -13,7 +13,5 @@ from tests.support.map_service import Service
 @pytest.fixture
 async def service(tmp_path: Path) -> AsyncIterator[Service]:
     """Running map service with a fake Master and a fake job runner."""
-    service = Service(tmp_path / "maps")
-    await service.start()
-    yield service
-    await service.stop()
+    async with Service(tmp_path / "maps") as service:
+        yield service

@@ -19,6 +19,7 @@ from rce.net.tls import CERTIFICATE, KEY
 from rce.web import server
 from rce.web.server import Endpoint, listen, parse_endpoint, serve_application, serve_handler
 from tests.support.certificates import certify
+from tests.support.dripping import drip
 
 LOCAL = Endpoint("127.0.0.1", 0)
 
@@ -116,19 +117,7 @@ async def test_connection_without_a_request_is_closed(monkeypatch: pytest.Monkey
 async def test_dripping_head_of_a_request_is_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(server.LIMITS, "keepalive_timeout", 0.2)
     async with serving(hello) as port:
-        reader, writer = await asyncio.open_connection("127.0.0.1", port)
-
-        async def drip() -> None:
-            writer.write(b"GET / HTTP/1.1\r\n")
-            while True:
-                writer.write(b"X: y\r\n")
-                await asyncio.sleep(0.02)
-
-        dripping = asyncio.create_task(drip())
-        with contextlib.suppress(ConnectionResetError):
-            assert await asyncio.wait_for(reader.read(), 20) == b""
-        dripping.cancel()
-        writer.close()
+        assert await drip(port) == b""
 
 
 async def test_client_that_does_not_read_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:

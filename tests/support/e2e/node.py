@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 import shutil
 import subprocess
@@ -19,3 +20,17 @@ def node_command() -> list[str]:
     if numbers < (20, 10):
         pytest.skip(f"Node.js {version.strip()} has no WebSocket: 20.10 or later is needed to run this")
     return [node] if numbers >= (22,) else [node, "--experimental-websocket"]
+
+
+async def run_script(*words: str, timeout: float) -> tuple[int, str, str]:  # noqa: ASYNC109
+    """Run a script in Node.js; return its exit status and what it printed to standard output and error."""
+    pipe = asyncio.subprocess.PIPE
+    process = await asyncio.create_subprocess_exec(*node_command(), *words, stdout=pipe, stderr=pipe)
+    try:
+        out, err = await asyncio.wait_for(process.communicate(), timeout)
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
+    assert process.returncode is not None
+    return process.returncode, out.decode(), err.decode()

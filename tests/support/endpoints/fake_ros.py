@@ -40,3 +40,19 @@ class InstantRos:
     def context(self, report: Callable[[InterfaceSpec, RceError], None] = lambda spec, error: None) -> RosContext:
         """Return the context of interfaces that use this thread."""
         return RosContext(cast(RosThread, self), HopRecorder(), InstalledTypes([]), report)
+
+
+class InstantService(InstantRos):
+    """The ROS thread, and the client of a service in it that keeps requests."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.is_available = True
+        self.requests: list[bytes] = []
+
+    def available(self) -> bool:
+        return self.is_available
+
+    def call(self, request: bytes) -> int:
+        self.requests.append(request)
+        return len(self.requests)

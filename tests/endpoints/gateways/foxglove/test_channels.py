@@ -14,16 +14,6 @@ OFFER = Offer("/chat", "std_msgs/String", ("string data\n",))
 
 
 @pytest.fixture
-async def guest() -> FakeGuest:
-    return FakeGuest()
-
-
-@pytest.fixture
-def peer() -> FakePeer:
-    return FakePeer()
-
-
-@pytest.fixture
 def subscriptions(guest: FakeGuest, peer: FakePeer) -> Subscriptions:
     return Subscriptions(guest.as_guest(), peer.report)
 

@@ -14,16 +14,6 @@ from tests.support.endpoints.fake_guest import FakeGuest, FakePeer
 
 
 @pytest.fixture
-async def guest() -> FakeGuest:
-    return FakeGuest()
-
-
-@pytest.fixture
-def peer() -> FakePeer:
-    return FakePeer()
-
-
-@pytest.fixture
 def values() -> dict[str, Any]:
     return {"rate": {"type": 3, "double_value": 2.0}}
 

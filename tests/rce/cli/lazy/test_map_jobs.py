@@ -19,10 +19,8 @@ from tests.support.map_service import Service
 
 @pytest.fixture
 async def service(tmp_path: Path) -> AsyncIterator[Service]:
-    service = Service(tmp_path / "maps")
-    await service.start()
-    yield service
-    await service.stop()
+    async with Service(tmp_path / "maps") as service:
+        yield service
 
 
 async def test_cancelled_job_is_not_reported_as_a_map(
