@@ -8,20 +8,22 @@ from __future__ import annotations
 import json
 import secrets
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from provisioning.joincode import Code
 from provisioning.release import TYPESUPPORT
 from provisioning.steps import ProvisioningError
-from provisioning.system import AUTHORITY_KEY, CURRENT, DOCKER, ETC, MAPS, TLS, VAR, System
+from provisioning.system import AUTHORITY_KEY, CURRENT, DOCKER, ETC, MAPS, TLS, VAR, WEB_SERVICES, System
 
 Value = str | int | float | bool | list[str]
 Settings = dict[str, Value]
 MEMBERSHIP = f"{ETC}/membership.json"  # the Master's answer when this machine joined
-CONTROL_PORT, MACHINES_PORT, HTTP_PORT, WS_PORT, MAPS_PORT = 8080, 8081, 9000, 9010, 9040
+CONTROL_PORT, MACHINES_PORT, HTTP_PORT, WS_PORT = 8080, 8081, 9000, 9010
 DATA_PORTS = {"robot": 9020, "container": 9030}
+WEB_PORTS = {"map-service": 9040, "knowledge-service": 9050}
 OVERRIDES = {  # option: the settings that it overrides
     "address": {"address", "public_url", "data_address", "master"},
     "http_port": {"http", "entry"},
@@ -79,7 +81,12 @@ def settings(installation: Installation, system: System) -> dict[str, Settings]:
         name for option, names in OVERRIDES.items() if installation.options.get(option) is not None for name in names
     }
     membership = read_membership(system)
-    make = {"master": _master, "robot": _robot, "container": _container, MAPS: _maps}
+    make: dict[str, Callable[[Installation], Settings]] = {
+        "master": _master,
+        "robot": _robot,
+        "container": _container,
+        **{name: partial(_web, name) for name in WEB_SERVICES},
+    }
     result = {}
     for role in installation.roles:
         defaults = make[role](installation) | _membership(membership, role)
@@ -179,19 +186,22 @@ def _container(installation: Installation) -> Settings:
     return values
 
 
-def _maps(installation: Installation) -> Settings:
-    """Return the defaults of the map service. Its jobs connect as robots to the Robot endpoints of all machines."""
+def _web(name: str, installation: Installation) -> Settings:
+    """Return the defaults of a web service. Jobs of the map service connect as robots to all Robot endpoints."""
     certificate, key = _certificate(installation)
+    as_robots: Settings = {
+        "entry": f"https://127.0.0.1:{installation.option('http_port', str(HTTP_PORT))}/",
+        "trust": installation.option("certificate", f"{TLS}/ca.pem"),
+    }
     return {
-        "data_dir": f"{VAR}/{MAPS}",
+        "data_dir": f"{VAR}/{name}",
         "master": f"tcp:127.0.0.1:{CONTROL_PORT}",
         "token": "",
         "tls": TLS,
-        "entry": f"https://127.0.0.1:{installation.option('http_port', str(HTTP_PORT))}/",
-        "trust": installation.option("certificate", f"{TLS}/ca.pem"),
+        **(as_robots if name == MAPS else {}),
         "host": "0.0.0.0",
-        "port": MAPS_PORT,
-        "public_url": f"https://{installation.address}:{MAPS_PORT}/",
+        "port": WEB_PORTS[name],
+        "public_url": f"https://{installation.address}:{WEB_PORTS[name]}/",
         "certificate": certificate,
         "private_key": key,
     }
@@ -226,6 +236,6 @@ def _invite(result: dict[str, Settings], found: Mapping[str, Settings]) -> None:
         values = result[role]
         if not values["token"]:
             values["token"] = secrets.token_hex(32)
-            identity = f"service:{MAPS}" if role == MAPS else f"{role}:{values['name']}"
+            identity = f"service:{role}" if role in WEB_SERVICES else f"{role}:{values['name']}"
             tokens.append(f"{identity}:{values['token']}")
     result["master"]["tokens"] = tokens

@@ -33,6 +33,7 @@ IMPORTS = {
     "robot": "endpoints.robot.server",
     "container": "containers.taskset",
     "map-service": "rce.mapservice.server",
+    "knowledge-service": "rce.knowledge.server",
 }
 
 
@@ -128,6 +129,7 @@ def _listening(settings: dict[str, configuration.Settings]) -> Iterator[tuple[in
         ("robot", "data_port", "data"),
         ("container", "data_port", "data"),
         ("map-service", "port", "maps"),
+        ("knowledge-service", "port", "knowledge"),
     ):
         if port := settings.get(role, {}).get(key):
             yield int(str(port)), f"{what} ({role})"

@@ -12,7 +12,7 @@ from provisioning import configuration, joincode, release, summary
 from provisioning.configuration import Installation
 from provisioning.services import docker_steps, file_steps, image_step, start_step
 from provisioning.steps import ProvisioningError, Step, add_command, need_root, print_plan, run_steps, start_log
-from provisioning.system import KNOWN, MAPS, ROLES, SERVICES, System, own_address
+from provisioning.system import KNOWN, ROLES, SERVICES, WEB_SERVICES, System, own_address
 from provisioning.system_steps import account_steps, certificate_step, package_step
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def planned_installation(options: argparse.Namespace, system: System) -> Install
     code = joincode.parse(options.join) if options.join else None
     installed = system.roles()
     roles = _roles(options.role) or (code.roles if code else installed or ROLES)
-    with_maps = {*roles, *installed, *([MAPS] if "master" in roles else [])}
+    with_services = {*roles, *installed, *(WEB_SERVICES if "master" in roles else [])}
     if code is not None and not set(roles) <= set(code.roles):
         raise ProvisioningError(
             f"this join code is for {', '.join(code.roles)}: make one for {', '.join(roles)}, or omit --role"
@@ -104,7 +104,7 @@ def planned_installation(options: argparse.Namespace, system: System) -> Install
     name = code.name if code else options.name or found.get("container", {}).get("name") or socket.gethostname()
     address = options.address or found.get("master", {}).get("address") or own_address()
     # Roles that are installed already are kept.
-    merged = tuple(role for role in SERVICES if role in with_maps)
+    merged = tuple(role for role in SERVICES if role in with_services)
     installation = Installation(merged, str(name), str(address), {**given, "engine": engine}, code)
     summary.check_ports(installation)
     return installation

@@ -21,7 +21,13 @@ from provisioning.system import CURRENT, DOCKER, OPT, System, public_python
 PACKAGES = ("rce", "master", "endpoints", "containers", "converters", "provisioning")
 FILES = ("pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md")
 KEPT = 2  # releases: the current one and the previous, whose files environments may still use
-EXTRAS = {"master": ("server",), "robot": ("server",), "container": ("server",), "map-service": ("server", "mapping")}
+EXTRAS = {
+    "master": ("server",),
+    "robot": ("server",),
+    "container": ("server",),
+    "map-service": ("server", "mapping"),
+    "knowledge-service": ("server", "knowledge"),
+}
 TYPESUPPORT = f"{OPT}/typesupport"
 SOURCE = "source.tar.gz"  # the release's source, which new machines can fetch from the Master
 

@@ -20,7 +20,7 @@ from provisioning.system import CURRENT, ETC, UNITS, USER, VAR, System, docker_a
 PASSWORD = f"{ETC}/admin-password"
 SYSCTL, RMEM_MAX = "/etc/sysctl.d/60-rce.conf", "/proc/sys/net/core/rmem_max"
 RECEIVE_BUFFER = 4 * 1024 * 1024  # as the endpoint requests
-STOP_ORDER = ("map-service", "container", "robot", "master")
+STOP_ORDER = ("knowledge-service", "map-service", "container", "robot", "master")
 START_ORDER = tuple(reversed(STOP_ORDER))  # preferred, not required: the others wait for the Master
 
 

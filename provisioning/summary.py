@@ -21,7 +21,7 @@ def ports(installation: Installation) -> list[Port]:
             (http, "robots", "robots' entry (https)"),
             (configuration.CONTROL_PORT, "machines", "control connections (TLS)"),
             (configuration.MACHINES_PORT, "machines", "new machines join (https)"),
-            (configuration.MAPS_PORT, "clients", "map service (https)"),
+            *((port, "clients", f"{name.replace('-', ' ')} (https)") for name, port in configuration.WEB_PORTS.items()),
         ]
     if "robot" in installation.roles:
         found += [

@@ -21,9 +21,10 @@ UNITS = "/etc/systemd/system"
 CURRENT = f"{OPT}/current"  # link to the current release
 TLS, AUTHORITY_KEY = f"{ETC}/tls", f"{ETC}/authority/ca.key"
 DOCKER = ("docker", "swarm")  # engines that need it
-MAPS = "map-service"  # on the Master's machine
+MAPS, KNOWLEDGE = "map-service", "knowledge-service"
+WEB_SERVICES = (MAPS, KNOWLEDGE)  # on the Master's machine
 ROLES = ("master", "robot", "container")  # values of --role
-SERVICES = (*ROLES, MAPS)
+SERVICES = (*ROLES, *WEB_SERVICES)
 KNOWN = {("debian", "12"), ("debian", "13"), ("ubuntu", "24.04")}
 
 

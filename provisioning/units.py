@@ -9,14 +9,15 @@ DESCRIPTIONS = {
     "robot": "Robot endpoint",
     "container": "Container task set",
     "map-service": "map service",
+    "knowledge-service": "knowledge service",
 }
+OF_PLATFORM = (f"{ETC}/authority", f"{ETC}/master.toml", f"{ETC}/robot.toml", f"{ETC}/container.toml")
+DATA_OF_PLATFORM = (f"{VAR}/master", f"{VAR}/robot", f"{VAR}/container")
 SECRETS = {  # files of other services, which a role cannot read
     "robot": (f"{ETC}/authority", f"{ETC}/master.toml", f"{ETC}/container.toml", f"{VAR}/master"),
     "container": (f"{ETC}/authority", f"{ETC}/master.toml", f"{VAR}/master"),
-    "map-service": (
-        *(f"{ETC}/authority", f"{ETC}/master.toml", f"{ETC}/robot.toml", f"{ETC}/container.toml", f"{VAR}/master"),
-        *(f"{VAR}/robot", f"{VAR}/container"),
-    ),
+    "map-service": (*OF_PLATFORM, *DATA_OF_PLATFORM, f"{ETC}/knowledge-service.toml", f"{VAR}/knowledge-service"),
+    "knowledge-service": (*OF_PLATFORM, *DATA_OF_PLATFORM, f"{ETC}/map-service.toml", f"{VAR}/map-service"),
     "master": (),
 }
 HARDENING = """\
@@ -52,6 +53,11 @@ RemoveIPC=yes
 SystemCallFilter=~@privileged @resources
 RestrictAddressFamilies=AF_INET AF_INET6 AF_UNIX
 """
+# They lower the priority of worker processes.
+WITH_WORKERS = """\
+SystemCallFilter=setpriority
+"""
+WORKERS = ("robot", "map-service")
 # The map service compiles its Numba kernels once for all jobs. The files that it reads are not trusted.
 WITH_KERNELS = f"""\
 Environment=NUMBA_CACHE_DIR={VAR}/map-service/numba
@@ -69,8 +75,8 @@ AmbientCapabilities=CAP_NET_ADMIN
 """
 # A service that takes too much is restarted, and nothing else of the machine is killed. The shares exceed 100 %, as the
 # services are not large at the same time.
-MEMORY = {"master": "40%", "robot": "50%", "container": "25%", "map-service": "60%"}
-TASKS = {"master": 512, "robot": 1024, "container": 1024, "map-service": 1024}
+MEMORY = {"master": "40%", "robot": "50%", "container": "25%", "map-service": "60%", "knowledge-service": "30%"}
+TASKS = {"master": 512, "robot": 1024, "container": 1024, "map-service": 1024, "knowledge-service": 256}
 # The control group of the process engine has the environments in it, which have no limits.
 UNLIMITED = """\
 TasksMax=infinity
@@ -101,6 +107,7 @@ def text(role: str, engine: str = "") -> str:
         f"{WITH_KERNELS if role == 'map-service' else ''}"
         f"{HARDENING}"
         f"{WITH_ENVIRONMENTS if role == 'container' else FACING_THE_NETWORK}"
+        f"{WITH_WORKERS if role in WORKERS else ''}"
         f"{WITH_NETWORKS if engine == 'docker' and role == 'container' else ''}"
         f"{WITH_PROCESSES if engine == 'process' and role == 'container' else ''}"
         f"{''.join(f'InaccessiblePaths=-{path}{chr(10)}' for path in SECRETS[role])}"

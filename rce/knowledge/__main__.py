@@ -34,7 +34,7 @@ class Settings(Struct):
         Path | None, Meta(description="directory with ca.pem, cert.pem and key.pem for the connection to the Master")
     ] = None
     host: Annotated[str, Meta(description="address on which to listen for clients")] = "127.0.0.1"
-    port: Annotated[int, Meta(ge=0, le=65535, description="port for clients; 0 for a free one")] = 9030
+    port: Annotated[int, Meta(ge=0, le=65535, description="port for clients; 0 for a free one")] = 9050
     public_url: Annotated[
         str, Meta(description="URL to which the Master redirects clients; by default with the host of their request")
     ] = ""

@@ -26,7 +26,7 @@ from rce.process.ready import Ready
 from rce.process.supervisor import ManagedProcess
 from rce.process.terminal_log import terminal_log
 
-WS_PORT, MAPS_PORT, KNOWLEDGE_PORT = 9010, 9020, 9030
+WS_PORT, MAPS_PORT, KNOWLEDGE_PORT = 9010, 9040, 9050
 SERVICES = {
     "map-service": (("aiohttp", "lxml", "rosbags"), "server"),
     "knowledge-service": (("aiohttp", "rdflib", "pyoxigraph"), "server,knowledge"),
@@ -55,11 +55,11 @@ class Settings(Struct):
         Meta(description="port of the robots' WebSocket; 0 for a free one (default: 9010, or 0 if http_port is)"),
     ] = None
     maps_port: Annotated[
-        Port | None, Meta(description="port of the map service; 0 for a free one (default: 9020, or 0 if http_port is)")
+        Port | None, Meta(description="port of the map service; 0 for a free one (default: 9040, or 0 if http_port is)")
     ] = None
     knowledge_port: Annotated[
         Port | None,
-        Meta(description="port of the knowledge service; 0 for a free one (default: 9030, or 0 if http_port is)"),
+        Meta(description="port of the knowledge service; 0 for a free one (default: 9050, or 0 if http_port is)"),
     ] = None
     host: Annotated[str, Meta(description="address to listen on; with --dev always the loopback address")] = "127.0.0.1"
     engine: Annotated[Literal["process", "docker", "swarm"], Meta(description="engine that runs environments")] = (

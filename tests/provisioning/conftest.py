@@ -64,7 +64,7 @@ def installed(tmp_path: Path) -> System:
     for place in ("etc/rce", "var/lib/rce/master", "opt/rce", "etc/systemd/system", "etc/sysctl.d"):
         (tmp_path / place).mkdir(parents=True)
     (tmp_path / "etc/sysctl.d/60-rce.conf").touch()
-    for role in ("master", "robot", "container", "map-service"):
+    for role in ("master", "robot", "container", "map-service", "knowledge-service"):
         (tmp_path / f"etc/rce/{role}.toml").touch()
         (tmp_path / f"etc/systemd/system/rce-{role}.service").touch()
     (tmp_path / "etc/passwd").write_text("rce:x:999:999::/:/bin/false\n")

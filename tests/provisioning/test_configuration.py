@@ -18,6 +18,7 @@ from provisioning import (
 )
 from provisioning.steps import ProvisioningError
 from provisioning.system import System
+from rce.knowledge.__main__ import Settings as KnowledgeSettings
 from rce.mapservice.__main__ import Settings as MapSettings
 from rce.process import settings
 from tests.support.provisioning.systems import join_code, planned, write_settings
@@ -27,6 +28,7 @@ KINDS: dict[str, Any] = {
     "robot": RobotSettings,
     "container": ContainerSettings,
     "map-service": MapSettings,
+    "knowledge-service": KnowledgeSettings,
 }
 
 
@@ -45,9 +47,8 @@ def test_programs_accept_their_settings(debian: System, engine: str, monkeypatch
 def test_master_has_tokens_of_services_on_its_machine(debian: System) -> None:
     values = write_settings(debian, "--name", "alpha")
     robot, container = values["robot"], values["container"]
-    maps = values["map-service"]
     expected = [f"robot:alpha-robot:{robot['token']}", f"container:alpha:{container['token']}"]
-    expected.append(f"service:map-service:{maps['token']}")
+    expected += [f"service:{name}:{values[name]['token']}" for name in ("map-service", "knowledge-service")]
     assert sorted(values["master"]["tokens"]) == sorted(expected)  # type: ignore[arg-type]
     assert len(str(robot["token"])) == 64
 
@@ -77,8 +78,8 @@ def test_option_overrides_its_settings_only(debian: System) -> None:
 def test_role_is_added_to_installed_ones(debian: System) -> None:
     write_settings(debian, "--role", "master", "--name", "alpha")
     values = write_settings(debian, "--role", "container", "--engine", "process")
-    assert debian.roles() == ("master", "container", "map-service")
-    assert len(values["master"]["tokens"]) == 2  # type: ignore[arg-type]
+    assert debian.roles() == ("master", "container", "map-service", "knowledge-service")
+    assert len(values["master"]["tokens"]) == 3  # type: ignore[arg-type]
 
 
 def test_membership_overrides_settings(debian: System) -> None:

@@ -19,7 +19,7 @@ def test_plan_on_fresh_system(fresh: System) -> None:
     ]
     minor = {"12": "3.11", "13": "3.13", "24.04": "3.12"}[fresh.release()[1]]
     assert plan["system packages"] == f"python{minor}-venv docker.io iptables debootstrap"
-    assert "rce[docker,mapping,server]" in plan["release"]
+    assert "rce[docker,knowledge,mapping,server]" in plan["release"]
     assert "10.0.0.1" in plan["certificates"]
     assert all(plan.values())
 

@@ -21,6 +21,7 @@ def test_all_ports_are_listed(debian: System) -> None:
         f"https://{installation.address}:{maps['port']}/",
     )
     ports = {values["robot"]["data_port"], values["container"]["data_port"], maps["port"]}
+    ports |= {values["knowledge-service"]["port"]}
     assert listed == {443, 9999, 8080, 8081, *ports}
     assert "9999   from robots" in summary.firewall_ports(installation)
 

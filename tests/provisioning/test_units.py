@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -18,7 +19,14 @@ ANALYZE = shutil.which("systemd-analyze")
 
 needs_analyze = pytest.mark.skipif(ANALYZE is None, reason="needs systemd-analyze: apt-get install systemd")
 
-CASES = [("master", ""), ("robot", ""), ("map-service", ""), ("container", "process"), ("container", "docker")]
+CASES = [
+    ("master", ""),
+    ("robot", ""),
+    ("map-service", ""),
+    ("knowledge-service", ""),
+    ("container", "process"),
+    ("container", "docker"),
+]
 
 
 @pytest.fixture
@@ -74,6 +82,41 @@ def test_only_a_task_set_with_docker_has_net_admin() -> None:
 
 
 def test_secrets_of_the_master_are_hidden_from_other_services() -> None:
-    for role in ("robot", "container", "map-service"):
+    for role in ("robot", "container", "map-service", "knowledge-service"):
         for path in ("/etc/rce/authority", "/etc/rce/master.toml", "/var/lib/rce/master"):
             assert f"InaccessiblePaths=-{path}\n" in units.text(role, "docker")
+
+
+def system_calls(name: str) -> set[str]:
+    """Return the system calls of a set, such as `@resources`."""
+    done = subprocess.run(
+        [str(ANALYZE), "syscall-filter", "--no-pager", name], capture_output=True, text=True, check=True
+    )
+    words = {word for line in done.stdout.splitlines()[1:] if not (word := line.strip()).startswith("#") and word}
+    inner = {word for word in words if word.startswith("@")}
+    return (words - inner).union(*map(system_calls, inner))
+
+
+def allowed(text: str) -> set[str]:
+    """Return the system calls that a unit allows, as systemd reads its lines one after the other."""
+    found: set[str] = set()
+    for line in re.findall(r"^SystemCallFilter=(.+)$", text, re.MULTILINE):
+        names = line.removeprefix("~").split()
+        calls = set().union(*(system_calls(name) if name.startswith("@") else {name} for name in names))
+        found = found - calls if line.startswith("~") else found | calls
+    return found
+
+
+@needs_analyze
+@pytest.mark.parametrize(
+    ("role", "needed"),
+    [
+        ("robot", {"prlimit64", "setpriority"}),  # endpoints/robot/worker.py
+        ("map-service", {"prlimit64", "setpriority"}),  # rce/mapservice/job_program.py
+        ("knowledge-service", {"prlimit64"}),  # rce/knowledge/sandbox.py
+    ],
+)
+def test_workers_may_limit_themselves(role: str, needed: set[str]) -> None:
+    calls = allowed(units.text(role))
+    assert needed <= calls
+    assert "chown" not in calls

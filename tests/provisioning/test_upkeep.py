@@ -41,7 +41,8 @@ def uninstall(installed: System, purge: bool, monkeypatch: pytest.MonkeyPatch) -
 
 def test_uninstall_keeps_settings_and_data(installed: System, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = uninstall(installed, False, monkeypatch)
-    assert plan["services"] == "stop rce-master.service rce-robot.service rce-container.service rce-map-service.service"
+    names = ("master", "robot", "container", "map-service", "knowledge-service")
+    assert plan["services"] == "stop " + " ".join(f"rce-{name}.service" for name in names)
     assert installed.path("/etc/rce/master.toml").exists()
     assert installed.path("/var/lib/rce/master").exists()
     assert not installed.path("/opt/rce").exists()

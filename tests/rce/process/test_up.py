@@ -214,11 +214,11 @@ async def test_platform_starts_without_services_that_are_not_installed(
 @pytest.mark.parametrize(
     ("given", "ports"),
     [
-        ([], ("9010", "9020")),
+        ([], ("9010", "9040")),
         (["--http-port=0"], ("0", "0")),
         (["--http-port=0", "--ws-port=9555"], ("9555", "0")),
         (["--http-port=0", "--maps-port=9010"], ("0", "9010")),
-        (["--ws-port=0"], ("0", "9020")),
+        (["--ws-port=0"], ("0", "9040")),
     ],
 )
 def test_free_port_for_the_entry_means_free_ports_where_none_is_given(given: list[str], ports: tuple[str, str]) -> None:

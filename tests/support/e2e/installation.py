@@ -1,6 +1,6 @@
 """`provision install` in a copy-on-write image of this system, with a network namespace.
 
-Master, map service and Robot endpoint are installed and started with the commands of their units. A robot connects, a
+The services are installed and started with the commands of their units, but none of environments. A robot connects, a
 second machine joins, `doctor` checks the installation, and `uninstall` removes it.
 """
 
@@ -40,11 +40,11 @@ ip link set lo up
 cd /
 rce=/opt/rce/current/bin
 as="runuser -u rce -g rce --"
-for role in master robot map-service; do
+for role in master robot map-service knowledge-service; do
     $as $rce/rce $role --config /etc/rce/$role.toml > /tmp/$role.log 2>&1 &
 done
-trap 'cat /tmp/master.log /tmp/robot.log /tmp/map-service.log >&2; kill $(jobs -p)' EXIT
-for role in robot map-service; do
+trap 'cat /tmp/master.log /tmp/robot.log /tmp/*-service.log >&2; kill $(jobs -p)' EXIT
+for role in robot map-service knowledge-service; do
     for turn in $(seq 300); do
         grep -q "\\"program\\":\\"$role\\"" /tmp/$role.log && break
         sleep 0.2
