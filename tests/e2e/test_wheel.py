@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from rce.api.http import EntryClient, basic
-from tests.support.e2e import real_platform
 from tests.support.e2e.real_platform import USER, RealPlatform
 from tests.support.paths import ROOT
 
@@ -59,11 +58,10 @@ async def test_platform_from_the_wheel(wheel: Path, tmp_path: Path, monkeypatch:
     await asyncio.to_thread(run, sys.executable, "-m", *install)
     libraries = place / "lib" / f"python{sysconfig.get_python_version()}" / "site-packages" / "libraries.pth"
     libraries.write_text(sysconfig.get_path("purelib"))
-    monkeypatch.setattr(real_platform, "RCE", str(place / "bin" / "rce"))
     monkeypatch.chdir(empty)
     directory = tmp_path / "platform"
     directory.mkdir()
-    async with RealPlatform(directory) as platform:
+    async with RealPlatform(directory, program=str(place / "bin" / "rce")) as platform:
         assert f"{place}/bin/python" in " ".join(platform.processes().values())
         await asyncio.to_thread(check_pages, platform.url)
         async with platform.robot("wheeled") as robot, robot.environment("brain") as brain:
