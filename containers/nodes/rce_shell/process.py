@@ -21,9 +21,12 @@ from rce.protocol.terminal import Request
 KILL_AFTER = 1.0  # seconds from the hang-up to SIGKILL
 POLL_INTERVAL = 0.02  # seconds between checks whether the session has ended
 # Runs in the new session: the session leader opens the terminal, which thereby becomes the controlling terminal, and
-# executes the program. A separate interpreter does this, since a fork of this process would have threads of ROS.
+# executes the program. A separate interpreter does this, since a fork of this process would have threads of ROS. Python
+# ignores SIGPIPE and SIGXFSZ, which the program would inherit.
 BOOTSTRAP = """
-import os, sys
+import os, signal, sys
+for number in (signal.SIGPIPE, signal.SIGXFSZ):
+    signal.signal(number, signal.SIG_DFL)
 terminal = os.open(sys.argv[1], os.O_RDWR)
 for number in (0, 1, 2):
     os.dup2(terminal, number)

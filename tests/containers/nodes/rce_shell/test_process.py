@@ -104,6 +104,12 @@ def test_write_returns_what_the_terminal_accepts(start: Start) -> None:
     assert accepted > 0
 
 
+def test_program_ends_when_nobody_reads_its_output(start: Start) -> None:
+    """It gets SIGPIPE, 13, as in any terminal."""
+    status, output = status_of(start('yes | head -n 1; echo "status ${PIPESTATUS[0]}"'))
+    assert (status, output) == (0, b"y\r\nstatus 141\r\n")
+
+
 def test_program_sees_new_sizes(start: Start) -> None:
     process = start("trap 'stty size' WINCH; echo ready; while :; do read -t 0.1 line; done")
     output_until(process, b"ready")
