@@ -21,6 +21,8 @@ def main() -> None:
     if os.getppid() != parent:  # the parent died before prctl
         sys.exit(1)
     os.set_inheritable(report, False)
+    for number in (signal.SIGPIPE, signal.SIGXFSZ):  # Python ignores them, and the command would inherit that
+        signal.signal(number, signal.SIG_DFL)
     try:
         os.execvp(command[0], command)
     except OSError as error:

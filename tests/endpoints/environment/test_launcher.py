@@ -26,6 +26,13 @@ def launch(*command: str, parent: int | None = None) -> tuple[int, str, str]:
     return process.returncode, output, reported
 
 
+def test_command_gets_the_signals_that_python_ignores() -> None:
+    status, output, _ = launch("grep", "SigIgn", "/proc/self/status")
+    ignored = int(output.split()[1], 16)
+    assert status == 0
+    assert not [each for each in (signal.SIGPIPE, signal.SIGXFSZ) if ignored >> (each - 1) & 1]
+
+
 def test_command_replaces_launcher() -> None:
     assert launch("sh", "-c", "echo $0 $1; exit 3", "a b", "c") == (3, "a b c\n", "")
 
