@@ -1,0 +1,92 @@
+"""The C++ client at a real platform, and its package for CMake.
+
+The tests build it once, without optimization. RCE_TEST_CXX names another compiler than g++, and RCE_TEST_SANITIZERS its
+sanitizers, such as `address,undefined` or `thread`; with them the build takes some ten minutes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.support.client_cases import CPP, expected
+from tests.support.e2e.real_platform import USER, RealPlatform
+from tests.support.paths import TESTS
+
+TIMEOUT = 240  # seconds; a limit that only ends what hangs
+HEADERS = ("boost/beast.hpp", "openssl/ssl.h", "nlohmann/json.hpp")
+COMPILER, SANITIZERS = os.environ.get("RCE_TEST_CXX", "g++"), os.environ.get("RCE_TEST_SANITIZERS", "")
+
+
+def check_programs() -> None:
+    """Skip the tests where what they need to compile is absent."""
+    missing = [program for program in ("cmake", "make", COMPILER) if shutil.which(program) is None]
+    missing += [header for header in HEADERS if not (Path("/usr/include") / header).exists()]
+    if missing:
+        pytest.skip(f"not installed: {', '.join(missing)}; `provisioning/provision test` as root installs them")
+
+
+def run(*words: object) -> str:
+    """Run a program; return its output."""
+    done = subprocess.run([str(word) for word in words], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
+    return done.stdout
+
+
+def build(source: Path, directory: Path, *options: str) -> None:
+    """Configure and build a CMake project."""
+    flags = "-O0 -g0" + (f" -g1 -fno-omit-frame-pointer -fsanitize={SANITIZERS}" if SANITIZERS else "")
+    words = (f"-DCMAKE_CXX_COMPILER={COMPILER}", f"-DCMAKE_CXX_FLAGS={flags}", "-DCMAKE_BUILD_TYPE=None")
+    run("cmake", "-S", source, "-B", directory, *words, *options)
+    run("cmake", "--build", directory, "--parallel", "2")
+
+
+@pytest.fixture(scope="module")
+def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Directory of the test programs, built with the library and its example and with warnings as errors."""
+    check_programs()
+    directory = tmp_path_factory.mktemp("cpp")
+    prefix = f"-DCMAKE_INSTALL_PREFIX={directory / 'prefix'}"
+    build(TESTS / "cpp", directory / "build", prefix, "-DRCE_STRICT=ON", "-DRCE_BUILD_EXAMPLES=ON")
+    return directory / "build"
+
+
+async def output_of(*words: object) -> str:
+    """Run a program beside the platform; return its output."""
+    pipe = asyncio.subprocess.PIPE
+    process = await asyncio.create_subprocess_exec(
+        *map(str, words), stdout=pipe, stderr=pipe, env={**os.environ, "UBSAN_OPTIONS": "halt_on_error=1"}
+    )
+    try:
+        out, err = await asyncio.wait_for(process.communicate(), TIMEOUT)
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
+    assert process.returncode == 0, err.decode()[-6000:]
+    return out.decode()
+
+
+async def test_client_contract(programs: Path, platform: RealPlatform) -> None:
+    out = await output_of(programs / "contract", platform.url, "cpp")
+    assert set(out.splitlines()) == expected(CPP)
+
+
+async def test_robot_reconnects_many_times(programs: Path, platform: RealPlatform) -> None:
+    assert "50 reconnections" in await output_of(programs / "reconnect", platform.url, "cppr", "50")
+
+
+async def test_example_runs(programs: Path, platform: RealPlatform) -> None:
+    out = await output_of(programs / "rce" / "examples" / "rce_robot", platform.url, USER, USER)
+    assert out == "the node answered: hello\n"
+
+
+async def test_installed_package_is_found(programs: Path, tmp_path: Path) -> None:
+    run("cmake", "--install", programs)
+    build(TESTS / "cpp" / "consumer", tmp_path, f"-DCMAKE_PREFIX_PATH={programs.with_name('prefix')}")
+    assert await output_of(tmp_path / "consumer") == "unavailable\n"
