@@ -22,6 +22,10 @@ Topic = Annotated[str, Meta(max_length=255, pattern=r"^(/[A-Za-z0-9_/]*)?$(?!\n)
 UploadId = Annotated[str, Meta(max_length=64, pattern=r"^[0-9a-f]+$(?!\n)")]
 MAPPERS: tuple[Mapper, ...] = get_args(Mapper)
 KINDS: tuple[Kind, ...] = get_args(Kind)
+Planner = Literal["astar", "hybrid", "voronoi"]
+MotionModel = Literal["DUBIN", "REEDS_SHEPP"]
+PLANNERS: tuple[Planner, ...] = get_args(Planner)
+MOTION_MODELS: tuple[MotionModel, ...] = get_args(MotionModel)
 FINAL_STATES: frozenset[State] = frozenset({"done", "failed", "cancelled"})
 
 
@@ -83,3 +87,49 @@ class Job(Struct, frozen=True):
     times: dict[str, float] = {}  # seconds of each stage
     files: list[File] = []
     error: ErrorInfo | None = None
+
+
+Coordinate = Annotated[float, Meta(ge=-1e6, le=1e6, description="metres, map frame")]
+Angle = Annotated[float, Meta(ge=-1e3, le=1e3, description="radians")]
+
+
+class PlanPose(Struct, frozen=True, forbid_unknown_fields=True):
+    """Pose on a map."""
+
+    x: Coordinate
+    y: Coordinate
+    theta: Angle = 0.0
+
+
+class PlanRequest(Struct, frozen=True, forbid_unknown_fields=True):
+    """Path to plan on the map of a job. Names and defaults are those of Nav2, except for `allow_unknown`."""
+
+    start: PlanPose
+    goal: PlanPose
+    planner: Planner = "astar"
+    footprint: Annotated[
+        str, Meta(max_length=2000, description="radius in metres, or corners as [[0.3, 0.2], [0.3, -0.2], [-0.3, 0]]")
+    ] = "0.2"
+    allow_unknown: Annotated[bool, Meta(description="unknown space is free")] = False
+    tolerance: Annotated[float, Meta(ge=0, le=100, description="metres to the goal; not of hybrid")] = 0.125
+    cost_travel_multiplier: Annotated[float, Meta(ge=0, le=100, description="weight of costs beside the length")] = 2.0
+    max_planning_time: Annotated[float, Meta(gt=0, le=30, description="seconds")] = 2.0
+    minimum_turning_radius: Annotated[float, Meta(ge=0.05, le=100, description="metres; of hybrid")] = 0.4
+    motion_model_for_search: Annotated[MotionModel, Meta(description="of hybrid: REEDS_SHEPP also reverses")] = "DUBIN"
+
+
+class Waypoint(Struct, frozen=True, array_like=True):
+    """Pose of a path: `[x, y, theta, direction]`; direction is 1, or -1 if the pose is reached in reverse."""
+
+    x: float
+    y: float
+    theta: float
+    direction: int
+
+
+class Plan(Struct, frozen=True):
+    """Path on the map of a job; metres, radians and seconds."""
+
+    poses: list[Waypoint]
+    length: float
+    seconds: float

@@ -19,7 +19,7 @@ from typing import TypeVar
 
 import msgspec
 
-from rce.api.map_jobs import FINAL_STATES, PREFIX, Job, JobRequest, MapOptions, Upload
+from rce.api.map_jobs import FINAL_STATES, PREFIX, Job, JobRequest, MapOptions, Plan, PlanRequest, Upload
 from rce.client.service_client import Answer, ServiceClient
 from rce.errors import RceError, TimedOut, Unavailable
 
@@ -96,6 +96,19 @@ class MapServiceClient(ServiceClient):
     def remove(self, job: str) -> None:
         """Remove a finished job with its files."""
         self.ask("DELETE", f"/jobs/{job}")
+
+    def plan(self, job: str, request: PlanRequest) -> Plan:
+        """Plan a path on the map of a finished job.
+
+        Args:
+            job: Id of the job.
+            request: Start, goal, planner and its settings.
+
+        Raises:
+            RceError: There is no path; the code is `no_path`, and the field `reason` tells why.
+        """
+        body = msgspec.json.encode(request)
+        return self.value(self.ask("POST", f"/jobs/{job}/plan", body, {"Content-Type": "application/json"}), Plan)
 
     def watch(self, job: str) -> Iterator[Job]:
         """Yield the job now and after each change, until it has ended."""

@@ -9,7 +9,7 @@ import msgspec
 from aiohttp import web
 from aiohttp.typedefs import Handler
 
-from rce.api.map_jobs import PREFIX, Job, JobRequest, Upload
+from rce.api.map_jobs import PREFIX, Job, JobRequest, Plan, PlanRequest, Upload
 from rce.errors import RceError
 from rce.mapservice.rest import CHUNK_TYPE, Rest
 from rce.services.problems import check_headers
@@ -65,6 +65,7 @@ def routes(rest: Rest) -> list[Route]:
         Route("GET", "/jobs", rest.list_jobs, "Your jobs, newest first", answer=list[Job]),
         Route("GET", "/jobs/{job}", rest.show_job, "A job", answer=Job),
         Route("POST", "/jobs/{job}/cancel", rest.cancel, "Cancel a job", answer=Job),
+        Route("POST", "/jobs/{job}/plan", rest.plan, "Plan a path on the map of a job", 200, PlanRequest, Plan),
         Route("DELETE", "/jobs/{job}", rest.remove_job, "Remove a job that has ended, with its files", 204),
         Route(
             "GET",

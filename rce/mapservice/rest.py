@@ -13,9 +13,10 @@ import msgspec
 from aiohttp import web
 from twisted.logger import Logger
 
-from rce.api.map_jobs import PREFIX, JobRequest, Upload
+from rce.api.map_jobs import PREFIX, JobRequest, PlanRequest, Upload
 from rce.errors import Forbidden, InvalidRequest, NotFound, TimedOut, Unauthorized
 from rce.mapservice.jobs import Jobs
+from rce.mapservice.plans import Plans
 from rce.mapservice.uploads import Uploads
 from rce.services.auditing import CLIENT
 from rce.services.authentication import Authenticator, Client
@@ -41,11 +42,12 @@ log = Logger()
 class Rest:
     """Request handlers. Each authenticates the client first."""
 
-    def __init__(self, authenticator: Authenticator, uploads: Uploads, jobs: Jobs) -> None:
-        self._authenticator, self._uploads, self._jobs = authenticator, uploads, jobs
+    def __init__(self, authenticator: Authenticator, uploads: Uploads, jobs: Jobs, plans: Plans) -> None:
+        self._authenticator, self._uploads, self._jobs, self._plans = authenticator, uploads, jobs, plans
 
     async def _client(self, request: web.Request) -> Client:
-        operation = "job.read" if request.method in ("GET", "HEAD") else "job.submit"
+        reads = request.method in ("GET", "HEAD") or request.path.endswith("/plan")
+        operation = "job.read" if reads else "job.submit"
         client = await self._authenticator.authenticate(request.headers, request.query, operation, request.remote or "")
         logged_in()
         request[CLIENT] = client
@@ -114,10 +116,7 @@ class Rest:
     async def submit(self, request: web.Request) -> web.Response:
         """Inspect the recording and queue a job."""
         client = await self._client(request)
-        body = await read_accepted_body(request)
-        if len(body) > MAX_REQUEST:
-            raise HttpError(f"the request has more than {MAX_REQUEST} bytes", status=TOO_LARGE)
-        wanted = decode(body, JobRequest)
+        wanted = decode(await _body(request), JobRequest)
         job = await self._jobs.submit(client.user, client.secret, wanted)
         return _json(job, 201, {"Location": f"{request.url.origin()}{PREFIX}/jobs/{job.id}"})
 
@@ -141,6 +140,12 @@ class Rest:
         client = await self._client(request)
         await self._jobs.remove(client.user, request.match_info["job"])
         return web.Response(status=204)
+
+    async def plan(self, request: web.Request) -> web.Response:
+        """Plan a path on the map of a job."""
+        client = await self._client(request)
+        wanted = decode(await _body(request), PlanRequest)
+        return _json(await self._plans.plan(client.user, request.match_info["job"], wanted))
 
     async def events(self, request: web.Request) -> web.StreamResponse:
         """Stream the job, now and after each change until it is over, as server-sent events named `job`."""
@@ -181,6 +186,18 @@ class Rest:
         path = self._jobs.file(client.user, request.match_info["job"], request.match_info["file"])
         kind = TYPES.get(path.suffix, "text/plain; charset=utf-8")
         return web.FileResponse(path, headers={"Content-Type": kind})
+
+
+async def _body(request: web.Request) -> bytes:
+    """Return a body of JSON.
+
+    Raises:
+        HttpError: It is too large.
+    """
+    body = await read_accepted_body(request)
+    if len(body) > MAX_REQUEST:
+        raise HttpError(f"the request has more than {MAX_REQUEST} bytes", status=TOO_LARGE)
+    return body
 
 
 def _json(value: object, status: int = 200, headers: dict[str, str] | None = None) -> web.Response:

@@ -17,6 +17,7 @@ from rce.control.connection import Handlers
 from rce.mapservice import openapi
 from rce.mapservice.job_store import JobStore
 from rce.mapservice.jobs import JobLimits, Jobs, Runner
+from rce.mapservice.plans import Plans
 from rce.mapservice.rest import Rest
 from rce.mapservice.soap import Soap
 from rce.mapservice.uploads import UploadLimits, Uploads
@@ -72,7 +73,7 @@ class MapService:
             middlewares=[audit_middleware(self.authenticator, PREFIX, ACTIONS), problems], client_max_size=MAX_BODY
         )
         allow_origins(application)
-        rest = Rest(self.authenticator, self.uploads, self.jobs)
+        rest = Rest(self.authenticator, self.uploads, self.jobs, Plans(self.jobs))
         openapi.add(application, openapi.routes(rest), rest.check_expectation)
         Soap(self.authenticator, self.uploads, self.jobs).add(application)
         health.add(application, self.authenticator)

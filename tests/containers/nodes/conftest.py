@@ -19,7 +19,7 @@ from tests.support.domains import domain
 from tests.support.paths import ROOT
 
 NODES = ROOT / "containers" / "nodes"
-sys.path[:0] = [str(NODES / "rce_mapping"), str(NODES / "rce_mapping3d")]
+sys.path[:0] = [str(NODES / "rce_mapping"), str(NODES / "rce_mapping3d"), str(NODES / "rce_planning")]
 
 
 @pytest.fixture(scope="session")
