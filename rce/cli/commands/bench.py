@@ -39,6 +39,19 @@ def _rtt_arguments() -> tuple[Argument, ...]:
     )
 
 
+def _network_arguments() -> tuple[Argument, ...]:
+    from rce.bench.network.line import PROFILES
+    from rce.bench.network.robot import MODES
+
+    profiles, modes = ",".join(PROFILES), ",".join(MODES)
+    return (
+        argument("--profiles", default=profiles, help="comma-separated list (default: %(default)s)"),
+        argument("--modes", default=modes, help="comma-separated list (default: %(default)s)"),
+        argument("--seconds", type=float, default=30.0, help="of each run (default: %(default)s)"),
+        SAMPLES_JSON,
+    )
+
+
 GROUP = Group("bench", "Measure a platform.")
 
 COMMANDS = (
@@ -163,6 +176,18 @@ COMMANDS = (
         section=Section.LOCAL,
     ),
     Command(
+        "bench plan",
+        "Measure time and length of paths on maps of 2,000 x 2,000 cells and of a building.",
+        Lazy(MODULE, "measure_planners"),
+        (
+            argument("maps", nargs="*", type=Path, metavar="MAP.yaml", help="further maps"),
+            argument("--samples", type=int, default=5, help="of each (default: %(default)s)"),
+            FIGURES_JSON,
+        ),
+        platform=None,
+        section=Section.LOCAL,
+    ),
+    Command(
         "bench video",
         "Measure size, time and delay of the video formats on recorded images with depth.",
         Lazy(MODULE, "measure_video"),
@@ -182,6 +207,15 @@ COMMANDS = (
             *RECORDINGS,
             argument("--scans", type=int, default=36_000, help="(default: %(default)s, an hour at 10 Hz)"),
         ),
+        platform=None,
+        section=Section.LOCAL,
+    ),
+    Command(
+        "bench network",
+        "Measure a robot behind bad networks, beside plain JSON without priorities; needs root.",
+        Lazy(MODULE, "measure_network"),
+        _network_arguments,
+        ("bench network --profiles lte --seconds 30",),
         platform=None,
         section=Section.LOCAL,
     ),

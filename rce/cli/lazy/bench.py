@@ -150,6 +150,25 @@ def measure_fleet(session: ConsoleSession, args: argparse.Namespace) -> int:
 
 
 @_command
+async def measure_network(args: argparse.Namespace) -> None:
+    """Measure a robot behind bad networks."""
+    from rce.bench.network import line, robot, run  # need the extra `server`
+    from rce.bench.network import report as network_report
+
+    profiles = _parse_names("profile", args.profiles, list(line.PROFILES))
+    modes = _parse_names("mode", args.modes, robot.MODES)
+    if args.seconds <= 0:
+        raise InvalidRequest("rce bench: --seconds must be positive")
+    results = []
+    with programs_log() as log:
+        for profile in profiles:
+            for mode in modes:
+                with tempfile.TemporaryDirectory(prefix="rce-") as directory:
+                    results.append(await run.measure(profile, mode, args.seconds, Path(directory), log))
+    print(json.dumps(network_report.as_data(results)) if args.json else network_report.as_text(results))
+
+
+@_command
 async def measure_soak(args: argparse.Namespace) -> None:
     """Measure the growth of all processes while robots come and go."""
     from rce.bench import soak  # needs the extra `bench`
@@ -223,6 +242,16 @@ def measure_video(session: ConsoleSession, args: argparse.Namespace) -> None:
         raise InvalidRequest("rce bench: --images must be at least 1")
     figures = list(video.measure(*video.read(args.recording, args.images)))
     print(json.dumps(msgspec.to_builtins(figures)) if args.json else video.as_text(figures))
+
+
+def measure_planners(session: ConsoleSession, args: argparse.Namespace) -> None:
+    """Measure the planners."""
+    from rce.bench import planning  # compiles kernels
+
+    if args.samples < 1:
+        raise InvalidRequest("rce bench: --samples must be at least 1")
+    figures = [figure for case in planning.cases(args.maps) for figure in planning.measure(case, args.samples)]
+    print(json.dumps(msgspec.to_builtins(figures)) if args.json else planning.table(figures))
 
 
 @_command
