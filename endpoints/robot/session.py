@@ -6,7 +6,9 @@ A session outlives its socket by the grace time, queues messages to the robot, a
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from typing import Protocol
@@ -15,9 +17,8 @@ import msgspec
 from msgspec import UNSET, Raw, UnsetType
 from twisted.logger import Logger
 
-from rce.control.calls.call import Nothing
 from rce.control.calls.endpoints import InterfaceSpec
-from rce.control.calls.robots import Execute
+from rce.control.calls.robots import Execute, Executed
 from rce.control.client import ControlClient
 from rce.errors import InvalidRequest, LimitExceeded, Lost, RceError
 from rce.net.budget import Budget
@@ -25,7 +26,7 @@ from rce.net.outbox import Outbox
 from rce.process import logs
 from rce.process.metrics import errors
 from rce.protocol import messages as m
-from rce.protocol.blobs import BinaryFrame, Buffer, TextFrame
+from rce.protocol.blobs import PART, BinaryFrame, Buffer, TextFrame
 
 Piece = Sequence[Buffer | BinaryFrame | TextFrame]
 """WebSocket messages that are written together: text as a buffer or TextFrame, binary messages as BinaryFrame."""
@@ -33,7 +34,6 @@ Piece = Sequence[Buffer | BinaryFrame | TextFrame]
 CONTROL = b""  # source of statuses and errors in the outbox
 MAX_COMMANDS = 1000  # of one robot that are in progress
 MAX_COMMAND_SIZE = 4 * 1024 * 1024  # bytes of all these commands
-YIELD_EVERY = 20  # commands after which other tasks of the loop get a turn
 MAX_TRIES = 3
 MAX_MESSAGE = 64 * 1024 * 1024  # bytes
 MAX_SHOWN = 20  # interfaces in a summary of dropped messages
@@ -44,6 +44,10 @@ log = Logger()
 
 class Socket(Protocol):
     """The robot's socket as the session sees it."""
+
+    @property
+    def part(self) -> int:
+        """Bytes of the next part of a large message."""
 
     def write(self, piece: Piece) -> bool:
         """Send a piece; return True if there is room for more."""
@@ -146,6 +150,10 @@ class RobotSession:
         self.outbox.clear()
         if self.socket is not None:
             self.socket.end(reason)
+
+    def part(self) -> int:
+        """Return the bytes of the next part of a large message."""
+        return self.socket.part if self.socket is not None else PART
 
     def _write(self, piece: Piece) -> bool:
         return self.socket is not None and self.socket.write(piece)
@@ -251,56 +259,45 @@ class RobotSession:
             task.add_done_callback(self._commands.pop)
 
     async def _run(self, frame: m.Frame, items: list[tuple[str, m.Command]], good: bool) -> None:
-        answers: list[asyncio.Task[None]] = []
-        logs.set_request_id(f"{self.connection}.{next(self._count)}")
-        async with self._order:
-            try:
-                for item, command in items:
-                    answers.append(await self._issue(item, command))
-                    if len(answers) % YIELD_EVERY == 0:
-                        await asyncio.sleep(0)
-            except RceError as error:  # the Master cannot be reached
-                good = False
-                self._failed(error, frame)
-        for answer in answers:
-            try:
-                await answer
-            except RceError as error:
-                good = False
-                self._failed(error, frame)
+        if items:
+            logs.set_request_id(f"{self.connection}.{next(self._count)}")
+            good &= await self._execute(frame, items)
         if good and frame.id is not UNSET and "ack" in self.features:
             self.status(m.Ack(), frame.id)
+
+    async def _execute(self, frame: m.Frame, items: list[tuple[str, m.Command]]) -> bool:
+        """Execute the commands of a frame, and send their errors; return whether all were executed."""
+        commands = [command for _, command in items]
+        kinds = Counter(type(command).__name__ for command in commands)
+        listed = ", ".join(f"{kind} x {count}" if count > 1 else kind for kind, count in kinds.items())
+        log.info("robot {robot}: {commands}", robot=self.name, commands=listed)
+        try:
+            executed = await self._call_master(commands)
+        except RceError as error:  # no command has an answer
+            self._failed(error, frame)
+            return False
+        for position, info in sorted(executed.failed.items()):
+            self._failed(RceError.from_info(info).with_item(items[position][0]), frame)
+        return not executed.failed
+
+    async def _call_master(self, commands: list[m.Command]) -> Executed:
+        """Pass commands to the Master; after a lost connection, repeat them at the Master that joins next.
+
+        Raises:
+            RceError: The Master cannot be reached, or refuses the call as a whole.
+        """
+        async with self._order:
+            answer = await self._master.issue(Execute.of(self.name, *commands))
+        for _ in range(MAX_TRIES - 1):
+            with contextlib.suppress(Lost):
+                return await answer
+            answer = await self._master.issue(Execute.of(self.name, *commands, again=True))
+        return await answer
 
     def _failed(self, error: RceError, frame: m.Frame) -> None:
         """Send an ER about a command that the Master could not execute."""
         piece = self._failure(str(error), error, frame.id if "ack" in self.features else UNSET)
         self.send(piece)
-
-    async def _issue(self, item: str, command: m.Command) -> asyncio.Task[None]:
-        log.info("robot {robot}: {command}", robot=self.name, command=type(command).__name__)
-        answer = await self._master.issue(Execute.of(self.name, command))
-        finish = asyncio.create_task(self._finish(item, command, answer))
-        finish.add_done_callback(_retrieve)
-        return finish
-
-    async def _finish(self, item: str, command: m.Command, answer: asyncio.Task[Nothing]) -> None:
-        """Await the answer to a command; after a lost connection, repeat the command at the Master that joins next."""
-        for tries_left in reversed(range(MAX_TRIES)):
-            try:
-                await answer
-                return
-            except Lost:
-                if not tries_left:
-                    raise
-                answer = await self._master.issue(Execute.of(self.name, command, again=True))
-            except RceError as error:
-                raise error.with_item(item) from None
-
-
-def _retrieve(finished: asyncio.Task[None]) -> None:
-    """Retrieve the error of a command: nobody waits for it if the session has ended meanwhile."""
-    if not finished.cancelled():
-        finished.exception()
 
 
 def _piece(message: m.Status | m.Failure) -> Piece:

@@ -11,7 +11,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, get_args
+from typing import Any
 
 import sqlalchemy as sa
 from msgspec import Struct
@@ -209,5 +209,4 @@ def names_of(thing: object) -> list[str]:
 
 def object_of(user: str, command: Command) -> str:
     """Return the object of a command, as `user/environment/node`."""
-    assert isinstance(command, get_args(Command))
     return "/".join([user, *names_of(command)])

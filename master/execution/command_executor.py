@@ -5,6 +5,10 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import Counter
+from weakref import WeakValueDictionary
+
+from twisted.logger import Logger
+from twisted.python.failure import Failure
 
 from master.access import guests
 from master.access.audit import Audit, Origin
@@ -14,18 +18,19 @@ from master.execution.lifecycle import Lifecycle
 from master.graph.changes import undo
 from master.graph.commands import CommandContext, execute
 from master.graph.effects import Outcome
-from master.graph.records import Process, Ref
-from rce.control.calls.call import Nothing
-from rce.control.calls.robots import Execute
+from master.graph.records import Process, Ref, Robot
+from rce.control.calls.robots import Execute, Executed, PackedCommand
 from rce.control.connection import Handlers
-from rce.errors import LimitExceeded, NotFound, RceError, TimedOut
+from rce.errors import ErrorInfo, InternalError, LimitExceeded, NotFound, RceError, TimedOut
 from rce.process import metrics
 from rce.protocol.messages import Command, DestroyContainer
 
 START_TIMEOUT = 60.0  # seconds until everything that a command asked for must be ready
 COMMAND_TIMEOUT = 240.0  # seconds for a command as a whole: one that starts an environment may wait for both
 MAX_COMMANDS = 5000  # of one user that are in progress
+START_TOGETHER = 100  # commands of a frame that begin in one turn of the loop, and are stored in one transaction
 
+log = Logger()
 _commands = metrics.Timing("rce_command_seconds", "Time until a command was complete", "command")
 
 
@@ -40,23 +45,48 @@ class CommandExecutor:
         self._limits = limits
         self._audit = audit
         self._in_progress: Counter[str] = Counter()  # commands by user
+        self._orders: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()  # of robots whose commands begin
 
     def add_handlers(self, handlers: Handlers, process: Process) -> None:
         """Answer the commands that a Robot endpoint passes on."""
         handlers.on(Execute, lambda call: self._by_robot(process, call))
 
-    async def _by_robot(self, process: Process, call: Execute) -> Nothing:
-        robot = self._state.robots.get(call.robot)
-        if robot is None or robot.endpoint != process.name:
-            raise NotFound(f"robot {call.robot} has no session at {process.name}")
+    async def _by_robot(self, process: Process, call: Execute) -> Executed:
+        """Execute the commands of a frame, which begin in their order and after those of the robot's frames before."""
         user, _, tag = call.robot.partition("/")
-        command, origin = call.command, Origin("websocket", robot.address)
+        if len(call.commands) > MAX_COMMANDS:
+            raise LimitExceeded(f"a frame has {len(call.commands)} commands, more than {MAX_COMMANDS}: divide it")
+        self._robot_at(process, call.robot)
+        tasks: list[asyncio.Task[None]] = []
+        order = self._orders.setdefault(call.robot, asyncio.Lock())
+        async with order:
+            for packed in call.commands:
+                tasks.append(asyncio.create_task(self._one_by_robot(process, user, tag, packed, call.again)))
+                if len(tasks) % START_TOGETHER == 0:
+                    await asyncio.sleep(0)  # they begin
+            await asyncio.sleep(0)
+        errors = await asyncio.gather(*tasks, return_exceptions=True)
+        return Executed({position: info for position, error in enumerate(errors) if (info := _info(error)) is not None})
+
+    async def _one_by_robot(self, process: Process, user: str, tag: str, packed: PackedCommand, repeated: bool) -> None:
+        robot = self._robot_at(process, f"{user}/{tag}")
+        command, origin = packed.unpack(), Origin("websocket", robot.address)
         about = guests.object_of(user, tag, command)
         with self._audit.auditing(guests.operation(tag, command), user, about, origin) as action:
             action.who, action.quiet = robot.by, guests.is_exempt_from_audit(tag, command)
             guests.check_command(robot.by, self._state, user, tag, command)
-            await self.execute(user, command, call.again, tag)
-        return Nothing()
+            await self.execute(user, command, repeated, tag)
+
+    def _robot_at(self, process: Process, name: str) -> Robot:
+        """Return a robot with a session at this Robot endpoint.
+
+        Raises:
+            NotFound: It has none there.
+        """
+        robot = self._state.robots.get(name)
+        if robot is None or robot.endpoint != process.name:
+            raise NotFound(f"robot {name} has no session at {process.name}")
+        return robot
 
     async def execute(self, user: str, command: Command, repeated: bool = False, robot: str = "") -> None:
         """Execute a command of `user`; return when it is complete and stored.
@@ -120,3 +150,19 @@ class CommandExecutor:
 
 def _is_resolved(future: asyncio.Future[None]) -> bool:
     return future.done() and not future.cancelled() and future.exception() is None
+
+
+def _info(error: object) -> ErrorInfo | None:
+    """Return what a robot is told about a command that ended with `error`; None if it was executed.
+
+    Raises:
+        BaseException: `error`, if it cancels the call.
+    """
+    if isinstance(error, RceError):
+        return error.info
+    if isinstance(error, Exception):
+        log.failure("unhandled exception while executing a command of a robot", Failure(error))
+        return InternalError("internal error while executing the command: see the Master's log").info
+    if isinstance(error, BaseException):
+        raise error
+    return None

@@ -24,7 +24,7 @@ from master.graph.records import (
     ref,
 )
 from master.graph.state import State, at
-from master.graph.translation import container_data, qos_message
+from master.graph.translation import container_data, delivery_message, qos_message
 from rce.api.views import (
     ConnectionView,
     EnvironmentView,
@@ -131,6 +131,7 @@ class Presenter:
             record.address,
             qos_message(record.qos),
             record.format,
+            delivery_message(record.delivery),
             self.state.connections.count(record.key),
             self.rates.get(record.key),
         )

@@ -109,7 +109,10 @@ async def _fill(robots: Control, key: str, size: Size) -> None:
     numbers, tags = range(size.robots), range(size.each)
 
     def execute(number: int, command: m.Command) -> Callable[[], Awaitable[Any]]:
-        return lambda: robots.call(Execute.of(f"{USER}/robot{number}", command))
+        async def call() -> None:
+            (await robots.call(Execute.of(f"{USER}/robot{number}", command))).raise_first_error()
+
+        return call
 
     def login(number: int) -> Callable[[], Awaitable[Any]]:
         return lambda: robots.call(Login(USER, f"robot{number}", key))

@@ -9,7 +9,6 @@ import asyncio
 import contextlib
 import secrets
 from collections.abc import Callable
-from typing import Any
 
 from msgspec.structs import replace
 from twisted.internet.base import ReactorBase
@@ -162,10 +161,10 @@ class HollowFleet:
         await machine.endpoint.client.call(Login(user, name, key))
         machine.robots.append(f"{user}/{name}")
 
-    async def execute(self, user: str, number: int, command: m.Command) -> Any:
+    async def execute(self, user: str, number: int, command: m.Command) -> None:
         """Execute a command of robot `number`."""
         client = self.machine_of(number).endpoint.client
-        return await client.call(Execute.of(f"{user}/r{number}", command))
+        (await client.call(Execute.of(f"{user}/r{number}", command))).raise_first_error()
 
     async def stop(self) -> None:
         """Close all connections."""

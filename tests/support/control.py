@@ -75,4 +75,4 @@ async def closed(client: Control, server: Control) -> None:
 
 def execute_round_trip(command: Command) -> Command:
     """Encode a command as the call of a Robot endpoint to the Master, and decode it again."""
-    return decode_pages(encode_pages(Execute.of("ann/r1", command)), Execute).command
+    return decode_pages(encode_pages(Execute.of("ann/r1", command)), Execute).commands[0].unpack()

@@ -8,7 +8,7 @@ from msgspec import Meta, Struct
 
 from rce.control.calls.call import BatchResult, Call, Nothing
 from rce.errors import ErrorInfo
-from rce.protocol.messages import ParameterValue, Qos
+from rce.protocol.messages import Delivery, ParameterValue, Qos
 
 MAX_TEXT = 1000  # characters
 ShortText = Annotated[str, Meta(max_length=MAX_TEXT)]  # in reports of environments, which others store and forward
@@ -28,6 +28,7 @@ class InterfaceSpec(Struct, frozen=True):
     addr: str = ""
     qos: Qos = Qos()
     format: str = "png"
+    delivery: Delivery = Delivery()
 
 
 class Route(Struct, frozen=True):

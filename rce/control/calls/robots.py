@@ -9,7 +9,7 @@ from msgspec import Raw, Struct
 
 from rce.control.calls.call import Call, Nothing
 from rce.control.calls.watching import RosGraph
-from rce.errors import MALFORMED, ErrorInfo, InvalidRequest
+from rce.errors import MALFORMED, ErrorInfo, InvalidRequest, RceError
 from rce.protocol.messages import Command, StatusData
 
 _commands: dict[str, type[Command]] = {kind.__name__: kind for kind in get_args(Command)}
@@ -53,27 +53,29 @@ class SessionExpired(Call[Nothing], frozen=True):
     robot: str
 
 
-class Execute(Call[Nothing], frozen=True):
-    """Execute a robot's command; answered on completion, or with its error.
+class Executed(Struct, frozen=True):
+    """Result of `Execute`: the errors of the commands that failed, by their positions."""
 
-    `again` marks a retry of a command that was in progress when the Master was lost: it is not an error if its object
-    exists already.
-    """
+    failed: dict[int, ErrorInfo] = {}
 
-    timeout = 300.0  # longer than the Master takes for any command
-    robot: str
+    def raise_first_error(self) -> None:
+        """Raise the error of the first command that failed, if there is one.
+
+        Raises:
+            RceError: That error.
+        """
+        if self.failed:
+            raise RceError.from_info(self.failed[min(self.failed)])
+
+
+class PackedCommand(Struct, frozen=True):
+    """One command of a robot. `kind` names its type, because the structs of commands have no tag."""
+
     kind: str
     item: Raw
-    again: bool = False
 
-    @staticmethod
-    def of(robot: str, command: Command, again: bool = False) -> Execute:
-        """Make the call for a command; `kind` is needed because the structs of commands have no tag."""
-        return Execute(robot, type(command).__name__, Raw(msgspec.msgpack.encode(command)), again)
-
-    @property
-    def command(self) -> Command:
-        """The decoded command.
+    def unpack(self) -> Command:
+        """Decode the command.
 
         Raises:
             InvalidRequest: It is malformed.
@@ -84,6 +86,25 @@ class Execute(Call[Nothing], frozen=True):
             return msgspec.msgpack.decode(self.item, type=_commands[self.kind])
         except MALFORMED as error:
             raise InvalidRequest(f"{self.kind}: {error}") from None
+
+
+class Execute(Call[Executed], frozen=True):
+    """Execute the commands of a robot's frame in their order; answered when all are complete or have failed.
+
+    `again` marks a retry of commands that were in progress when the Master was lost: it is not an error if the object
+    of a command exists already.
+    """
+
+    timeout = 300.0  # longer than the Master takes for any command
+    robot: str
+    commands: list[PackedCommand]
+    again: bool = False
+
+    @staticmethod
+    def of(robot: str, *commands: Command, again: bool = False) -> Execute:
+        """Make the call for commands of a robot, `userID/robotID`."""
+        packed = [PackedCommand(type(each).__name__, Raw(msgspec.msgpack.encode(each))) for each in commands]
+        return Execute(robot, packed, again)
 
 
 Sort = Literal["msg", "srv", "action"]

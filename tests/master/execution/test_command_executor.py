@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import pytest
+import sqlalchemy as sa
 
 from master.execution import command_executor
-from master.execution.command_executor import COMMAND_TIMEOUT, START_TIMEOUT
+from master.execution.command_executor import COMMAND_TIMEOUT, START_TIMEOUT, START_TOGETHER
 from master.graph import reconcile
 from master.graph.records import Parameter, Robot
 from master.service import ASK_TIMEOUT
+from master.storage import store
 from rce.api.roles import Principal, Scopes
 from rce.control.calls.endpoints import AddRoute, Bind, OpenLink, PutParameter, StartNode, StopNode, Unbind
 from rce.control.calls.environments import StartEnvironment, StopEnvironment
-from rce.control.calls.robots import DescribeType, Execute
+from rce.control.calls.robots import DescribeType, Execute, Executed
 from rce.errors import (
     AlreadyExists,
     Forbidden,
@@ -28,6 +32,7 @@ from rce.errors import (
 from rce.protocol import messages as m
 from tests.support.master.desk import Desk, Peer
 from tests.support.master.fleet import interface
+from tests.support.master.peers import Furnished
 
 
 @pytest.fixture
@@ -155,12 +160,15 @@ def test_command_ends_without_an_error_if_a_later_one_removes_its_object(desk: D
 # --- commands of robots -----------------------------------------------------------------------------------------------
 
 
-def by_robot(desk: Desk, command: m.Command, robot: str = "ann/r1", endpoint: str = "west") -> RceError | None:
-    call = Execute.of(robot, command)
+def frame(desk: Desk, *commands: m.Command, robot: str = "ann/r1", endpoint: str = "west") -> asyncio.Task[Executed]:
+    """Begin the commands of a frame."""
     process = desk.state.processes[endpoint]
-    error = desk.hand.begin(desk.master.commands._by_robot(process, call)).exception()
-    assert error is None or isinstance(error, RceError)
-    return error
+    return desk.hand.begin(desk.master.commands._by_robot(process, Execute.of(robot, *commands)))
+
+
+def by_robot(desk: Desk, command: m.Command, robot: str = "ann/r1", endpoint: str = "west") -> RceError | None:
+    executed = frame(desk, command, robot=robot, endpoint=endpoint).result()
+    return RceError.from_info(executed.failed[0]) if executed.failed else None
 
 
 def test_command_of_a_robot_changes_the_things_of_its_user(desk: Desk, brain: Peer) -> None:
@@ -172,8 +180,44 @@ def test_command_of_a_robot_changes_the_things_of_its_user(desk: Desk, brain: Pe
 def test_command_of_a_robot_without_a_session_at_its_endpoint_is_refused(
     desk: Desk, brain: Peer, robot: str, endpoint: str
 ) -> None:
-    assert isinstance(by_robot(desk, m.SetParameter("brain", "rate", 1), robot, endpoint), NotFound)
+    task = frame(desk, m.SetParameter("brain", "rate", 1), robot=robot, endpoint=endpoint)
+    assert isinstance(task.exception(), NotFound)
     assert values(desk) == {}
+
+
+def test_failed_command_of_a_frame_does_not_stop_the_others(desk: Desk, brain: Peer) -> None:
+    executed = frame(
+        desk, m.SetParameter("brain", "a", 1), m.RemoveNode("brain", "none"), m.SetParameter("brain", "b", 2)
+    ).result()
+    assert {position: info.code for position, info in executed.failed.items()} == {1: "not_found"}
+    assert values(desk) == {"a": 1, "b": 2}
+
+
+async def test_commands_of_a_frame_are_stored_in_one_transaction(
+    furnished: Furnished, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[int] = []
+    put = store._put
+
+    def counted(connection: sa.Connection, rows: dict[tuple[str, str], str | None]) -> None:
+        written.append(len(rows))
+        put(connection, rows)
+
+    await furnished.platform.store.save(furnished.platform.master.state)
+    monkeypatch.setattr(store, "_put", counted)
+    commands = [m.SetParameter("brain", f"p{number}", number) for number in range(START_TOGETHER)]
+    executed = await furnished.west.call(Execute.of("ann/r1", *commands))
+    assert executed == Executed()
+    assert written == [START_TOGETHER]
+
+
+def test_frames_of_a_robot_are_executed_in_their_order(desk: Desk, brain: Peer) -> None:
+    """Also if the first one is so long that others get a turn meanwhile."""
+    long = [m.SetParameter("brain", "rate", number) for number in range(3 * START_TOGETHER)]
+    first, second = frame(desk, *long), frame(desk, m.SetParameter("brain", "rate", -1))
+    desk.hand.settle()
+    assert [first.done(), second.done()] == [True, True]
+    assert values(desk) == {"rate": -1}
 
 
 def test_command_beyond_the_rights_of_the_robots_key_is_refused(desk: Desk, brain: Peer) -> None:

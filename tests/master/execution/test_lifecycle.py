@@ -38,7 +38,7 @@ async def test_environment_is_acknowledged_when_it_is_in_sync(platform: Platform
     brain = await platform.process("environment", spec.name, token=spec.token)
     sync = await brain.next(Sync)
     assert [each.tag for each in sync.nodes] == ["n"]
-    assert (await made, await node) == (Nothing(), Nothing())
+    await asyncio.gather(made, node)
     await execute(west, "ann/r1", m.DestroyContainer("brain"))
     assert (await m1.next(StopEnvironment)).name == "ann/brain"
 

@@ -12,7 +12,7 @@ from twisted.internet.base import ReactorBase
 
 from rce.bench import crowd
 from rce.bench.crowd import MAX_CONCURRENT, Size
-from rce.control.calls.robots import Execute, Login
+from rce.control.calls.robots import Execute, Executed, Login
 from rce.control.connection import Control
 from rce.process.ready import Ready
 
@@ -25,15 +25,16 @@ class Master:
         self.most = 0
         self._open = 0
 
-    async def call(self, call: Any) -> None:
+    async def call(self, call: Any) -> Executed:
         self._open += 1
         self.most = max(self.most, self._open)
         await asyncio.sleep(0)
         self._open -= 1
         self.calls.append(call)
+        return Executed()
 
     def commands(self) -> list[Any]:
-        return [call.command for call in self.calls if isinstance(call, Execute)]
+        return [each.unpack() for call in self.calls if isinstance(call, Execute) for each in call.commands]
 
 
 def test_interfaces_are_counted_at_both_ends() -> None:

@@ -19,7 +19,7 @@ from rce.control.calls.call import BatchResult, Call, Nothing
 from rce.control.calls.endpoints import AddRoute, Bind, Sync
 from rce.control.calls.environments import KeepEnvironments, SetRelays, StartEnvironment, StopEnvironment
 from rce.control.calls.joining import Hello, SetRemovedMachines
-from rce.control.calls.robots import Definitions, DescribeType, Execute, LoggedIn, Login, SendStatus
+from rce.control.calls.robots import Definitions, DescribeType, Execute, Executed, LoggedIn, Login, SendStatus
 from rce.control.calls.watching import ReadGraph, RosGraph, RosNode
 from rce.control.client import connect
 from rce.control.connection import Control, Handlers
@@ -162,8 +162,12 @@ class Platform:
         return peer
 
 
-def execute(endpoint: Peer, robot: str, command: m.Command, again: bool = False) -> Awaitable[Any]:
-    return asyncio.ensure_future(endpoint.call(Execute.of(robot, command, again)))
+def execute(endpoint: Peer, robot: str, command: m.Command, again: bool = False) -> Awaitable[None]:
+    async def call() -> None:
+        executed: Executed = await endpoint.call(Execute.of(robot, command, again=again))
+        executed.raise_first_error()
+
+    return asyncio.ensure_future(call())
 
 
 async def login(endpoint: Peer, robot: str, resume: str = "") -> LoggedIn:

@@ -29,7 +29,7 @@ from rce.control.calls.call import BatchResult, Call, Nothing
 from rce.control.calls.endpoints import Sync
 from rce.control.calls.environments import StartEnvironment, StopEnvironment
 from rce.control.calls.joining import Hello
-from rce.control.calls.robots import Definitions, DescribeType, Login
+from rce.control.calls.robots import Definitions, DescribeType, Execute, Executed, Login
 from rce.control.calls.watching import (
     CountTraffic,
     Log,
@@ -42,7 +42,7 @@ from rce.control.calls.watching import (
     Traffic,
     Usage,
 )
-from rce.control.connection import Control, Handlers
+from rce.control.connection import Control, Handlers, decode_pages
 from rce.errors import RceError
 from rce.web.server import Endpoint, parse_endpoint
 
@@ -137,6 +137,9 @@ class Served:
         handlers = self.peers[process].handlers
         good, pages = await handlers.answer(type(call).__name__, [msgspec.msgpack.encode(call)])
         assert good, pages
+        if isinstance(call, Execute):
+            failed = decode_pages(pages, Executed).failed
+            assert not failed, failed
         return pages
 
     async def wait_for_call(self, process: str, call: Call[Any]) -> None:

@@ -130,7 +130,10 @@ async def trial(reactor: ReactorBase) -> None:
                 )
 
             def execute(number: int, command: m.Command) -> Callable[[], Awaitable[Any]]:
-                return lambda: robots.call(Execute.of(f"u{number % USERS}/r{number}", command))
+                async def call() -> None:
+                    (await robots.call(Execute.of(f"u{number % USERS}/r{number}", command))).raise_first_error()
+
+                return call
 
             def login(number: int) -> Callable[[], Awaitable[Any]]:
                 return lambda: robots.call(Login(f"u{number % USERS}", f"r{number}", keys[number % USERS]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from rce.control.calls.robots import Execute
+from rce.control.calls.robots import Execute, PackedCommand
 from rce.control.connection import decode_pages, encode_pages
 from rce.errors import InvalidRequest
 from rce.protocol import messages as m
@@ -30,6 +30,6 @@ def test_command_is_unchanged_after_the_call(command: m.Command) -> None:
 
 @pytest.mark.parametrize(("kind", "item"), [("Nothing", {}), ("Connect", {"tagA": 1}), ("Connect", [])])
 def test_call_with_a_malformed_command_is_refused(kind: str, item: object) -> None:
-    call = Execute("ann/r1", kind, msgspec.Raw(msgspec.msgpack.encode(item)))
+    call = Execute("ann/r1", [PackedCommand(kind, msgspec.Raw(msgspec.msgpack.encode(item)))])
     with pytest.raises(InvalidRequest):
-        _ = decode_pages(encode_pages(call), Execute).command
+        decode_pages(encode_pages(call), Execute).commands[0].unpack()
