@@ -32,7 +32,7 @@ from rce.control.calls.robots import Sort
 from rce.control.calls.watching import RosGraph
 from rce.errors import RceError, TimedOut, Unavailable
 from rce.protocol import messages as m
-from rce.protocol.blobs import BinaryFrame, Buffer
+from rce.protocol.blobs import PART, BinaryFrame, Buffer
 
 FEATURES = frozenset({"ack", "events"})
 CHECK = 3.0  # seconds; an environment that is still starting is not waited for longer
@@ -121,6 +121,11 @@ class Guest:
             self.endpoint.finished(self._session)
 
     # --- Socket of the session ----------------------------------------------------------------------------------------
+
+    @property
+    def part(self) -> int:
+        """Bytes of the next part of a large message."""
+        return PART
 
     def write(self, piece: Piece) -> bool:
         """Send a piece to the client in the form of its protocol; return True if there is room for more."""

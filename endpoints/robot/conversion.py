@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
@@ -87,12 +88,14 @@ class Outgoing:
         start: Its text frame up to the message's content.
         message: The message.
         keep: Number of messages of its interface that may wait, the newest; None for all.
+        until: Time of the monotonic clock by which it must begin to be sent.
     """
 
     codec: Codec
     start: bytes
     message: Message
     keep: int | None
+    until: float = math.inf
 
     def convert(self) -> tuple[Buffer, Mapping[str, Buffer]]:
         """Return the text frame and the blobs; raises ConversionError."""

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import math
 from collections.abc import Iterator, Mapping
-from time import perf_counter
+from time import monotonic, perf_counter
 
 import msgspec
 from msgspec import UNSET
@@ -27,6 +28,7 @@ from endpoints.robot.workers import Workers
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import InvalidRequest, LimitExceeded, NotConnected, RceError
 from rce.net.budget import OVERHEAD
+from rce.net.outbox import Priority
 from rce.protocol.blobs import ID_SIZE, Buffer, binary_frames
 from rce.protocol.messages import MAX_MSG_ID, DataMessage
 from rce.protocol.names import parse_type
@@ -49,6 +51,8 @@ class RobotInterface(Interface):
         user = session.name.partition("/")[0]
         self._from_robot = FromRobot(workers, user)
         self._to_robot = ToRobot(workers, user, self._converted, self.undelivered)
+        self._priority = Priority[spec.delivery.priority.upper()]
+        self._max_age = spec.delivery.maxAge or math.inf
         self._type = parse_type(spec.type)
         quoted = msgspec.json.encode({"iTag": spec.tag, "type": spec.type})[:-1]
         self._head = b'{"type":"DM","data":' + quoted + b',"msgID":'
@@ -93,20 +97,35 @@ class RobotInterface(Interface):
         The message is converted when it leaves the queue, so a dropped message costs no conversion.
         """
         size = len(message.payload) + OVERHEAD
-        outgoing = Outgoing(codec, self._head + msgspec.json.encode(msg_id) + more, message, keep)
+        until = monotonic() + self._max_age
+        outgoing = Outgoing(codec, self._head + msgspec.json.encode(msg_id) + more, message, keep, until)
         if self._to_robot.empty and codec.decodes_fast(message.payload):
-            dropped = self.session.outbox.put(self.id, self._pieces(outgoing), keep, size, self)
+            dropped = self._put_in_outbox(outgoing, self._pieces(outgoing), size)
         else:
             dropped = self._to_robot.put(outgoing, size, self)
         if dropped:
             self.dropped += dropped
             self.report_drops()
 
+    def _put_in_outbox(self, outgoing: Outgoing, pieces: Iterator[Piece], size: int) -> int:
+        """Queue the pieces of a message; return the number of dropped messages."""
+        outbox = self.session.outbox
+        return outbox.put(self.id, pieces, outgoing.keep, size, self, self._priority)
+
     def backlog(self) -> int:
         """Return the number of messages that wait for the robot."""
         return self._to_robot.backlog() + self.session.outbox.backlog(self.id)
 
+    def _too_old(self, outgoing: Outgoing) -> bool:
+        """Return whether the turn of a message comes too late; count and report it if so."""
+        if monotonic() <= outgoing.until:
+            return False
+        asyncio.get_running_loop().call_soon(self.evicted, 1)  # later: this runs within the robot's queue
+        return True
+
     def _pieces(self, outgoing: Outgoing) -> Iterator[Piece]:
+        if self._too_old(outgoing):
+            return
         try:
             frame, blobs = outgoing.convert()
             self._check_size(frame, blobs)
@@ -124,14 +143,15 @@ class RobotInterface(Interface):
             self._to_robot.proceed()
             return
         size = len(frame) + sum(map(len, blobs.values())) + OVERHEAD
-        pieces = self._begun(self._frames(outgoing.message, frame, blobs))
-        dropped = self.session.outbox.put(self.id, pieces, outgoing.keep, size, self)
+        pieces = self._begun(outgoing, self._frames(outgoing.message, frame, blobs))
+        dropped = self._put_in_outbox(outgoing, pieces, size)
         if dropped:
             self.evicted(dropped)
 
-    def _begun(self, pieces: Iterator[Piece]) -> Iterator[Piece]:
+    def _begun(self, outgoing: Outgoing, pieces: Iterator[Piece]) -> Iterator[Piece]:
         self._to_robot.proceed()
-        yield from pieces
+        if not self._too_old(outgoing):
+            yield from pieces
 
     def _check_size(self, frame: Buffer, blobs: Mapping[str, Buffer]) -> None:
         """Raise LimitExceeded if a robot cannot receive a message; with `parts` its blobs may have any size."""
@@ -147,7 +167,7 @@ class RobotInterface(Interface):
 
     def _frames(self, message: Message, frame: Buffer, blobs: Mapping[str, Buffer]) -> Iterator[Piece]:
         parts = self.session.parts
-        frames = binary_frames(blobs, parts)
+        frames = binary_frames(blobs, parts, self.session.part)
         if parts:
             yield [frame]
             yield from ([each] for each in frames)
@@ -160,7 +180,7 @@ class RobotInterface(Interface):
         self.session.error(error.with_item(self.spec.tag))
 
     def evicted(self, count: int) -> None:
-        """Count and report messages that were dropped from a queue because a larger budget was exceeded."""
+        """Count and report messages that were dropped from a queue: a budget was exceeded, or they were too old."""
         super().evicted(count)
         self.report_drops()
         self._to_robot.proceed()  # the message of which it waits may be among them
@@ -181,6 +201,8 @@ class Publisher(RobotInterface):
     ) -> None:
         super().__init__(spec, hops, session, workers)
         self._codec = codec
+        if spec.delivery.rate:
+            self.set_pace(1 / spec.delivery.rate, length=1)
 
     def receive(self, message: Message, link: Link) -> None:
         """Queue a message for the robot; with `keep_all`, pause the link while the queue is full."""

@@ -21,6 +21,7 @@ from endpoints.robot.endpoint import RobotEndpoint
 from endpoints.robot.handshake import refusal_status, wants_close_code
 from endpoints.robot.session import Piece
 from rce.errors import RceError
+from rce.net.flight import Flight, flight_of
 from rce.net.listener import Listener, bind
 from rce.net.pending_logins import PendingLogin
 from rce.net.sockets import tune
@@ -93,6 +94,8 @@ class ClientSocket(WebSocketServerProtocol):
         self._full = False
         self._reason = ""
         self._timer: asyncio.TimerHandle | None = None
+        self._flight = Flight(lambda: None)  # holds nothing back
+        self._look: asyncio.TimerHandle | None = None  # the next look whether the line has room
         self._pauses: set[asyncio.Future[None]] = set()  # reading is paused until all are done
         self._data_received = False  # since the last tick
         self._silent_ticks = 0
@@ -150,12 +153,14 @@ class ClientSocket(WebSocketServerProtocol):
         self._timer = asyncio.get_running_loop().call_later(TICK, self._tick)
         self.transport.set_write_buffer_limits(high=HIGH_WATER)
         tune(self.transport)
+        self._flight = flight_of(self.transport.get_extra_info("socket"))
         self._client.opened(self)
 
     def onClose(self, wasClean: bool, code: int | None, reason: str | None) -> None:
         """Tell the client that its socket is closed."""
-        if self._timer is not None:
-            self._timer.cancel()
+        for timer in (self._timer, self._look):
+            if timer is not None:
+                timer.cancel()
         if self._client is None:
             return
         if self._opened:
@@ -257,7 +262,28 @@ class ClientSocket(WebSocketServerProtocol):
                 self._send_large(TextFrame(b"", memoryview(frame)), TEXT)
             else:
                 self.sendMessage(bytes(frame))
-        return not self._full
+        return not self._full and self._has_room()
+
+    @property
+    def part(self) -> int:
+        """Bytes of the next part of a large message."""
+        return self._flight.part
+
+    def _has_room(self) -> bool:
+        """Return whether the line has room; look again later if it has none."""
+        seconds = self._flight.wait()
+        if seconds and self._look is None:
+            self._look = asyncio.get_running_loop().call_later(seconds, self._look_again)
+        return not seconds
+
+    def _look_again(self) -> None:
+        self._look = None
+        self._proceed()
+
+    def _proceed(self) -> None:
+        """Let messages leave the outbox if the line has room."""
+        if self.state == self.STATE_OPEN and not self._full and self._client is not None and self._has_room():
+            self._client.proceed()
 
     def _send_large(self, frame: BinaryFrame | TextFrame, kind: bytes) -> None:
         """Send one final, unmasked frame (RFC 6455, section 5.2); `sendMessage` would copy it twice."""
@@ -341,8 +367,8 @@ class ClientSocket(WebSocketServerProtocol):
         if self._pending_pong is not None:
             payload, self._pending_pong = self._pending_pong, None
             self.onPing(payload)
-        if self._client is not None and self._opened and self.state == self.STATE_OPEN:
-            self._client.proceed()
+        if self._opened:
+            self._proceed()
 
 
 class _Factory(WebSocketServerFactory):

@@ -30,6 +30,7 @@ from rce.protocol.variables import check_variables
 from rce.spelling import tags, unknown, with_article
 
 KINDS = get_args(m.InterfaceType)
+TOPICS_OF_ROBOTS = ("PublisherConverter", "PublisherForwarder", "SubscriberConverter", "SubscriberForwarder")
 
 
 class CommandContext(NamedTuple):
@@ -84,8 +85,12 @@ def create_container(context: CommandContext, command: m.CreateContainer) -> Out
     if context.repeated and name in state.environments:
         return Outcome([], [ref(state.environments[name])])
     if name in state.environments or name in state.robots:
-        kind = "an environment" if name in state.environments else "a robot"
-        raise AlreadyExists(f"containerTag {command.containerTag} is in use by {kind} of yours", field="containerTag")
+        kind = "environment" if name in state.environments else "robot"
+        raise AlreadyExists(
+            f"containerTag {command.containerTag} is in use by {with_article(kind)} of yours",
+            field="containerTag",
+            kind=kind,
+        )
     check_variables(command.containerData.env)
     options = granted(policy, options_from(command.containerData))
     check_totals(state, user, policy, options)
@@ -193,6 +198,12 @@ def _owner_of_new_interface(context: CommandContext, command: m.AddInterface, ki
     if kind not in KINDS:
         raise InvalidRequest(
             f"interfaceType {kind[:80]!r} does not exist; it is one of {', '.join(KINDS)}", field="interfaceType"
+        )
+    if command.delivery != m.Delivery() and kind not in TOPICS_OF_ROBOTS:
+        raise InvalidRequest(
+            f"{with_article(kind)} has no delivery: give it to an interface of a robot for a topic, which is one of "
+            f"{', '.join(TOPICS_OF_ROBOTS)}",
+            field="delivery",
         )
     if split_kind(kind)[1] == "Interface":
         owner = context.environment(command.endpointTag, "endpointTag").name

@@ -177,6 +177,14 @@ class Qos(Struct, frozen=True, omit_defaults=True):
     depth: int = 0
 
 
+class Delivery(Struct, frozen=True, omit_defaults=True):
+    """How messages of a topic cross the line between a robot and the cloud; 0 is no limit."""
+
+    priority: Literal["high", "normal", "low"] = "normal"
+    max_age: float = 0.0  # seconds
+    rate: float = 0.0  # messages per second
+
+
 class Interface(Struct, frozen=True):
     """An interface of a robot or an environment; its `owner` exists.
 
@@ -193,6 +201,7 @@ class Interface(Struct, frozen=True):
     qos: Qos = Qos()
     format: str = "png"
     by: str = ""
+    delivery: Delivery = Delivery()
 
     @property
     def key(self) -> str:

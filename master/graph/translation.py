@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from master.graph.records import EnvironmentOptions, Interface, IoRates, Node, Parameter, Qos
+from master.graph.records import Delivery, EnvironmentOptions, Interface, IoRates, Node, Parameter, Qos
 from rce.control.calls.endpoints import InterfaceSpec, NodeSpec, ParameterSpec
 from rce.protocol import messages as m
 
@@ -51,12 +51,19 @@ def parameter_spec(parameter: Parameter) -> ParameterSpec:
 def interface_from(id: str, owner: str, kind: str, command: m.AddInterface) -> Interface:
     """Return the record of an interface that a command adds to `owner`."""
     qos = Qos(command.qos.reliability, command.qos.durability, command.qos.history, command.qos.depth)
-    return Interface(id, owner, command.interfaceTag, kind, command.className, command.addr, qos, command.format)
+    delivery = Delivery(command.delivery.priority, command.delivery.maxAge, command.delivery.rate)
+    named = (command.interfaceTag, kind, command.className, command.addr)
+    return Interface(id, owner, *named, qos, command.format, delivery=delivery)
 
 
 def qos_message(qos: Qos) -> m.Qos:
     """Return quality of service as robots and views see it."""
     return m.Qos(qos.reliability, qos.durability, qos.history, qos.depth)
+
+
+def delivery_message(delivery: Delivery) -> m.Delivery:
+    """Return how messages cross the line, as robots and views see it."""
+    return m.Delivery(delivery.priority, delivery.max_age, delivery.rate)
 
 
 def interface_spec(interface: Interface) -> InterfaceSpec:
@@ -70,4 +77,5 @@ def interface_spec(interface: Interface) -> InterfaceSpec:
         interface.address,
         qos_message(interface.qos),
         interface.format,
+        delivery_message(interface.delivery),
     )

@@ -21,6 +21,7 @@ from websockets.exceptions import InvalidHandshake, InvalidStatus, InvalidURI
 from websockets.typing import Subprotocol
 
 from rce.api.http import reason_of
+from rce.client.dialing import dial, has_proxy
 from rce.errors import (
     MALFORMED,
     AlreadyExists,
@@ -84,8 +85,11 @@ class Address:
         if (self.password is None) == (self.key is None):
             raise InvalidRequest("give either a password or an API key", field="password")
 
-    async def locate(self) -> str:
+    async def locate(self, patient: bool = False) -> str:
         """Ask the Master's entry for the WebSocket address of a Robot endpoint.
+
+        Args:
+            patient: Wait until the entry can be reached, for OPEN_TIMEOUT at most.
 
         Raises:
             Unavailable: The entry cannot be reached or is not that of an RCE platform.
@@ -94,6 +98,11 @@ class Address:
         parts = urlsplit(self.url)
         query = urlencode({"userID": self.user, "version": CURRENT_VERSION})
         url = urlunsplit((parts.scheme, parts.netloc, parts.path or "/", query, ""))
+        if patient and not has_proxy(socket_url := "ws" + self.url.removeprefix("http")):
+            try:
+                (await dial(socket_url, OPEN_TIMEOUT)).close()
+            except OSError as error:  # also TimeoutError
+                raise Unavailable(f"cannot reach {self.url}: {error or 'no answer'}") from None
         body = await asyncio.to_thread(self._get, url)
         try:
             return msgspec.json.decode(body, type=dict[str, str])["url"]
@@ -178,10 +187,12 @@ class Address:
         parts = urlsplit(endpoint)
         uri = urlunsplit((parts.scheme, parts.netloc, parts.path or "/", urlencode(query), ""))
         try:
+            sock = None if not _is_loopback(endpoint) and has_proxy(uri) else await dial(uri, OPEN_TIMEOUT)
             connection = await connect(
                 uri,
                 ssl=(self.ssl or True) if parts.scheme == "wss" else None,
-                proxy=None if _is_loopback(endpoint) else True,
+                proxy=True if sock is None else None,
+                sock=sock,
                 compression="deflate" if self.compress else None,
                 open_timeout=OPEN_TIMEOUT,
                 ping_interval=10,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Mapping
 from typing import Literal, NamedTuple, get_args
@@ -42,31 +43,45 @@ class Backlog:
             raise InvalidRequest(f"offline={offline!r}: write {', '.join(get_args(Offline))}", field="offline")
         self.offline = offline
         self.dropped = 0
-        self._messages: deque[Encoded] = deque()
+        self._messages: deque[tuple[Encoded, float]] = deque()  # each with the time until which it is of use
         self._bytes = 0
         self._most = MOST_MESSAGES if offline == "store" else 1
 
     def __len__(self) -> int:
         return len(self._messages)
 
-    def put(self, message: Encoded, possible: bool) -> None:
-        """Add a message; `possible` says whether it can be sent now."""
+    def put(self, message: Encoded, possible: bool, until: float = math.inf) -> None:
+        """Add a message.
+
+        Args:
+            message: The message.
+            possible: Whether it can be sent now.
+            until: Time until which it is of use; see `drop_old`.
+        """
         if self.offline == "drop" and not possible:
             self.dropped += 1
             return
-        self._messages.append(message)
+        self._messages.append((message, until))
         self._bytes += message.size
         while len(self._messages) > self._most or (self._bytes > MOST_BYTES and len(self._messages) > 1):
-            self.remove(self._messages[0])
-            self.dropped += 1
+            self._drop_first()
+
+    def drop_old(self, now: float) -> None:
+        """Drop the messages that are of no use any more."""
+        while self._messages and self._messages[0][1] < now:
+            self._drop_first()
+
+    def _drop_first(self) -> None:
+        self.remove(self._messages[0][0])
+        self.dropped += 1
 
     def first(self) -> Encoded | None:
         """Return the oldest message, which stays until it is removed."""
-        return self._messages[0] if self._messages else None
+        return self._messages[0][0] if self._messages else None
 
     def remove(self, message: Encoded) -> None:
         """Remove the oldest message, if it is this one."""
-        if self._messages and self._messages[0] is message:
+        if self._messages and self._messages[0][0] is message:
             self._messages.popleft()
             self._bytes -= message.size
 

@@ -32,7 +32,7 @@ from rce.client.operations import EnvironmentOptions, Format
 from rce.client.robot import Robot
 from rce.client.session import NAME_WAIT
 from rce.client.threads import Blocking, BlockingStream, LoopThread, blocking
-from rce.protocol.messages import Qos
+from rce.protocol.messages import Delivery, Qos
 
 P = ParamSpec("P")
 W = TypeVar("W")
@@ -98,6 +98,7 @@ class BlockingEnvironment(Blocking[Environment]):
         qos: Qos | None = None,
         raw: bool = False,
         format: Format = "png",
+        delivery: Delivery | None = None,
     ) -> BlockingSubscriber:
         """Subscribe to a topic of the environment; see `Environment.subscriber`.
 
@@ -105,7 +106,9 @@ class BlockingEnvironment(Blocking[Environment]):
         """
         call = in_thread(callback) if callback is not None else None
         subscriber = self._thread.wait(
-            self.inner.subscriber(topic, type_name, callback=call, depth=depth, qos=qos, raw=raw, format=format)
+            self.inner.subscriber(
+                topic, type_name, callback=call, depth=depth, qos=qos, raw=raw, format=format, delivery=delivery
+            )
         )
         return BlockingSubscriber(self._thread, subscriber)
 
@@ -300,6 +303,7 @@ class BlockingRobot(Blocking[Robot]):
         raw: bool = False,
         format: Format = "png",
         qos: Qos | None = None,
+        delivery: Delivery | None = None,
     ) -> BlockingSubscriber:
         """Add an interface through which the robot receives messages; see `Robot.subscriber`.
 
@@ -307,7 +311,17 @@ class BlockingRobot(Blocking[Robot]):
         """
         call = in_thread(callback) if callback is not None else None
         subscriber = self._thread.wait(
-            self.inner.subscriber(tag, type_name, to=to, callback=call, depth=depth, raw=raw, format=format, qos=qos)
+            self.inner.subscriber(
+                tag,
+                type_name,
+                to=to,
+                callback=call,
+                depth=depth,
+                raw=raw,
+                format=format,
+                qos=qos,
+                delivery=delivery,
+            )
         )
         return BlockingSubscriber(self._thread, subscriber)
 

@@ -17,8 +17,10 @@ from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed
 
 from rce.client.address import FEATURES_HEADER, Address
+from rce.client.dialing import address_is_gone
 from rce.errors import InvalidRequest, RceError, TimedOut, Unavailable
-from rce.net.outbox import Outbox
+from rce.net.flight import flight_of
+from rce.net.outbox import Outbox, Priority
 from rce.protocol.assembler import Assembled, Assembler, AssemblyResult
 from rce.protocol.blobs import Buffer, binary_frames
 from rce.protocol.messages import (
@@ -36,6 +38,7 @@ from rce.protocol.messages import (
 SWEEP_INTERVAL = 15.0
 SESSION_TIMEOUT = 10.0
 FLUSH_TIMEOUT = 5.0
+LOOK = 0.25  # seconds between two looks whether the line is dead
 
 log = logging.getLogger("rce.client")
 
@@ -77,6 +80,7 @@ class Connection:
         self._piece = Piece(b"", False)
         self._has_piece = asyncio.Event()
         self._written = asyncio.Event()
+        self._flight = flight_of(socket.transport.get_extra_info("socket"))
 
     @staticmethod
     async def open(address: Address, endpoint: str, token: str) -> Connection:
@@ -113,22 +117,40 @@ class Connection:
             return first.data
         raise Unavailable(f"{self.endpoint} grants features, but its first frame is not a session status")
 
-    def put(self, source: str, pieces: Iterator[Piece], keep: int | None = None) -> int:
+    def put(
+        self, source: str, pieces: Iterator[Piece], keep: int | None = None, priority: Priority = Priority.NORMAL
+    ) -> int:
         """Queue the frames of one message; see `Outbox.put`."""
-        return self._outbox.put(source.encode(), pieces, keep)
+        return self._outbox.put(source.encode(), pieces, keep, priority=priority)
 
-    def put_message(self, source: str, text: bytes, blobs: Mapping[str, Buffer], keep: int | None = None) -> int:
-        """Queue a text frame with its blobs; return how many older messages of the source were dropped for it."""
-        return self.put(source, self._pieces(text, blobs), keep)
+    def put_message(
+        self,
+        source: str,
+        text: bytes,
+        blobs: Mapping[str, Buffer],
+        keep: int | None = None,
+        priority: Priority = Priority.NORMAL,
+        may_start: Callable[[], bool] = lambda: True,
+    ) -> int:
+        """Queue a text frame with its blobs.
 
-    def send_message(self, source: str, text: bytes, blobs: Mapping[str, Buffer], on_start: Callable[[], None]) -> None:
-        """Queue a text frame with its blobs and call `on_start` when they begin to be written."""
+        Args:
+            source: Source of the message.
+            text: The text frame.
+            blobs: Its blobs by id.
+            keep: Number of messages of the source that may wait, the newest; None for all.
+            priority: Priority of the source.
+            may_start: Called when the turn of the message comes; returns False to drop it.
+
+        Returns:
+            The number of older messages of the source that were dropped for it.
+        """
 
         def pieces() -> Iterator[Piece]:
-            on_start()
-            yield from self._pieces(text, blobs)
+            if may_start():
+                yield from self._pieces(text, blobs)
 
-        self.put(source, pieces())
+        return self.put(source, pieces(), keep, priority)
 
     def put_text(self, source: str, text: bytes, on_sent: Callable[[], None]) -> None:
         """Queue a text frame and call `on_sent` once it has been written."""
@@ -148,7 +170,7 @@ class Connection:
 
         Yielded errors are malformed or incomplete messages of the server; they do not end the connection.
         """
-        sender = asyncio.create_task(self._send())
+        sender, watcher = asyncio.create_task(self._send()), asyncio.create_task(self._watch())
         try:
             while True:
                 payload = await self._socket.recv(decode=False)
@@ -164,7 +186,8 @@ class Connection:
             return
         finally:
             sender.cancel()
-            await asyncio.wait([sender])
+            watcher.cancel()
+            await asyncio.wait([sender, watcher])
             self._outbox.clear()  # last: no sender may wait for room afterwards
             self._written.set()
 
@@ -189,7 +212,7 @@ class Connection:
 
     def _pieces(self, text: bytes, blobs: Mapping[str, Buffer]) -> Iterator[Piece]:
         yield Piece(text, True)
-        for frame in binary_frames(blobs, "parts" in self.features):
+        for frame in binary_frames(blobs, "parts" in self.features, lambda: self._flight.part):
             yield Piece(frame.join(), False)
 
     def _next(self, piece: Piece) -> bool:
@@ -203,6 +226,8 @@ class Connection:
             self._has_piece.clear()
             try:
                 await self._socket.send(self._piece.payload, text=self._piece.text)
+                while seconds := self._flight.wait():  # noqa: ASYNC110  # the kernel does not tell when there is room
+                    await asyncio.sleep(seconds)
                 self._outbox.resume()
             except ConnectionClosed:
                 return
@@ -210,6 +235,16 @@ class Connection:
                 self._socket.transport.abort()  # without its sender the connection is of no use: reconnect
                 raise
             self._written.set()
+
+    async def _watch(self) -> None:
+        """Drop the connection when its line is dead, so that the session reconnects."""
+        sock = self._socket.transport.get_extra_info("socket")
+        while True:
+            await asyncio.sleep(LOOK)
+            if self._flight.stalled() or address_is_gone(sock):
+                log.info("the line to %s is dead: connecting again", self.endpoint)
+                self._socket.transport.abort()
+                return
 
     def _decode(self, payload: bytes) -> Incoming | None:
         """Distinguish text from binary frames by the first byte: a blob id begins with a hex digit, JSON does not."""

@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from rce.errors import AlreadyExists
-from rce.protocol.messages import InterfaceType, NodeRestart, ParameterValue, Qos
+from rce.protocol.messages import Delivery, InterfaceType, NodeRestart, ParameterValue, Qos
 from rce.protocol.names import is_guest
 
 if TYPE_CHECKING:  # Robot imports this module
@@ -162,6 +162,7 @@ class Environment:
         raw: bool = False,
         format: Format = "png",
         offline: Offline = "drop",
+        delivery: Delivery | None = None,
     ) -> Publisher:
         """Publish on a topic of the environment.
 
@@ -174,6 +175,7 @@ class Environment:
                 `ros1`. Other formats are converters of the Robot endpoint.
             offline: What `publish(…, wait=False)` does with messages that cannot be sent: `drop`, keep the `newest`, or
                 `store`; see `Publisher`.
+            delivery: Priority, greatest age and rate of messages on the line from the robot.
 
         Returns:
             A connected publisher.
@@ -188,7 +190,9 @@ class Environment:
         """
         to = await self._interface(topic, "pub", "PublisherInterface", type_name, qos)
         tag = self._own_tag(to)
-        return await self.robot.publisher(tag, type_name, to=to, raw=raw, format=format, qos=qos, offline=offline)
+        return await self.robot.publisher(
+            tag, type_name, to=to, raw=raw, format=format, qos=qos, offline=offline, delivery=delivery
+        )
 
     async def subscriber(
         self,
@@ -200,6 +204,7 @@ class Environment:
         qos: Qos | None = None,
         raw: bool = False,
         format: Format = "png",
+        delivery: Delivery | None = None,
     ) -> Subscriber:
         """Subscribe to a topic of the environment.
 
@@ -213,6 +218,7 @@ class Environment:
             raw: Receive serialized ROS messages (CDR) as bytes instead of dicts.
             format: Encoding in which `sensor_msgs/Image` messages arrive: PNG or JPEG bytes, or dicts (`json`); other
                 formats as for `publisher`.
+            delivery: Priority, greatest age and rate of messages on the line to the robot.
 
         Returns:
             A connected subscriber.
@@ -222,7 +228,15 @@ class Environment:
         """
         to = await self._interface(topic, "sub", "SubscriberInterface", type_name, qos)
         return await self.robot.subscriber(
-            self._own_tag(to), type_name, to=to, callback=callback, depth=depth, raw=raw, format=format, qos=qos
+            self._own_tag(to),
+            type_name,
+            to=to,
+            callback=callback,
+            depth=depth,
+            raw=raw,
+            format=format,
+            qos=qos,
+            delivery=delivery,
         )
 
     async def service_client(self, service: str, type_name: str, *, raw: bool = False) -> ServiceClient:

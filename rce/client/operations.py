@@ -18,6 +18,7 @@ from rce.protocol.messages import (
     ContainerData,
     CreateContainer,
     DeleteParameter,
+    Delivery,
     DestroyContainer,
     Disconnect,
     InterfaceType,
@@ -106,7 +107,7 @@ class Operations:
             **options: See `EnvironmentOptions`.
 
         Raises:
-            AlreadyExists: The name is in use and `exist_ok` is false.
+            AlreadyExists: The name is in use and `exist_ok` is false, or a robot has it.
             InvalidRequest: An option is wrong.
             LimitExceeded: The user may not have that much.
             NoCapacity: No machine has room for it.
@@ -116,8 +117,8 @@ class Operations:
         """
         try:
             await self.configure(CreateContainer(tag, _container_data(options)))
-        except AlreadyExists:
-            if not exist_ok:
+        except AlreadyExists as error:
+            if not exist_ok or error.info.fields.get("kind") == "robot":
                 raise
 
     async def destroy_environment(self, tag: str) -> None:
@@ -225,6 +226,7 @@ class Operations:
         addr: str = "",
         qos: Qos | None = None,
         format: Format = "png",
+        delivery: Delivery | None = None,
     ) -> None:
         """Add an interface to an environment or a robot.
 
@@ -240,6 +242,8 @@ class Operations:
             addr: ROS topic or service name, for environments only.
             qos: ROS 2 quality of service.
             format: Encoding in which a robot gets images.
+            delivery: Priority, greatest age and rate of messages between a robot and the platform, for topics of
+                robots.
 
         Raises:
             NotFound: The endpoint does not exist.
@@ -248,7 +252,8 @@ class Operations:
             TimedOut: The platform did not answer within the robot's `timeout`.
             RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
         """
-        await self.configure(AddInterface(endpoint, tag, interface_type, type_name, addr, qos or Qos(), format))
+        options = (addr, qos or Qos(), format, delivery or Delivery())
+        await self.configure(AddInterface(endpoint, tag, interface_type, type_name, *options))
 
     async def remove_interface(self, endpoint: str, tag: str) -> None:
         """Remove an interface and its connections.

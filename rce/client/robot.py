@@ -22,7 +22,7 @@ from rce.client.session import NAME_WAIT, ClientSession
 from rce.client.stream import Stream
 from rce.client.topics import Publisher, Subscriber
 from rce.errors import AlreadyExists, RceError
-from rce.protocol.messages import AddInterface, Qos
+from rce.protocol.messages import AddInterface, Delivery, Qos
 from rce.protocol.names import check_robot_id, check_tag
 
 I = TypeVar("I", bound=Interface)  # noqa: E741
@@ -208,6 +208,7 @@ class Robot(Operations):
         format: Format = "png",
         qos: Qos | None = None,
         offline: Offline = "drop",
+        delivery: Delivery | None = None,
     ) -> Publisher:
         """Add an interface through which the robot sends messages.
 
@@ -222,6 +223,7 @@ class Robot(Operations):
             qos: History and depth of the queue at the platform.
             offline: What `publish(…, wait=False)` does with messages that cannot be sent: `drop`, keep the `newest`, or
                 `store`; see `Publisher`.
+            delivery: Priority, greatest age and rate of messages on the line to the platform.
 
         Returns:
             The publisher, with a peer if `to` is given.
@@ -236,7 +238,8 @@ class Robot(Operations):
             RceError: Any other error of the platform, or `Unavailable` if the robot is not open. After any error the
                 interface does not exist.
         """
-        return await self._add(Publisher(self, tag, type_name, offline), "Subscriber", to, raw, format, qos)
+        publisher = Publisher(self, tag, type_name, offline, delivery or Delivery())
+        return await self._add(publisher, "Subscriber", to, raw, format, qos, delivery)
 
     async def subscriber(
         self,
@@ -249,6 +252,7 @@ class Robot(Operations):
         raw: bool = False,
         format: Format = "png",
         qos: Qos | None = None,
+        delivery: Delivery | None = None,
     ) -> Subscriber:
         """Add an interface through which the robot receives messages.
 
@@ -265,6 +269,7 @@ class Robot(Operations):
             format: Encoding in which `sensor_msgs/Image` messages arrive: PNG or JPEG bytes, or dicts (`json`); other
                 formats as for `publisher`.
             qos: History and depth of the queue at the platform.
+            delivery: Priority, greatest age and rate of messages on the line from the platform.
 
         Returns:
             The subscriber, with a peer if `to` is given.
@@ -275,7 +280,7 @@ class Robot(Operations):
         subscriber = Subscriber(self, tag, type_name, depth)
         if callback is not None:
             subscriber.call(callback)
-        return await self._add(subscriber, "Publisher", to, raw, format, qos)
+        return await self._add(subscriber, "Publisher", to, raw, format, qos, delivery)
 
     async def service_client(
         self, tag: str, type_name: str, *, to: str = "", raw: bool = False, format: Format = "png"
@@ -365,7 +370,14 @@ class Robot(Operations):
         return await self._add(ActionServer(self, tag, type_name, handler, accept), "ActionClient", to, raw)
 
     async def _add(
-        self, interface: I, kind: str, to: str, raw: bool, format: Format = "png", qos: Qos | None = None
+        self,
+        interface: I,
+        kind: str,
+        to: str,
+        raw: bool,
+        format: Format = "png",
+        qos: Qos | None = None,
+        delivery: Delivery | None = None,
     ) -> I:
         """Add the interface and connect it to `to`; remove it again if that fails."""
         tag = interface.tag
@@ -375,9 +387,8 @@ class Robot(Operations):
         interfaces[tag] = interface
         kind += "Forwarder" if raw else "Converter"
         try:
-            await self.configure(
-                AddInterface(self.name, tag, kind, interface.type_name, qos=qos or Qos(), format=format)
-            )
+            options = (qos or Qos(), format, delivery or Delivery())
+            await self.configure(AddInterface(self.name, tag, kind, interface.type_name, "", *options))
         except RceError:
             interfaces.pop(tag)._end(None)
             raise

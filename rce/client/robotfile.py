@@ -163,7 +163,7 @@ class Runner:
         if entry.kind.startswith("Action"):
             raise InvalidRequest(f"interface {tag}: a robot file has no actions; use rce.client", field="interfaceType")
         if entry.kind.startswith("Subscriber"):
-            return await robot.publisher(tag, name, raw=raw, format=entry.format)
+            return await robot.publisher(tag, name, raw=raw, format=entry.format, delivery=entry.delivery)
         if entry.kind.startswith("ServiceProvider"):
             return await robot.service_client(tag, name, raw=raw, format=entry.format)
         if entry.kind.startswith("ServiceClient"):
@@ -171,7 +171,12 @@ class Runner:
                 tag, name, lambda request: self._request(entry, request), raw=raw, format=entry.format
             )
         return await robot.subscriber(
-            tag, name, callback=lambda message: self._print(entry, msg=message), raw=raw, format=entry.format
+            tag,
+            name,
+            callback=lambda message: self._print(entry, msg=message),
+            raw=raw,
+            format=entry.format,
+            delivery=entry.delivery,
         )
 
     def _print(self, entry: InterfaceEntry, **content: Any) -> None:

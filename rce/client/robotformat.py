@@ -22,6 +22,7 @@ from rce.protocol.messages import (
     Connect,
     ContainerData,
     CreateContainer,
+    Delivery,
     Format,
     InterfaceType,
     NodeRestart,
@@ -87,6 +88,7 @@ class InterfaceEntry(Struct, frozen=True, forbid_unknown_fields=True):
     addr: str = ""
     qos: Qos = Qos()
     format: Format = "png"
+    delivery: Delivery = Delivery()
 
     @property
     def kind(self) -> str:
@@ -96,7 +98,7 @@ class InterfaceEntry(Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def command(self) -> AddInterface:
         """Command that creates it."""
-        return AddInterface(self.eTag, self.iTag, self.kind, self.iCls, self.addr, self.qos, self.format)
+        return AddInterface(self.eTag, self.iTag, self.kind, self.iCls, self.addr, self.qos, self.format, self.delivery)
 
 
 class ConnectionEntry(Struct, frozen=True, forbid_unknown_fields=True):

@@ -190,7 +190,8 @@ class ClientSession:
                 return await Connection.open(self._address, self._endpoint, self._token)
             except (Unavailable, InvalidRequest) as error:
                 log.info("%s: %s; asking the entry for an endpoint", self._address.robot, error)
-        return await Connection.open(self._address, await self._address.locate(), self._token)
+        endpoint = await self._address.locate(patient=bool(self._token))
+        return await Connection.open(self._address, endpoint, self._token)
 
     def _adopt(self, connection: Connection) -> None:
         self._token, self._endpoint = connection.session.token, connection.endpoint

@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import inspect
 import logging
+import math
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import suppress
 from typing import Any
@@ -15,8 +17,11 @@ from rce.client.interface import CONNECT_TIMEOUT, Interface, Owner
 from rce.client.stream import Stream
 from rce.client.values import decode_message, encode_message
 from rce.errors import RceError
+from rce.net.outbox import Priority
+from rce.protocol.messages import Delivery
 from rce.protocol.messages.commands import DEEP, SHALLOW, is_large
 
+ALL = Delivery()
 TOPIC_ID = "nil"  # msgID of topic messages, as the original's clients send it
 
 log = logging.getLogger("rce.client")
@@ -39,16 +44,23 @@ class Publisher(Interface):
         type_name: ROS message type.
     """
 
-    def __init__(self, owner: Owner, tag: str, type_name: str, offline: Offline = "drop") -> None:
+    def __init__(
+        self, owner: Owner, tag: str, type_name: str, offline: Offline = "drop", delivery: Delivery = ALL
+    ) -> None:
         super().__init__(owner, tag, type_name)
         self._backlog = Backlog(offline)
+        self._priority = Priority[delivery.priority.upper()]
+        self._max_age = delivery.maxAge or math.inf
+        self._interval = 1 / delivery.rate if delivery.rate else 0.0
+        self._next = 0.0  # time from which the next message may be sent
+        self._timer: asyncio.TimerHandle | None = None
         self._sending: Connection | None = None  # in whose queue the first message of the backlog is
         self._drained = asyncio.Event()
         self._given_way = 0
 
     @property
     def dropped(self) -> int:
-        """Number of messages that `offer`, and `publish` with `wait=False`, have dropped."""
+        """Number of messages that were dropped: by `offer`, by `publish` with `wait=False`, or because of their age."""
         return self._given_way + self._backlog.dropped
 
     async def publish(self, value: Any, timeout: float = CONNECT_TIMEOUT, *, wait: bool = True) -> None:  # noqa: ASYNC109  # see wait_connected
@@ -81,14 +93,16 @@ class Publisher(Interface):
                 self._drained.clear()
                 await self._drained.wait()
                 continue
+            if (early := self._early()) > 0:
+                await asyncio.sleep(early)
+                continue
             connection = self._connection()
             room = connection.room(self.tag) if connection is not None else None
             if connection is not None and room is None:
                 break
             if room is not None:
                 await asyncio.shield(room)  # other senders may wait for the same future
-        text, blobs = encode_message(self.tag, self.type_name, TOPIC_ID, value)
-        connection.put_message(self.tag, text, blobs)
+        self._send(connection, Encoded(*encode_message(self.tag, self.type_name, TOPIC_ID, value)), None)
 
     def offer(self, value: Any, keep: int = 1) -> bool:
         """Send a message without waiting; older unsent messages give way to it.
@@ -101,40 +115,73 @@ class Publisher(Interface):
                 and counted in `dropped`.
 
         Returns:
-            False if the message was dropped because the robot is offline or the interface has no peer.
+            False if the message was dropped because the robot is offline, the interface has no peer, or the rate of the
+            interface does not permit it yet.
 
         Raises:
             InvalidRequest: The message cannot be expressed in JSON.
         """
         connection = self._connection()
-        if connection is None:
+        if connection is None or self._early() > 0:
             self._given_way += 1
             return False
-        text, blobs = encode_message(self.tag, self.type_name, TOPIC_ID, value)
-        self._given_way += connection.put_message(self.tag, text, blobs, keep)
+        self._send(connection, Encoded(*encode_message(self.tag, self.type_name, TOPIC_ID, value)), keep)
         return True
+
+    def _early(self) -> float:
+        """Return the seconds until the rate of the interface permits a message."""
+        return self._next - time.monotonic() if self._interval else 0.0
+
+    def _send(self, connection: Connection, message: Encoded, keep: int | None) -> None:
+        """Queue a message; it is dropped if it is too old when its turn comes."""
+        now = time.monotonic()
+        self._next = now + self._interval
+
+        def may_start() -> bool:
+            in_time = time.monotonic() <= now + self._max_age
+            self._given_way += not in_time
+            return in_time
+
+        given_way = connection.put_message(self.tag, *message, keep, self._priority, may_start)
+        self._given_way += given_way  # not in one statement, because `may_start` may run within the call
 
     def _put(self, value: Any) -> None:
         if self._ended is not None:
             raise self._ended
         message = Encoded(*encode_message(self.tag, self.type_name, TOPIC_ID, value))
-        self._backlog.put(message, possible=self._connection() is not None)
+        self._backlog.put(message, self._connection() is not None, time.monotonic() + self._max_age)
         self._send_next()
 
     def _send_next(self) -> None:
         """Queue the first message of the backlog; the others wait here, so that at most one is lost with the socket."""
+        self._backlog.drop_old(time.monotonic())
         connection, message = self._connection(), self._backlog.first()
         if message is None:
             self._drained.set()
-        elif connection is not None and self._sending is not connection:
-            self._sending = connection
-            connection.send_message(self.tag, *message, lambda: self._started(connection, message))
+        elif connection is None or self._sending is connection:
+            return
+        elif (early := self._early()) > 0:
+            self._timer = self._timer or asyncio.get_running_loop().call_later(early, self._turn)
+        else:
+            self._sending, self._next = connection, time.monotonic() + self._interval
+            connection.put_message(
+                self.tag, *message, None, self._priority, lambda: self._may_start(connection, message)
+            )
 
-    def _started(self, connection: Connection, message: Encoded) -> None:
-        self._backlog.remove(message)
+    def _turn(self) -> None:
+        self._timer = None
+        self._send_next()
+
+    def _may_start(self, connection: Connection, message: Encoded) -> bool:
+        """Take a message from the backlog when its turn comes; return False if it is not the first one any more."""
+        self._backlog.drop_old(time.monotonic())
+        present = self._backlog.first() is message
+        if present:
+            self._backlog.remove(message)
         if self._sending is connection:
             self._sending = None
             asyncio.get_running_loop().call_soon(self._send_next)
+        return present
 
     def _update(self) -> None:
         super()._update()
@@ -152,6 +199,8 @@ class Publisher(Interface):
     def _end(self, error: RceError | None) -> None:
         super()._end(error)
         self._drained.set()
+        if self._timer is not None:
+            self._timer.cancel()
 
 
 class Subscriber(Interface):

@@ -61,9 +61,12 @@ export class Connection {
     return new Set(this.session.features);
   }
 
-  /** Queue a text frame with its blobs; at most `keep` messages of the source wait. Returns how many were dropped. */
-  put(source, text, blobs = new Map(), keep = Infinity) {
-    return this.#outbox.put(source, pieces(text, blobs), keep);
+  /**
+   * Queue a text frame with its blobs; at most `keep` messages of the source wait. `mayStart` is called when its turn
+   * comes, and returns false to drop it. Returns how many older ones were dropped for it.
+   */
+  put(source, text, blobs = new Map(), { keep = Infinity, priority = "normal", mayStart = () => true } = {}) {
+    return this.#outbox.put(source, pieces(text, blobs, mayStart), keep, priority);
   }
 
   /** null if the source may send now, else a promise that resolves when its queue is empty. */
@@ -150,7 +153,8 @@ export class Connection {
   }
 }
 
-function* pieces(text, blobs) {
+function* pieces(text, blobs, mayStart) {
+  if (!mayStart()) return;
   yield text;
   yield* binaryFrames(blobs);
 }

@@ -51,11 +51,11 @@ export class Interface {
     return this.#open && !this.#ended ? this.robot.connection : null;
   }
 
-  /** Queue a message; returns how many older ones were dropped for it. */
-  send(msgId, value, keep = Infinity) {
+  /** Queue a message; returns how many older ones were dropped for it. For `options` see `Connection.put`. */
+  send(msgId, value, options = {}) {
     const blobs = new Map();
     const data = { iTag: this.tag, type: this.typeName, msgID: msgId, ...detach({ msg: value }, blobs) };
-    return this.robot.connection.put(this.tag, encode({ type: "DM", data }), blobs, keep);
+    return this.robot.connection.put(this.tag, encode({ type: "DM", data }), blobs, options);
   }
 
   /** Send a message about a goal, with `msg` as its value; nothing while the robot is offline. */
@@ -106,26 +106,47 @@ export class Interface {
 /** Sends messages. Those that had not reached the platform when the socket broke are lost; none is sent twice. */
 export class Publisher extends Interface {
   dropped = 0;
+  #delivery;
+  #next = 0; // time from which the next message may be sent
 
-  /** Send a message (an object or bytes) after waiting for a peer and for room in the queue. */
+  constructor(robot, tag, typeName, { delivery = {} } = {}) {
+    super(robot, tag, typeName);
+    this.#delivery = delivery;
+  }
+
+  /** Send a message (an object or bytes) after waiting for a peer, for room in the queue, and for its turn. */
   async publish(value, timeout = CONNECT_TIMEOUT) {
     for (;;) {
       await this.waitConnected(timeout);
+      const early = this.#next - performance.now();
       const room = this.connection?.room(this.tag);
-      if (this.connection && !room) break;
-      await room;
+      if (this.connection && !room && early <= 0) break;
+      await (early > 0 ? new Promise((resolve) => { setTimeout(resolve, early); }) : room);
     }
-    this.send(TOPIC_ID, value);
+    this.#put(value, Infinity);
   }
 
   /** Send without waiting, so that at most `keep` messages are queued. Returns false if there is no peer. */
   offer(value, keep = 1) {
-    if (!this.connection) {
+    if (!this.connection || performance.now() < this.#next) {
       this.dropped += 1;
       return false;
     }
-    this.dropped += this.send(TOPIC_ID, value, keep);
+    this.#put(value, keep);
     return true;
+  }
+
+  #put(value, keep) {
+    const { priority, maxAge = 0, rate = 0 } = this.#delivery;
+    const now = performance.now();
+    if (rate) this.#next = now + 1000 / rate;
+    const mayStart = () => {
+      const inTime = !maxAge || performance.now() <= now + 1000 * maxAge;
+      if (!inTime) this.dropped += 1;
+      return inTime;
+    };
+    const givenWay = this.send(TOPIC_ID, value, { keep, priority, mayStart });
+    this.dropped += givenWay; // not in one statement, because mayStart may run within the call
   }
 }
 

@@ -1,11 +1,12 @@
 // Outgoing queues of one socket, one for each interface, served in turns (round robin) so that a large message does not
-// delay small ones. A message is an iterator of pieces (strings or bytes).
+// delay small ones; those of a higher priority first. A message is an iterator of pieces (strings or bytes).
 
+const RANKS = { high: 0, normal: 1, low: 2 };
 const HIGH_WATER = 8; // queued messages at which a source must wait
 
 /** Outgoing queues of one socket. */
 export class Outbox {
-  #queues = new Map(); // {current, waiting, room} by source, in the order of their turns
+  #queues = new Map(); // {current, waiting, room, rank} by source, in the order of their turns
   #write;
   #open = true;
 
@@ -19,8 +20,8 @@ export class Outbox {
   }
 
   /** Queue a message; at most `keep` of the source wait. Returns how many older ones were dropped for it. */
-  put(source, pieces, keep = Infinity) {
-    const queue = this.#queues.get(source) ?? { current: null, waiting: [], room: null };
+  put(source, pieces, keep = Infinity, priority = "normal") {
+    const queue = this.#queues.get(source) ?? { current: null, waiting: [], room: null, rank: RANKS[priority] };
     this.#queues.set(source, queue);
     queue.waiting.push(pieces);
     this.#pump();
@@ -53,9 +54,16 @@ export class Outbox {
     this.#queues.clear();
   }
 
+  /** The first queue of the highest priority. */
+  #next() {
+    let best = null;
+    for (const entry of this.#queues) if (!best || entry[1].rank < best[1].rank) best = entry;
+    return best;
+  }
+
   #pump() {
     while (this.#open && this.#queues.size) {
-      const [source, queue] = this.#queues.entries().next().value;
+      const [source, queue] = this.#next();
       this.#queues.delete(source);
       queue.current ??= queue.waiting.shift();
       const { value, done } = queue.current.next();

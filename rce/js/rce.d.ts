@@ -72,6 +72,16 @@ export interface Qos {
   depth?: number;
 }
 
+/** How messages of a topic cross the line between the robot and the platform. */
+export interface Delivery {
+  /** Messages of a higher priority are sent first. */
+  priority?: "high" | "normal" | "low";
+  /** Seconds: a message that is older when its turn comes is dropped and counted. */
+  maxAge?: number;
+  /** Messages a second, at most. */
+  rate?: number;
+}
+
 /** Options of an environment: `containerData` of docs/protocol.md, which has the defaults. */
 export interface EnvironmentOptions {
   /** Container image, one of those that the user may use. */
@@ -239,7 +249,11 @@ export interface InterfaceOptions {
   format?: string;
   qos?: Qos;
 }
-export interface SubscriberOptions<T = any> extends InterfaceOptions {
+/** Options of a topic of the robot. */
+export interface TopicOptions extends InterfaceOptions {
+  delivery?: Delivery;
+}
+export interface SubscriberOptions<T = any> extends TopicOptions {
   /** Unread messages to keep: by default 1000, of images and point clouds 10. */
   depth?: number;
   /** Function to call with each message. */
@@ -267,7 +281,7 @@ export class Environment {
   /** Remove a parameter. */
   deleteParameter(name: string, options?: { node?: string }): Promise<void>;
   /** Publish on a topic of the environment. */
-  publisher(topic: string, typeName: string, options?: InterfaceOptions): Promise<Publisher>;
+  publisher(topic: string, typeName: string, options?: TopicOptions): Promise<Publisher>;
   /** Subscribe to a topic of the environment. */
   subscriber<T = any>(topic: string, typeName: string, options?: SubscriberOptions<T>): Promise<Subscriber<T>>;
   /** Return a client of a service that a node of the environment offers. */
@@ -362,7 +376,7 @@ export class Robot {
   deleteParameter(environment: string, name: string, options?: { node?: string }): Promise<void>;
   /** Add an interface to an environment or a robot. */
   addInterface(endpoint: string, tag: string, interfaceType: InterfaceType, typeName: string,
-    options?: { addr?: string; qos?: Qos; format?: string }): Promise<void>;
+    options?: { addr?: string; qos?: Qos; format?: string; delivery?: Delivery }): Promise<void>;
   /** Remove an interface and its connections. */
   removeInterface(endpoint: string, tag: string): Promise<void>;
   /** Connect two interfaces, each `endpoint/interface`, in either order. */
@@ -376,7 +390,7 @@ export class Robot {
   configure(...commands: Command[]): Promise<void>;
 
   /** Add an interface through which the robot sends messages. */
-  publisher(tag: string, typeName: string, options?: InterfaceOptions & To): Promise<Publisher>;
+  publisher(tag: string, typeName: string, options?: TopicOptions & To): Promise<Publisher>;
   /** Add an interface through which the robot receives messages. */
   subscriber<T = any>(tag: string, typeName: string, options?: SubscriberOptions<T> & To): Promise<Subscriber<T>>;
   /** Add an interface through which the robot calls a service. */

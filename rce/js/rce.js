@@ -81,7 +81,7 @@ export class Robot {
     try {
       await this.configure(["CC", { containerTag: tag, containerData: options }]);
     } catch (error) {
-      if (!existOk || !(error instanceof AlreadyExists)) throw error;
+      if (!existOk || !(error instanceof AlreadyExists) || error.fields?.kind === "robot") throw error;
     }
   }
 
@@ -106,9 +106,9 @@ export class Robot {
     return this.configure(["deleteParam", { containerTag: environment, name, nodeTag: node }]);
   }
 
-  addInterface(endpoint, tag, interfaceType, typeName, { addr, qos, format } = {}) {
+  addInterface(endpoint, tag, interfaceType, typeName, { addr, qos, format, delivery } = {}) {
     return this.configure(["addInterfaces", {
-      endpointTag: endpoint, interfaceTag: tag, interfaceType, className: typeName, addr, qos, format }]);
+      endpointTag: endpoint, interfaceTag: tag, interfaceType, className: typeName, addr, qos, format, delivery }]);
   }
 
   removeInterface(endpoint, tag) {
@@ -146,7 +146,7 @@ export class Robot {
   // --- interfaces; `to` is the `endpoint/interface` to connect to
 
   publisher(tag, typeName, options = {}) {
-    return this.#add(new Publisher(this, tag, typeName), "Subscriber", options);
+    return this.#add(new Publisher(this, tag, typeName, options), "Subscriber", options);
   }
 
   subscriber(tag, typeName, options = {}) {
@@ -170,12 +170,13 @@ export class Robot {
   }
 
   /** Add the interface and connect it to `to`; remove it again if that fails. */
-  async #add(added, kind, { to = "", raw = false, format, qos }) {
+  async #add(added, kind, { to = "", raw = false, format, qos, delivery }) {
     const { tag, typeName } = added;
     if (this.#interfaces.has(tag)) throw new AlreadyExists(`${this.name}/${tag} exists already: close it first`);
     this.#interfaces.set(tag, added);
     try {
-      await this.addInterface(this.name, tag, kind + (raw ? "Forwarder" : "Converter"), typeName, { qos, format });
+      const interfaceType = kind + (raw ? "Forwarder" : "Converter");
+      await this.addInterface(this.name, tag, interfaceType, typeName, { qos, format, delivery });
     } catch (error) {
       this.#interfaces.delete(tag);
       added.end(null);

@@ -1,9 +1,10 @@
 """Bounded queues in front of one stream, served round robin so that large messages do not delay small ones.
 
 Each source (an interface) has its own queue. A message is a sequence of pieces, and the stream takes one piece from
-each source in turn. So a velocity command waits for at most one piece of each image that is being sent. The messages of
-one source stay in order. The queue of a topic keeps the newest messages and counts those that it drops; a queue without
-a bound makes its sender wait (`wait_for_room`). The bytes of all queues of an owner are bounded too (`rce.net.budget`).
+each source in turn. So a velocity command waits for at most one piece of each image that is being sent. Sources of a
+higher priority are served first. The messages of one source stay in order. The queue of a topic keeps the newest
+messages and counts those that it drops; a queue without a bound makes its sender wait (`wait_for_room`). The bytes of
+all queues of an owner are bounded too (`rce.net.budget`).
 """
 
 from __future__ import annotations
@@ -11,12 +12,21 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable, Iterator
+from enum import IntEnum
 from typing import Generic, Protocol, TypeVar
 
 from rce.net.budget import Budget
 
 P = TypeVar("P")
 HIGH_WATER = 8  # messages in an unbounded queue at which its sender must wait
+
+
+class Priority(IntEnum):
+    """Priority of a source: the lower number is served first."""
+
+    HIGH = 0
+    NORMAL = 1
+    LOW = 2
 
 
 class Owner(Protocol):
@@ -35,11 +45,14 @@ class _Queue(Generic[P]):
     costs nothing for those that are written at once.
     """
 
-    __slots__ = ("bytes", "charged", "current", "current_size", "drained", "droppable", "drops", "owner", "waiting")
+    __slots__ = (
+        "bytes", "charged", "current", "current_size", "drained", "droppable", "drops", "owner", "priority", "waiting",
+    )  # fmt: skip
 
-    def __init__(self, owner: Owner | None, droppable: bool) -> None:
+    def __init__(self, owner: Owner | None, droppable: bool, priority: Priority) -> None:
         self.owner = owner
         self.droppable = droppable
+        self.priority = priority
         self.current: Iterator[P] | None = None
         self.current_size = 0
         self.waiting: deque[tuple[Iterator[P], int]] = deque()
@@ -123,11 +136,17 @@ class Outbox(Generic[P]):
     def __init__(self, write: Callable[[P], bool]) -> None:
         self._write = write
         self._queues: dict[bytes, _Queue[P]] = {}
-        self._turns: deque[bytes] = deque()
+        self._turns: tuple[deque[bytes], ...] = tuple(deque() for _ in Priority)
         self._open = True
 
     def put(
-        self, source: bytes, pieces: Iterator[P], keep: int | None, size: int = 0, owner: Owner | None = None
+        self,
+        source: bytes,
+        pieces: Iterator[P],
+        keep: int | None,
+        size: int = 0,
+        owner: Owner | None = None,
+        priority: Priority = Priority.NORMAL,
     ) -> int:
         """Queue a message.
 
@@ -137,14 +156,15 @@ class Outbox(Generic[P]):
             keep: Number of messages of the source that may wait, the newest; None for all.
             size: Bytes that the message holds while it waits.
             owner: Owner of the source, whose budget bounds these bytes.
+            priority: Priority of the source.
 
         Returns:
             The number of older messages of the source that were dropped.
         """
         queue = self._queues.get(source)
         if queue is None:
-            queue = self._queues[source] = _Queue(owner, keep is not None)
-            self._turns.append(source)
+            queue = self._queues[source] = _Queue(owner, keep is not None, priority)
+            self._turns[priority].append(source)
         queue.waiting.append((pieces, size))
         queue.bytes += size
         if self._open:
@@ -159,7 +179,7 @@ class Outbox(Generic[P]):
     @property
     def empty(self) -> bool:
         """True if all messages were written to the stream."""
-        return not self._turns
+        return not self._queues
 
     def backlog(self, source: bytes) -> int:
         """Return the number of messages of `source` that wait; one that is being sent does not count."""
@@ -197,7 +217,8 @@ class Outbox(Generic[P]):
             queue.end_current()
             queue.discard()
         self._queues.clear()
-        self._turns.clear()
+        for turns in self._turns:
+            turns.clear()
         self._open = False
 
     def pause(self) -> None:
@@ -210,9 +231,10 @@ class Outbox(Generic[P]):
         self._pump()
 
     def _pump(self) -> None:
-        while self._open and self._turns:
-            source = self._turns[0]
-            self._turns.rotate(-1)  # first, because the calls below may raise or call `put`
+        while self._open and self._queues:
+            turns = next(filter(None, self._turns))
+            source = turns[0]
+            turns.rotate(-1)  # first, because the calls below may raise or call `put`
             queue = self._queues[source]
             if queue.current is None and queue.waiting:
                 queue.begin_next()
@@ -222,6 +244,6 @@ class Outbox(Generic[P]):
                 continue
             queue.end_current()
             if not queue.waiting:
-                self._turns.remove(source)
+                turns.remove(source)
                 del self._queues[source]
                 queue.release()

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 import struct
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -143,12 +143,25 @@ class BinaryFrame(NamedTuple):
         return b"".join(self)
 
 
-def binary_frames(blobs: Mapping[str, Buffer], parts: bool) -> Iterator[BinaryFrame]:
-    """Yield the binary frames that carry these blobs; with `parts`, in parts of `PART` bytes."""
+def binary_frames(
+    blobs: Mapping[str, Buffer], parts: bool, size: Callable[[], int] = lambda: PART
+) -> Iterator[BinaryFrame]:
+    """Yield the binary frames that carry these blobs; with `parts`, in parts.
+
+    Args:
+        blobs: The blobs by id.
+        parts: Divide large blobs.
+        size: Returns the number of bytes of the next part.
+    """
     for name, blob in blobs.items():
         view = memoryview(blob).cast("B")
         if not parts:
             yield BinaryFrame(name.encode(), view)
             continue
-        for offset in range(0, len(view) or 1, PART):
-            yield BinaryFrame(name.encode() + POSITION.pack(offset, len(view)), view[offset : offset + PART])
+        offset = 0
+        while True:
+            end = offset + size()
+            yield BinaryFrame(name.encode() + POSITION.pack(offset, len(view)), view[offset:end])
+            if end >= len(view):
+                break
+            offset = end

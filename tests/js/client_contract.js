@@ -61,6 +61,29 @@ async function event(events, topic) {
 const breakSocket = (robot, code = 4000) => robot.connection.close(code, "broken by the test");
 
 const tests = {
+  async "message is delivered"(make) {
+    const { publisher, subscriber } = await pair(make, POSE);
+    await publisher.publish({ x: 1.5, y: -2, theta: 0.5 });
+    equal(await subscriber.get(60), { x: 1.5, y: -2, theta: 0.5 });
+    equal(subscriber.connected, true);
+  },
+
+  async "callback gets each message once in order"(make) {
+    const [a, b] = await Promise.all([make("a"), make("b")]);
+    const received = [];
+    let finish = null;
+    const done = new Promise((resolve) => { finish = resolve; });
+    const callback = ({ data }) => {
+      received.push(Number(data));
+      if (data === "99") finish();
+    };
+    await b.subscriber("in", STRING, { depth: 100, callback });
+    const publisher = await a.publisher("out", STRING, { to: `${b.name}/in` });
+    for (let number = 0; number < 100; number += 1) await publisher.publish({ data: String(number) });
+    await done;
+    equal(received, Array.from({ length: 100 }, (_, index) => index));
+  },
+
   async "values arrive unchanged"(make) {
     const { a, b, publisher, subscriber } = await pair(make, POSE);
     for (const pose of [{ x: 1.5, y: -2, theta: 0.5 }, { x: NaN, y: Infinity, theta: -Infinity }]) {
@@ -81,7 +104,7 @@ const tests = {
     equal(await words.get(60), { data: "NaN" });
   },
 
-  async "blobs of any size arrive unchanged"(make) {
+  async "raw bytes of any size arrive unchanged"(make) {
     const { publisher, subscriber } = await pair(make, STRING, { raw: true });
     for (const size of [1, 1000, 262144, 3 * 262144 + 1]) {
       const bytes = Uint8Array.from({ length: size }, (_, index) => (index * 7919) >> 3);
@@ -134,21 +157,60 @@ const tests = {
     equal((await kept.result(60)).status, "canceled");
   },
 
-  async "service responses, errors and timeouts"(make, rce) {
+  async "service responses and errors"(make, rce) {
     const [a, b] = await Promise.all([make("a"), make("b")]);
     await b.serviceProvider("gripper", SET_BOOL, async ({ data }) => {
       if (!data) throw new TypeError("the gripper is stuck");
       return { success: true, message: "ok" };
     });
-    await b.serviceProvider("slow", SET_BOOL, () => new Promise(() => {}));
     const gripper = await a.serviceClient("gripper", SET_BOOL, { to: `${b.name}/gripper` });
     equal(await Promise.all([1, 2, 3].map(() => gripper.call({ data: true }))), Array(3).fill({ success: true, message: "ok" }));
     await throws(rce.RceError, gripper.call({ data: false }), "the gripper is stuck");
+  },
+
+  async "plain function as handler and timeout of slow service"(make, rce) {
+    const [a, b] = await Promise.all([make("a"), make("b")]);
+    await b.serviceProvider("quick", SET_BOOL, ({ data }) => ({ success: data, message: "" }));
+    await b.serviceProvider("slow", SET_BOOL, () => new Promise(() => {}));
+    const quick = await a.serviceClient("quick", SET_BOOL, { to: `${b.name}/quick` });
+    equal(await quick.call({ data: true }), { success: true, message: "" });
     const slow = await a.serviceClient("slow", SET_BOOL, { to: `${b.name}/slow` });
     await throws(rce.TimedOut, slow.call({ data: true }, 0.05), "slow");
   },
 
-  async "failed commands reject with their errors"(make, rce) {
+  async "service call raises unavailable when socket breaks"(make, rce) {
+    const [a, b] = await Promise.all([make("a"), make("b")]);
+    let called = null;
+    const call = new Promise((resolve) => { called = resolve; });
+    await b.serviceProvider("serve", SET_BOOL, () => { called(); return new Promise(() => {}); });
+    const client = await a.serviceClient("call", SET_BOOL, { to: `${b.name}/serve` });
+    const answer = throws(rce.Unavailable, client.call({ data: true }), "not known");
+    await call;
+    const events = a.events();
+    breakSocket(a);
+    await answer;
+    equal((await event(events, "reconnected")).resumed, true);
+  },
+
+  async "interface that cannot be connected is removed"(make, rce) {
+    const [a, b] = await Promise.all([make("a"), make("b")]);
+    await throws(rce.NotFound, a.publisher("out", STRING, { to: `${b.name}/in` }));
+    const subscriber = await b.subscriber("in", STRING);
+    const publisher = await a.publisher("out", STRING, { to: `${b.name}/in` });
+    await publisher.publish({ data: "x" });
+    equal(await subscriber.get(60), { data: "x" });
+  },
+
+  async "configure executes commands in order"(make, rce) {
+    const a = await make("a");
+    const add = (tag, interfaceType) => ["addInterfaces", {
+      endpointTag: a.name, interfaceTag: tag, interfaceType, className: STRING }];
+    await a.configure(add("out", "SubscriberConverter"), add("in", "PublisherConverter"),
+      ["connect", { tagA: `${a.name}/out`, tagB: `${a.name}/in` }]);
+    await throws(rce.AlreadyExists, a.connect(`${a.name}/in`, `${a.name}/out`));
+  },
+
+  async "failed commands raise"(make, rce) {
     const [a, b] = await Promise.all([make("a"), make("b")]);
     await a.publisher("out", STRING);
     await b.subscriber("in", POSE);
@@ -164,7 +226,7 @@ const tests = {
     await a.publisher("trace", STRING);
   },
 
-  async "without peer publish rejects and offer drops"(make, rce) {
+  async "without peer publish raises and offer drops"(make, rce) {
     const [a, b] = await Promise.all([make("a"), make("b")]);
     const publisher = await a.publisher("out", STRING);
     await throws(rce.NotConnected, publisher.publish({ data: "x" }, 0.01), "out");
@@ -173,6 +235,20 @@ const tests = {
     await publisher.waitConnected();
     equal(publisher.offer({ data: "y" }), true);
     equal(await subscriber.get(60), { data: "y" });
+  },
+
+  async "old messages are dropped and the rate is kept"(make) {
+    const [a, b] = await Promise.all([make("a"), make("b")]);
+    const subscriber = await b.subscriber("in", STRING);
+    const large = await a.publisher("large", STRING, { to: `${b.name}/in` });
+    const old = await a.publisher("old", STRING, { to: `${b.name}/in`, delivery: { maxAge: 1e-9 } });
+    const slow = await a.publisher("slow", STRING, { to: `${b.name}/in`, delivery: { rate: 0.001, priority: "high" } });
+    large.offer({ data: "x".repeat(1e6) }); // fills the socket, since the clock of a page has steps of 0.1 ms
+    equal(old.offer({ data: "late" }), true);
+    equal([slow.offer({ data: "first" }), slow.offer({ data: "second" })], [true, false]);
+    equal((await subscriber.get(60)).data.length, 1e6);
+    equal(await subscriber.get(60), { data: "first" });
+    equal([old.dropped, slow.dropped], [1, 1]);
   },
 
   async "resumed session keeps interfaces and connections"(make) {
@@ -225,9 +301,56 @@ const tests = {
     equal(await subscriber.get(60), { data: "again" });
   },
 
-  async "refused robots get the reason"(make, rce) {
+  async "connection to a removed interface is gone"(make) {
+    const { a, subscriber } = await pair(make, STRING);
+    const events = a.events();
+    await subscriber.close();
+    equal((await event(events, "connection")).state, "gone");
+  },
+
+  async "commands issued while offline are executed"(make) {
+    const [a, b] = await Promise.all([make("a"), make("b")]);
+    const subscriber = await b.subscriber("in", STRING);
+    breakSocket(a);
+    const publisher = await a.publisher("out", STRING, { to: `${b.name}/in` });
+    await publisher.publish({ data: "x" }, 60);
+    equal(await subscriber.get(60), { data: "x" });
+  },
+
+  async "no message is delivered twice across reconnections"(make) {
+    const { a, publisher, subscriber } = await pair(make, STRING, { depth: 10_000 });
+    let number = 0;
+    for (let round = 0; round < 3; round += 1) {
+      const events = a.events();
+      let back = false;
+      breakSocket(a);
+      event(events, "reconnected").then(() => { back = true; });
+      while (!back) {
+        await publisher.publish({ data: String(number) }, 60);
+        number += 1;
+        await new Promise((resolve) => { setTimeout(resolve, 0); });
+      }
+    }
+    await publisher.publish({ data: "last" }, 60);
+    const received = [];
+    for (let data = ""; data !== "last"; { data } = await subscriber.get(60)) if (data) received.push(Number(data));
+    equal(received, [...new Set(received)].sort((one, other) => one - other));
+  },
+
+  async "name is free after close"(make) {
+    for (let round = 0; round < 3; round += 1) {
+      const a = await make("a");
+      await a.publisher("out", STRING);
+      await a.close();
+    }
+  },
+
+  async "name in use is rejected"(make, rce) {
     await make("a");
     await throws(rce.AlreadyExists, make("a"));
+  },
+
+  async "refused robots get the reason"(make, rce) {
     await throws(rce.Unauthorized, make("b", { password: "wrong" }));
     await throws(rce.InvalidRequest, make("c-d"), "robotID");
     await throws(rce.InvalidRequest, make("e", { key: "rce_x" }), "either a password or an API key");
@@ -243,7 +366,7 @@ const tests = {
     await throws(rce.Unavailable, a.connect("x/y", "y/z"));
   },
 
-  async "environment is created, used and destroyed"(make, rce, tag) {
+  async "environment is created used and destroyed"(make, rce, tag) {
     const a = await make("a");
     const events = a.events();
     const environment = a.environment(`${tag}_land`, { size: 1 });

@@ -29,7 +29,7 @@ from rce.errors import (
     Unavailable,
 )
 from rce.protocol.blobs import PART
-from rce.protocol.messages import AddInterface, Connect, ConnectionEvent
+from rce.protocol.messages import AddInterface, Connect, ConnectionEvent, Delivery
 
 WAIT = 60.0  # seconds; a limit that only ends a test that hangs
 STRING, POSE, SET_BOOL = "std_msgs/String", "geometry_msgs/Pose2D", "std_srvs/SetBool"
@@ -208,6 +208,17 @@ class ClientContract:
             for number in range(20):
                 await publisher.publish({"data": str(number)}, wait=False)
                 assert await subscriber.get(WAIT) == {"data": str(number)}
+
+    async def test_old_messages_are_dropped_and_the_rate_is_kept(self, platform: Platform) -> None:
+        async with platform.robot("a") as a, platform.robot("b") as b:
+            subscriber = await b.subscriber("in", STRING)
+            old = await a.publisher("old", STRING, to="b/in", delivery=Delivery(maxAge=1e-9))
+            assert old.offer({"data": "late"})
+            slow = await a.publisher("slow", STRING, to="b/in", delivery=Delivery("high", rate=0.001))
+            assert slow.offer({"data": "first"})
+            assert not slow.offer({"data": "second"})
+            assert await subscriber.get(WAIT) == {"data": "first"}
+            assert (old.dropped, slow.dropped) == (1, 1)
 
     async def test_resumed_session_keeps_interfaces_and_connections(self, platform: Platform) -> None:
         async with platform.robot("a") as a, platform.robot("b") as b:

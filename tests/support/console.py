@@ -17,7 +17,7 @@ from rce.api.client import ApiClient, ServerEvent
 from rce.cli import execute
 from rce.cli.contexts import Access
 from rce.cli.session import ConsoleSession
-from rce.protocol.messages import ContainerData, Qos
+from rce.protocol.messages import ContainerData, Delivery, Qos
 
 T = TypeVar("T")
 ACCESS = Access("http://127.0.0.1:1/", "ann", "secret", None)
@@ -161,6 +161,7 @@ def interface(endpoint: str = "brain", tag: str = "pose", **changes: Any) -> vie
         "addr": "/pose",
         "qos": Qos(),
         "format": "png",
+        "delivery": Delivery(),
         "connections": 1,
     }
     return views.InterfaceView(**usual | changes)

@@ -6,6 +6,7 @@ from msgspec import Struct
 
 from rce.protocol.messages import (
     ContainerData,
+    Delivery,
     Format,
     InterfaceType,
     NodeRestart,
@@ -54,6 +55,7 @@ class NewInterface(Struct, frozen=True, forbid_unknown_fields=True):
     addr: str = ""
     qos: Qos = Qos()
     format: Format = "png"
+    delivery: Delivery = Delivery()
 
 
 class NewConnection(Struct, frozen=True, forbid_unknown_fields=True):

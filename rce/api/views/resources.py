@@ -7,7 +7,7 @@ from typing import Literal
 from msgspec import Struct
 
 from rce.control.calls.environments import Egress
-from rce.protocol.messages import ContainerData, NodeRestart, ParameterValue, Qos
+from rce.protocol.messages import ContainerData, Delivery, NodeRestart, ParameterValue, Qos
 
 
 class Usage(Struct, frozen=True):
@@ -113,6 +113,7 @@ class InterfaceView(Struct, frozen=True):
     addr: str
     qos: Qos
     format: str
+    delivery: Delivery
     connections: int
     rate: Rate | None = None
 

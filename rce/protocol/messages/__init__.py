@@ -17,6 +17,7 @@ from rce.protocol.messages.commands import Connect as Connect
 from rce.protocol.messages.commands import ContainerData as ContainerData
 from rce.protocol.messages.commands import CreateContainer as CreateContainer
 from rce.protocol.messages.commands import DeleteParameter as DeleteParameter
+from rce.protocol.messages.commands import Delivery as Delivery
 from rce.protocol.messages.commands import DestroyContainer as DestroyContainer
 from rce.protocol.messages.commands import Disconnect as Disconnect
 from rce.protocol.messages.commands import Format as Format

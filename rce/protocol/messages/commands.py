@@ -152,6 +152,19 @@ class Qos(Struct, frozen=True, omit_defaults=True):
         return self if self.depth or not is_large(type_name) else replace(self, depth=SHALLOW)
 
 
+class Delivery(Struct, frozen=True, omit_defaults=True):
+    """How messages of a topic cross the line between a robot and the cloud.
+
+    Messages of a higher priority are sent first. A message that is older than `maxAge` seconds when its turn comes is
+    dropped and counted. Of more than `rate` messages a second the newest are sent. A `maxAge` or `rate` of 0 is no
+    limit.
+    """
+
+    priority: Literal["high", "normal", "low"] = "normal"
+    maxAge: Annotated[float, Meta(ge=0, le=3600)] = 0.0
+    rate: Annotated[float, Meta(ge=0, le=10_000)] = 0.0
+
+
 Format = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_-]{0,39}$")]
 IMAGE_FORMATS = ("png", "jpeg", "json")
 
@@ -160,7 +173,7 @@ class AddInterface(Struct, frozen=True):
     """Add an interface to an environment (`…Interface`) or to a robot (`…Converter`, `…Forwarder`).
 
     The `format` of a Converter is that of images, or a converter of the Robot endpoint; that of a Forwarder is `cdr` or
-    `ros1`, where `png` stands for the default.
+    `ros1`, where `png` stands for the default. `delivery` is for topics of robots.
     """
 
     endpointTag: str
@@ -170,6 +183,7 @@ class AddInterface(Struct, frozen=True):
     addr: Short = ""
     qos: Qos = Qos()
     format: Format = "png"
+    delivery: Delivery = Delivery()
 
 
 class RemoveInterface(Struct, frozen=True):

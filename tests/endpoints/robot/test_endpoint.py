@@ -60,6 +60,8 @@ class FakeMaster:
 class Socket:
     """Socket that records what the robot gets."""
 
+    part = 1000
+
     def __init__(self) -> None:
         self.frames: list[Any] = []
         self.ended = ""

@@ -363,3 +363,53 @@ async def test_change_of_the_pace_drops_what_waits(platform: Platform) -> None:
     await eventually(lambda: interface.budget.used > 3 * OVERHEAD)
     interface.set_pace(3600.0, 4)
     assert interface.budget.used == 0
+
+
+async def with_delivery(platform: Platform, **delivery: Any) -> tuple[Robot, Robot]:
+    """Return two robots; `little` of b has a delivery."""
+    a, b = await platform.robot("a", "events,parts"), await platform.robot("b", "events,parts")
+    await a.receive()
+    await b.receive()
+    await a.add("out", "SubscriberForwarder")
+    await a.add("in", "PublisherForwarder", of="b")
+    await a.add("small", "SubscriberConverter")
+    await a.add("little", "PublisherConverter", of="b", delivery=delivery)
+    await a.connect("a/out", "b/in")
+    await a.connect("a/small", "b/little")
+    for robot in (a, b):
+        await robot.receive_all(2)
+    return a, b
+
+
+async def test_message_that_is_too_old_when_its_turn_comes_is_dropped_and_reported(platform: Platform) -> None:
+    a, b = await with_delivery(platform, maxAge=1e-9)
+    await a.data("small", {"data": "late"})
+    assert (await b.receive())["data"] == {
+        "topic": "drops", "iTag": "little", "count": 1, "where": "on the way to the robot",
+    }  # fmt: skip
+
+
+async def test_messages_beyond_the_rate_are_dropped(platform: Platform) -> None:
+    a, b = await with_delivery(platform, rate=0.001)
+    for number in range(3):
+        await a.data("small", {"data": str(number)})
+    assert (await b.receive())["data"]["msg"] == {"data": "0"}
+    await b.expect_silence()
+
+
+async def test_messages_of_high_priority_are_sent_before_all_parts_of_a_large_one(platform: Platform) -> None:
+    a, b = await with_delivery(platform, priority="high")
+    b.socket.transport.pause_reading()
+    large = bytes(20_000_000)
+    await a.send(image(ID), *(
+        ID.encode() + struct.pack("!II", offset, len(large)) + large[offset : offset + PART]
+        for offset in range(0, len(large), PART)
+    ))  # fmt: skip
+    for number in range(20):
+        await a.data("small", {"data": str(number)})
+    await a.expect_silence()
+    b.socket.transport.resume_reading()
+    frames = await b.until(lambda frame: isinstance(frame, bytes) and len(frame) < PART + 40)
+    small = [index for index, frame in enumerate(frames) if not isinstance(frame, bytes)][1:]
+    assert len(small) == 20
+    assert small == list(range(small[0], small[0] + 20)), "no part is between them"

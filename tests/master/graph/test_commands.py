@@ -18,7 +18,7 @@ from rce.control.calls.endpoints import (
     StopNode,
 )
 from rce.control.calls.environments import StartEnvironment, StopEnvironment
-from rce.errors import AlreadyExists
+from rce.errors import AlreadyExists, InvalidRequest
 from rce.protocol import messages as m
 from tests.support.master.fleet import calls, everything, full, furnished, interface, sends
 
@@ -149,3 +149,20 @@ def test_interface_is_bound_at_the_endpoint_of_its_robot() -> None:
     fleet = furnished()
     plan = fleet.do("ann", interface("r1", "x", "PublisherConverter")).plan
     assert [(send.to, type(send.call)) for send in sends(plan)] == [("west", Bind)]
+
+
+@pytest.mark.parametrize(("endpoint", "kind"), [("brain", "PublisherInterface"), ("r1", "ServiceClientConverter")])
+def test_delivery_is_refused_where_nothing_crosses_the_line_as_a_topic(endpoint: str, kind: m.InterfaceType) -> None:
+    fleet = furnished()
+    command = m.AddInterface(endpoint, "in", kind, "std_msgs/String", delivery=m.Delivery("high"))
+    with pytest.raises(InvalidRequest, match="has no delivery") as raised:
+        fleet.do("ann", command)
+    assert raised.value.info.field == "delivery"
+
+
+def test_environment_with_the_name_of_a_robot_is_refused_with_the_kind_of_its_owner() -> None:
+    fleet = furnished()
+    for name, kind in (("r1", "robot"), ("brain", "environment")):
+        with pytest.raises(AlreadyExists, match=f"in use by an? {kind} of yours") as raised:
+            fleet.do("ann", m.CreateContainer(name))
+        assert raised.value.info.fields == {"kind": kind}

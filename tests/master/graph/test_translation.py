@@ -38,6 +38,13 @@ def test_other_spelling_of_the_group_address_is_taken() -> None:
     assert options_from(m.ContainerData(group="g", groupIp="192.168.1.9")).group_address == "192.168.1.9"
 
 
+def test_interface_of_a_robot_keeps_its_delivery() -> None:
+    delivery = m.Delivery("high", 0.5, 10.0)
+    command = m.AddInterface("r1", "in", "PublisherConverter", "std_msgs/String", delivery=delivery)
+    spec = interface_spec(interface_from("1" * 32, "ann/r1", "PublisherConverter", command))
+    assert spec.delivery == delivery
+
+
 def test_interface_keeps_its_quality_of_service() -> None:
     qos = m.Qos("best_effort", "transient_local", "keep_all", 7)
     command = m.AddInterface("brain", "in", "PublisherInterface", "std_msgs/String", "chat", qos, "jpeg")

@@ -61,3 +61,12 @@ def test_message_that_gave_way_while_it_was_sent_is_not_removed_twice() -> None:
 def test_misspelt_choice_is_refused() -> None:
     with pytest.raises(InvalidRequest, match="offline='newst': write drop, newest, store"):
         Backlog("newst")  # type: ignore[arg-type]
+
+
+def test_messages_that_are_of_no_use_any_more_are_dropped() -> None:
+    backlog = Backlog("store")
+    for number in range(3):
+        backlog.put(message(number), possible=False, until=10.0 + number)
+    backlog.drop_old(11.5)
+    assert drained(backlog) == [2]
+    assert backlog.dropped == 2

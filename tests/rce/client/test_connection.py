@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from rce.client import Disconnected, Reconnected, connection
 from rce.errors import InvalidRequest
-from tests.support.client_contract import STRING, until
+from tests.support.client_contract import STRING, WAIT, until
 from tests.support.fake_platform import FakePlatform
 
 
@@ -43,3 +44,18 @@ async def test_small_frames_overtake_the_parts_of_a_large_blob(fake: FakePlatfor
         await until(lambda: fake.frame_types.count("part") == 8)
         assert fake.frame_types.index("CN") < 5
         assert sorted(fake.frame_types) == ["CN", "DM", "DM", *["part"] * 8]
+
+
+async def test_session_is_resumed_when_the_address_of_the_line_is_gone(
+    fake: FakePlatform, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gone = iter([True])
+    monkeypatch.setattr(connection, "address_is_gone", lambda _: next(gone, False))
+    async with fake.robot("a") as a:
+        events = a.events()
+        subscriber = await a.subscriber("in", STRING)
+        publisher = await a.publisher("out", STRING, to="a/in")
+        assert isinstance(await events.get(WAIT), Disconnected)
+        assert await events.get(WAIT) == Reconnected(resumed=True)
+        await publisher.publish({"data": "again"})
+        assert await subscriber.get(WAIT) == {"data": "again"}

@@ -10,7 +10,8 @@ from tests.support.paths import TESTS
 
 NEED_REAL_PLATFORM = (
     "refused robots get the reason",
-    "environment is created, used and destroyed",
+    "name in use is rejected",
+    "environment is created used and destroyed",
     "goals end as their server says",
 )
 TIMEOUT = 60

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rce.net.outbox import HIGH_WATER, Outbox
+from rce.net.outbox import HIGH_WATER, Outbox, Priority
 
 A, B, C = b"a", b"b", b"c"
 
@@ -163,3 +163,18 @@ def test_message_that_fails_does_not_block_its_source() -> None:
     stream.outbox.put(A, message("a"), None)
     assert stream.written == ["begun", "b0", "a0"]
     assert stream.outbox.empty
+
+
+def test_source_of_higher_priority_is_served_first() -> None:
+    stream = Stream()
+    stream.outbox.pause()
+    for source, priority in ((A, Priority.LOW), (B, Priority.NORMAL), (C, Priority.HIGH)):
+        stream.outbox.put(source, message(source.decode(), 2), None, priority=priority)
+    assert stream.resume() == ["c0", "c1", "b0", "b1", "a0", "a1"]
+
+
+def test_message_of_high_priority_is_sent_between_the_pieces_of_a_low_one() -> None:
+    stream = Stream(1)
+    stream.outbox.put(A, message("a", 2), None, priority=Priority.LOW)
+    stream.outbox.put(C, message("c"), None, priority=Priority.HIGH)
+    assert stream.resume() == ["c0", "a1"]
