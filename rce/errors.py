@@ -84,6 +84,9 @@ class RceError(Exception):
         return self
 
 
+class_of_code[RceError.code] = RceError
+
+
 class InvalidRequest(RceError):
     """A frame, command, option or file is malformed. Correct it; a retry fails in the same way."""
 

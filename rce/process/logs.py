@@ -119,7 +119,7 @@ class _FromLogging(logging.Handler):
 
 def _text_line(event: LogEvent) -> str:
     clock = datetime.fromtimestamp(event["log_time"]).strftime("%H:%M:%S.%f")[:-3]
-    line = f"{clock} {event['log_level'].name:5} {event.get('log_namespace', '-')}: {formatEvent(event)}"
+    line = f"{clock} {event['log_level'].name:5} {event.get('log_namespace', '-')}: {_message(event)}"
     line += f" [{id}]" if (id := request_id.get()) else ""
     return f"{line}\n{_traceback(event)}\n" if "log_failure" in event else line + "\n"
 
@@ -129,7 +129,7 @@ def _json_line(event: LogEvent) -> str:
         "time": datetime.fromtimestamp(event["log_time"]).astimezone().isoformat(timespec="milliseconds"),
         "level": event["log_level"].name,
         "from": event.get("log_namespace", ""),
-        "message": formatEvent(event),
+        "message": _message(event),
     }
     if id := request_id.get():
         line["request"] = id
@@ -137,6 +137,15 @@ def _json_line(event: LogEvent) -> str:
     if "log_failure" in event:
         line["traceback"] = _traceback(event)
     return msgspec.json.encode(line, enc_hook=str).decode() + "\n"
+
+
+def _message(event: LogEvent) -> str:
+    """Return the event's text. Twisted's `formatEvent` takes ten times as long, and is for formats with calls."""
+    try:
+        text: str = event["log_format"].format_map(event)
+    except Exception:  # noqa: BLE001  # the format has calls, or is missing, or `str` of a value fails
+        return formatEvent(event)
+    return text
 
 
 def _traceback(event: LogEvent) -> str:

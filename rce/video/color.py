@@ -7,7 +7,8 @@ has 30 images, and a key frame carries all parameters, as `foxglove_msgs/Compres
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Literal
@@ -27,6 +28,7 @@ FORMATS: tuple[Format, ...] = ("h264", "av1", "vp9")
 
 GROUP = 30  # images from one key frame to the next
 MAX_SIDE = 4096  # pixels
+THREADS = "/proc/self/task"  # directory with the threads of this process
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,10 +133,30 @@ def _open_encoder(config: ColorConfig, width: int, height: int) -> VideoCodecCon
     context.gop_size, context.max_b_frames, context.thread_count = GROUP, 0, 1
     context.options = options(8 * config.rate)
     try:
-        context.open()
+        with _same_scheduling():
+            context.open()
     except av.error.FFmpegError as error:
         raise InvalidRequest(f"{config.format} cannot encode images of {width}x{height}: {error}") from None
     return context
+
+
+@contextmanager
+def _same_scheduling() -> Iterator[None]:
+    """Give the threads that begin in this block the scheduling of this thread, and keep that.
+
+    In a process of root, SVT-AV1 gives its threads and the one that calls it the highest real-time priority. They would
+    stop all other programs of the machine while they compute.
+    """
+    if not hasattr(os, "sched_setscheduler"):  # not Linux
+        yield
+        return
+    scheduling, before = (os.sched_getscheduler(0), os.sched_getparam(0)), set(os.listdir(THREADS))
+    try:
+        yield
+    finally:
+        for thread in {"0", *os.listdir(THREADS)} - before:
+            with suppress(ProcessLookupError):  # it has ended
+                os.sched_setscheduler(int(thread), *scheduling)
 
 
 def _open_decoder(format: Format) -> VideoCodecContext:

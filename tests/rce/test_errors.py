@@ -50,3 +50,11 @@ def test_subclass_without_a_code_of_its_own_crosses_as_its_base_class() -> None:
         pass
 
     assert type(round_trip(Special("it is full"))) is NoCapacity
+
+
+def test_error_of_no_kind_is_none_of_a_subclass_without_a_code() -> None:
+    class Own(RceError):
+        def __init__(self, reason: int, message: str) -> None:
+            super().__init__(message)
+
+    assert type(RceError.from_info(Own(1, "no").info)) is RceError

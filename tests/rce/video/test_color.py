@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 
 import numpy as np
 import pytest
@@ -19,6 +20,16 @@ def test_each_packet_is_an_image_at_once(format: Format) -> None:
         assert (packet.number, packet.key) == (number, number == 0)
         assert image is not None
         assert np.abs(image.astype(int) - color(number)).mean() < 8
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="needs the scheduling calls of Linux")
+@pytest.mark.parametrize("format", FORMATS)
+def test_encoder_changes_the_scheduling_of_no_thread(format: Format) -> None:
+    """As root, SVT-AV1 would take the highest real-time priority."""
+    encoder, before = ColorEncoder(ColorConfig(format)), os.sched_getscheduler(0)
+    encoder.encode(color(0))
+    encoder.encode(color(1))
+    assert {os.sched_getscheduler(int(thread)) for thread in os.listdir("/proc/self/task")} == {before}
 
 
 @pytest.mark.parametrize("format", FORMATS)
