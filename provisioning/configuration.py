@@ -16,14 +16,14 @@ from typing import Any
 from provisioning.joincode import Code
 from provisioning.release import TYPESUPPORT
 from provisioning.steps import ProvisioningError
-from provisioning.system import AUTHORITY_KEY, CURRENT, DOCKER, ETC, MAPS, TLS, VAR, WEB_SERVICES, System
+from provisioning.system import AUTHORITY_KEY, CURRENT, DOCKER, ETC, KNOWLEDGE, MAPS, TLS, VAR, WEB_SERVICES, System
 
 Value = str | int | float | bool | list[str]
 Settings = dict[str, Value]
 MEMBERSHIP = f"{ETC}/membership.json"  # the Master's answer when this machine joined
 CONTROL_PORT, MACHINES_PORT, HTTP_PORT, WS_PORT = 8080, 8081, 9000, 9010
 DATA_PORTS = {"robot": 9020, "container": 9030}
-WEB_PORTS = {"map-service": 9040, "knowledge-service": 9050}
+WEB_PORTS = {MAPS: 9040, KNOWLEDGE: 9050}
 OVERRIDES = {  # option: the settings that it overrides
     "address": {"address", "public_url", "data_address", "master"},
     "http_port": {"http", "entry"},

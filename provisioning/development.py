@@ -61,6 +61,15 @@ OPTIONAL_PROGRAMS = {  # single tests need them, and not every distribution has 
     "prometheus": "prometheus",
     "cloud-init": "cloud-init",
     "systemd": "systemd-analyze",
+    "cmake": "cmake",
+    "make": "make",
+    "clang": "clang++",
+}
+INCLUDE = Path("/usr/include")
+CPP_HEADERS = {  # of the C++ client
+    "libboost-dev": "boost/beast.hpp",
+    "libssl-dev": "openssl/ssl.h",
+    "nlohmann-json3-dev": "nlohmann/json.hpp",
 }
 IN_TWO_PROCESSES = ("-n", "2", "--dist", "loadgroup", "--no-loadscope-reorder", "--max-worker-restart=1")
 """Options of pytest. tests/conftest.py makes the groups and their order. A process that ends is replaced once, because
@@ -91,6 +100,7 @@ def missing_debian(tests: bool) -> list[str]:
     }
     if tests:
         present |= {package: shutil.which(program) for package, program in OPTIONAL_PROGRAMS.items()}
+        present |= {package: (INCLUDE / header).exists() for package, header in CPP_HEADERS.items()}
         present["node-typescript"] = shutil.which("tsc") or shutil.which("npm")  # either is enough
     if tests and IS_ROOT and "DOCKER_HOST" not in os.environ:
         present |= {package: system_program(program) for package, program in DOCKER_PROGRAMS.items()}
@@ -114,7 +124,7 @@ def install_debian(tests: bool) -> str:
         quiet = {"DEBIAN_FRONTEND": "noninteractive"}
         run("apt-get", *APT_OPTIONS, "update", environment=quiet)
         install = ("apt-get", *APT_OPTIONS, "install", "-y", "--no-install-recommends")
-        needed = [package for package in packages if package not in OPTIONAL_PROGRAMS]
+        needed = [package for package in packages if package not in {*OPTIONAL_PROGRAMS, *CPP_HEADERS}]
         missing: list[str] = []
         with services_off(packages):
             if needed:

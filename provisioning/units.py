@@ -53,7 +53,7 @@ RemoveIPC=yes
 SystemCallFilter=~@privileged @resources
 RestrictAddressFamilies=AF_INET AF_INET6 AF_UNIX
 """
-# They lower the priority of worker processes.
+# Services that start worker processes, which lower their own priority.
 WITH_WORKERS = """\
 SystemCallFilter=setpriority
 """

@@ -21,6 +21,7 @@ WITHOUT_LOGIC = {
     "rce/api/views/traces.py": "structs",
     "rce/cli/commands/knowledge.py": "declarations; test_table.py checks the commands of all modules",
     "rce/cli/commands/maps3d.py": "declarations; test_table.py checks the commands of all modules",
+    "rce/cli/commands/planning.py": "declarations; test_table.py checks the commands of all modules",
     "rce/cli/commands/packages.py": "declarations; test_table.py checks the commands of all modules",
     "rce/client/events.py": "type aliases and two tuples",
     "rce/control/calls/agents.py": "structs; test_call.py checks the calls of all modules",

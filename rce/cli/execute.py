@@ -90,12 +90,27 @@ def _run_group(words: Sequence[str], prog: str, in_console: bool) -> int:
 
 def split_address(command: Command, arguments: Sequence[str]) -> list[str]:
     """Return the arguments with `ENV/NAME` as two words where the command takes ENV and NAME."""
-    positional = [each for each in command.all_arguments() if not each.flags[0].startswith("-")]
-    if len(positional) > 1 and positional[0] is ENVIRONMENT and arguments and not arguments[0].startswith("-"):
-        environment, slash, name = arguments[0].partition("/")
+    positional = [each for each in command.all_arguments() if each.positional]
+    index = _first_positional(command, arguments)
+    if len(positional) > 1 and positional[0] is ENVIRONMENT and index is not None:
+        environment, slash, name = arguments[index].partition("/")
         if slash:
-            return [environment, name, *arguments[1:]]
+            return [*arguments[:index], environment, name, *arguments[index + 1 :]]
     return list(arguments)
+
+
+def _first_positional(command: Command, arguments: Sequence[str]) -> int | None:
+    """Return the index of the first argument that is neither an option nor the value of one."""
+    with_value = {flag for each in command.all_arguments() if each.takes_value for flag in each.flags}
+    is_value = False
+    for index, word in enumerate(arguments):
+        if is_value:
+            is_value = False
+        elif word in with_value:
+            is_value = True
+        elif not word.startswith("-"):
+            return index
+    return None
 
 
 def _unknown(word: str, in_console: bool) -> int:

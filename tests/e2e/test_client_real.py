@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator
 import pytest
 
 from rce.client import Robot
+from rce.errors import AlreadyExists
 from tests.support.client_contract import ClientContract, Platform
 from tests.support.e2e.real_platform import USER, RealPlatform
 
@@ -46,3 +47,10 @@ class TestClientAtRealPlatform(ClientContract):
     @pytest.fixture
     def platform(self, running: RealPlatform) -> Platform:
         return RealWorld(running)
+
+
+async def test_environment_with_the_name_of_its_robot_is_refused(running: RealPlatform) -> None:
+    """An environment that exists is taken over, but this one does not exist."""
+    async with Robot(running.url, user=USER, robot="same", password=USER) as robot:
+        with pytest.raises(AlreadyExists, match="in use by a robot of yours"):
+            await robot.environment("same").__aenter__()

@@ -22,7 +22,7 @@ async def test_client_in_node(platform: RealPlatform) -> None:
         if process.returncode is None:
             process.kill()
     assert process.returncode == 0, err.decode()
-    assert "environment is created, used and destroyed" in out.decode()
+    assert "environment is created used and destroyed" in out.decode()
 
 
 async def test_client_in_a_page(platform: RealPlatform) -> None:
@@ -38,4 +38,4 @@ async def test_client_in_a_page(platform: RealPlatform) -> None:
             return (await import(`${options.url}ui/client_contract.js`)).run(rce, options);
         }"""
         async with asyncio.timeout(120):
-            assert "environment is created, used and destroyed" in await page.evaluate(run, options)
+            assert "environment is created used and destroyed" in await page.evaluate(run, options)

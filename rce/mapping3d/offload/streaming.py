@@ -98,7 +98,7 @@ class StreamingRobot:
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        """Stop."""
+        """Cancel the receiver, and stop watching the node."""
         if self._receiver is not None:
             self._receiver.cancel()
             await asyncio.gather(self._receiver, return_exceptions=True)

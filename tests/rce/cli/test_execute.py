@@ -113,6 +113,7 @@ def test_misspelt_command_is_answered_with_the_nearest(
     ("line", "path"),
     [
         ("node show brain/echo", "environments/brain/nodes/echo"),
+        ("node show --of ann brain/echo", "environments/brain/nodes/echo"),
         ("node show brain echo", "environments/brain/nodes/echo"),
         ("param get brain/rate", "environments/brain/parameters/rate"),
     ],

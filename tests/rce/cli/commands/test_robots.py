@@ -58,6 +58,7 @@ def test_interface_is_added_with_its_quality_of_service() -> None:
         "className": "geometry_msgs/Pose2D",
         "addr": "/pose",
         "format": "png",
+        "delivery": {},
     }
 
 
