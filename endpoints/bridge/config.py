@@ -11,6 +11,7 @@ from msgspec import Meta, Struct
 
 from rce import structfile
 from rce.api.map_jobs import Mapper
+from rce.client.backlog import Offline
 from rce.errors import InvalidRequest
 from rce.protocol.messages import ContainerData, ParameterValue, Qos
 
@@ -25,6 +26,9 @@ class Topic(Struct, frozen=True, forbid_unknown_fields=True):
         to: Name at the other end; empty for the same name.
         rate: Maximum rate in Hz, beyond which messages are left out; 0 for all messages.
         format: Compression of images on the way; empty leaves messages unchanged.
+        offline: Treatment of messages to the cloud while the robot is offline: drop them, keep the newest one, or store
+            them (64 MiB at most) and send them in their order when it is back. Those from the cloud are not kept.
+        store: File in which they are stored, so that they outlast the bridge; for `offline: store`.
     """
 
     topic: Name
@@ -33,6 +37,8 @@ class Topic(Struct, frozen=True, forbid_unknown_fields=True):
     rate: Rate = 0
     format: Literal["", "png", "jpeg"] = ""
     qos: Qos = Qos()
+    offline: Offline = "drop"
+    store: Path | None = None
 
 
 class Service(Struct, frozen=True, forbid_unknown_fields=True):
@@ -178,6 +184,10 @@ def _check(config: BridgeConfig, where: str) -> None:
                 raise InvalidRequest(
                     f"{where}: {place}.qos: a bridge keeps only the newest messages: use keep_last", field=place
                 )
+            if way == "receive" and topic.offline != "drop":
+                raise InvalidRequest(f"{where}: {place}.offline is only for topics to send", field=place)
+            if topic.store is not None and topic.offline != "store":
+                raise InvalidRequest(f"{where}: {place}.store needs offline: store", field=place)
             if topic.format and topic.type.replace("/msg/", "/") != "sensor_msgs/Image":
                 raise InvalidRequest(f"{where}: {place}.format is only for sensor_msgs/Image", field=place)
         if direction.tf is not None and not direction.tf.frames:

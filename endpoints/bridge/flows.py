@@ -20,7 +20,7 @@ from endpoints.environment.interfaces import RosInterface
 from endpoints.environment.service_calls import TIMEOUT
 from endpoints.environment.services import ServiceClientInterface, ServiceProviderInterface
 from endpoints.environment.topics import PublisherInterface, SubscriberInterface
-from rce.client import Environment
+from rce.client import Environment, Store
 from rce.errors import ConversionError, RceError
 from rce.net.outbox import Owner
 from rce.protocol.blobs import Buffer
@@ -93,7 +93,12 @@ class SentTopic(Flow):
         raw = not topic.format
         format: Literal["png", "jpeg"] = topic.format or "png"
         self._out = await environment.publisher(
-            topic.to or topic.topic, topic.type, qos=topic.qos, raw=raw, format=format
+            topic.to or topic.topic,
+            topic.type,
+            qos=topic.qos,
+            raw=raw,
+            format=format,
+            offline=Store(topic.store) if topic.offline == "store" else topic.offline,
         )
         await self.add_local_interface(local, SubscriberInterface, topic.type, topic.topic, topic.qos)
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import uuid
 from collections.abc import Coroutine
 from functools import partial
+from itertools import islice
 from typing import Literal
 from weakref import WeakValueDictionary
 
@@ -20,6 +22,7 @@ from endpoints.robot.frame_receiver import ServerLimits
 from endpoints.robot.handshake import LoginRequest
 from endpoints.robot.kinds import make_interface
 from endpoints.robot.session import RobotSession
+from endpoints.robot.streams import Streams
 from endpoints.robot.types import UserTypes
 from endpoints.robot.workers import Workers
 from rce.control.calls.call import BatchResult
@@ -46,6 +49,8 @@ from rce.protocol.messages import DataMessage, DropEvent
 from rce.protocol.names import parse_type
 
 EXPIRY_RETRY = 1.0  # seconds
+MAX_ROBOTS = 10_000  # without a session, whose streams are remembered
+FORGET = 16  # robots at most that are forgotten at once
 LOGIN_WAIT = 5.0  # seconds for the Master to come back; shorter than robots wait, so that they get the reason
 
 log = Logger()
@@ -100,6 +105,8 @@ class RobotEndpoint:
         self._grace_timers: dict[str, asyncio.TimerHandle] = {}  # of sessions without a socket
         self._expiring: dict[str, asyncio.Task[None]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
+        self._incarnation = uuid.uuid4().hex  # of the streams: they are known as long as this object lives
+        self._streams: dict[str, Streams] = {}  # by robot
 
     async def load_converters(self) -> None:
         """Find the users' converters.
@@ -182,9 +189,18 @@ class RobotEndpoint:
         old = self.sessions.pop(name, None)
         if old is not None:
             old.end("the session has ended")
-        session = self.sessions[name] = RobotSession(name, self.master, self._session_budget(name), self.limits.message)
+        streams, budget = self._streams_of(name), self._session_budget(name)
+        session = self.sessions[name] = RobotSession(name, self.master, streams, budget, self.limits.message)
         self._start_grace(session)
         return session
+
+    def _streams_of(self, name: str) -> Streams:
+        """Return the streams of a robot; those of the robot that has had no session for longest are forgotten."""
+        streams = self._streams[name] = self._streams.pop(name, Streams(self._incarnation))
+        for other in [each for each in islice(self._streams, FORGET) if each not in self.sessions and each != name]:
+            if len(self._streams) > MAX_ROBOTS:
+                del self._streams[other]
+        return streams
 
     def _session_budget(self, name: str) -> Budget:
         """Return a new budget: a user may have a half of this process's bytes, a session a quarter."""

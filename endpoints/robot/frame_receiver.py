@@ -89,17 +89,32 @@ class FrameReceiver:
 
     def _data(self, frame: m.Frame, blobs: dict[str, Buffer]) -> None:
         message = m.decode_as(m.DataMessage, frame.data, "data")
+        if message.stream and not self._begin(frame, message):
+            return
         try:
             conversion = self._handle(self._session, message, blobs)
         except RceError as error:
+            self._end(message, error)
             raise _of_message(error, message) from None
         if conversion is None:
-            self._acknowledge(frame)
+            self._converted(None, frame, message)
             return
         size = len(memoryview(frame.data)) + sum(map(len, blobs.values()))
         self._conversions.add(conversion, size, lambda error: self._converted(error, frame, message))
 
+    def _begin(self, frame: m.Frame, message: m.DataMessage) -> bool:
+        """Begin to take a message of a stream; return False if it came before."""
+        if self._session.streams.taken(message):
+            self._acknowledge(frame)
+            return False
+        return self._session.streams.begin(message)
+
+    def _end(self, message: m.DataMessage, error: RceError | None) -> None:
+        if message.stream:
+            self._session.streams.end(message, error)
+
     def _converted(self, error: RceError | None, frame: m.Frame, message: m.DataMessage) -> None:
+        self._end(message, error)
         if error is None:
             self._acknowledge(frame)
         else:

@@ -17,6 +17,7 @@ import msgspec
 from msgspec import UNSET, Raw, UnsetType
 from twisted.logger import Logger
 
+from endpoints.robot.streams import Streams
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.control.calls.robots import Execute, Executed
 from rce.control.client import ControlClient
@@ -85,10 +86,16 @@ class RobotSession:
         outbox: Messages to the robot.
         budget: Bytes that messages from and to the robot may hold while they wait.
         limit: Bytes of the largest WebSocket message that the robot takes.
+        streams: Numbered messages of the robot that were taken.
     """
 
     def __init__(
-        self, name: str, master: ControlClient, budget: Budget | None = None, limit: int = MAX_MESSAGE
+        self,
+        name: str,
+        master: ControlClient,
+        streams: Streams,
+        budget: Budget | None = None,
+        limit: int = MAX_MESSAGE,
     ) -> None:
         """Create a session without a socket; `budget` is unlimited by default."""
         self.name = name
@@ -99,6 +106,7 @@ class RobotSession:
         self.connection = ""
         self.budget = budget
         self.limit = limit
+        self.streams = streams
         self.outbox: Outbox[Piece] = Outbox(self._write)
         self.outbox.pause()
         self._master = master
@@ -122,7 +130,9 @@ class RobotSession:
         if self.features:
             resumable = "resume" in self.features
             statuses = {tag: interface.connected for tag, interface in self.interfaces.items()} if resumed else {}
-            session = m.Session(sorted(self.features), resumed=resumed, interfaces=statuses)
+            session = m.Session(
+                sorted(self.features), resumed=resumed, interfaces=statuses, incarnation=self.streams.incarnation
+            )
             if resumable:
                 session = msgspec.structs.replace(session, token=token, grace=grace)
             socket.write(_piece(m.Status(session)))

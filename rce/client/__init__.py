@@ -18,6 +18,7 @@ from rce.client.environment import Environment
 from rce.client.events import Disconnected, Event, Reconnected
 from rce.client.robot import Robot
 from rce.client.services import ServiceClient, ServiceProvider
+from rce.client.store import Store
 from rce.client.stream import Stream
 from rce.client.topics import Publisher, Subscriber
 
@@ -36,6 +37,7 @@ __all__ = [
     "ServerGoal",
     "ServiceClient",
     "ServiceProvider",
+    "Store",
     "Stream",
     "Subscriber",
 ]

@@ -1,19 +1,15 @@
-"""Messages of a publisher that does not wait, until they can be sent."""
+"""The message of a publisher that does not wait, until it can be sent."""
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Mapping
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple
 
-from rce.errors import InvalidRequest
 from rce.protocol.blobs import Buffer
 
 Offline = Literal["drop", "newest", "store"]
 """Treatment of messages that cannot be sent: drop them, keep the newest one, or store them in their order."""
-
-MOST_MESSAGES, MOST_BYTES = 10_000, 64 << 20  # that are stored
 
 
 class Encoded(NamedTuple):
@@ -22,33 +18,24 @@ class Encoded(NamedTuple):
     text: bytes
     blobs: Mapping[str, Buffer]
 
-    @property
-    def size(self) -> int:
-        """Number of bytes."""
-        return len(self.text) + sum(map(len, self.blobs.values()))
-
 
 class Backlog:
-    """Queue of messages, of which the oldest give way.
+    """The newest message, before which the one before it gives way.
 
     Attributes:
+        keep: True if a message is kept while it cannot be sent.
         dropped: Number of messages that were dropped.
-
-    Raises:
-        InvalidRequest: `offline` is none of the choices.
     """
 
-    def __init__(self, offline: Offline) -> None:
-        if offline not in get_args(Offline):
-            raise InvalidRequest(f"offline={offline!r}: write {', '.join(get_args(Offline))}", field="offline")
-        self.offline = offline
+    def __init__(self, *, keep: bool) -> None:
+        """Create an empty backlog; `keep` says whether a message is kept while it cannot be sent."""
         self.dropped = 0
-        self._messages: deque[tuple[Encoded, float]] = deque()  # each with the time until which it is of use
-        self._bytes = 0
-        self._most = MOST_MESSAGES if offline == "store" else 1
+        self.keep = keep
+        self._message: Encoded | None = None
+        self._until = math.inf
 
-    def __len__(self) -> int:
-        return len(self._messages)
+    def __bool__(self) -> bool:
+        return self._message is not None
 
     def put(self, message: Encoded, possible: bool, until: float = math.inf) -> None:
         """Add a message.
@@ -58,36 +45,31 @@ class Backlog:
             possible: Whether it can be sent now.
             until: Time until which it is of use; see `drop_old`.
         """
-        if self.offline == "drop" and not possible:
+        if not possible and not self.keep:
             self.dropped += 1
             return
-        self._messages.append((message, until))
-        self._bytes += message.size
-        while len(self._messages) > self._most or (self._bytes > MOST_BYTES and len(self._messages) > 1):
-            self._drop_first()
+        self.dropped += self._message is not None
+        self._message, self._until = message, until
 
     def drop_old(self, now: float) -> None:
-        """Drop the messages that are of no use any more."""
-        while self._messages and self._messages[0][1] < now:
-            self._drop_first()
-
-    def _drop_first(self) -> None:
-        self.remove(self._messages[0][0])
-        self.dropped += 1
+        """Drop a message that is of no use any more."""
+        if self._message is not None and self._until < now:
+            self._drop()
 
     def first(self) -> Encoded | None:
-        """Return the oldest message, which stays until it is removed."""
-        return self._messages[0][0] if self._messages else None
+        """Return the message, which stays until it is removed."""
+        return self._message
 
     def remove(self, message: Encoded) -> None:
-        """Remove the oldest message, if it is this one."""
-        if self._messages and self._messages[0][0] is message:
-            self._messages.popleft()
-            self._bytes -= message.size
+        """Remove this message, if it is still there."""
+        if self._message is message:
+            self._message = None
 
     def disconnected(self) -> None:
         """Drop what the publisher does not keep while it is offline."""
-        if self.offline == "drop":
-            self.dropped += len(self._messages)
-            self._messages.clear()
-            self._bytes = 0
+        if not self.keep and self._message is not None:
+            self._drop()
+
+    def _drop(self) -> None:
+        self._message = None
+        self.dropped += 1

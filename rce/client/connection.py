@@ -28,6 +28,7 @@ from rce.protocol.messages import (
     DataMessage,
     Failure,
     Frame,
+    FrameId,
     Session,
     Status,
     StatusData,
@@ -81,6 +82,7 @@ class Connection:
         self._has_piece = asyncio.Event()
         self._written = asyncio.Event()
         self._flight = flight_of(socket.transport.get_extra_info("socket"))
+        self._expected: dict[FrameId, Callable[[RceError | None], None]] = {}
 
     @staticmethod
     async def open(address: Address, endpoint: str, token: str) -> Connection:
@@ -160,6 +162,17 @@ class Connection:
             on_sent()
 
         self.put(source, pieces())
+
+    def expect(self, frame_id: FrameId, answered: Callable[[RceError | None], None]) -> None:
+        """Have `answered` called with the answer to a data message: None, or the error."""
+        self._expected[frame_id] = answered
+
+    def answer(self, frame_id: FrameId, error: RceError | None) -> bool:
+        """Pass on the answer to a data message; return False if the frame was none that is expected to be answered."""
+        answered = self._expected.pop(frame_id, None)
+        if answered is not None:
+            answered(error)
+        return answered is not None
 
     def room(self, source: str) -> asyncio.Future[None] | None:
         """Return None if the source may send now, else a future that completes when its queue is empty."""

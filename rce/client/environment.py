@@ -18,6 +18,7 @@ if TYPE_CHECKING:  # Robot imports this module
     from rce.client.operations import EnvironmentOptions, Format
     from rce.client.robot import Robot
     from rce.client.services import ServiceClient, ServiceProvider
+    from rce.client.store import Store
     from rce.client.topics import Publisher, Subscriber
 
 
@@ -161,7 +162,7 @@ class Environment:
         qos: Qos | None = None,
         raw: bool = False,
         format: Format = "png",
-        offline: Offline = "drop",
+        offline: Offline | Store = "drop",
         delivery: Delivery | None = None,
     ) -> Publisher:
         """Publish on a topic of the environment.
@@ -174,7 +175,7 @@ class Environment:
             format: Encoding of `sensor_msgs/Image` messages: PNG or JPEG bytes, or dicts (`json`). Raw messages may be
                 `ros1`. Other formats are converters of the Robot endpoint.
             offline: What `publish(…, wait=False)` does with messages that cannot be sent: `drop`, keep the `newest`, or
-                `store`; see `Publisher`.
+                `store` in memory or in the file of a `Store`; see `Publisher`.
             delivery: Priority, greatest age and rate of messages on the line from the robot.
 
         Returns:

@@ -19,6 +19,8 @@ from rce.client.interface import Interface
 from rce.client.operations import EnvironmentOptions, Format, Operations
 from rce.client.services import ServiceClient, ServiceProvider
 from rce.client.session import NAME_WAIT, ClientSession
+from rce.client.store import Store
+from rce.client.stored import make_publisher
 from rce.client.stream import Stream
 from rce.client.topics import Publisher, Subscriber
 from rce.errors import AlreadyExists, RceError
@@ -207,7 +209,7 @@ class Robot(Operations):
         raw: bool = False,
         format: Format = "png",
         qos: Qos | None = None,
-        offline: Offline = "drop",
+        offline: Offline | Store = "drop",
         delivery: Delivery | None = None,
     ) -> Publisher:
         """Add an interface through which the robot sends messages.
@@ -222,7 +224,7 @@ class Robot(Operations):
                 `ros1`. Other formats are converters of the Robot endpoint.
             qos: History and depth of the queue at the platform.
             offline: What `publish(…, wait=False)` does with messages that cannot be sent: `drop`, keep the `newest`, or
-                `store`; see `Publisher`.
+                `store` in memory or in the file of a `Store`; see `Publisher`.
             delivery: Priority, greatest age and rate of messages on the line to the platform.
 
         Returns:
@@ -238,7 +240,7 @@ class Robot(Operations):
             RceError: Any other error of the platform, or `Unavailable` if the robot is not open. After any error the
                 interface does not exist.
         """
-        publisher = Publisher(self, tag, type_name, offline, delivery or Delivery())
+        publisher = make_publisher(self, tag, type_name, offline, delivery or Delivery())
         return await self._add(publisher, "Subscriber", to, raw, format, qos, delivery)
 
     async def subscriber(

@@ -17,7 +17,7 @@ from contextlib import aclosing
 from dataclasses import dataclass
 from typing import Protocol
 
-from msgspec import UNSET
+from msgspec import UNSET, UnsetType
 
 from rce.client.address import Address
 from rce.client.commands import already_done, frame_of
@@ -29,6 +29,7 @@ from rce.errors import (
     Forbidden,
     InternalError,
     InvalidRequest,
+    NotConnected,
     NotFound,
     RceError,
     TimedOut,
@@ -273,14 +274,24 @@ class ClientSession:
         elif isinstance(incoming, Failure):
             self._handle_failure(incoming)
         elif isinstance(incoming.data, Ack):
-            request = self._requests.get(incoming.id) if incoming.id is not UNSET else None
-            if request is not None and not request.done.done():
-                request.done.set_result(None)
+            self._handle_ack(incoming.id)
         elif not isinstance(incoming.data, Session):
             self._listener.status_received(incoming.data)
 
+    def _handle_ack(self, frame_id: FrameId | UnsetType) -> None:
+        if frame_id is UNSET or self._answer_message(frame_id, None):
+            return
+        request = self._requests.get(frame_id)
+        if request is not None and not request.done.done():
+            request.done.set_result(None)
+
+    def _answer_message(self, frame_id: FrameId, error: RceError | None) -> bool:
+        return self.connection is not None and self.connection.answer(frame_id, error)
+
     def _handle_failure(self, failure: Failure) -> None:
         error = error_of(failure)
+        if failure.id is not UNSET and self._answer_message(failure.id, error) and isinstance(error, NotConnected):
+            return  # the publisher sends the message again
         request = self._requests.get(failure.id) if failure.id is not UNSET else None
         if request is None:
             self._listener.error_received(error)

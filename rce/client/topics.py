@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import suppress
 from typing import Any
 
-from rce.client.backlog import Backlog, Encoded, Offline
+from rce.client.backlog import Backlog, Encoded
 from rce.client.connection import Connection, Message
 from rce.client.interface import CONNECT_TIMEOUT, Interface, Owner
 from rce.client.stream import Stream
@@ -30,14 +30,14 @@ log = logging.getLogger("rce.client")
 class Publisher(Interface):
     """Interface through which the robot sends messages.
 
-    Messages that had not reached the platform when the socket broke are lost; none is sent twice. What `publish` with
+    Messages that had not reached the platform when the socket broke are lost; none arrives twice. What `publish` with
     `wait=False` does with messages that cannot be sent, because the robot is offline or the interface has no peer, is
     chosen with `offline`:
 
     - `drop`: they are dropped.
     - `newest`: the newest one is kept, and sent as soon as possible.
-    - `store`: they are sent in their order as soon as possible; of more than 10,000 messages or 64 MiB the oldest are
-      dropped.
+    - `store`, or a `Store`: all are kept in memory or in a file until the platform has them, and none is lost with the
+      socket; see `StoringPublisher`.
 
     Attributes:
         tag: Name of the interface, unique within the robot.
@@ -45,10 +45,10 @@ class Publisher(Interface):
     """
 
     def __init__(
-        self, owner: Owner, tag: str, type_name: str, offline: Offline = "drop", delivery: Delivery = ALL
+        self, owner: Owner, tag: str, type_name: str, *, keep_newest: bool = False, delivery: Delivery = ALL
     ) -> None:
         super().__init__(owner, tag, type_name)
-        self._backlog = Backlog(offline)
+        self._backlog = Backlog(keep=keep_newest)
         self._priority = Priority[delivery.priority.upper()]
         self._max_age = delivery.maxAge or math.inf
         self._interval = 1 / delivery.rate if delivery.rate else 0.0
@@ -68,7 +68,7 @@ class Publisher(Interface):
 
         So nothing is dropped on the way to the platform, and a slow link slows the sender down (back-pressure). While
         the robot is offline this waits for the reconnection. A control loop uses `wait=False`: then this never waits,
-        older unsent messages give way (except with `store`), and `offline` of the publisher says what becomes of
+        an older unsent message gives way, and `offline` of the publisher says what becomes of
         messages that cannot be sent now.
 
         Args:
@@ -115,13 +115,16 @@ class Publisher(Interface):
                 and counted in `dropped`.
 
         Returns:
-            False if the message was dropped because the robot is offline, the interface has no peer, or the rate of the
-            interface does not permit it yet.
+            False if the message was dropped because the robot is offline or the interface has no peer, unless `offline`
+            of the publisher keeps it, or because the rate of the interface does not permit it yet.
 
         Raises:
             InvalidRequest: The message cannot be expressed in JSON.
         """
         connection = self._connection()
+        if connection is None and self._backlog.keep and self._ended is None:
+            self._put(value)
+            return True
         if connection is None or self._early() > 0:
             self._given_way += 1
             return False

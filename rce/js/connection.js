@@ -20,6 +20,7 @@ export class Connection {
   #assembler;
   #listener;
   #resolveClosed;
+  #expected = new Map(); // functions that take the answers to data messages, by frame id
   #closed = new Promise((resolve) => { this.#resolveClosed = resolve; });
 
   /**
@@ -67,6 +68,19 @@ export class Connection {
    */
   put(source, text, blobs = new Map(), { keep = Infinity, priority = "normal", mayStart = () => true } = {}) {
     return this.#outbox.put(source, pieces(text, blobs, mayStart), keep, priority);
+  }
+
+  /** Have `answered` called with the answer to a data message: null, or the error. */
+  expect(id, answered) {
+    this.#expected.set(id, answered);
+  }
+
+  /** Pass on the answer to a data message; returns false if no such message is expected to be answered. */
+  answer(id, error) {
+    const answered = this.#expected.get(id);
+    this.#expected.delete(id);
+    answered?.(error);
+    return Boolean(answered);
   }
 
   /** null if the source may send now, else a promise that resolves when its queue is empty. */

@@ -5,7 +5,7 @@ import { Stream } from "./stream.js";
 import { attach, detach, encode, floats, freshId } from "./values.js";
 
 export const CONNECT_TIMEOUT = 10; // seconds
-const TOPIC_ID = "nil"; // msgID of topic messages, as the original's clients send it
+export const TOPIC_ID = "nil"; // msgID of topic messages, as the original's clients send it
 
 /** Base of all interfaces of a robot. */
 export class Interface {
@@ -106,19 +106,22 @@ export class Interface {
 /** Sends messages. Those that had not reached the platform when the socket broke are lost; none is sent twice. */
 export class Publisher extends Interface {
   dropped = 0;
-  #delivery;
-  #next = 0; // time from which the next message may be sent
+  nextTime = 0; // from which the next message may be sent
 
   constructor(robot, tag, typeName, { delivery = {} } = {}) {
     super(robot, tag, typeName);
-    this.#delivery = delivery;
+    this.delivery = delivery;
   }
 
   /** Send a message (an object or bytes) after waiting for a peer, for room in the queue, and for its turn. */
-  async publish(value, timeout = CONNECT_TIMEOUT) {
+  async publish(value, timeout = CONNECT_TIMEOUT, wait = true) {
+    if (!wait) {
+      this.offer(value);
+      return;
+    }
     for (;;) {
       await this.waitConnected(timeout);
-      const early = this.#next - performance.now();
+      const early = this.nextTime - performance.now();
       const room = this.connection?.room(this.tag);
       if (this.connection && !room && early <= 0) break;
       await (early > 0 ? new Promise((resolve) => { setTimeout(resolve, early); }) : room);
@@ -128,7 +131,7 @@ export class Publisher extends Interface {
 
   /** Send without waiting, so that at most `keep` messages are queued. Returns false if there is no peer. */
   offer(value, keep = 1) {
-    if (!this.connection || performance.now() < this.#next) {
+    if (!this.connection || performance.now() < this.nextTime) {
       this.dropped += 1;
       return false;
     }
@@ -136,16 +139,25 @@ export class Publisher extends Interface {
     return true;
   }
 
+  /** Note that a message is sent, for the rate. */
+  began() {
+    if (this.delivery.rate) this.nextTime = performance.now() + 1000 / this.delivery.rate;
+  }
+
+  /** True if a message of this time is not too old. */
+  inTime(made) {
+    return !this.delivery.maxAge || performance.now() <= made + 1000 * this.delivery.maxAge;
+  }
+
   #put(value, keep) {
-    const { priority, maxAge = 0, rate = 0 } = this.#delivery;
-    const now = performance.now();
-    if (rate) this.#next = now + 1000 / rate;
+    const made = performance.now();
+    this.began();
     const mayStart = () => {
-      const inTime = !maxAge || performance.now() <= now + 1000 * maxAge;
+      const inTime = this.inTime(made);
       if (!inTime) this.dropped += 1;
       return inTime;
     };
-    const givenWay = this.send(TOPIC_ID, value, { keep, priority, mayStart });
+    const givenWay = this.send(TOPIC_ID, value, { keep, priority: this.delivery.priority, mayStart });
     this.dropped += givenWay; // not in one statement, because mayStart may run within the call
   }
 }

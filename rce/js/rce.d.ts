@@ -164,15 +164,20 @@ interface Interface {
   close(): Promise<void>;
 }
 
-/** Sends messages. Those that had not reached the platform when the socket broke are lost; none is sent twice. */
+/**
+ * Sends messages. Those that had not reached the platform when the socket broke are lost, unless the option `offline`
+ * keeps them; none arrives twice.
+ */
 export interface Publisher extends Interface {
-  /** Number of messages that `offer` has dropped. */
+  /** Number of messages that were dropped. */
   readonly dropped: number;
   /**
    * Send a message; waits for a peer and for room in the send queue (back-pressure), also while the robot is offline.
-   * Rejects with NotConnected after `timeout` without a peer, and with InvalidRequest for a value without JSON.
+   * Rejects with NotConnected after `timeout` without a peer, and with InvalidRequest for a value without JSON. With
+   * `offline: "newest"` or `"store"` it resolves when the platform has the message. With `wait` false it returns at
+   * once, and `offline` says what becomes of a message that cannot be sent now.
    */
-  publish(value: Message, timeout?: number): Promise<void>;
+  publish(value: Message, timeout?: number, wait?: boolean): Promise<void>;
   /**
    * Send a message without waiting, so that at most `keep` (1 by default) wait in the send queue; the oldest are
    * dropped. Returns false if it was dropped because there is no peer or the robot is offline.
@@ -253,6 +258,13 @@ export interface InterfaceOptions {
 export interface TopicOptions extends InterfaceOptions {
   delivery?: Delivery;
 }
+export interface PublisherOptions extends TopicOptions {
+  /**
+   * Treatment of messages that cannot be sent, because the robot is offline or the interface has no peer: drop them (the
+   * default), keep the newest one, or store all (64 MiB at most) in their order until the platform has them.
+   */
+  offline?: "drop" | "newest" | "store";
+}
 export interface SubscriberOptions<T = any> extends TopicOptions {
   /** Unread messages to keep: by default 1000, of images and point clouds 10. */
   depth?: number;
@@ -281,7 +293,7 @@ export class Environment {
   /** Remove a parameter. */
   deleteParameter(name: string, options?: { node?: string }): Promise<void>;
   /** Publish on a topic of the environment. */
-  publisher(topic: string, typeName: string, options?: TopicOptions): Promise<Publisher>;
+  publisher(topic: string, typeName: string, options?: PublisherOptions): Promise<Publisher>;
   /** Subscribe to a topic of the environment. */
   subscriber<T = any>(topic: string, typeName: string, options?: SubscriberOptions<T>): Promise<Subscriber<T>>;
   /** Return a client of a service that a node of the environment offers. */
@@ -390,7 +402,7 @@ export class Robot {
   configure(...commands: Command[]): Promise<void>;
 
   /** Add an interface through which the robot sends messages. */
-  publisher(tag: string, typeName: string, options?: TopicOptions & To): Promise<Publisher>;
+  publisher(tag: string, typeName: string, options?: PublisherOptions & To): Promise<Publisher>;
   /** Add an interface through which the robot receives messages. */
   subscriber<T = any>(tag: string, typeName: string, options?: SubscriberOptions<T> & To): Promise<Subscriber<T>>;
   /** Add an interface through which the robot calls a service. */

@@ -6,6 +6,7 @@ import { AlreadyExists, InvalidRequest } from "./errors.js";
 import { ActionClient, ActionServer, Goal } from "./actions.js";
 import { Publisher, ServiceClient, ServiceProvider, Subscriber } from "./interfaces.js";
 import { ClientSession } from "./session.js";
+import { StoringPublisher } from "./stored.js";
 import { Stream } from "./stream.js";
 
 export * from "./errors.js";
@@ -145,8 +146,13 @@ export class Robot {
 
   // --- interfaces; `to` is the `endpoint/interface` to connect to
 
-  publisher(tag, typeName, options = {}) {
-    return this.#add(new Publisher(this, tag, typeName, options), "Subscriber", options);
+  async publisher(tag, typeName, options = {}) {
+    const { offline = "drop" } = options;
+    if (!["drop", "newest", "store"].includes(offline)) {
+      throw new InvalidRequest(`offline: ${JSON.stringify(offline)}: write drop, newest or store`);
+    }
+    const Kind = offline === "drop" ? Publisher : StoringPublisher;
+    return this.#add(new Kind(this, tag, typeName, options), "Subscriber", options);
   }
 
   subscriber(tag, typeName, options = {}) {

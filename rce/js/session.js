@@ -5,7 +5,8 @@
 // or with the error by which the platform refused the robot.
 
 import { Connection } from "./connection.js";
-import { AlreadyExists, Forbidden, InvalidRequest, NotFound, RceError, TimedOut, Unauthorized, Unavailable, UnknownType,
+import { AlreadyExists, Forbidden, InvalidRequest, NotConnected, NotFound, RceError, TimedOut, Unauthorized, Unavailable,
+  UnknownType,
   refusal, within } from "./errors.js";
 import { encode } from "./values.js";
 
@@ -72,12 +73,14 @@ export class ClientSession {
   }
 
   statusReceived(data, id) {
-    if (data.topic === "ack") this.#requests.get(id)?.resolve();
-    else if (data.topic !== "session") this.#listener.statusReceived(data);
+    if (data.topic === "ack") {
+      if (!this.connection?.answer(id, null)) this.#requests.get(id)?.resolve();
+    } else if (data.topic !== "session") this.#listener.statusReceived(data);
   }
 
   failureReceived(frame) {
     const error = frame.error ? RceError.of(frame.error) : new RceError(String(frame.data));
+    if (this.connection?.answer(frame.id, error) && error instanceof NotConnected) return; // it is sent again
     const request = this.#requests.get(frame.id);
     if (!request) this.#listener.errorReceived(error);
     else if ((request.restores || request.attempts > 1) && alreadyDone(request.command, error)) request.resolve();

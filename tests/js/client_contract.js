@@ -237,6 +237,48 @@ const tests = {
     equal(await subscriber.get(60), { data: "y" });
   },
 
+  async "publisher that does not wait keeps what it should"(make, rce) {
+    for (const [offline, arrive] of [["drop", []], ["newest", [2]], ["store", [0, 1, 2]]]) {
+      const [a, b] = await Promise.all([make(`a_${offline}`), make(`b_${offline}`)]);
+      const publisher = await a.publisher("out", STRING, { offline });
+      for (let number = 0; number < 3; number++) await publisher.publish({ data: `${number}` }, 10, false);
+      equal(publisher.dropped, 3 - arrive.length);
+      const subscriber = await b.subscriber("in", STRING, { to: `${a.name}/out` });
+      await publisher.waitConnected(60);
+      await publisher.publish({ data: "last" });
+      for (const number of arrive) equal(await subscriber.get(60), { data: `${number}` });
+      equal(await subscriber.get(60), { data: "last" });
+      for (let number = 0; number < 20; number++) {
+        await publisher.publish({ data: `${number}` }, 10, false);
+        equal(await subscriber.get(60), { data: `${number}` });
+      }
+    }
+    await throws(rce.InvalidRequest, (await make("c")).publisher("out", STRING, { offline: "stor" }), "drop, newest or store");
+  },
+
+  async "stored messages arrive once and in order"(make) {
+    const { a, publisher, subscriber } = await pair(make, STRING, {
+      offline: "store", depth: 100_000, qos: { history: "keep_all" } });
+    let next = 0;
+    const put = () => publisher.publish({ data: `${next++}` }, 10, false);
+    for (let round = 0; round < 5; round++) {
+      const events = a.events();
+      for (let number = 0; number < 20; number++) await put();
+      await new Promise((resolve) => { setTimeout(resolve, round); }); // the socket breaks at several places
+      breakSocket(a);
+      let back = false;
+      event(events, "reconnected").then(() => { back = true; });
+      while (!back) {
+        await put();
+        await new Promise((resolve) => { setTimeout(resolve, 1); });
+      }
+    }
+    await publisher.publish({ data: "last" });
+    for (let number = 0; number < next; number++) equal(await subscriber.get(60), { data: `${number}` });
+    equal(await subscriber.get(60), { data: "last" });
+    equal(publisher.dropped, 0);
+  },
+
   async "old messages are dropped and the rate is kept"(make) {
     const [a, b] = await Promise.all([make("a"), make("b")]);
     const subscriber = await b.subscriber("in", STRING);

@@ -29,7 +29,7 @@ from rce.errors import (
     Unavailable,
 )
 from rce.protocol.blobs import PART
-from rce.protocol.messages import AddInterface, Connect, ConnectionEvent, Delivery
+from rce.protocol.messages import AddInterface, Connect, ConnectionEvent, Delivery, Qos
 
 WAIT = 60.0  # seconds; a limit that only ends a test that hangs
 STRING, POSE, SET_BOOL = "std_msgs/String", "geometry_msgs/Pose2D", "std_srvs/SetBool"
@@ -336,6 +336,30 @@ class ClientContract:
                 if received[-1] == last:
                     break
             assert received == sorted(set(received))
+
+    async def test_stored_messages_arrive_once_and_in_order(self, platform: Platform) -> None:
+        async with platform.robot("a") as a, platform.robot("b") as b:
+            subscriber = await b.subscriber("in", STRING, depth=100_000, qos=Qos(history="keep_all"))
+            publisher = await a.publisher("out", STRING, to="b/in", offline="store")
+            numbers, received = itertools.count(), []
+
+            for rounds in range(5):
+                events = a.events()
+                for _ in range(20):
+                    await publisher.publish({"data": str(next(numbers))}, wait=False)
+                for _ in range(10 * rounds):
+                    await asyncio.sleep(0)  # so that the socket breaks at several places
+                platform.break_socket("a")
+                back = asyncio.create_task(anext(event async for event in events if isinstance(event, Reconnected)))
+                while not back.done():
+                    await publisher.publish({"data": str(next(numbers))}, wait=False)
+                    await asyncio.sleep(0.001)
+            last = next(numbers)
+            await publisher.publish({"data": str(last)})
+            while last not in received:
+                received.append(int((await subscriber.get(WAIT))["data"]))
+            assert received == list(range(last + 1))
+            assert publisher.dropped == 0
 
     async def test_close_flushes_queued_messages_and_ends_readers(self, platform: Platform) -> None:
         async with platform.robot("b") as b:

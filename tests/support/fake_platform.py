@@ -23,7 +23,16 @@ from websockets.http11 import Request, Response
 
 from rce.client import Robot
 from rce.client.address import FEATURES_HEADER
-from rce.errors import AlreadyExists, ErrorInfo, InvalidRequest, NotConnectable, NotConnected, NotFound, RceError
+from rce.errors import (
+    AlreadyExists,
+    ConversionError,
+    ErrorInfo,
+    InvalidRequest,
+    NotConnectable,
+    NotConnected,
+    NotFound,
+    RceError,
+)
 from rce.protocol.assembler import Assembler, AssemblyResult
 from rce.protocol.blobs import Buffer, binary_frames
 from rce.protocol.messages import CN_ITEMS, CX_ITEMS, FEATURES, DataMessage, Frame, decode_as, decode_frame
@@ -59,6 +68,7 @@ class FakePlatform:
         frame_types: Types of all received frames in order; `part` for binary ones.
         entry_body: Response of the entry in place of the endpoint's URL.
         ignores_commands: Commands get no answer.
+        incarnation: Incarnation of the Robot endpoint.
     """
 
     def __init__(self, features: frozenset[str] | None = FEATURES) -> None:
@@ -71,12 +81,15 @@ class FakePlatform:
         self.frame_types: list[str] = []
         self.entry_body = ""
         self.ignores_commands = False
+        self.incarnation = "first"
         self._makers: dict[frozenset[str], str] = {}  # robots that asked for connections
         self._waiting: dict[frozenset[str], str] = {}  # connections of others whose end is away
         self._tokens = itertools.count(1)
         self._calls: dict[str, tuple[str, DataMessage]] = {}
+        self._taken: dict[tuple[str, str], int] = {}  # highest number by robot and stream
         self._server: Server | None = None
         self._lose_ack = False
+        self._refused_message = ""
         self._refusal: tuple[int, str] | None = None
 
     async def __aenter__(self) -> Self:
@@ -138,7 +151,8 @@ class FakePlatform:
                 for tag in self.interfaces
                 if tag.startswith(f"{name}/")
             }
-            await self._send(peer, {"type": "ST", "data": {**session, "grace": 10.0, "interfaces": statuses}})
+            session |= {"grace": 10.0, "interfaces": statuses, "incarnation": self.incarnation}
+            await self._send(peer, {"type": "ST", "data": session})
         assembler = Assembler(time.monotonic, parts="parts" in peer.features)
         try:
             async for payload in socket:
@@ -271,11 +285,26 @@ class FakePlatform:
         message = decode_as(DataMessage, frame.data, "DM")
         tag = f"{peer.name}/{message.iTag}"
         try:
-            await self._route(tag, message, frame, blobs)
+            if not message.stream or self._is_new(peer.name, message):
+                await self._route(tag, message, frame, blobs)
         except RceError as error:
             await self._send_error(peer, None if frame.id is msgspec.UNSET else frame.id, error)
+            return
+        if frame.id is not msgspec.UNSET and "ack" in peer.features:
+            await self._send(peer, {"type": "ST", "id": frame.id, "data": {"topic": "ack"}})
+
+    def _is_new(self, robot: str, message: DataMessage) -> bool:
+        """Return whether a numbered message has not come before; one without a peer may come again."""
+        key, tag = (robot, message.stream), f"{robot}/{message.iTag}"
+        new = message.number > self._taken.get(key, 0)
+        if new and any(tag in pair for pair in self.connections):
+            self._taken[key] = message.number
+        return new
 
     async def _route(self, tag: str, message: DataMessage, frame: Frame, blobs: Mapping[str, Buffer]) -> None:
+        if self._refused_message:
+            reason, self._refused_message = self._refused_message, ""
+            raise ConversionError(reason)
         if tag not in self.interfaces:
             raise NotFound(f"interface {tag} does not exist")
         if message.type != self._class(tag):
@@ -359,6 +388,10 @@ class FakePlatform:
     def lose_next_ack(self) -> None:
         """Execute the next command, but break the socket before its acknowledgement."""
         self._lose_ack = True
+
+    def refuse_message(self, reason: str) -> None:
+        """Refuse the next data message with a ConversionError."""
+        self._refused_message = reason
 
     def refuse_robots(self, status: int, reason: str) -> None:
         """Refuse all handshakes from now on with an HTTP status; 0 accepts them again."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
-from msgspec import UNSET, Raw, Struct, UnsetType
+from msgspec import UNSET, Meta, Raw, Struct, UnsetType
 
 MAX_MSG_ID = 255
+MAX_STREAM = 64  # characters
 
 Phase = Literal["", "goal", "accepted", "rejected", "feedback", "cancel", "result"]
 GoalStatus = Literal["", "succeeded", "canceled", "aborted"]
@@ -21,6 +22,9 @@ class DataMessage(Struct, frozen=True, omit_defaults=True):
     A message of an action has a `phase`, and the goal's UUID in 32 hex digits as its `msgID`. A result that a robot
     sends or gets has a `status`; without a value, the phases `goal` and `result` have the default values of all fields.
     A goal with `ifLost: cancel` is canceled when the session of the robot that has sent it ends.
+
+    A message with a `stream`, which the robot chooses, and a `number`, which rises within the stream, is taken once:
+    the Robot endpoint acknowledges it again if it comes again, and does not deliver it.
     """
 
     iTag: str
@@ -32,3 +36,5 @@ class DataMessage(Struct, frozen=True, omit_defaults=True):
     phase: Phase = ""
     status: GoalStatus = ""
     ifLost: Literal["leave", "cancel"] = "leave"
+    stream: Annotated[str, Meta(max_length=MAX_STREAM)] = ""
+    number: int = 0

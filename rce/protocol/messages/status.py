@@ -26,7 +26,8 @@ class Session(Struct, frozen=True, tag_field="topic", tag="session"):
 
     `resumed` is true if the interfaces and connections of an earlier socket still exist. `interfaces` then has the
     status of each, since status messages may have been lost when that socket broke. `grace` is the grace period of a
-    session without a socket, in seconds.
+    session without a socket, in seconds. `incarnation` is that of the Robot endpoint, which knows the streams of the
+    robot (see `DataMessage`) until its own end.
     """
 
     features: list[str]
@@ -34,6 +35,7 @@ class Session(Struct, frozen=True, tag_field="topic", tag="session"):
     grace: float = 0
     resumed: bool = False
     interfaces: dict[str, bool] = {}
+    incarnation: str = ""
 
 
 class EnvironmentEvent(Struct, frozen=True, tag_field="topic", tag="environment"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from pathlib import Path
 from typing import Any, cast
 
 import msgspec
@@ -22,7 +23,7 @@ from endpoints.data.interface import error_of
 from endpoints.environment.service_calls import TIMEOUT
 from endpoints.environment.services import ServiceClientInterface, ServiceProviderInterface
 from endpoints.environment.topics import PublisherInterface, SubscriberInterface
-from rce.client import Environment
+from rce.client import Environment, Store
 from rce.errors import ConversionError, NotFound, RceError
 from rce.protocol.blobs import Buffer
 from rce.protocol.messages import Qos
@@ -273,3 +274,11 @@ def transform(frame: str) -> Buffer:
     """Return a `tf2_msgs/TFMessage` as CDR."""
     text = msgspec.json.encode({"transforms": [{"child_frame_id": frame}]})
     return TypeRegistry().message(TF).encode(Wire(False, text, {}))
+
+
+async def test_sent_topic_passes_its_treatment_of_messages_while_offline(tmp_path: Path) -> None:
+    for offline, store, given in (("newest", None, "newest"), ("store", tmp_path / "s", Store(tmp_path / "s"))):
+        local, environment = FakeLocalRos(), FakeEnvironment()
+        flow = SentTopic(Topic("/log", STRING, offline=cast(Any, offline), store=store))
+        await flow.open(cast(Any, local), cast(Environment, environment))
+        assert environment.options["offline"] == given

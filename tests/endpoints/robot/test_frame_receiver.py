@@ -13,6 +13,7 @@ from msgspec import UNSET
 from endpoints.robot.frame_receiver import FrameReceiver, ServerLimits
 from endpoints.robot.intake import BAD_WINDOW
 from endpoints.robot.session import RobotSession
+from endpoints.robot.streams import Streams
 from rce.errors import InvalidRequest, NotConnected, NotFound, RceError
 from rce.protocol.blobs import Buffer
 from rce.protocol.messages import Ack, DataMessage, Frame, StatusData
@@ -27,6 +28,7 @@ class FakeSession:
     def __init__(self) -> None:
         self.features = frozenset({"ack"})
         self.parts = False
+        self.streams = Streams("i")
         self.commands: list[str] = []
         self.refusal: RceError | None = None
         self.errors: list[tuple[RceError, Any]] = []
@@ -229,3 +231,20 @@ def test_message_to_peer_that_is_gone_is_not_counted_as_bad(make: Callable[..., 
     for _ in range(5):
         socket.text(dm())
     assert (len(socket.errors), socket.ends) == (5, [])
+
+
+def test_numbered_message_is_passed_on_once_and_acknowledged_again(make: Callable[..., Socket]) -> None:
+    socket = make()
+    data = {"iTag": "out", "type": "std_msgs/String", "msgID": "nil", "msg": {"data": "x"}, "stream": "s", "number": 1}
+    for frame_id in ("first", "again"):
+        socket.text({"type": "DM", "id": frame_id, "data": data})
+    assert socket.session.acknowledged == ["first", "again"]
+    assert len(socket.handled) == 1
+    socket.refusal = NotConnected("no peer")
+    socket.text({"type": "DM", "id": "next", "data": data | {"number": 2}})
+    socket.refusal = None
+    socket.text({"type": "DM", "id": "repeated", "data": data | {"number": 2}})
+    assert socket.session.acknowledged == ["first", "again", "repeated"]
+    assert len(socket.handled) == 2
+    socket.text({"type": "DM", "id": "long", "data": data | {"stream": "s" * 65}})
+    assert socket.errors[-1] == ("invalid_request", "long")

@@ -10,6 +10,7 @@ import pytest
 from msgspec import Raw
 
 from endpoints.robot.session import RobotSession
+from endpoints.robot.streams import Streams
 from rce.control.client import ControlClient
 from rce.protocol import messages as m
 from tests.support.endpoints.platforms import Platform, pair
@@ -115,7 +116,7 @@ def test_commands_in_progress_are_cancelled_when_the_session_ends(hand: HandTurn
             answers.append(hand.create_future())
             return answers[-1]
 
-    session = hand.do(lambda: RobotSession(f"{USER}/a", cast(ControlClient, Master())))
+    session = hand.do(lambda: RobotSession(f"{USER}/a", cast(ControlClient, Master()), Streams("i")))
     items = b'[{"containerTag": "c", "nodeTag": "n"}, {"containerTag": "c", "nodeTag": "o"}]'
     frame = m.Frame("CN", Raw(b'{"removeNodes": ' + items + b"}"))
     hand.do(lambda: session.command(frame))

@@ -109,3 +109,13 @@ async def test_message_of_high_priority_overtakes_the_parts_of_others(fake: Fake
             speed.offer({"data": "x"}, keep=9)
         await asyncio.wait_for(seen.wait(), 10)
         assert order == [*["speed"] * 5, "image"]
+
+
+async def test_offer_keeps_the_newest_while_offline_if_the_publisher_does(fake: FakePlatform) -> None:
+    async with fake.robot() as a:
+        publisher = await a.publisher("out", STRING, offline="newest")
+        assert publisher.offer({"data": "old"})
+        assert publisher.offer({"data": "new"})
+        subscriber = await a.subscriber("in", STRING, to="a/out")
+        assert await subscriber.get(10) == {"data": "new"}
+        assert publisher.dropped == 1
