@@ -34,7 +34,7 @@ BLOB_WEIGHT = 8  # bytes of a blob, which are copied only, that take as long as 
 
 
 class Recipe(msgspec.Struct, frozen=True):
-    """What another process needs to make the same codec.
+    """Description of a codec, from which another process makes the same one.
 
     Attributes:
         name: Name of the type, `pkg/msg/Name`.

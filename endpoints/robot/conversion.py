@@ -22,7 +22,7 @@ class Codec(Protocol):
 
     @property
     def recipe(self) -> Recipe:
-        """What a worker needs to make the same codec."""
+        """Return the description from which a worker makes the same codec."""
 
     def encodes_fast(self, wire: Wire) -> bool:
         """Return True if `encode` takes a few milliseconds at most."""

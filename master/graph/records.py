@@ -178,7 +178,7 @@ class Qos(Struct, frozen=True, omit_defaults=True):
 
 
 class Delivery(Struct, frozen=True, omit_defaults=True):
-    """How messages of a topic cross the line between a robot and the cloud; 0 is no limit."""
+    """Treatment of the messages of a topic on the line between a robot and the cloud; 0 is no limit."""
 
     priority: Literal["high", "normal", "low"] = "normal"
     max_age: float = 0.0  # seconds

@@ -10,7 +10,7 @@ from typing import NamedTuple
 COLUMN_GAP = "  "
 MIN_ROOM = 20  # characters for a text beside names that leave less
 BREAKS = re.compile(r"(?<=\s)(?=\S)(?!(?:[KMGT]i)?B\b)|(?<=[/,])(?=[^\s/,]{2})")
-"""Where a text may be broken: at blanks, but not between a size and its unit, and after `/` and `,` in long names."""
+"""Places to break a text: at blanks, but not between a size and its unit, and after `/` and `,` in long names."""
 
 
 class Layout(NamedTuple):

@@ -1,4 +1,4 @@
-"""What a joined process may send, by its role.
+"""Limits of what a joined process may send, by its role.
 
 Programs in an environment may use the credential of its endpoint. So an environment has limits that no sound endpoint
 reaches, and all environments of a user share one budget of calls.

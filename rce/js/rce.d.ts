@@ -22,7 +22,7 @@ export class InvalidName extends InvalidRequest {}
 export class ConversionError extends InvalidRequest {}
 /** A message or service type that the platform does not know. */
 export class UnknownType extends InvalidRequest {}
-/** What the command names does not exist, or belongs to another user. */
+/** The thing that the command names does not exist, or belongs to another user. */
 export class NotFound extends RceError {}
 /** The tag is in use. */
 export class AlreadyExists extends RceError {}
@@ -72,7 +72,7 @@ export interface Qos {
   depth?: number;
 }
 
-/** How messages of a topic cross the line between the robot and the platform. */
+/** Treatment of the messages of a topic on the line between the robot and the platform. */
 export interface Delivery {
   /** Messages of a higher priority are sent first. */
   priority?: "high" | "normal" | "low";

@@ -35,7 +35,9 @@ EXTENT = 1.5  # the obstacle heuristic is computed for cells up to this multiple
 
 @dataclass(frozen=True, slots=True)
 class Vehicle:
-    """How a vehicle moves, and what it should avoid. Names and defaults are those of Nav2's Smac Hybrid-A* planner.
+    """Motion of a vehicle, and the costs of what it should avoid.
+
+    Names and defaults are those of Nav2's Smac Hybrid-A* planner.
 
     Attributes:
         minimum_turning_radius: Metres.

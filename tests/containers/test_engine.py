@@ -1,4 +1,4 @@
-"""What all engines have in common, beyond the contract suite: reports during recovery, strays and limits."""
+"""Behaviour that all engines have in common, beyond the contract suite: reports during recovery, strays and limits."""
 
 import asyncio
 from types import SimpleNamespace

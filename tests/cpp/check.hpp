@@ -13,7 +13,7 @@
 
 namespace rce {
 
-/** What tests do to a client that users cannot. */
+/** Access of tests to the inside of a client. */
 struct ClientAccess {
   static void breakSocket(Client& client) {
     client.core_->post([core = client.core_] {

@@ -16,7 +16,7 @@ from tests.support.provisioning.systems import join_code, options
 
 
 class Actions:
-    """What steps did: commands, and owners of files.
+    """Recorder of what steps do: commands, and owners of files.
 
     Attributes:
         answer: Output of the commands.

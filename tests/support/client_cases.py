@@ -39,7 +39,7 @@ CASES = {
     "refused robots get the reason": "Wrong password, invalid name, two credentials.",
     "environment is created used and destroyed": "With a parameter and a node.",
 }
-"""What each case demands, by its name."""
+"""Demand of each case, by its name."""
 
 ABSENT: dict[str, dict[str, str]] = {
     PYTHON: {

@@ -11,7 +11,6 @@ address and RCE_TEST_NAMESPACE the name of its namespace.
 from __future__ import annotations
 
 import asyncio
-import ctypes
 import io
 import os
 import secrets
@@ -30,10 +29,10 @@ import pytest
 
 from provisioning.image import BASE, MAPPING, Builder, add_file
 from rce import __version__
+from rce.bench.network.namespaces import entered
 from tests.support.docker_daemon import NEEDED, copy_image, linked_images, private_daemon
 from tests.support.paths import ROS_PACKAGES
 
-CLONE_NEWNET = 0x40000000
 IN_INTERNET, IN_PRIVATE, METADATA = "203.0.113.10", "172.30.7.10", "169.254.169.254"
 OWN = ("203.0.113.1", "172.30.7.1", "169.254.1.1")  # addresses of the island on those networks
 PREFIXES = (24, 24, 16)
@@ -76,23 +75,6 @@ class Island:
 
     def close_world(self) -> None:
         run("ip", "netns", "delete", self.world)  # deletes both ends of the veth pair too
-
-
-@contextmanager
-def entered(namespace: str) -> Iterator[None]:
-    """Move this thread to a network namespace during the block."""
-    with open("/proc/thread-self/ns/net") as before, open(f"/run/netns/{namespace}") as target:
-        _enter(target.fileno())
-        try:
-            yield
-        finally:
-            _enter(before.fileno())
-
-
-def _enter(handle: int) -> None:
-    libc = ctypes.CDLL(None, use_errno=True)
-    if libc.setns(handle, CLONE_NEWNET):
-        raise OSError(ctypes.get_errno(), "setns")
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""What a laser measures in the simulated apartment, or in another floor plan."""
+"""Measurements of a laser in the simulated apartment, or in another floor plan."""
 
 from __future__ import annotations
 

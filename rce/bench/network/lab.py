@@ -40,7 +40,7 @@ class Lab:
 
     @property
     def prefix(self) -> tuple[str, ...]:
-        """The words before a command that run it in the robot's namespace."""
+        """Words to put before a command, so that it runs in the robot's namespace."""
         return IP, "netns", "exec", self.namespace
 
     def set_up(self, up: bool) -> None:

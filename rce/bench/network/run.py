@@ -20,7 +20,7 @@ from rce.bench.network.lab import Lab, lab
 from rce.bench.network.line import PROFILES, Outage
 from rce.bench.network.robot import DOWN, UP, ticks
 from rce.bench.network.streams import STREAMS, Arrivals
-from rce.client import Robot
+from rce.client import Publisher, Robot
 from rce.errors import RceError, StartFailed
 from rce.process.supervisor import ManagedProcess
 
@@ -145,11 +145,11 @@ async def _connect(operator: Robot) -> None:
                 await asyncio.sleep(0.05)
 
 
-async def _send(publisher: object, result: Result) -> None:
+async def _send(publisher: Publisher, result: Result) -> None:
     """Send a stream of the operator to the end."""
-    (stream,) = (stream for stream in DOWN if stream.name == getattr(publisher, "tag", ""))
+    (stream,) = (stream for stream in DOWN if stream.name == publisher.tag)
     async for _ in ticks(stream.period, time.monotonic() + result.seconds):
-        publisher.offer(streams.cdr(stream.size))  # type: ignore[attr-defined]
+        publisher.offer(streams.cdr(stream.size))
 
 
 async def _fail(place: Lab, result: Result) -> None:

@@ -1,4 +1,4 @@
-"""What the robot of the benchmark and an operator in the cloud send each other.
+"""Messages between the robot of the benchmark and an operator in the cloud.
 
 Each message carries the time at which it was sent; robot and operator run on one machine and share its monotonic clock.
 """

@@ -8,7 +8,7 @@ namespace rce::detail {
 
 class Connection : public WebSocket::Listener, public std::enable_shared_from_this<Connection> {
  public:
-  /** Who gets what happens; in the thread of the event loop. */
+  /** Receiver of events, called in the thread of the event loop. */
   class Listener {
    public:
     virtual ~Listener() = default;

@@ -12,7 +12,7 @@ namespace rce::detail {
 
 class WebSocket {
  public:
-  /** Who gets what happens, in the thread of the event loop. */
+  /** Receiver of events, called in the thread of the event loop. */
   class Listener {
    public:
     virtual ~Listener() = default;

@@ -1,4 +1,4 @@
-"""When which key frame is sent: in order, a few ahead of the answers, not faster than the line should carry."""
+"""Order and pace of key frames: in order, a few ahead of the answers, not faster than the line should carry."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ FIRST_MAP = "map"
 
 @dataclass(frozen=True, slots=True)
 class Located:
-    """Where a robot is.
+    """Pose of a robot in its map.
 
     Attributes:
         pose: (4, 4) camera to the frame of the map, without jumps.

@@ -31,7 +31,7 @@ GOLDEN = 0x9E3779B97F4A7C15  # multiplier of Knuth's hash
 
 
 class World(NamedTuple):
-    """What a pose may collide with, in cells: the centre of cell (row, column) is at (column + 0.5, row + 0.5).
+    """Costmap and footprint, in cells: the centre of cell (row, column) is at (column + 0.5, row + 0.5).
 
     Attributes:
         costs: (height, width) uint8, for the inscribed circle; blocked at the edge.

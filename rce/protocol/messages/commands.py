@@ -152,8 +152,11 @@ class Qos(Struct, frozen=True, omit_defaults=True):
         return self if self.depth or not is_large(type_name) else replace(self, depth=SHALLOW)
 
 
+MAX_AGE = 7 * 24 * 3600.0  # seconds
+
+
 class Delivery(Struct, frozen=True, omit_defaults=True):
-    """How messages of a topic cross the line between a robot and the cloud.
+    """Treatment of the messages of a topic on the line between a robot and the cloud.
 
     Messages of a higher priority are sent first. A message that is older than `maxAge` seconds when its turn comes is
     dropped and counted. Of more than `rate` messages a second the newest are sent. A `maxAge` or `rate` of 0 is no
@@ -161,7 +164,7 @@ class Delivery(Struct, frozen=True, omit_defaults=True):
     """
 
     priority: Literal["high", "normal", "low"] = "normal"
-    maxAge: Annotated[float, Meta(ge=0, le=3600)] = 0.0
+    maxAge: Annotated[float, Meta(ge=0, le=MAX_AGE)] = 0.0
     rate: Annotated[float, Meta(ge=0, le=10_000)] = 0.0
 
 

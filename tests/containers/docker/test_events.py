@@ -59,7 +59,7 @@ class Api:
 
 
 class Follower:
-    """What a caller of `Events` sees: `resumed`, and the runs of events."""
+    """Recorder of what `Events` reports: `resumed`, and the runs of events."""
 
     def __init__(self, api: Api) -> None:
         self.seen: asyncio.Queue[str] = asyncio.Queue()

@@ -38,7 +38,7 @@ def cgroups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def steps(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What is done with disks and networks, which are stand-ins."""
+    """Recorder of the changes of disks and networks, which are stand-ins."""
     steps: list[str] = []
 
     def make(file: Path, size: int, owner: int) -> Disk:

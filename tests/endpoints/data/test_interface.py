@@ -1,4 +1,4 @@
-"""What an interface sends over the links to its peers, and what it counts."""
+"""Messages that an interface sends over the links to its peers, and its counters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What interfaces of an environment have in common: errors of ROS, and reports to their owner."""
+"""Behaviour that interfaces of an environment have in common: errors of ROS, and reports to their owner."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ async def test_messages_from_a_robot_stay_in_order(hand_workers: HandWorkers) ->
 
 
 class Sent:
-    """What has come out of a `ToRobot`."""
+    """Recorder of the output of a `ToRobot`."""
 
     def __init__(self, workers: HandWorkers) -> None:
         self.frames: list[bytes] = []

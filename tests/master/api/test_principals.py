@@ -1,4 +1,4 @@
-"""Who may do what, and pages of the resources that a user may see."""
+"""Rights of principals, and pages of the resources that a user may see."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ async def test_upload_that_is_no_archive_is_refused(depot: Depot) -> None:
 
 
 def test_upload_that_the_disk_has_no_room_for_leaves_nothing(depot: Depot, directory: Path) -> None:
-    """What could not be written is still in the buffer of the file when that is closed."""
+    """Raise at close, when the file still buffers data that could not be written."""
     upload = begin(depot, b"12345")
     upload._file.close()
     upload._file = Path("/dev/full").open("wb")  # noqa: SIM115  # closed by the upload

@@ -1,4 +1,4 @@
-"""Which directory of a Master people mean."""
+"""Choice of the data directory of a Master."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the map service accepts in requests for jobs."""
+"""Validation of requests for jobs of the map service."""
 
 from __future__ import annotations
 

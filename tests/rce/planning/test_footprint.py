@@ -1,4 +1,4 @@
-"""Footprints."""
+"""Footprints: how they are written, and the cells that they cover."""
 
 from __future__ import annotations
 

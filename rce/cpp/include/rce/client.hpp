@@ -9,7 +9,7 @@
 
 namespace rce {
 
-/** Who connects, and how. Give either a password or an API key. */
+/** Identity and credentials of a robot. Give either a password or an API key. */
 struct Options {
   std::string userID{};
   std::string robotID{};  // one that begins with `@` is a guest
@@ -28,7 +28,7 @@ struct Command {
   bool operator==(const Command& other) const { return list == other.list && item == other.item; }
 };
 
-/** What happened; `topic` is one of docs/protocol.md (Features), or `disconnected`, `reconnected`, `error`. */
+/** Event of a robot; `topic` is one of docs/protocol.md (Features), or `disconnected`, `reconnected`, `error`. */
 struct Event {
   std::string topic;
   Value data;  // of an error: code, message, item, field, fields

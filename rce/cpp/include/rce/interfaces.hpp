@@ -13,7 +13,7 @@ class Core;
 struct Encoded;
 }  // namespace detail
 
-/** What becomes of messages that `Publisher::publishNow` cannot send: dropped, the newest kept, or stored in order. */
+/** Treatment of messages that `Publisher::publishNow` cannot send: dropped, the newest kept, or stored in order. */
 enum class Offline { drop, newest, store };
 
 /** Options of an interface; those that do not concern its kind have no effect. */

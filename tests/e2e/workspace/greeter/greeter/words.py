@@ -1,4 +1,4 @@
-"""What the node says; found only if the package is installed."""
+"""Words of the node; found only if the package is installed."""
 
 
 def greeting(name: str) -> str:
