@@ -77,6 +77,13 @@ def load_or_exit(kind: type[S], program: str, arguments: Sequence[str] | None = 
         raise SystemExit(2) from None
 
 
+def _expected(sort: msgspec.inspect.Type) -> str:
+    """Return the values that a setting of this type may have, if they are few."""
+    if isinstance(sort, msgspec.inspect.LiteralType):
+        return f"must be one of {_placeholder(sort)[1:-1]}"
+    return "must be true or false" if isinstance(sort, msgspec.inspect.BoolType) else ""
+
+
 def _default(field: msgspec.structs.FieldInfo) -> str:
     """Return the default value for the help text; empty and false defaults are not shown."""
     if field.required:
@@ -132,8 +139,5 @@ def _merge(kind: type[msgspec.Struct], into: dict[str, Any], values: Mapping[str
         try:
             into[key] = msgspec.convert(value, fields[key], strict=False, dec_hook=path_hook)
         except msgspec.ValidationError as error:
-            sort = _described(fields[key])[0]
-            problem = (
-                f"must be one of {_placeholder(sort)[1:-1]}" if isinstance(sort, msgspec.inspect.LiteralType) else error
-            )
+            problem = _expected(_described(fields[key])[0]) or error
             raise InvalidRequest(f"{source}: setting {key} = {value!r}: {problem}", field=key) from None

@@ -61,7 +61,7 @@ class Settings(Struct):
         Port | None,
         Meta(description="port of the knowledge service; 0 for a free one (default: 9050, or 0 if http_port is)"),
     ] = None
-    host: Annotated[str, Meta(description="address to listen on; with --dev always the loopback address")] = "127.0.0.1"
+    host: Annotated[str, Meta(description="address to listen on; with --dev 127.0.0.1")] = "127.0.0.1"
     engine: Annotated[Literal["process", "docker", "swarm"], Meta(description="engine that runs environments")] = (
         "process"
     )
@@ -101,6 +101,12 @@ def check_isolation(settings: Settings) -> None:
     Raises:
         InvalidRequest: Users from elsewhere could run programs as this user, or any user as root.
     """
+    if settings.dev and not _is_loopback(settings.host):
+        raise InvalidRequest(
+            f"--dev creates users whose passwords everybody knows, so it serves this machine only, and {settings.host} "
+            "is not a loopback address: leave out --host, or --dev",
+            field="host",
+        )
     if settings.engine != "process":
         return
     if not settings.allow_root and os.geteuid() == 0:
@@ -109,7 +115,7 @@ def check_isolation(settings: Settings) -> None:
             "docker, or --allow-root, as in a container of your own",
             field="allow_root",
         )
-    if settings.dev or settings.allow_unisolated or _is_loopback(settings.host):
+    if settings.allow_unisolated or _is_loopback(settings.host):
         return
     raise InvalidRequest(
         f"the process engine runs users' programs as this user ({_user()}), so it serves this machine only, and "

@@ -54,7 +54,8 @@ def test_lists_and_paths_are_parsed_from_text(monkeypatch: pytest.MonkeyPatch) -
     [
         (["--ws-port", "x"], {}, ["command line", "ws_port", "'x'", "int"]),
         ([], {"RCE_WS_PORT": "70000"}, ["environment", "ws_port", "'70000'", "<= 65535"]),
-        ([], {"RCE_DEV": "perhaps"}, ["environment", "dev", "bool"]),
+        ([], {"RCE_DEV": "perhaps"}, ["environment", "dev", "must be true or false"]),
+        ([], {"RCE_DEV": ""}, ["environment", "dev", "''", "must be true or false"]),
         (["--mode", "medium"], {}, ["command line", "mode", "medium"]),
     ],
 )
