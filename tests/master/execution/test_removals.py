@@ -180,6 +180,10 @@ async def test_certificate_of_a_removed_machine_is_void_and_that_of_its_successo
 
 
 def _is_too_early(tls: Tls) -> bool:
-    """Return whether a certificate is not valid yet, as in the second of the removal."""
+    """Return whether a certificate is not valid yet, as in the second of the removal.
+
+    OpenSSL reads the clock with `time`, whose seconds begin up to a tick of the kernel late (10 ms at most).
+    """
     certificate = x509.load_pem_x509_certificate((tls.directory / CERTIFICATE).read_bytes())
-    return certificate.not_valid_before_utc > datetime.datetime.now(datetime.UTC)
+    tick = datetime.timedelta(milliseconds=20)
+    return certificate.not_valid_before_utc + tick > datetime.datetime.now(datetime.UTC)
