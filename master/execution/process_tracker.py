@@ -21,6 +21,8 @@ from rce.errors import NoCapacity
 
 log = Logger()
 
+CUT_OFF = 600.0  # seconds for which robots are kept whose endpoint fell silent: it may serve them behind a cut line
+
 
 class ProcessTracker:
     """Tracks processes; `grace` is that of Robot endpoints and robots, `machine_grace` that of machines, in seconds."""
@@ -75,7 +77,12 @@ class ProcessTracker:
         self._events.process_moved(process, False)
         reconcile.left(self._state, process.name)
         self._view_cache.process_moved(process.name)
-        if process.name in self._state.processes:
+        if process.name not in self._state.processes:
+            return
+        if control.fell_silent and process.role == "robot":
+            self._state.expected.add(process.name)
+            self._away[process.name] = self._runner.later(self.grace, lambda: self._endpoint_cut_off(process.name))
+        else:
             self._begin_grace(process)
 
     async def evict(self, name: str) -> None:
@@ -139,6 +146,15 @@ class ProcessTracker:
                 place(self._state, user_of(environment.name), environment.options)
             except NoCapacity as error:
                 self._runner.readiness.fail(ref(environment), error)
+
+    async def _endpoint_cut_off(self, name: str) -> None:
+        """Expect a silent Robot endpoint no longer, but keep its robots: they may be connected to it all the while.
+
+        Their names are free for robots that connect elsewhere.
+        """
+        self._state.expected.discard(name)
+        self._view_cache.process_moved(name)
+        self._away[name] = self._runner.later(CUT_OFF, lambda: self._endpoint_gone(name))
 
     async def _endpoint_gone(self, name: str) -> None:
         """Remove the robots of a Robot endpoint that did not come back."""

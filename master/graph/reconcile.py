@@ -232,7 +232,8 @@ def robot_arrived(
 
     Returns:
         The effects that must be complete before the robot may go on, and whether it resumed its session. A robot that
-        does not resume takes the place of the session that the same user's robot of this name has without a socket.
+        does not resume takes the place of the session that the same user's robot of this name has without a socket, or
+        at an endpoint that is gone.
 
     Raises:
         AlreadyExists: The robotID is in use, by an environment or by a session with a socket.
@@ -249,7 +250,8 @@ def robot_arrived(
         state.robots.put(robot)
         return Outcome([]), False
     if not resume or resume not in (present.session, present.previous):
-        if robot.by.user != present.by.user or (present.endpoint and name not in state.away):
+        reachable = present.endpoint and not state.gone(present.endpoint)
+        if robot.by.user != present.by.user or (reachable and name not in state.away):
             raise AlreadyExists(
                 f"robotID {tag} is in use by another socket; a session token resumes it", field="robotID"
             )

@@ -188,6 +188,7 @@ class Control:
     Attributes:
         address: The peer's address, for messages.
         lost: Done when the connection is gone.
+        fell_silent: True if it was given up because nothing came any more: the peer, or only the line, may be dead.
     """
 
     def __init__(
@@ -202,6 +203,7 @@ class Control:
             pings: This side sends the pings.
         """
         self.address = address
+        self.fell_silent = False
         self._max_size = max_size
         self.lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._receiver = receiver
@@ -254,6 +256,7 @@ class Control:
 
     def _end_silent(self) -> None:
         log.warn("nothing was received from {address}: closing the control connection", address=self.address)
+        self.fell_silent = True
         self.close()
 
 

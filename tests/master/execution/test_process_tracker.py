@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import asyncio
 
+import pytest
+from msgspec.structs import replace
+
+from master.execution.effect_runner import new_id
 from master.execution.lifecycle import RETRY_FIRST
+from master.execution.process_tracker import CUT_OFF
+from master.graph import reconcile
 from master.graph.records import Robot
+from rce.api.roles import Principal
 from rce.control.calls.endpoints import AddRoute, RemoveRoute, Sync
 from rce.control.calls.environments import KeepEnvironments, StartEnvironment
 from rce.control.calls.joining import Hello
 from rce.control.calls.robots import SendStatus
-from rce.errors import NoCapacity, StartFailed
+from rce.errors import AlreadyExists, NoCapacity, StartFailed
 from rce.protocol import messages as m
 from rce.protocol.messages import EnvironmentEvent
 from tests.support.master.desk import GRACE, ROBOT_GRACE, Desk, Peer
@@ -205,6 +212,46 @@ def test_robots_of_an_endpoint_that_returns_in_time_stay(desk: Desk) -> None:
     desk.turn(10 * ROBOT_GRACE)
     assert "ann/r1" in desk.state.robots
     assert brain.got(RemoveRoute) == []
+
+
+def test_robots_of_an_endpoint_behind_a_cut_line_stay_beyond_the_grace_period(desk: Desk) -> None:
+    west, brain = desk.wired()
+    west.leave(silently=True)
+    desk.turn(ROBOT_GRACE)
+    assert desk.state.gone("west")
+    desk.turn(CUT_OFF - 1)
+    assert ("ann/r1" in desk.state.robots, brain.got(RemoveRoute)) == (True, [])
+    (sync,) = Peer(desk, Hello("robot", "west", "", "", "1", robots=["ann/r1"])).got(Sync)
+    assert (sync.robots, len(sync.routes)) == (["ann/r1"], 1)
+    desk.turn(2 * CUT_OFF)
+    assert "ann/r1" in desk.state.robots
+    assert brain.got(RemoveRoute) == []
+
+
+def test_robots_of_a_silent_endpoint_that_does_not_come_back_are_removed_in_the_end(desk: Desk) -> None:
+    west, brain = desk.wired()
+    west.leave(silently=True)
+    desk.turn(ROBOT_GRACE + CUT_OFF)
+    assert "ann/r1" not in desk.state.robots
+    assert "west" not in desk.state.processes
+    assert len(brain.got(RemoveRoute)) == 1
+
+
+def test_robot_of_an_endpoint_behind_a_cut_line_may_begin_anew_elsewhere(desk: Desk) -> None:
+    west, _ = desk.wired()
+    Peer(desk, Hello("robot", "east", "", "", "1"))
+    anew = Robot("ann/r1", "east", "t", Principal("ann", "user"))
+    desk.state.robots.put(replace(desk.state.robots["ann/r1"], principal=Principal("ann", "user")))
+    west.leave(silently=True)
+    desk.turn(ROBOT_GRACE - 1)
+    with pytest.raises(AlreadyExists):
+        desk.hand.do(lambda: reconcile.robot_arrived(desk.state, anew, "", new_id))
+    desk.turn(1)
+    _, resumed = desk.hand.do(lambda: reconcile.robot_arrived(desk.state, anew, "", new_id))
+    assert not resumed
+    (sync,) = Peer(desk, Hello("robot", "west", "", "", "1", robots=["ann/r1"])).got(Sync)
+    assert sync.robots == [], "so the endpoint ends the session that it has"
+    assert desk.state.robots["ann/r1"].endpoint == "east"
 
 
 def test_robot_that_its_endpoint_lacks_may_resume_elsewhere_within_the_grace_period(desk: Desk) -> None:

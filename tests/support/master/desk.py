@@ -48,6 +48,7 @@ class Peer:
         self.held: set[type[Call[Any]]] = set()
         self._waiting: list[asyncio.Future[None]] = []
         self.lost: asyncio.Future[None] = desk.hand.create_future()
+        self.fell_silent = False
         self._desk = desk
         process = reconcile.process_of(desk.state, hello)
         desk.hand.do(lambda: desk.master.process_tracker.joined(process, hello, cast(Control, self)))
@@ -77,8 +78,9 @@ class Peer:
         if not self.lost.done():
             self.lost.set_result(None)
 
-    def leave(self) -> None:
-        """Lose the connection."""
+    def leave(self, *, silently: bool = False) -> None:
+        """Lose the connection; `silently` as behind a cut line, so that the Master must give it up."""
+        self.fell_silent = silently
         self._desk.hand.do(self.close)
 
     def got(self, kind: type[T]) -> list[T]:
