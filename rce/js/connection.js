@@ -3,6 +3,7 @@
 
 import { Assembler, binaryFrames } from "./blobs.js";
 import { InternalError, RceError, Unavailable, refusal, within } from "./errors.js";
+import { LineWatch } from "./line.js";
 import { Outbox } from "./outbox.js";
 import { decode } from "./values.js";
 
@@ -11,6 +12,8 @@ const FLUSH_TIMEOUT = 5;
 const CLOSE_TIMEOUT = 2;
 const WRITE_LIMIT = 64 * 1024; // bytes that may be buffered in the socket, where small frames cannot overtake them
 const POLL_INTERVAL = 4; // milliseconds; WebSocket has no event for room in its buffer
+const DEAD = 3000; // close code that keeps the session for a reconnection
+const PROBE = '{"type":"CX","id":"probe","data":{}}'; // a command that does nothing, and is acknowledged
 const REFUSED = 4000; // plus the HTTP status: close codes of a refusal, since scripts cannot read the status itself
 
 /** Open WebSocket with its session. */
@@ -21,13 +24,14 @@ export class Connection {
   #listener;
   #resolveClosed;
   #expected = new Map(); // functions that take the answers to data messages, by frame id
+  #watch = null;
   #closed = new Promise((resolve) => { this.#resolveClosed = resolve; });
 
   /**
    * Open the WebSocket and wait for the session status. `listener` has the methods messageReceived, statusReceived,
-   * failureReceived, frameInvalid and connectionClosed.
+   * failureReceived, frameInvalid and connectionClosed; `seconds` is the time for the session status.
    */
-  static async open(WebSocket, endpoint, query, listener) {
+  static async open(WebSocket, endpoint, query, listener, seconds = OPEN_TIMEOUT) {
     const url = new URL(endpoint);
     for (const [name, value] of Object.entries(query)) url.searchParams.set(name, value);
     let socket;
@@ -37,13 +41,14 @@ export class Connection {
       throw new Unavailable(`cannot open ${endpoint}: ${error.message}`);
     }
     const connection = new Connection(socket, endpoint, listener);
-    const timeout = () => new Unavailable(`${endpoint} sent no session status within ${OPEN_TIMEOUT} s`);
+    const timeout = () => new Unavailable(`${endpoint} sent no session status within ${seconds} s`);
     try {
-      await within(connection.#receiveSession(), OPEN_TIMEOUT, timeout);
+      await within(connection.#receiveSession(), seconds, timeout);
     } catch (error) {
       socket.close();
       throw error;
     }
+    if (connection.features.has("ack")) connection.#watchLine();
     return connection;
   }
 
@@ -127,7 +132,25 @@ export class Connection {
     });
   }
 
+  #watchLine() {
+    const probe = () => {
+      this.expect("probe", () => this.#watch.answered());
+      this.put(" probe", PROBE, new Map(), { priority: "high" });
+    };
+    this.#watch = new LineWatch(probe, () => {
+      this.#socket.onclose = this.#socket.onmessage = null; // the closing handshake would take a minute
+      this.#socket.close(DEAD, "the line is dead");
+      this.#handleClose({ reason: "the line is dead" });
+    });
+  }
+
+  /** Seconds of a round trip on this line, 0 if not known. */
+  get roundTrip() {
+    return this.#watch?.roundTrip ?? 0;
+  }
+
   #handleClose({ code, reason }) {
+    this.#watch?.stop();
     this.#outbox.clear();
     this.#resolveClosed();
     this.#listener.connectionClosed(reason || `code ${code}`, this);
@@ -136,6 +159,7 @@ export class Connection {
   #send(piece) {
     if (!this.#isOpen) return false;
     this.#socket.send(piece);
+    this.#watch?.sent(piece.length ?? piece.byteLength);
     if (this.#socket.bufferedAmount <= WRITE_LIMIT) return true;
     this.#waitForRoom();
     return false;
@@ -150,6 +174,7 @@ export class Connection {
   }
 
   #handle(payload) {
+    this.#watch?.heard();
     try {
       if (typeof payload === "string") this.#handleText(payload);
       else this.#assembler.addBlob(payload);

@@ -6,8 +6,7 @@
 
 import { Connection } from "./connection.js";
 import { AlreadyExists, Forbidden, InvalidRequest, NotConnected, NotFound, RceError, TimedOut, Unauthorized, Unavailable,
-  UnknownType,
-  refusal, within } from "./errors.js";
+  UnknownType, refusal, within } from "./errors.js";
 import { encode } from "./values.js";
 
 const VERSION = "20130902";
@@ -15,6 +14,8 @@ const FEATURES = "ack,events,parts,resume";
 const COMMANDS = " commands"; // their source in the outbox; a tag cannot contain a space
 const MAY_COME_BACK = [NotFound, UnknownType, TimedOut]; // errors of declarations whose peer or environment is away
 const [MIN_DELAY, MAX_DELAY] = [0.1, 10]; // seconds between attempts to reconnect; the first attempt is immediate
+const ATTEMPT = 3; // seconds, and five round trips, of an attempt while the session may be resumed
+const RESUME_DELAY = 0.4; // seconds between these attempts at most
 const LISTS = { connect: "CX", disconnect: "CX" };
 const REMOVALS = new Set(["DC", "removeNodes", "removeInterfaces", "deleteParam", "disconnect"]);
 
@@ -27,6 +28,8 @@ export class ClientSession {
   #lastId = 0;
   #token = "";
   #endpoint = "";
+  #roundTrip = 0; // seconds, of the last connection
+  #resumable = 0; // time until which the platform keeps the session
   #state = "new"; // then "open", "ended"
   #error = new Unavailable("the robot is not connected: call open() first");
 
@@ -94,6 +97,8 @@ export class ClientSession {
   connectionClosed(reason, connection) {
     if (this.#state !== "open" || connection !== this.connection) return;
     this.connection = null;
+    this.#roundTrip = connection.roundTrip;
+    this.#resumable = performance.now() + 1000 * (connection.session.grace ?? 0);
     for (const [id, request] of this.#requests) {
       if (request.restores) { // the next connection determines anew which declarations are missing
         this.#requests.delete(id);
@@ -143,10 +148,12 @@ export class ClientSession {
       refuse: "close" };
     if (this.#token) {
       try {
-        return await Connection.open(WebSocket, this.#endpoint, { ...query, resume: this.#token }, this);
+        const seconds = ATTEMPT + 5 * this.#roundTrip;
+        return await Connection.open(WebSocket, this.#endpoint, { ...query, resume: this.#token }, this, seconds);
       } catch (error) {
         if (!(error instanceof Unavailable || error instanceof InvalidRequest)) throw error;
       }
+      if (this.#state !== "open") throw this.#error;
       query.resume = this.#token;
     }
     return Connection.open(WebSocket, await this.#locate(), query, this);
@@ -205,6 +212,7 @@ export class ClientSession {
           return;
         }
       }
+      if (performance.now() < this.#resumable) delay = Math.min(delay, RESUME_DELAY);
       const pause = delay * (0.5 + Math.random() / 2); // jitter: many robots must not reconnect at the same moment
       await new Promise((resolve) => { setTimeout(resolve, pause * 1000); });
       delay = Math.min(2 * delay || MIN_DELAY, MAX_DELAY);

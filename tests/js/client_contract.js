@@ -16,7 +16,7 @@ export async function run(rce, { url, user, password, WebSocket, tag, skip = [] 
       return made;
     };
     try {
-      await test(make, rce, tag);
+      await test(make, rce, tag, WebSocket ?? globalThis.WebSocket);
     } catch (error) {
       throw new Error(`${name}: ${error.stack}`);
     } finally {
@@ -277,6 +277,25 @@ const tests = {
     for (let number = 0; number < next; number++) equal(await subscriber.get(60), { data: `${number}` });
     equal(await subscriber.get(60), { data: "last" });
     equal(publisher.dropped, 0);
+  },
+
+  async "dead line is noticed by the robot's own traffic"(make, rce, tag, Socket) {
+    let cut = false;
+    class Line extends Socket { // nothing passes while it is cut, and nobody says so
+      send(data) { if (!cut) super.send(data); }
+      set onmessage(handle) { super.onmessage = handle && ((event) => { if (!cut) handle(event); }); }
+    }
+    const [a, b] = await Promise.all([make("a", { WebSocket: Line }), make("b")]);
+    const subscriber = await b.subscriber("in", STRING);
+    const publisher = await a.publisher("out", STRING, { to: `${b.name}/in`, offline: "store" });
+    const events = a.events();
+    await publisher.publish({ data: "before" });
+    cut = true;
+    await publisher.publish({ data: "meanwhile" }, 10, false);
+    equal((await event(events, "disconnected")).reason, "the line is dead");
+    cut = false;
+    equal((await event(events, "reconnected")).resumed, true);
+    equal([await subscriber.get(60), await subscriber.get(60)], [{ data: "before" }, { data: "meanwhile" }]);
   },
 
   async "old messages are dropped and the rate is kept"(make) {

@@ -30,6 +30,7 @@ CASES = {
     "service call raises unavailable when socket breaks": "It is not known whether it was executed.",
     "no message is delivered twice across reconnections": "They arrive in their order.",
     "stored messages arrive once and in order": "Of a publisher that stores, also when its socket breaks.",
+    "dead line is noticed by the robot's own traffic": "Within seconds, and the session is resumed.",
     "close flushes queued messages and ends readers": "Commands fail afterwards.",
     "name is free after close": "The same robot connects again at once.",
     "name in use is rejected": "Unless the robot waits for it.",
@@ -44,6 +45,7 @@ CASES = {
 ABSENT: dict[str, dict[str, str]] = {
     PYTHON: {
         "values arrive unchanged": "tests/rce/client and tests/converters test values",
+        "dead line is noticed by the robot's own traffic": "tests/e2e/test_bench_network.py cuts lines",
         "goals end as their server says": "tests/e2e/test_actions.py tests goals",
         "refused robots get the reason": "tests/rce/client tests refusals by the fake platform",
         "environment is created used and destroyed": "tests/e2e/test_real_platform.py tests environments",
@@ -53,6 +55,7 @@ ABSENT: dict[str, dict[str, str]] = {
     },
     CPP: {
         "old messages are dropped and the rate is kept": "the publishers have no delivery",
+        "dead line is noticed by the robot's own traffic": "pings notice it",
         "stored messages arrive once and in order": "the publishers do not wait for acknowledgements",
     },
 }
