@@ -12,6 +12,8 @@ from msgspec import Struct
 
 from rce.choices import with_choices
 from rce.errors import InvalidRequest, describe_os_error
+from rce.protocol.known_keys import unknown_keys
+from rce.spelling import did_you_mean
 
 S = TypeVar("S", bound=Struct)
 
@@ -54,7 +56,17 @@ def decode(path: Path, content: Any, kind: type[S]) -> S:
         return msgspec.convert(content, kind, dec_hook=path_hook)
     except msgspec.ValidationError as error:
         reason, place = with_choices(error, kind)
+        if "required field" in reason or "unknown field" in reason:
+            reason += _hint(content, kind)
         raise InvalidRequest(f"{path}: {place + ': ' if place else ''}{reason}", field=place) from None
+
+
+def _hint(content: Any, kind: type[Struct]) -> str:
+    """Return the nearest known key to the first unknown one, in parentheses; empty if none is near."""
+    hints = (
+        f" ({path}: {hint})" for path, key, known in unknown_keys(kind, content) if (hint := did_you_mean(key, known))
+    )
+    return next(hints, "")
 
 
 def path_hook(kind: type[Any], value: object) -> Path:

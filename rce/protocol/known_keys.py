@@ -30,10 +30,23 @@ def check_keys(kind: type, raw: Raw | bytes, where: str) -> None:
         value = msgspec.json.decode(raw)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return
-    for path, key, known in _unknown(_type_of(kind), value, ""):
+    for field, key, known in unknown_keys(kind, value):
         hint = did_you_mean(key, known) or f"there are {', '.join(known) or 'none'}"
-        field = f"{path}.{key[:80]}".lstrip(".")
         raise InvalidRequest(f"{where}.{field}: there is no such key: {hint}", field=field)
+
+
+def unknown_keys(kind: type, value: Any) -> Iterator[tuple[str, str, list[str]]]:
+    """Yield the keys of objects in a value of a type that these do not have.
+
+    Args:
+        kind: The type.
+        value: The value, as decoded from JSON.
+
+    Yields:
+        The path of the key, the key, and the keys that its object may have.
+    """
+    for path, key, known in _unknown(_type_of(kind), value, ""):
+        yield f"{path}.{key[:80]}".lstrip("."), key, known
 
 
 @lru_cache(None)

@@ -64,6 +64,8 @@ def test_paths_may_begin_with_the_home_directory(directory: Path, monkeypatch: p
         ("{}", "", "missing required field `name`"),
         ("name: 5", "name", "Expected `str`, got `int`"),
         ("name: a\ncolour: red", "", "unknown field `colour`"),
+        ("nmae: a", "", "unknown field `nmae` (nmae: did you mean name?)"),
+        ("name: a\nparts: [{rat: 1}]", "parts[0]", "unknown field `rat` (parts[0].rat: did you mean rate?)"),
         ("name: a\nparts: [{}, {rate: fast}]", "parts[1].rate", "Expected `float`, got `str`"),
         ("name: a\nparts: [{source: 5}]", "parts[0].source", "Expected `str`, got `int`"),
         ("", "", "Expected `object`, got `null`"),
