@@ -211,10 +211,11 @@ def build_typesupport(packages: Sequence[Path]) -> str:
     return run(PYTHON, "-P", "-m", "provisioning.typesupport", *packages).strip().splitlines()[-1]
 
 
-def compile_kernels() -> str:
-    """Compile the Numba kernels of the mappers, so that neither the demo nor each process of the tests has to wait."""
-    run(PYTHON, "-P", "-c", "import rce.mapping.mappers", environment=KEEP_BYTECODE)
-    return "kernels of the mappers"
+def compile_kernels(tests: bool) -> str:
+    """Compile the Numba kernels that are needed, so that neither the demo nor each process of the tests has to wait."""
+    modules = ["rce.mapping.mappers", *(["rce.planning.planner"] if tests else [])]
+    run(PYTHON, "-P", "-c", f"import {', '.join(modules)}", environment=KEEP_BYTECODE)
+    return f"kernels of {' and '.join(modules)}"
 
 
 def install_steps(extras: Sequence[str], tests: bool) -> list[Step]:
@@ -233,7 +234,7 @@ def install_steps(extras: Sequence[str], tests: bool) -> list[Step]:
 def setup_steps(extras: Sequence[str], packages: Sequence[Path], tests: bool) -> list[Step]:
     """Return the steps that install RCE and build the types of its messages."""
     types = Step("type support", lambda: "build what is not in its cache yet", lambda: build_typesupport(packages))
-    kernels = Step("kernels", lambda: "compile what is not in its cache yet", compile_kernels)
+    kernels = Step("kernels", lambda: "compile what is not in its cache yet", lambda: compile_kernels(tests))
     return [*install_steps(extras, tests), types, kernels]
 
 
