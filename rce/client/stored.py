@@ -150,7 +150,7 @@ class StoringPublisher(Publisher):
         if self._sending is connection:
             self._sending, self._cursor = None, message.number
             asyncio.get_running_loop().call_soon(self._send_next)
-        if message.number <= self._surplus:
+        if self._ended is not None or message.number <= self._surplus:
             return False
         if time.time() > message.made + self._max_age:
             self._forget(message.number, LimitExceeded(f"{self.tag}: the message is too old"))
@@ -158,13 +158,22 @@ class StoringPublisher(Publisher):
         if "ack" not in connection.features:  # a server of the original: what is written has arrived
             asyncio.get_running_loop().call_soon(self._answered, message.number, None)
             return True
-        if message.number > self._store.sent:
-            self._store.written(message.number, connection.session.incarnation)
+        self._note_written(message.number, connection.session.incarnation)
         connection.expect(frame_id, lambda error: self._answered(message.number, error))
         return True
 
+    def _note_written(self, number: int, incarnation: str) -> None:
+        if number <= self._store.sent:
+            return
+        try:
+            self._store.written(number, incarnation)
+        except RceError as error:  # as a full disk: only the next program would need to know
+            log.warning("%s: %s", self.tag, error)
+
     def _answered(self, number: int, error: RceError | None) -> None:
         """Remove a message that the endpoint has; keep one that it could not pass on, since the peer had gone."""
+        if self._ended is not None:
+            return
         if not isinstance(error, NotConnected):
             self._forget(number, error)
             return

@@ -143,3 +143,29 @@ async def test_offer_stores(fake: FakePlatform) -> None:
         assert [(await subscriber.get(10))["data"] for _ in range(3)] == ["0", "1", "2"]
         await publisher.close()
         assert not publisher.offer({"data": "late"})
+
+
+async def test_message_in_the_queue_of_a_closed_publisher_is_not_sent(fake: FakePlatform) -> None:
+    async with fake.robot("a") as a:
+        subscriber = await a.subscriber("in", STRING)
+        large = await a.publisher("large", STRING, raw=True)
+        await a.connect("a/large", "a/in")
+        publisher = await a.publisher("out", STRING, to="a/in", offline="store")
+        large.offer(bytes(3_000_000), keep=9)  # so that the next message waits in the queue of the socket
+        await publisher.publish({"data": "x"}, wait=False)
+        await publisher.close()
+        assert len(await subscriber.get(10)) == 3_000_000
+        await large.publish(b"the connection stands")
+        assert await subscriber.get(10) == b"the connection stands"
+
+
+async def test_full_disk_does_not_stop_what_is_stored_already(fake: FakePlatform, tmp_path: Path) -> None:
+    async with fake.robot("a") as a:
+        publisher = await a.publisher("out", STRING, offline=Store(tmp_path / "store"))
+        assert isinstance(publisher, StoringPublisher)
+        await publisher.publish({"data": "x"}, wait=False)
+        publisher._store._db.execute("PRAGMA query_only = ON")  # every change fails from now on
+        subscriber = await a.subscriber("in", STRING, to="a/out")
+        assert await subscriber.get(10) == {"data": "x"}
+        with pytest.raises(RceError):
+            await publisher.publish({"data": "y"}, wait=False)
