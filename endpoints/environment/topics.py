@@ -21,6 +21,7 @@ from rce.protocol.messages.commands import SHALLOW
 
 HIGH_WATER = 8  # unpublished messages at which the sender has to wait, with keep_all
 MAX_UNHANDLED = 8  # messages taken from ROS that the loop has not handled yet
+NODE_START = 5  # seconds in which a node starts and subscribes, on a busy machine too
 MAX_LATCHED = 100  # publishers of a latched topic whose last messages are kept for late robots
 ENCAPSULATIONS = (b"\0\0", b"\0\1")  # CDR, big and little endian
 
@@ -45,15 +46,19 @@ class _TopicInterface(RosInterface):
 class PublisherInterface(_TopicInterface):
     """Publishes the messages of its peers.
 
-    While there is no subscription, the newest `depth` messages wait for nodes that are still starting; without a depth,
-    these are few, and others are no loss, since no node would have received them. Nodes that start
-    later get the last message (see `RawPublisher`), as from the latched publishers of the original. With `keep_all`
-    none is dropped: the sender has to wait.
+    While there is no subscription, the newest `depth` messages wait for nodes that are still starting. Without a depth,
+    these are the messages of the last `NODE_START` seconds, and `SHALLOW` messages at least. Others are no loss, since no
+    node would have received them. Nodes that start later get the last message (see `RawPublisher`), as from the latched
+    publishers of the original. With `keep_all` none is dropped: the sender has to wait.
     """
 
     _publisher: RawPublisher
     _room: asyncio.Future[None] | None = None
     _largest = 0  # size of the largest message since messages began to wait
+
+    def __init__(self, spec: InterfaceSpec, context: RosContext) -> None:
+        super().__init__(spec, context)
+        self._received = deque([0], maxlen=NODE_START)  # number of messages in each of the last seconds
 
     async def open(self) -> None:
         """Create the ROS entity."""
@@ -71,14 +76,21 @@ class PublisherInterface(_TopicInterface):
         waiting.append(bytes(payload) if isinstance(payload, memoryview) else payload)
         self._largest = max(self._largest, len(payload)) if len(waiting) > 1 else len(payload)
         if self.keep is not None:
+            self._received[-1] += 1
             self._drop_oldest(waiting, self.keep)
-            if not self.qos.depth and len(waiting) > SHALLOW and not self._publisher.has_subscription:
-                waiting.popleft()
         elif len(waiting) >= HIGH_WATER or self._too_large(waiting):
             if self._room is None:
                 self._room = asyncio.get_running_loop().create_future()
             link.pause(self._room)
         self._ros.post(lambda: self._flush(message))
+
+    def tick(self, now: float) -> None:
+        """Forget messages that came long before any node subscribes."""
+        if self.keep is not None and not self.qos.depth and not self._publisher.has_subscription:
+            recent = max(SHALLOW, sum(self._received))
+            while len(self._publisher.waiting) > recent:
+                self._publisher.waiting.popleft()
+        self._received.append(0)
 
     def _flush(self, message: Message) -> None:
         """Publish what waits; called in the ROS thread."""

@@ -10,6 +10,9 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 
 CHECK_INTERVAL = 0.2  # seconds
+# Messages that wait in each direction. Robots send bursts, for instance all that they stored while they were offline;
+# ROS 2's usual depth of 10 would drop most of them.
+DEPTH = 1000
 
 
 def main() -> None:
@@ -20,8 +23,8 @@ def main() -> None:
         signal.signal(number, lambda number, frame: signals.append(number))
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = Node("echo")
-    publisher = node.create_publisher(String, "/heard", 10)
-    node.create_subscription(String, "/say", publisher.publish, 10)
+    publisher = node.create_publisher(String, "/heard", DEPTH)
+    node.create_subscription(String, "/say", publisher.publish, DEPTH)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     while not signals:

@@ -20,11 +20,12 @@ from endpoints.data import frames
 from endpoints.data.frames import Message
 from endpoints.data.hops import HopRecorder
 from endpoints.data.link import Link
-from endpoints.environment.topics import PublisherInterface, SubscriberInterface
+from endpoints.environment.topics import NODE_START, PublisherInterface, SubscriberInterface
 from rce.control.calls.endpoints import InterfaceSpec, NodeSpec, Report, StartNode, StopNode, Unbind
 from rce.errors import InvalidRequest, LimitExceeded, RceError, UnknownType
 from rce.net.budget import INTERFACE
 from rce.protocol.messages import Qos
+from rce.protocol.messages.commands import SHALLOW
 from tests.support.endpoints.environment_driver import LIMIT, FakeMaster, Robot, wait_for_line
 
 
@@ -326,6 +327,23 @@ async def test_messages_for_a_busy_node_are_bounded_by_bytes(history: Literal["k
     else:
         assert (interface.dropped, len(interface._publisher.waiting)) == (2, 3)
     interface.close()
+
+
+async def test_burst_waits_for_a_node_that_is_starting_but_not_for_ever() -> None:
+    spec = interface_without_node("PublisherInterface", Qos())
+    interface = PublisherInterface(spec, Mock(hops=HopRecorder(), budget=None))
+    interface._publisher = Mock(waiting=deque(), has_subscription=False)
+    link = Mock()
+    waiting = interface._publisher.waiting
+    for number in range(500):
+        interface.receive(Message(bytes(16), "", cdr(str(number))), link)
+    for _ in range(NODE_START):
+        interface.tick(0.0)
+    assert len(waiting) == 500
+    interface.receive(Message(bytes(16), "", cdr("500")), link)
+    interface.tick(0.0)
+    assert [text(payload) for payload in waiting] == [str(number) for number in range(501 - SHALLOW, 501)]
+    assert interface.dropped == 0
 
 
 async def test_messages_kept_for_late_peers_are_bounded_by_bytes() -> None:
