@@ -47,9 +47,9 @@ class PublisherInterface(_TopicInterface):
     """Publishes the messages of its peers.
 
     While there is no subscription, the newest `depth` messages wait for nodes that are still starting. Without a depth,
-    these are the messages of the last `NODE_START` seconds, and `SHALLOW` messages at least. Others are no loss, since no
-    node would have received them. Nodes that start later get the last message (see `RawPublisher`), as from the latched
-    publishers of the original. With `keep_all` none is dropped: the sender has to wait.
+    these are the messages of the last `NODE_START` seconds, and `SHALLOW` messages at least. Others are no loss, since
+    no node would have received them. Nodes that start later get the last message (see `RawPublisher`), as from the
+    latched publishers of the original. With `keep_all` none is dropped: the sender has to wait.
     """
 
     _publisher: RawPublisher
