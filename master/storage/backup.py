@@ -75,7 +75,9 @@ def add_place_options(parser: argparse.ArgumentParser) -> None:
         help="settings of an installed Master (/etc/rce/master.toml), whose directory is saved too",
     )
     parser.add_argument(
-        "--data-dir", type=Path, help="data directory of the Master, or of `rce up` (default: that of `rce up`)"
+        "--data-dir",
+        type=Path,
+        help="data directory of the Master, which is DIR/master for `rce up --data-dir DIR` (default: that of `rce up`)",
     )
     parser.add_argument("--database", default="", help="SQLAlchemy URL, if the Master's is not in its data directory")
 

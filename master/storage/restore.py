@@ -154,13 +154,14 @@ def main() -> int:
     """Run the command line and return the exit status."""
     options = parser().parse_args()
     try:
-        manifest = asyncio.run(restore(options.file, find_place(options), options.replace))
+        place = find_place(options)
+        manifest = asyncio.run(restore(options.file, place, options.replace))
     except (RceError, OSError) as error:
         reason = describe_os_error(error) if isinstance(error, OSError) else error
         print(f"rce restore: {reason}", file=sys.stderr)
         return 1
     when = time.strftime("%Y-%m-%d %H:%M", time.localtime(manifest.time))
-    print(f"restored what RCE {manifest.rce} saved on {when}; start the Master now")
+    print(f"restored what RCE {manifest.rce} saved on {when} to {place.data}; start the Master with this directory now")
     return 0
 
 

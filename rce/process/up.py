@@ -20,7 +20,8 @@ from typing import IO, Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from rce.errors import InvalidRequest
+from rce.errors import InvalidRequest, port_unavailable
+from rce.net.sockets import check_port
 from rce.process import programs
 from rce.process.ready import Ready
 from rce.process.supervisor import ManagedProcess
@@ -90,6 +91,11 @@ class Settings(Struct):
     )
     verbose: Annotated[bool, Meta(description="print the log of all processes, also at a terminal")] = False
 
+    @property
+    def listening_host(self) -> str:
+        """Address at which users are served."""
+        return "127.0.0.1" if self.dev else self.host
+
     def port(self, given: int | None, usual: int) -> int:
         """Return the port that was given, or the usual one, or 0 if the HTTP entry has a free one."""
         return given if given is not None else usual if self.http_port else 0
@@ -145,6 +151,26 @@ def _user() -> str:
         return f"user {os.getuid()}"
 
 
+def check_ports(settings: Settings) -> None:
+    """Check that the ports can be bound, before the Master prints the password of the first administrator, once only.
+
+    Raises:
+        Unavailable: A port is in use, or cannot be bound.
+    """
+    ports = (
+        settings.http_port,
+        settings.port(settings.ws_port, WS_PORT),
+        settings.port(settings.maps_port, MAPS_PORT),
+        settings.port(settings.knowledge_port, KNOWLEDGE_PORT),
+    )
+    host = settings.listening_host
+    for port in ports:
+        try:
+            check_port(host, port)
+        except OSError as error:
+            raise port_unavailable(host, port, error) from None
+
+
 def _port(url_or_endpoint: str) -> str:
     return url_or_endpoint.rstrip("/").rpartition(":")[2]
 
@@ -154,7 +180,7 @@ def make_processes(
 ) -> tuple[ManagedProcess, ManagedProcess, ManagedProcess, ManagedProcess, ManagedProcess]:
     """Return Master, Robot endpoint, task set, map service and knowledge service; the Master must be started first."""
     data = settings.data_dir.expanduser().resolve()
-    host = "127.0.0.1" if settings.dev else settings.host
+    host = settings.listening_host
     tokens = {name: secrets.token_hex(32) for name in ("robot", "container", "maps", "knowledge")}
     certificate = (
         f":privateKey={settings.private_key or settings.certificate}:certKey={settings.certificate}"
@@ -255,9 +281,11 @@ async def run(settings: Settings, started: Callable[[Ready], Awaitable[None]], l
 
     Raises:
         InvalidRequest: Users from elsewhere could run programs as this user.
+        Unavailable: A port is in use.
         StartFailed: A process did not start.
     """
     check_isolation(settings)
+    check_ports(settings)
     print(f"rce up: {isolation(settings.engine)}", file=log, flush=True)
     master, robot, container, maps, knowledge = make_processes(settings, log)
     try:

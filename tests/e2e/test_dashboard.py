@@ -170,7 +170,7 @@ async def test_live_map_and_graph_of_a_mapping_robot(browser: Any, platform: Rea
         await page.get_by_role("link", name="building", exact=True).click()
         await page.get_by_role("heading", name="building").wait_for()
         await page.get_by_role("cell", name="rce_mapping mapper").wait_for()
-        await page.locator(".figure").filter(has_text="MB").wait_for()
+        await page.locator(".figure").filter(has_text="MiB").wait_for()
         assert not driving.done()
         driving.cancel()
         await screenshot(page, "environment")

@@ -38,7 +38,7 @@ async def test_narrow_pages_break_no_words_and_hide_no_buttons(browser: Any, pla
                 await visit(page, f"{platform.url}ui/#/environments/{USER}/wardrobe")
                 await page.get_by_role("cell", name="/said_by_the_robot").wait_for()
                 await page.get_by_role("cell", name="rce_demo echo.py").wait_for()
-                await page.locator(".figure").filter(has_text="MB").wait_for()
+                await page.locator(".figure").filter(has_text="MiB").wait_for()
                 assert await squeezed(page) == []
 
 

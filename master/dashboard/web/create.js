@@ -24,7 +24,7 @@ export async function newEnvironment(app) {
   ask("New environment", [
     { name: "containerTag", label: "Name", ...TAG },
     { name: "size", label: "Size", help: "slots of a machine", type: "number", min: 1, value: 1 },
-    { name: "memory", label: "Memory", help: "MB; empty: by its slots", type: "number", min: 1 },
+    { name: "memory", label: "Memory", help: "MiB; empty: by its slots", type: "number", min: 1 },
     { name: "cpu", label: "Cores", help: "empty: by its slots", type: "number", min: 0, step: "any" },
     { name: "image", label: "Image", help: "empty: the platform's",
       list: distinct([...data.map((each) => each.image), ...limits.images.filter((each) => !each.includes("*"))]) },
@@ -38,7 +38,7 @@ export async function newEnvironment(app) {
   ], ({ containerTag, memory, packages: chosen, specialFeatures, env, ...rest }) => app.api.post("/environments", {
     containerTag,
     containerData: { ...rest, packages: words(chosen), specialFeatures: words(specialFeatures), env: variables(env),
-      ...(memory ? { memory: memory * 1_000_000 } : {}) },
+      ...(memory ? { memory: memory * 1024 ** 2 } : {}) },
   }, owner));
 }
 

@@ -94,11 +94,12 @@ export function state(word) {
   return h(`span.state${GOOD.has(word) ? ".good" : BAD.has(word) ? ".bad" : ""}`, word);
 }
 
+/** Return a number of bytes with a binary prefix, as the console writes it. */
 export function bytes(count) {
-  const units = ["B", "kB", "MB", "GB", "TB"];
+  const units = ["B", "KiB", "MiB", "GiB", "TiB"];
   let unit = 0;
-  while (count >= 999.5 && unit < 4) [count, unit] = [count / 1000, unit + 1];
-  return `${unit && count < 10 ? count.toFixed(1) : Math.round(count)} ${units[unit]}`;
+  while (count >= 1023.5 && unit < 4) [count, unit] = [count / 1024, unit + 1];
+  return `${unit && count < 10 ? Number(count.toFixed(1)) : Math.round(count)} ${units[unit]}`;
 }
 
 export function rate(each) {

@@ -14,7 +14,7 @@ export function environmentPage(main, app, user, tag, query) {
   const path = `/environments/${tag}`;
   const who = app.acting(user);
   const parts = Object.fromEntries(["head", "nodes", "parameters", "interfaces"].map((name) => [name, h("div")]));
-  const [cores, memory] = [new Chart("Cores", (value) => value.toFixed(2)), new Chart("Memory", bytes)];
+  const [cores, memory] = [new Chart("Cores", (value) => value.toFixed(2)), new Chart("Memory", bytes, 1024)];
   const logs = new LogView(app, path, who, (node) => remember({ node }));
   main.append(parts.head,
     h("div.two", cores.element, memory.element),

@@ -97,7 +97,7 @@ class Graph {
       if (card.y < bottom && card.y + card.height > top) seen.add(this.#card(card));
     }
     const near = this.#wires.filter(({ from, to }) => Math.min(from.y, to.y) < bottom && Math.max(from.y, to.y) > top)
-      .map((wire) => ({ ...wire, ...line(wire), text: label(wire) }));
+      .map((wire) => ({ ...wire, ...line(wire), texts: [label(wire), brief(wire)] }));
     const [first] = this.#cards.values();
     const edge = first ? first.width + 12 : 0;
     this.#labels = labels(near, edge, this.element.clientWidth - edge);
@@ -210,7 +210,7 @@ class Graph {
 
   #wire(wire) {
     const key = `wire ${wire.key}`;
-    const { path, text } = wire;
+    const { path, texts: [text] } = wire;
     const place_ = this.#labels.get(wire.key);
     const shown = JSON.stringify([path, text, place_, wire.drops, wire.down, wire.both]);
     let drawn = this.#drawn.get(key);
@@ -234,7 +234,7 @@ class Graph {
       if (wire.both) parts.line.setAttribute("marker-start", "url(#arrow)");
       parts.text.setAttribute("x", place_?.x ?? 0);
       parts.text.setAttribute("y", place_?.y ?? 0);
-      const [words, lost] = place_ ? text.split(LOST) : [""];
+      const [words, lost] = place_ ? place_.text.split(LOST) : [""];
       parts.text.replaceChildren(words, lost === undefined ? "" : svg("tspan.lost", `${LOST}${lost}`));
     }
     return key;
@@ -262,3 +262,6 @@ function label(wire) {
   const words = rate(wire.links.some((each) => each.rate) ? wire : null);
   return many + words + (wire.drops ? `${LOST}${wire.drops}` : "");
 }
+
+/** Return the label of a wire where there is little room: its messages a second. */
+const brief = (wire) => rate(wire.links.some((each) => each.rate) ? wire : null).split(" ")[0];

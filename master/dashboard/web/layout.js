@@ -1,7 +1,7 @@
 // Layout of the graph: robots on the left, environments on the right, wires in between. Free of the DOM.
 
 const [TITLE, PORT, GAP, GUTTER] = [48, 28, 18, 200]; // pixels; of the gutter the minimum
-const NARROW = { width: 560, title: 76, gutter: 52 }; // pixels: below this width names and buttons have a line each
+const NARROW = { width: 560, title: 76, gutter: 76 }; // pixels: below this width names and buttons have a line each
 const [LETTER, LABEL] = [7.4, 15]; // pixels: width of a letter and height of a label
 const PLACES = [0.5, 0.4, 0.6, 0.3, 0.7, 0.2, 0.8]; // of a label on its wire, the best first
 export const MAX_UNFOLDED = 24; // up to this number, cards show their interfaces unless the user folds them
@@ -80,20 +80,21 @@ export function line({ from, to, both }) {
   };
 }
 
-/** Return the positions of labels {key, at, text} by key, none of which overlap. They stay between the columns, from
- * `left` to `right`; a label without room has no position. */
+/** Return the positions and texts of labels {key, at, texts} by key, none of which overlap. They stay between the columns,
+ * from `left` to `right`. A label has the first of its texts for which there is room, or no position. */
 export function labels(all, left, right) {
   const [rows, found] = [new Map(), new Map()];
   const rowsOf = (y) => [Math.floor((y - LABEL) / LABEL), Math.floor(y / LABEL)];
-  for (const { key, at, text } of all) {
+  for (const { key, at, texts } of all) {
+    const text = texts.find((each) => each.length * LETTER <= right - left);
+    if (!text) continue;
     const half = (text.length * LETTER) / 2;
-    if (!text || 2 * half > right - left) continue;
     for (const t of PLACES) {
       const [middle, height] = at(t);
       const [x, y] = [Math.max(left + half, Math.min(right - half, middle)), height - 5];
       const others = rowsOf(y).flatMap((row) => rows.get(row) ?? []);
       if (others.some((each) => Math.abs(each.x - x) < each.half + half && Math.abs(each.y - y) < LABEL)) continue;
-      found.set(key, { x, y });
+      found.set(key, { x, y, text });
       for (const row of rowsOf(y)) rows.set(row, [...(rows.get(row) ?? []), { x, y, half }]);
       break;
     }

@@ -10,6 +10,7 @@ from rce.cli import output
 from rce.cli.arguments import ENVIRONMENT, JSON, OF_USER, Argument, argument
 from rce.cli.command import Command, Lazy
 from rce.cli.session import ConsoleSession
+from rce.errors import InvalidRequest
 from rce.spelling import did_you_mean
 
 if TYPE_CHECKING:
@@ -91,6 +92,9 @@ def _topic_info(session: ConsoleSession, args: argparse.Namespace) -> None:
 def _type_show(session: ConsoleSession, args: argparse.Namespace) -> None:
     from rce.control.calls.robots import Definitions
 
+    if "/" not in args.type:  # `ENV` was left out: `std_msgs/String` is read as an environment and its type
+        given = f"{args.environment}/{args.type}"
+        raise InvalidRequest(f"{args.type!r} is not a ROS type: write ENV PKG/NAME, as `rce type show brain {given}`")
     path = ("environments", args.environment, "types")
     found = session.api.get(Definitions, *path, type=args.type, sort=args.sort, user=args.of)
     if args.json:

@@ -118,10 +118,16 @@ def test_labels_of_wires_do_not_overlap() -> None:
     shown, overlapping = run(
         "layout.js",
         """const wires = Array.from({ length: 300 }, (_, index) => ({
-            key: String(index), text: `${index}/s and more`, at: (t) => [300 + 200 * t, 7 * (index % 40) + 90 * t] }));
-        const found = [...m.labels(wires, 200, 700)].map(([key, at]) => ({ ...at, width: 7 * wires[key].text.length }));
+            key: String(index), texts: [`${index}/s and more`, `${index}/s`], at: (t) => [300 + 200 * t, 7 * (index % 40) + 90 * t] }));
+        const found = [...m.labels(wires, 200, 700)].map(([key, at]) => ({ ...at, width: 7 * at.text.length }));
         const apart = (a, b) => Math.abs(a.y - b.y) >= 14 || Math.abs(a.x - b.x) >= (a.width + b.width) / 2;
         return [found.length, found.filter((a, index) => found.slice(index + 1).some((b) => !apart(a, b))).length];""",
     )
     assert shown > 20
     assert overlapping == 0
+
+
+@pytest.mark.parametrize(("width", "text"), [(200, "20/s · 19 KiB/s"), (60, "20/s"), (20, None)])
+def test_label_is_as_long_as_there_is_room(width: int, text: str | None) -> None:
+    wire = "{ key: 'wire', texts: ['20/s · 19 KiB/s', '20/s'], at: (t) => [t, 0] }"
+    assert run("layout.js", f"return m.labels([{wire}], 0, {width}).get('wire')?.text ?? null") == text

@@ -5,13 +5,15 @@ from __future__ import annotations
 import asyncio
 import io
 import os
+import socket
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import msgspec
 import pytest
 
-from rce.errors import InvalidRequest, StartFailed
+from rce.errors import InvalidRequest, StartFailed, Unavailable
 from rce.process import programs, up
 from rce.process.ready import Ready
 from rce.process.settings import load
@@ -46,6 +48,11 @@ def lines(record: Path) -> list[str]:
 @pytest.fixture
 def settings(tmp_path: Path) -> up.Settings:
     return up.Settings(data_dir=tmp_path / "data", typesupport="", allow_root=True)
+
+
+@pytest.fixture
+def on_free_ports(settings: up.Settings) -> up.Settings:
+    return msgspec.structs.replace(settings, http_port=0)
 
 
 @pytest.fixture
@@ -132,7 +139,7 @@ def test_type_support_of_provisioning_is_used_if_it_was_built(tmp_path: Path, mo
     assert up.default_typesupport() == str(built)
 
 
-async def test_master_starts_first_and_ends_last(settings: up.Settings, record: Path) -> None:
+async def test_master_starts_first_and_ends_last(on_free_ports: up.Settings, record: Path) -> None:
     entries: list[Ready] = []
 
     async def started(entry: Ready) -> None:
@@ -141,7 +148,7 @@ async def test_master_starts_first_and_ends_last(settings: up.Settings, record: 
         assert {*lines(record)} == {f"start {name}" for name in names}
 
     with (record.parent / "log").open("w") as log:
-        await up.run(settings, started, log)
+        await up.run(on_free_ports, started, log)
     assert [entry.program for entry in entries] == ["master"]
     assert lines(record)[0] == "start master"
     ended = ["map-service", "knowledge-service", "container", "robot", "master"]
@@ -149,7 +156,7 @@ async def test_master_starts_first_and_ends_last(settings: up.Settings, record: 
 
 
 async def test_platform_is_not_started_if_a_process_fails(
-    settings: up.Settings, record: Path, monkeypatch: pytest.MonkeyPatch
+    on_free_ports: up.Settings, record: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     works = programs.command
     monkeypatch.setattr(
@@ -160,12 +167,22 @@ async def test_platform_is_not_started_if_a_process_fails(
         raise AssertionError("the platform is not complete")
 
     with (record.parent / "log").open("w") as log, pytest.raises(StartFailed, match="rce robot did not start"):
-        await up.run(settings, started, log)
+        await up.run(on_free_ports, started, log)
     assert lines(record)[-1] == "stop master"
 
 
+async def test_port_in_use_is_reported_before_anything_starts(settings: up.Settings) -> None:
+    """The Master would print the password of the first administrator, and the platform would not start."""
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        taken = msgspec.structs.replace(settings, http_port=0, ws_port=port)
+        with pytest.raises(Unavailable, match=f"port {port} of 127.0.0.1 is in use: choose another port"):
+            await up.run(taken, Mock(), sys.stderr)
+    assert not settings.data_dir.exists()
+
+
 async def test_starts_under_way_are_cancelled_if_a_process_fails(
-    settings: up.Settings, record: Path, monkeypatch: pytest.MonkeyPatch
+    on_free_ports: up.Settings, record: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Or a process that starts late would not be stopped."""
     begun, events = asyncio.Event(), []
@@ -191,12 +208,12 @@ async def test_starts_under_way_are_cancelled_if_a_process_fails(
     monkeypatch.setattr(ManagedProcess, "start", start)
     monkeypatch.setattr(ManagedProcess, "stop", stop)
     with pytest.raises(StartFailed, match="robot"):
-        await up.run(settings, started, io.StringIO())
+        await up.run(on_free_ports, started, io.StringIO())
     assert events[0] == "start of the container is cancelled"
 
 
 async def test_platform_starts_without_services_that_are_not_installed(
-    settings: up.Settings, record: Path, monkeypatch: pytest.MonkeyPatch
+    on_free_ports: up.Settings, record: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(programs, "installed", lambda *names: False)
 
@@ -204,7 +221,7 @@ async def test_platform_starts_without_services_that_are_not_installed(
         assert not {"start map-service", "start knowledge-service"} & {*lines(record)}
 
     with (record.parent / "log").open("w+") as log:
-        await up.run(settings, started, log)
+        await up.run(on_free_ports, started, log)
         log.seek(0)
         text = log.read()
         assert "starting without the map service" in text

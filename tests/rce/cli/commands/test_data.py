@@ -95,3 +95,8 @@ def test_definition_of_a_type_is_printed_with_those_in_it(capsys: pytest.Capture
     assert asked.line == "GET environments/brain/types"
     assert asked.query == {"type": "geometry_msgs/Twist", "sort": "msg"}
     assert capsys.readouterr().out.splitlines()[::2] == ["Vector3 linear", "=" * 80, "float64 x"]
+
+
+def test_type_without_an_environment_is_explained(capsys: pytest.CaptureFixture[str]) -> None:
+    assert Console().run("type show std_msgs/String") == FAILURE
+    assert "write ENV PKG/NAME, as `rce type show brain std_msgs/String`" in capsys.readouterr().err
