@@ -77,7 +77,7 @@ def add_place_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--data-dir",
         type=Path,
-        help="data directory of the Master, which is DIR/master for `rce up --data-dir DIR` (default: that of `rce up`)",
+        help="data directory of the Master; DIR/master for `rce up --data-dir DIR` (default: that of `rce up`)",
     )
     parser.add_argument("--database", default="", help="SQLAlchemy URL, if the Master's is not in its data directory")
 

@@ -118,7 +118,8 @@ def test_labels_of_wires_do_not_overlap() -> None:
     shown, overlapping = run(
         "layout.js",
         """const wires = Array.from({ length: 300 }, (_, index) => ({
-            key: String(index), texts: [`${index}/s and more`, `${index}/s`], at: (t) => [300 + 200 * t, 7 * (index % 40) + 90 * t] }));
+            key: String(index), texts: [`${index}/s and more`, `${index}/s`],
+            at: (t) => [300 + 200 * t, 7 * (index % 40) + 90 * t] }));
         const found = [...m.labels(wires, 200, 700)].map(([key, at]) => ({ ...at, width: 7 * at.text.length }));
         const apart = (a, b) => Math.abs(a.y - b.y) >= 14 || Math.abs(a.x - b.x) >= (a.width + b.width) / 2;
         return [found.length, found.filter((a, index) => found.slice(index + 1).some((b) => !apart(a, b))).length];""",
