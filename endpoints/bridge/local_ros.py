@@ -111,14 +111,14 @@ class LocalRos:
     def remove_interface(self, interface: RosInterface) -> None:
         """Remove an interface."""
         self._interfaces.discard(interface)
-        self._totals.add_removed(interface.traffic.snapshot(interface.dropped))
+        self._totals.add_removed(interface.counted)
         interface.peers.clear()
         interface.stopped()
         interface.close()
 
     def families(self) -> list[Family]:
         """Return the traffic as metrics: messages `sent` to the platform and `received` from it."""
-        return self._totals.families(each.traffic.snapshot(each.dropped) for each in self._interfaces)
+        return self._totals.families(each.counted for each in self._interfaces)
 
     def close(self) -> None:
         """Remove all interfaces."""

@@ -13,6 +13,7 @@ from endpoints.data.hops import HopRecorder
 from endpoints.data.link import Link
 from endpoints.data.traffic import InterfaceCounter
 from rce.control.calls.endpoints import InterfaceSpec
+from rce.control.calls.watching import InterfaceTraffic
 from rce.errors import MALFORMED, ErrorInfo, LimitExceeded, NotConnected, RceError
 from rce.net.budget import INTERFACE, MB, Budget
 from rce.protocol.messages.commands import DEEP, SHALLOW
@@ -30,6 +31,7 @@ class Interface(ABC):
     Attributes:
         peers: Link to each peer, by the id of the peer's interface.
         dropped: Number of messages dropped so far, in both directions.
+        unheard: Number of messages discarded so far because no node and no robot subscribes to the topic.
         budget: Bytes that the interface's messages may hold while they wait.
         qos: Quality of service, with the default depth for the type.
         keep: Number of messages to one peer that may wait: the newest `depth` of a topic; None for all.
@@ -45,8 +47,13 @@ class Interface(ABC):
         self.id = bytes.fromhex(spec.id)
         self.hops = hops
         self.peers: dict[bytes, Link] = {}
-        self.dropped = 0
+        self.dropped = self.unheard = 0
         self.traffic = InterfaceCounter()
+
+    @property
+    def counted(self) -> InterfaceTraffic:
+        """The traffic so far."""
+        return self.traffic.snapshot(self.dropped, self.unheard)
 
     @abstractmethod
     def receive(self, message: Message, link: Link) -> None:

@@ -98,7 +98,7 @@ class Switchboard:
         for peer in list(interface.peers):
             self._remove_peer(interface, peer)
         del self.interfaces[id]
-        self._totals.add_removed(interface.traffic.snapshot(interface.dropped))
+        self._totals.add_removed(interface.counted)
         interface.close()
 
     def _stop_binding(self, id: str) -> None:
@@ -196,12 +196,12 @@ class Switchboard:
 
     async def traffic(self, _: CountTraffic) -> Traffic:
         """Return the traffic of each interface."""
-        counted = {each.spec.id: each.traffic.snapshot(each.dropped) for each in self.interfaces.values()}
+        counted = {each.spec.id: each.counted for each in self.interfaces.values()}
         return Traffic(counted)
 
     def families(self) -> list[Family]:
         """Return the metrics of all interfaces and links."""
-        present = [each.traffic.snapshot(each.dropped) for each in self.interfaces.values()]
+        present = [each.counted for each in self.interfaces.values()]
         queued = sum(link.backlog(each.id) for each in self.interfaces.values() for link in set(each.peers.values()))
         links = Counter("up" if link.opened.done() else "opening" for link in self.links.values())
         return [

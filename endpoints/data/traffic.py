@@ -64,8 +64,8 @@ class InterfaceCounter:
         self._former_peers.add(self.of(peer))
         del self.peers[peer]
 
-    def snapshot(self, dropped: int) -> InterfaceTraffic:
-        """Return the present numbers; `dropped` is the number of all drops of the interface."""
+    def snapshot(self, dropped: int, unheard: int = 0) -> InterfaceTraffic:
+        """Return the present numbers, with the numbers of all dropped and unheard messages of the interface."""
         received = TrafficCount()
         received.add(self._former_peers)
         for count in self.peers.values():
@@ -74,6 +74,7 @@ class InterfaceCounter:
             Counts(self.sent.messages, self.sent.bytes, dropped),
             Counts(received.messages, received.bytes),
             {peer.hex(): count.counts for peer, count in self.peers.items()},
+            unheard,
         )
 
 
@@ -100,6 +101,7 @@ class TrafficTotals:
             ),
             counter_family("rce_bytes", "Payload bytes of these messages", ["direction"], by_direction("bytes")),
             counter_family("rce_drops", "Messages that were dropped", [], {(): total["drops", ""]}),
+            counter_family("rce_unheard", "Messages to topics without subscribers", [], {(): total["unheard", ""]}),
         ]
 
 
@@ -112,5 +114,6 @@ def _amounts(interface: InterfaceTraffic) -> Counter[tuple[str, str]]:
             ("bytes", "sent"): sent.bytes,
             ("bytes", "received"): received.bytes,
             ("drops", ""): sent.drops,
+            ("unheard", ""): interface.unheard,
         }
     )

@@ -46,6 +46,10 @@ class SharedTopics:
         if not receivers:
             self._receivers.pop(_key(receiver.spec), None)
 
+    def has_receivers(self, spec: InterfaceSpec) -> bool:
+        """Return whether an interface subscribes to the topic of the interface `spec`."""
+        return _key(spec) in self._receivers
+
     def publish(self, spec: InterfaceSpec, message: Message, link: Link, latched: bool) -> None:
         """Pass a message of the interface `spec` to all that subscribe to its topic."""
         for receiver in self._receivers.get(_key(spec), ()):

@@ -47,9 +47,9 @@ class PublisherInterface(_TopicInterface):
     """Publishes the messages of its peers.
 
     While there is no subscription, the newest `depth` messages wait for nodes that are still starting. Without a depth,
-    these are the messages of the last `NODE_START` seconds, and `SHALLOW` messages at least. Others are no loss, since
-    no node would have received them. Nodes that start later get the last message (see `RawPublisher`), as from the
-    latched publishers of the original. With `keep_all` none is dropped: the sender has to wait.
+    these are the messages of the last `NODE_START` seconds, and `SHALLOW` messages at least. Others are not dropped but
+    unheard, since no node would have received them. Nodes that start later get the last message (see `RawPublisher`),
+    as from the latched publishers of the original. With `keep_all` none is dropped: the sender has to wait.
     """
 
     _publisher: RawPublisher
@@ -77,7 +77,10 @@ class PublisherInterface(_TopicInterface):
         self._largest = max(self._largest, len(payload)) if len(waiting) > 1 else len(payload)
         if self.keep is not None:
             self._received[-1] += 1
-            self._drop_oldest(waiting, self.keep)
+            if self._publisher.has_subscription:
+                self._drop_oldest(waiting, self.keep)
+            else:
+                self._discard(self.keep)
         elif len(waiting) >= HIGH_WATER or self._too_large(waiting):
             if self._room is None:
                 self._room = asyncio.get_running_loop().create_future()
@@ -87,9 +90,7 @@ class PublisherInterface(_TopicInterface):
     def tick(self, now: float) -> None:
         """Forget messages that came long before any node subscribes."""
         if self.keep is not None and not self.qos.depth and not self._publisher.has_subscription:
-            recent = max(SHALLOW, sum(self._received))
-            while len(self._publisher.waiting) > recent:
-                self._publisher.waiting.popleft()
+            self._discard(max(SHALLOW, sum(self._received)))
         self._received.append(0)
 
     def _flush(self, message: Message) -> None:
@@ -111,6 +112,14 @@ class PublisherInterface(_TopicInterface):
             except IndexError:  # the ROS thread has published it meanwhile
                 return
             self.dropped += 1
+
+    def _discard(self, keep: int) -> None:
+        """Discard the oldest messages of a topic to which no node subscribes; robots may have received them."""
+        waiting = self._publisher.waiting
+        heard = self._context.shared.has_receivers(self.spec)
+        while len(waiting) > keep or self._too_large(waiting):
+            waiting.popleft()
+            self.unheard += not heard
 
     def _published(self) -> None:
         """Handle that messages were published; called in the ROS thread."""

@@ -34,6 +34,7 @@ class Reading(NamedTuple):
     messages: int
     bytes: int
     drops: int
+    unheard: int = 0
 
     def since(self, before: Reading | None) -> Rate | None:
         """Return the rate since an earlier reading, or None without one or after a restart."""
@@ -44,6 +45,7 @@ class Reading(NamedTuple):
             _short((self.messages - before.messages) / seconds),
             _short((self.bytes - before.bytes) / seconds),
             self.drops,
+            int(_short(self.unheard)),
         )
 
 
@@ -178,7 +180,7 @@ class Gauges:
 def _readings(traffic: Traffic, now: float) -> Iterator[tuple[str, Reading]]:
     for id, each in traffic.interfaces.items():
         sent, received = each.sent, each.received
-        yield id, Reading(now, sent.messages + received.messages, sent.bytes + received.bytes, sent.drops)
+        yield id, Reading(now, sent.messages + received.messages, sent.bytes + received.bytes, sent.drops, each.unheard)
         for peer, counts in each.peers.items():
             yield f"{id} {peer}", Reading(now, counts.messages, counts.bytes, counts.drops)
 

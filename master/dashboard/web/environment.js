@@ -128,6 +128,7 @@ function interfacesOf(app, user, tag, interfaces) {
     Type: (each) => each.className,
     "#Rate": (each) => rate(each.rate),
     "#Dropped": (each) => String(each.rate?.drops ?? 0),
+    "#Nobody subscribes": (each) => (each.rate?.unheard ? `${each.rate.unheard} discarded` : ""),
     " ": (each) => {
       const view = seen && /^(Subscriber|Publisher)Interface$/.test(each.interfaceType) && VIEWS[short(each.className)];
       return [view && h("a.button.small", { "aria-label": `View ${each.addr}`, href: `#/${view[0]}/${user}/${tag}?${view[1]}=${encodeURIComponent(each.addr)}` }, "View"),

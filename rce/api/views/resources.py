@@ -23,6 +23,7 @@ class Rate(Struct, frozen=True):
     messages: float  # per second
     bytes: float  # per second
     drops: int = 0  # since its creation
+    unheard: int = 0  # since its creation: discarded, since no node and no robot subscribes to the topic
 
 
 class RobotView(Struct, frozen=True):

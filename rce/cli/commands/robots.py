@@ -39,6 +39,7 @@ INTERFACES: output.Columns[views.InterfaceView] = {
     "connections": lambda each: each.connections,
     "messages/s": lambda each: each.rate and each.rate.messages,
     "drops": lambda each: each.rate and each.rate.drops,
+    "unheard": lambda each: each.rate and each.rate.unheard,
 }
 CONNECTIONS: output.Columns[views.ConnectionView] = {
     "from": lambda each: each.tagA,

@@ -101,12 +101,14 @@ class InterfaceTraffic(Struct, frozen=True):
     """Traffic of an interface.
 
     `sent` counts a message once, however many peers it goes to; its drops are those for all peers. `peers` has, by the
-    id of a peer, the messages received from it and the drops in both directions.
+    id of a peer, the messages received from it and the drops in both directions. `unheard` counts messages that were
+    discarded because no node and no robot subscribes to the topic.
     """
 
     sent: Counts
     received: Counts
     peers: dict[str, Counts] = {}
+    unheard: int = 0
 
 
 class Traffic(Struct, frozen=True):

@@ -39,7 +39,7 @@ def test_messages_of_former_peers_stay_counted() -> None:
 def test_sums_include_removed_interfaces() -> None:
     totals = TrafficTotals()
     totals.add_removed(InterfaceTraffic(Counts(1, 10, 3), Counts(2, 20)))
-    totals.add_removed(InterfaceTraffic(Counts(1, 1), Counts()))
+    totals.add_removed(InterfaceTraffic(Counts(1, 1), Counts(), unheard=4))
     present = InterfaceTraffic(Counts(5, 50, 1), Counts(6, 60))
     for _ in range(2):  # reading changes nothing
         assert sums(totals, present, present) == {
@@ -48,6 +48,7 @@ def test_sums_include_removed_interfaces() -> None:
             ("rce_bytes", "sent"): 111,
             ("rce_bytes", "received"): 140,
             ("rce_drops",): 5,
+            ("rce_unheard",): 4,
         }
 
 

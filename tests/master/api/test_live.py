@@ -104,7 +104,9 @@ async def test_measured_rates_and_usage_are_sent(served: Served, monkeypatch: py
     served.master.presenter.rates = {"ann/r1/in": Rate(2.5, 100.0, 3)}
     served.master.presenter.usage = {"ann/brain": Usage(0.5, 1000)}
     changed({"interfaces": {"ann/r1/in"}, "environments": {"ann/brain"}})
-    await watcher.until("interfaces", "ann/r1/in", "rate", value={"messages": 2.5, "bytes": 100.0, "drops": 3})
+    await watcher.until(
+        "interfaces", "ann/r1/in", "rate", value={"messages": 2.5, "bytes": 100.0, "drops": 3, "unheard": 0}
+    )
     await watcher.until("environments", "ann/brain", "usage", value={"cores": 0.5, "memory": 1000})
     await watcher.socket.close()
     await until(lambda: not served.master.feed.watched)

@@ -72,8 +72,10 @@ class World:
         self.passed(0, 0, 0)
         self.uses(0, 0)
 
+    unheard = 0
+
     def passed(self, messages: int, size: int, drops: int) -> None:
-        all_sent = InterfaceTraffic(Counts(messages, size, drops), Counts(), {IN: Counts(drops=drops)})
+        all_sent = InterfaceTraffic(Counts(messages, size, drops), Counts(), {IN: Counts(drops=drops)}, self.unheard)
         got = InterfaceTraffic(Counts(), Counts(messages - drops, size), {OUT: Counts(messages - drops, size)})
         self.environment.answers[CountTraffic] = Traffic({OUT: all_sent})
         self.robot.answers[CountTraffic] = Traffic({IN: got})
@@ -100,6 +102,7 @@ def test_rates_and_usage_are_differences_of_two_readings(world: World) -> None:
     world.hand.do(lambda: world.gauges.watch(world.told.append))
     assert world.told == [{"interfaces": set(), "connections": set(), "environments": set(), "machines": set()}]
     assert world.presenter.rates == {}
+    world.unheard = 7
     world.passed(30, 3000, 6)
     world.uses(1.5, 5_000_000)
     world.hand.turn(PERIOD)
@@ -111,7 +114,7 @@ def test_rates_and_usage_are_differences_of_two_readings(world: World) -> None:
             "machines": {"m1"},
         }
     ]
-    assert world.presenter.interface(world.state.interfaces["ann/map/out"]).rate == Rate(10, 1000, 6)
+    assert world.presenter.interface(world.state.interfaces["ann/map/out"]).rate == Rate(10, 1000, 6, 7)
     assert world.presenter.interface(world.state.interfaces["ann/r/in"]).rate == Rate(8, 1000, 0)
     assert world.presenter.connection(world.state.connections["ann/map/out ann/r/in"]).rate == Rate(8, 1000, 6)
     assert world.presenter.environment(world.state.environments["ann/map"]).usage == Shows(0.5, 5_000_000)
@@ -121,10 +124,11 @@ def test_rates_and_usage_are_differences_of_two_readings(world: World) -> None:
 def test_unchanged_rates_are_not_reported(world: World) -> None:
     world.hand.do(lambda: world.gauges.watch(world.told.append))
     for round in range(1, 4):
+        world.unheard = 123_000 + round
         world.passed(15_000 * round + round % 2, 0, 0)  # a message more or less
         world.hand.turn(PERIOD)
     assert not any(world.told[-1].values())
-    assert world.presenter.rates["ann/map/out"] == Rate(5000, 0, 0)
+    assert world.presenter.rates["ann/map/out"] == Rate(5000, 0, 0, 123_000)
 
 
 def test_nothing_is_measured_without_watchers(world: World) -> None:

@@ -40,11 +40,11 @@ def test_each_named_robot_is_disconnected() -> None:
 
 
 def test_interfaces_are_listed_with_their_rates_while_these_are_counted(capsys: pytest.CaptureFixture[str]) -> None:
-    Console([interface(rate=Rate(9.5, 1e3, 2)), interface("r2")]).request("interface list")
+    Console([interface(rate=Rate(9.5, 1e3, 2, 7)), interface("r2")]).request("interface list")
     _, first, second = capsys.readouterr().out.splitlines()
     assert first.split()[0] == "brain/pose"
-    assert first.split()[-3:] == ["1", "9.5", "2"]
-    assert second.split()[-3:] == ["1", "-", "-"]
+    assert first.split()[-4:] == ["1", "9.5", "2", "7"]
+    assert second.split()[-4:] == ["1", "-", "-", "-"]
 
 
 def test_interface_is_added_with_its_quality_of_service() -> None:
