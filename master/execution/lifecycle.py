@@ -22,6 +22,7 @@ from rce.errors import ErrorInfo, RceError, StartFailed, clipped
 from rce.protocol.messages import EnvironmentEvent, LimitEvent
 
 RETRY_FIRST, RETRY_MOST = 0.5, 30.0  # seconds
+RESETTLED_AT_ONCE = 50  # environments: a tenth of a second, in which a Master with 1,000 machines answers nobody
 STEADY = 5.0  # seconds; what ran this long before it died did start, so it is started again
 
 log = Logger()
@@ -34,6 +35,7 @@ class Lifecycle:
         self._runner = runner
         self._state = runner.state
         self._readiness = runner.readiness
+        self._will_resettle = False
         self._retries: dict[str, float] = {}  # seconds to the next start of environments that keep dying
         self._state.environments.watchers.append(self._environment_changed)
         self._node_ends = NodeEnds(runner, self.apply)
@@ -56,8 +58,24 @@ class Lifecycle:
             self._runner.keep(asyncio.create_task(self._follow(self._runner.run([sequence]))))
 
     def resettle(self) -> None:
-        """Place environments that wait for a machine, because there may be room now."""
-        self.apply(reconcile.resettle(self._state, new_id))
+        """Place environments that wait for a machine, because there may be room now; many of them in several turns."""
+        plan = reconcile.resettle(self._state, new_id, RESETTLED_AT_ONCE)
+        self.apply(plan)
+        if len(plan) >= RESETTLED_AT_ONCE:
+            self._resettle_after(0)
+
+    def resettle_soon(self) -> None:
+        """Resettle in a moment: when many machines are lost at once, or all environments of one, once for all."""
+        self._resettle_after(RETRY_FIRST)
+
+    def _resettle_after(self, seconds: float) -> None:
+        if not self._will_resettle:
+            self._will_resettle = True
+            self._runner.later(seconds, self._resettle_now)
+
+    async def _resettle_now(self) -> None:
+        self._will_resettle = False
+        self.resettle()
 
     async def _follow(self, running: asyncio.Task[list[Answer]]) -> None:
         answers = await running

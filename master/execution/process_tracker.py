@@ -7,7 +7,7 @@ import asyncio
 from twisted.logger import Logger
 
 from master.execution.effect_runner import EffectRunner, new_id
-from master.execution.lifecycle import RETRY_FIRST, Lifecycle
+from master.execution.lifecycle import Lifecycle
 from master.graph import reconcile
 from master.graph.effects import Plan
 from master.graph.placement import place
@@ -115,7 +115,7 @@ class ProcessTracker:
             reconcile.machine_removed(self._state, name)
             self._view_cache.process_moved(name)
             self._refuse_unplaceable()
-            self._runner.later(RETRY_FIRST, self._resettle)
+            self._lifecycle.resettle_soon()
 
     def _begin_grace(self, process: Process, times: float = 1) -> None:
         name = process.name
@@ -134,10 +134,7 @@ class ProcessTracker:
             reason = f"its machine {environment.machine} has been away for {self.machine_grace:g} s"
             self._lifecycle.take_down(environment, reason)
         self._refuse_unplaceable()
-        self._runner.later(RETRY_FIRST, self._resettle)
-
-    async def _resettle(self) -> None:
-        self._lifecycle.resettle()
+        self._lifecycle.resettle_soon()
 
     def _refuse_unplaceable(self) -> None:
         """Fail commands that wait for a machine that was expected back and is not any more."""

@@ -8,23 +8,20 @@ from master.graph.state import State, amounts, at, user_at
 from rce.errors import NoCapacity, Unavailable
 
 
-def free_slots(state: State, machine: Process, moving: str = "") -> int:
-    """Return the free slots of a machine; those of the environment `moving` count as free."""
-    return machine.capacity - _used(state, machine, moving, "size")
+def free_slots(state: State, machine: Process) -> int:
+    """Return the free slots of a machine."""
+    return machine.capacity - int(state.environments.total(at(machine.name), "size"))
 
 
-def free_gpus(state: State, machine: Process, moving: str = "") -> int:
-    """Return the free GPUs of a machine; those of the environment `moving` count as free."""
-    return machine.gpus - _used(state, machine, moving, "gpus")
+def free_gpus(state: State, machine: Process) -> int:
+    """Return the free GPUs of a machine."""
+    return machine.gpus - int(state.environments.total(at(machine.name), "gpus"))
 
 
-def _used(state: State, machine: Process, moving: str, amount: str) -> int:
-    """Return what environments other than `moving` use of a machine."""
-    used = state.environments.total(at(machine.name), amount)
-    mover = state.environments.get(moving)
-    if mover is not None and mover.machine == machine.name:
-        used -= amounts(mover)[amount]
-    return int(used)
+def most_free_slots(state: State) -> int:
+    """Return the free slots of the connected machine that has most; 0 without one."""
+    machines = (machine for machine in state.processes.by("container") if machine.name in state.joined)
+    return max((free_slots(state, machine) for machine in machines), default=0)
 
 
 def place(state: State, user: str, options: EnvironmentOptions, moving: str = "") -> str:
@@ -63,17 +60,20 @@ def _fitting(state: State, user: str, options: EnvironmentOptions, moving: str) 
                 f"network group {options.group} is on machine {home}, which does not offer the special features "
                 f"{', '.join(sorted(wanted))}; a group is on one machine"
             )
-    spare = {machine.name: free_gpus(state, machine, moving) for machine in able}
-    if options.gpus > max(spare.values()):
-        most = max(0, *spare.values())  # a machine that joined again with fewer GPUs may use more than it has
-        raise NoCapacity(
-            f"no machine has {options.gpus} free GPUs; the one with most has {most}",
-            field="containerData.gpus",
-            asked=options.gpus,
-            free=most,
-        )
-    able = [machine for machine in able if spare[machine.name] >= options.gpus]
-    free = {machine.name: free_slots(state, machine, moving) for machine in able}
+    if options.gpus:
+        spare = {machine.name: free_gpus(state, machine) for machine in able}
+        _leave(state, moving, "gpus", spare)
+        if options.gpus > max(spare.values()):
+            most = max(0, *spare.values())  # a machine that joined again with fewer GPUs may use more than it has
+            raise NoCapacity(
+                f"no machine has {options.gpus} free GPUs; the one with most has {most}",
+                field="containerData.gpus",
+                asked=options.gpus,
+                free=most,
+            )
+        able = [machine for machine in able if spare[machine.name] >= options.gpus]
+    free = {machine.name: free_slots(state, machine) for machine in able}
+    _leave(state, moving, "size", free)
     fitting = {name: slots for name, slots in free.items() if slots >= options.size}
     if not fitting:
         most = max(0, *free.values())
@@ -84,6 +84,13 @@ def _fitting(state: State, user: str, options: EnvironmentOptions, moving: str) 
             free=most,
         )
     return fitting
+
+
+def _leave(state: State, moving: str, amount: str, free: dict[str, int]) -> None:
+    """Add what the environment `moving` uses to what is free on its machine."""
+    mover = state.environments.get(moving)
+    if mover is not None and mover.machine in free:
+        free[mover.machine] += int(amounts(mover)[amount])
 
 
 def robot_endpoint(state: State) -> Process:

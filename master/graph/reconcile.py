@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 from msgspec.structs import replace
 
 from master.graph.changes import remove_environment, remove_interface, remove_interfaces, remove_node, start
 from master.graph.connections import drop_waiting
 from master.graph.effects import Outcome, Plan, Send
 from master.graph.limits import UNLIMITED, Policy, check_robots
-from master.graph.placement import place
+from master.graph.placement import most_free_slots, place
 from master.graph.records import Environment, Process, Ref, Robot, ref, user_of
 from master.graph.state import State, all_of, at
 from master.graph.translation import interface_spec, node_spec, parameter_spec
@@ -208,17 +210,22 @@ def lost_with(state: State, process: str) -> list[Environment]:
     ]
 
 
-def resettle(state: State, ids: Ids) -> Plan:
+def resettle(state: State, ids: Ids, most: float = math.inf) -> Plan:
     """Start new lives of environments that wait for a machine or were lost with theirs, where machines have room.
 
-    An environment that finds no room stays as it is: it may still run on its machine when that comes back.
+    An environment that finds no room stays as it is: it may still run on its machine when that comes back. The plan
+    ends after the environment with which it has `most` sequences.
     """
     plan: Plan = []
+    room = most_free_slots(state)
     gone = ["", *(machine.name for machine in state.processes.by("container") if state.gone(machine.name))]
     for environment in [environment for machine in gone for environment in state.environments.by(at(machine))]:
+        if len(plan) >= most:
+            break
         runs_on = bool(environment.machine) and not state.gone(environment.name)
-        if not runs_on and _best_place(state, environment):
+        if not runs_on and environment.options.size <= room and _best_place(state, environment):
             plan += restart(state, environment, ids)
+            room = most_free_slots(state)
     return plan
 
 

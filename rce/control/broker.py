@@ -24,7 +24,7 @@ from rce.process.logs import RateLimitedLogger
 # Limits for a peer that has not joined:
 MAX_UNJOINED_BYTES = 4 * 1024 * 1024  # the Hello of a Robot endpoint names all of its robots
 MAX_UNJOINED_ITEMS = 100  # strings, numbers and lists; each page of a Hello is one item
-JOIN_TIMEOUT = 20.0  # seconds
+JOIN_TIMEOUT = 20.0  # seconds until a peer asks to join
 # Limits for all peers:
 MAX_ITEMS = 300  # of a message: a call has 20 and its pages
 SLICE = 32  # messages that are handled before other connections get a turn
@@ -60,6 +60,10 @@ class Broker(LiveBroker):
         if self._budget is not None:
             self._budget.connections -= 1
         super().connectionLost(reason)  # type: ignore[no-untyped-call]
+
+    def stop_timeout(self) -> None:
+        """Stop the timeout of a peer that has asked to join; when many do, it may be long until all are answered."""
+        self._timer.cancel()
 
     def admit(self, max_message: int, budget: Budget | None) -> None:
         """Set the limits of a peer that has joined."""

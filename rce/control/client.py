@@ -32,7 +32,10 @@ from rce.control.liveness import LiveBroker
 from rce.errors import ErrorInfo, RceError, Unavailable
 from rce.net.tls import Tls
 
-JOIN_TIMEOUT = 10.0  # seconds
+CONNECT_TIMEOUT = 10.0  # seconds
+# Seconds. After a restart of the Master 10,000 processes wait in its queue for half a minute: whoever gave up and asked
+# again would make the queue longer.
+JOIN_TIMEOUT = 60.0
 BACKOFF_MIN = 0.05
 BACKOFF_MAX = 1.0  # short, so that all processes find a restarted Master within a second
 
@@ -47,17 +50,20 @@ async def connect(
     """Connect and join the Master at a Twisted client endpoint (`tcp:host:8080`, `unix:/path`).
 
     Raises:
-        Unavailable: The Master cannot be reached or does not answer within JOIN_TIMEOUT.
+        Unavailable: The Master cannot be reached or does not answer in time.
         RceError: The Master refuses this process.
     """
     loop = asyncio.get_running_loop()
     factory = pb.PBClientFactory()
     factory.protocol = LiveBroker
     broker: pb.Broker | None = None
+    limit = CONNECT_TIMEOUT
     try:
-        async with asyncio.timeout(JOIN_TIMEOUT):
+        async with asyncio.timeout(limit):
             broker = await client_endpoint(reactor, description, tls).connect(factory).asFuture(loop)
-            disable_nagle(broker.transport)
+        disable_nagle(broker.transport)
+        limit = JOIN_TIMEOUT
+        async with asyncio.timeout(limit):
             root = await _get_root(factory, broker).asFuture(loop)
             joined = root.callRemote("join", encode_pages(hello), CallReceiver(handlers, max_message(hello.role)))
             good, pages, receiver = await joined.asFuture(loop)
@@ -66,7 +72,7 @@ async def connect(
             abort(broker)
         if not isinstance(error, Exception):
             raise
-        reason = f"no answer within {JOIN_TIMEOUT:g} s" if isinstance(error, TimeoutError) else str(error)
+        reason = f"no answer within {limit:g} s" if isinstance(error, TimeoutError) else str(error)
         if tls is not None and isinstance(error, ConnectionLost):
             reason += (
                 " If this goes on, it refuses the certificate of this machine, because that has expired or is of "

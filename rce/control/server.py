@@ -27,6 +27,7 @@ from rce.control.connection import (
 )
 from rce.control.limits import JOIN, Budgets, max_message
 from rce.errors import InternalError, InvalidRequest, RceError
+from rce.net.listener import BACKLOG
 from rce.net.tls import Tls
 
 log = Logger()
@@ -67,6 +68,8 @@ class _Root(Receiver, pb.Root):
     def remote_join(
         self, pages: Pages, receiver: pb.RemoteReference
     ) -> Deferred[tuple[bool, Pages, CallReceiver | None]]:
+        if self.broker is not None:
+            self.broker.stop_timeout()
         return Deferred.fromFuture(asyncio.ensure_future(self._join(pages, receiver)))
 
     def _address(self) -> str:
@@ -118,7 +121,8 @@ def _server_endpoint(reactor: ReactorBase, description: str) -> Any:  # zope dec
         InvalidRequest: The description is malformed.
     """
     try:
-        return endpoints.serverFromString(reactor, description)
+        takes_backlog = description.startswith(("tcp:", "ssl:", "unix:")) and ":backlog=" not in description
+        return endpoints.serverFromString(reactor, description + f":backlog={BACKLOG}" * takes_backlog)
     except (ValueError, TypeError) as error:
         raise InvalidRequest(
             f"{description!r} is not a Twisted server endpoint, as tcp:9000 or tcp:9000:interface=127.0.0.1: {error}"

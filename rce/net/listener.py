@@ -15,7 +15,9 @@ from rce.errors import describe_os_error, port_unavailable
 from rce.net.pending_logins import PendingLogin, PendingLogins
 
 TLS_TIMEOUT = 20.0  # seconds for a TLS handshake
-BACKLOG = 128
+# Connections that wait to be accepted. All processes and robots of a platform return at once after a restart of the
+# Master: with the usual 50 or 128, most of them would wait for the retransmissions of TCP. Linux permits so many.
+BACKLOG = 4096
 BATCH = 100  # connections that are accepted at a stretch
 PAUSE = 1.0  # seconds without accepting after the system refused to, as a rule for lack of file descriptors
 

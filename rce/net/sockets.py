@@ -47,16 +47,6 @@ def parse_host_port(address: str) -> tuple[str, int]:
     return host, int(port)
 
 
-def check_port(host: str, port: int) -> None:
-    """Check that a server can listen at a TCP port of this machine; 0 is any free one.
-
-    Raises:
-        OSError: The port is in use, or this process may not bind it.
-    """
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    socket.create_server((host, port), family=family).close()
-
-
 def advertised_host(host: str, address: str) -> str:
     """Return the host name or IP address by which other machines dial a port.
 

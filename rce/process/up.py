@@ -20,8 +20,8 @@ from typing import IO, Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from rce.errors import InvalidRequest, port_unavailable
-from rce.net.sockets import check_port
+from rce.errors import InvalidRequest
+from rce.net.listener import bind
 from rce.process import programs
 from rce.process.ready import Ready
 from rce.process.supervisor import ManagedProcess
@@ -163,12 +163,8 @@ def check_ports(settings: Settings) -> None:
         settings.port(settings.maps_port, MAPS_PORT),
         settings.port(settings.knowledge_port, KNOWLEDGE_PORT),
     )
-    host = settings.listening_host
     for port in ports:
-        try:
-            check_port(host, port)
-        except OSError as error:
-            raise port_unavailable(host, port, error) from None
+        bind(settings.listening_host, port).close()
 
 
 def _port(url_or_endpoint: str) -> str:

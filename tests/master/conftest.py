@@ -11,7 +11,7 @@ import sqlalchemy as sa
 from twisted.internet.base import ReactorBase
 
 from master.access.users import Users
-from master.execution import lifecycle, process_tracker
+from master.execution import lifecycle
 from master.storage.store import Store
 from tests.support.master.entry import Ask, asking
 from tests.support.master.fleet import Fleet
@@ -67,8 +67,7 @@ async def users(store: Store) -> Users:
 
 @pytest.fixture
 async def platform(reactor: ReactorBase, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Platform]:
-    for module in (process_tracker, lifecycle):
-        monkeypatch.setattr(module, "RETRY_FIRST", 0.0)
+    monkeypatch.setattr(lifecycle, "RETRY_FIRST", 0.0)
     platform = Platform(reactor, f"sqlite:///{tmp_path / 'master.db'}", LONG)
     await platform.start()
     await platform.master.users.add("ann", "secret")

@@ -7,11 +7,15 @@ import asyncio
 import pytest
 from msgspec.structs import replace
 
+from master.execution import lifecycle
 from master.execution.effect_runner import new_id
 from master.execution.lifecycle import RETRY_FIRST
 from master.execution.process_tracker import CUT_OFF
 from master.graph import reconcile
+from master.graph.effects import Plan
 from master.graph.records import Robot
+from master.graph.state import State
+from master.graph.wiring import Ids
 from rce.api.roles import Principal
 from rce.control.calls.endpoints import AddRoute, RemoveRoute, Sync
 from rce.control.calls.environments import KeepEnvironments, StartEnvironment
@@ -27,6 +31,31 @@ from tests.support.master.fleet import interface
 def events(peer: Peer) -> list[tuple[str, str]]:
     said = [tell.status for tell in peer.got(SendStatus) if isinstance(tell.status, EnvironmentEvent)]
     return [(status.containerTag, status.state) for status in said]
+
+
+def test_many_environments_of_lost_machines_move_in_turns(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each turn is short, and there is one series of them however many machines are lost at once."""
+    monkeypatch.setattr(lifecycle, "RESETTLED_AT_ONCE", 1)
+    lost = [desk.machine(name) for name in ("m1", "m2")]
+    names = [f"brain{number}" for number in range(2)]
+    for name in names:
+        desk.made(name).leave()
+    other = desk.machine("m3")
+    turns: list[int] = []
+    resettle = reconcile.resettle
+
+    def counted(state: State, ids: Ids, most: float) -> Plan:
+        plan = resettle(state, ids, most)
+        turns.append(len(plan))
+        return plan
+
+    monkeypatch.setattr(reconcile, "resettle", counted)
+    for machine in lost:
+        machine.leave()
+    desk.turn(GRACE)
+    desk.turn(RETRY_FIRST)
+    assert turns == [1, 1, 0]
+    assert sorted(call.environment.name for call in other.got(StartEnvironment)) == [f"ann/{name}" for name in names]
 
 
 def test_environments_of_a_lost_machine_move_with_their_contents(desk: Desk) -> None:

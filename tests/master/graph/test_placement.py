@@ -58,14 +58,13 @@ def test_free_slots_and_gpus_are_those_that_environments_leave() -> None:
     placed(fleet, "ann", "a", size=3, gpus=2)
     machine = fleet.state.processes["m1"]
     assert (placement.free_slots(fleet.state, machine), placement.free_gpus(fleet.state, machine)) == (2, 0)
-    assert placement.free_slots(fleet.state, machine, moving="ann/a") == 5
-    assert placement.free_gpus(fleet.state, machine, moving="ann/a") == 2
 
 
-def test_slots_of_the_environment_that_moves_count_as_free() -> None:
-    fleet = machines(only=2)
-    placed(fleet, "ann", "a", size=2)
-    options = EnvironmentOptions(size=2)
+def test_slots_and_gpus_of_the_environment_that_moves_count_as_free() -> None:
+    fleet = Fleet()
+    fleet.join("only", "container", capacity=2, gpus=1)
+    placed(fleet, "ann", "a", size=2, gpus=1)
+    options = EnvironmentOptions(size=2, gpus=1)
     assert placement.place(fleet.state, "ann", options, "ann/a") == "only"
     with pytest.raises(NoCapacity):
         placement.place(fleet.state, "ann", options)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from twisted.internet.base import ReactorBase
 from twisted.spread import pb
 
+from rce.control import broker
 from rce.control.calls.call import Nothing
 from rce.control.calls.endpoints import StopNode
 from rce.control.calls.joining import Hello, Welcome
@@ -52,6 +54,30 @@ async def join_raw(reactor: ReactorBase, description: str, pages: Pages) -> tupl
     factory.disconnect()
     await asyncio.wait_for(lost, TIMEOUT)
     return good, answer
+
+
+async def test_peer_that_asked_to_join_waits_for_its_answer_beyond_the_timeout(
+    reactor: ReactorBase, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After a restart of the Master thousands ask at once; who is refused for the Master's own delay asks again."""
+    monkeypatch.setattr(broker, "JOIN_TIMEOUT", 0.02)
+
+    class BusyJoiner(OpenJoiner):
+        async def join(self, hello: Hello, address: str) -> tuple[Welcome, Handlers, Callable[[Control], None]]:
+            await asyncio.sleep(5 * broker.JOIN_TIMEOUT)
+            return await super().join(hello, address)
+
+    async with listening(reactor, joiner=BusyJoiner()) as listener:
+        control, _ = await listener.pair(Handlers())
+        assert not control.lost.done()
+
+
+async def test_many_processes_may_connect_at_once(reactor: ReactorBase) -> None:
+    """The loop does not run meanwhile, so that none of these connections is accepted by the program."""
+    async with listening(reactor) as listener:
+        connections = [socket.create_connection(("127.0.0.1", listener.port), TIMEOUT) for _ in range(300)]
+        for connection in connections:
+            connection.close()
 
 
 async def test_refused_process_gets_the_reason(reactor: ReactorBase, guarded: Listener) -> None:
