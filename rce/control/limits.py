@@ -32,6 +32,7 @@ class Budget:
         self.connections = 0
         self._now = now
         self._used = 0.0  # calls that count at present
+        self._joined: set[str] = set()  # environments
         self._since = now()
 
     def use(self, calls: float) -> float:
@@ -40,6 +41,17 @@ class Budget:
         self._used = max(0.0, self._used - (now - self._since) * rate) + calls
         self._since = now
         return max(0.0, (self._used - BURST) / rate)
+
+
+    def join(self, environment: str) -> float:
+        """Count a join of an environment; return the seconds to wait before it is answered.
+
+        The first is free: after a restart of the Master all environments of a user return at once.
+        """
+        if environment in self._joined:
+            return self.use(JOIN)
+        self._joined.add(environment)
+        return 0.0
 
 
 class Budgets:

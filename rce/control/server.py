@@ -25,7 +25,7 @@ from rce.control.connection import (
     decode_pages,
     encode_pages,
 )
-from rce.control.limits import JOIN, Budgets, max_message
+from rce.control.limits import Budgets, max_message
 from rce.errors import InternalError, InvalidRequest, RceError
 from rce.net.listener import BACKLOG
 from rce.net.tls import Tls
@@ -89,7 +89,7 @@ class _Root(Receiver, pb.Root):
             return False, encode_pages(InternalError("internal error while joining: see the server's log").info), None
         budget = self.budgets.of(hello)
         if budget is not None:
-            await asyncio.sleep(budget.use(JOIN))
+            await asyncio.sleep(budget.join(hello.name))
         if self.broker is not None:
             self.broker.admit(max_message(hello.role), budget)
         # Only after the answer is on its way, so that the peer has our CallReceiver before our first call arrives.

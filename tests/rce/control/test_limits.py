@@ -25,6 +25,14 @@ def test_budget_grows_with_the_number_of_connections() -> None:
     assert budget.use(CALLS_PER_SECOND + CALLS_PER_CONNECTION * 200) == 1.0
 
 
+def test_all_environments_of_a_user_join_at_once_but_none_again_and_again() -> None:
+    budget = Budget(lambda: 100.0)
+    assert {budget.join(f"ann/{number}") for number in range(10 * BURST)} == {0.0}
+    waits = [budget.join("ann/0") for _ in range(BURST)]
+    assert waits[0] == 0.0
+    assert waits[-1] > 0.0
+
+
 def test_environments_of_a_user_share_a_budget() -> None:
     budgets = Budgets()
     brain, arm, other = (budgets.of(Hello("environment", name, "", "")) for name in ("ann/brain", "ann/arm", "bob/x"))
