@@ -42,7 +42,6 @@ class Budget:
         self._since = now
         return max(0.0, (self._used - BURST) / rate)
 
-
     def join(self, environment: str) -> float:
         """Count a join of an environment; return the seconds to wait before it is answered.
 
