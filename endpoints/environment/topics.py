@@ -77,10 +77,7 @@ class PublisherInterface(_TopicInterface):
         self._largest = max(self._largest, len(payload)) if len(waiting) > 1 else len(payload)
         if self.keep is not None:
             self._received[-1] += 1
-            if self._publisher.has_subscription:
-                self._drop_oldest(waiting, self.keep)
-            else:
-                self._discard(self.keep)
+            self._shorten(self.keep)
         elif len(waiting) >= HIGH_WATER or self._too_large(waiting):
             if self._room is None:
                 self._room = asyncio.get_running_loop().create_future()
@@ -90,7 +87,7 @@ class PublisherInterface(_TopicInterface):
     def tick(self, now: float) -> None:
         """Forget messages that came long before any node subscribes."""
         if self.keep is not None and not self.qos.depth and not self._publisher.has_subscription:
-            self._discard(max(SHALLOW, sum(self._received)))
+            self._shorten(max(SHALLOW, sum(self._received)))
         self._received.append(0)
 
     def _flush(self, message: Message) -> None:
@@ -105,21 +102,23 @@ class PublisherInterface(_TopicInterface):
             return False
         return sum(map(len, list(waiting))) > INTERFACE  # a copy: the ROS thread takes messages meanwhile
 
-    def _drop_oldest(self, waiting: deque[Buffer], keep: int) -> None:
+    def _shorten(self, keep: int) -> None:
+        """Remove the oldest messages beyond `keep`, or beyond the bytes of an interface.
+
+        They are dropped if a node subscribes, and unheard if no robot does either.
+        """
+        waiting = self._publisher.waiting
+        removed = 0
         while len(waiting) > keep or self._too_large(waiting):
             try:
                 waiting.popleft()
             except IndexError:  # the ROS thread has published it meanwhile
-                return
-            self.dropped += 1
-
-    def _discard(self, keep: int) -> None:
-        """Discard the oldest messages of a topic to which no node subscribes; robots may have received them."""
-        waiting = self._publisher.waiting
-        heard = self._context.shared.has_receivers(self.spec)
-        while len(waiting) > keep or self._too_large(waiting):
-            waiting.popleft()
-            self.unheard += not heard
+                break
+            removed += 1
+        if self._publisher.has_subscription:
+            self.dropped += removed
+        elif not self._context.shared.has_receivers(self.spec):
+            self.unheard += removed
 
     def _published(self) -> None:
         """Handle that messages were published; called in the ROS thread."""

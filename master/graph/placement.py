@@ -62,7 +62,7 @@ def _fitting(state: State, user: str, options: EnvironmentOptions, moving: str) 
             )
     if options.gpus:
         spare = {machine.name: free_gpus(state, machine) for machine in able}
-        _leave(state, moving, "gpus", spare)
+        _count_as_free(state, moving, "gpus", spare)
         if options.gpus > max(spare.values()):
             most = max(0, *spare.values())  # a machine that joined again with fewer GPUs may use more than it has
             raise NoCapacity(
@@ -73,7 +73,7 @@ def _fitting(state: State, user: str, options: EnvironmentOptions, moving: str) 
             )
         able = [machine for machine in able if spare[machine.name] >= options.gpus]
     free = {machine.name: free_slots(state, machine) for machine in able}
-    _leave(state, moving, "size", free)
+    _count_as_free(state, moving, "size", free)
     fitting = {name: slots for name, slots in free.items() if slots >= options.size}
     if not fitting:
         most = max(0, *free.values())
@@ -86,8 +86,8 @@ def _fitting(state: State, user: str, options: EnvironmentOptions, moving: str) 
     return fitting
 
 
-def _leave(state: State, moving: str, amount: str, free: dict[str, int]) -> None:
-    """Add what the environment `moving` uses to what is free on its machine."""
+def _count_as_free(state: State, moving: str, amount: str, free: dict[str, int]) -> None:
+    """Count what the environment `moving` uses on its machine as free."""
     mover = state.environments.get(moving)
     if mover is not None and mover.machine in free:
         free[mover.machine] += int(amounts(mover)[amount])
