@@ -2,23 +2,14 @@
 
 from __future__ import annotations
 
-import asyncio
-import json
 from collections import Counter
 
 from rce.bench.control import FLOOR_SAMPLES, NODES
-from tests.support.e2e.real_platform import RCE
+from tests.support.e2e.bench import bench
 
 
 async def test_each_kind_is_measured_for_each_number_of_robots() -> None:
-    process = await asyncio.create_subprocess_exec(
-        *(RCE, "bench", "control", "--robots", "1,2", "--count", "2", "--json"),
-        stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.PIPE,
-    )
-    output, errors = await asyncio.wait_for(process.communicate(), 400)
-    assert process.returncode == 0, errors.decode()
-    phases = json.loads(output)["phases"]
+    phases = (await bench(400, "control", "--robots", "1,2", "--count", "2"))["phases"]
     assert Counter((phase["robots"], phase["kind"], len(phase["seconds"])) for phase in phases) == Counter(
         {(0, kind, FLOOR_SAMPLES): 1 for kind in ("bare Perspective Broker call", "bare SQLite transaction")}
         | {

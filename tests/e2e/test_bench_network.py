@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-import json
 import os
 from pathlib import Path
 
@@ -11,20 +9,13 @@ import pytest
 
 from rce.bench.network.line import PROFILES
 from rce.bench.network.streams import PERIODS
-from tests.support.e2e.real_platform import RCE
+from tests.support.e2e.bench import bench
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces and TUN devices need root: run the tests as root")
 @pytest.mark.skipif(not Path("/dev/net/tun").exists(), reason="this kernel has no TUN devices")
 async def test_both_modes_are_measured_over_the_line() -> None:
-    process = await asyncio.create_subprocess_exec(
-        *(RCE, "bench", "network", "--profiles", "lte", "--seconds", "4", "--json"),
-        stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.PIPE,
-    )
-    output, errors = await asyncio.wait_for(process.communicate(), 200)
-    assert process.returncode == 0, errors.decode()
-    results = json.loads(output)["results"]
+    results = (await bench(200, "network", "--profiles", "lte", "--seconds", "4"))["results"]
     assert [result["mode"] for result in results] == ["rce", "plain"]
     way = PROFILES["lte"].up
     for result in results:
