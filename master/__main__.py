@@ -48,8 +48,8 @@ from rce.process.ready import Ready, announce
 from rce.web.server import Endpoint, parse_endpoint
 
 log = Logger("master")
-# Of the garbage collector, in place of 700, 10, 10. The objects of a fleet are millions, and all of them are in use: each
-# full collection stops the loop for up to a second and finds nothing.
+# Of the garbage collector, in place of 700, 10, 10. The objects of a fleet are millions, and all of them are in use:
+# each full collection stops the loop for up to a second and finds nothing.
 GC_THRESHOLDS = (50_000, 20, 100)
 ADMIN, TEST_USER = DEVELOPMENT_USERS = "admin", "testUser"  # their passwords are their names
 DEFAULT_LIMITS = ["package_bytes=2Gi", "connections=20000"]
