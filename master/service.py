@@ -40,7 +40,7 @@ from master.storage.store import Store
 from rce.control.calls.call import Call, Nothing
 from rce.control.calls.endpoints import Report
 from rce.control.calls.environments import DownloadTicket, FetchPackage, ReportRelays
-from rce.control.calls.joining import Hello, Welcome
+from rce.control.calls.joining import Hello, InviteSibling, Welcome
 from rce.control.calls.robots import Definitions, DescribeType, ReadGraphFor
 from rce.control.calls.watching import ReadGraph, ReadMetrics, RosGraph
 from rce.control.connection import Control, Handlers
@@ -150,6 +150,7 @@ class Master:
             case "robot":
                 self.sessions.add_handlers(handlers, process)
                 self.commands.add_handlers(handlers, process)
+                handlers.on(InviteSibling, lambda call: self.join_tokens.invite_sibling(process.name, call.number))
                 handlers.on(DescribeType, self._describe_type)
                 handlers.on(ReadGraphFor, lambda call: self._read_graph(process, call))
             case "service":

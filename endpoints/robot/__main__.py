@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import secrets
 import sys
@@ -19,6 +20,7 @@ from endpoints.memory import keep_large_blocks
 from endpoints.robot.endpoint import Options, RobotEndpoint
 from endpoints.robot.frame_receiver import ServerLimits
 from endpoints.robot.server import listen
+from endpoints.robot.siblings import Siblings, sibling_arguments
 from rce.control.calls.joining import Hello, SetRemovedMachines, Welcome
 from rce.control.client import ControlClient
 from rce.control.credential import Credential, stay_joined
@@ -43,6 +45,10 @@ class Settings(Struct):
     token: Annotated[str, Meta(description="one-time join token; better given as RCE_TOKEN")] = ""
     ws_host: Annotated[str, Meta(description="address on which to serve robots")] = "127.0.0.1"
     ws_port: Annotated[int, Meta(ge=0, le=65535, description="port for robots; 0: any free one")] = 9010
+    processes: Annotated[
+        int, Meta(ge=1, le=64, description="processes that serve robots at this port, a core each")
+    ] = 1
+    share_port: Annotated[bool, Meta(description="let other Robot endpoints of this machine use ws_port, too")] = False
     public_url: Annotated[str, Meta(description="URL given to robots, wss://host:port/; empty: from their request")] = (
         ""
     )
@@ -91,6 +97,13 @@ def _options(options: Settings, limits: ServerLimits) -> Options:
     return Options(limits, options.grace, options.service_timeout, queues, converters, forwarders)
 
 
+def _siblings(options: Settings, port: int) -> Siblings:
+    def arguments(number: int) -> list[str]:
+        return sibling_arguments(sys.argv[1:], options.name, options.data_dir, port, options.data_port, number)
+
+    return Siblings(options.processes, options.data_dir, arguments, sys.stderr)
+
+
 async def serve(reactor: ReactorBase, options: Settings) -> None:
     """Run until cancelled, or until the Master refuses this endpoint."""
     options.data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -108,7 +121,8 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     endpoint = RobotEndpoint(port, _options(options, limits))
     await endpoint.load_converters()
     tls_context = public_tls_context(options.certificate, options.private_key)
-    server = await listen(endpoint, options.ws_host, options.ws_port, tls_context, gateways(endpoint))
+    shared = options.share_port or options.processes > 1
+    server = await listen(endpoint, options.ws_host, options.ws_port, tls_context, gateways(endpoint), shared)
     ws_port = server.port
     url = robot_url(options, ws_port)
     incarnation = secrets.token_hex(16)
@@ -144,9 +158,12 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
         name=options.name,
         url=robot_url(options, ws_port, options.ws_host),
     )
+    siblings = asyncio.create_task(_siblings(options, ws_port).run(endpoint.master.call))
     try:
         await stay_joined(endpoint.master, credential)
     finally:
+        siblings.cancel()
+        await asyncio.wait([siblings])
         server.close()
         endpoint.workers.close()
         await port.close()

@@ -385,7 +385,12 @@ class _Factory(WebSocketServerFactory):
 
 
 async def listen(
-    endpoint: RobotEndpoint, host: str, port: int, tls: Any, gateways: Mapping[str, Choose] = NO_GATEWAYS
+    endpoint: RobotEndpoint,
+    host: str,
+    port: int,
+    tls: Any,
+    gateways: Mapping[str, Choose] = NO_GATEWAYS,
+    shared: bool = False,
 ) -> Listener:
     """Serve robots and clients of gateways at `host:port`.
 
@@ -395,6 +400,7 @@ async def listen(
         port: Port; 0 for any free one.
         tls: SSLContext for wss; None for ws.
         gateways: By the first part of a path: makes the client for the rest of the path. Other paths are robots'.
+        shared: Other processes of this machine may serve robots at the same port.
 
     Raises:
         Unavailable: The port cannot be bound.
@@ -416,4 +422,4 @@ async def listen(
         failByDrop=False,  # tell the robot which rule it broke
         utf8validateIncoming=False,  # the decoders validate it, so the robot gets an error and keeps its socket
     )
-    return Listener(bind(host, port), factory.make, tls)
+    return Listener(bind(host, port, shared=shared), factory.make, tls)

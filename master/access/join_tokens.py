@@ -17,13 +17,15 @@ from master.graph.records import Role
 from master.storage import tables as db
 from master.storage.store import Store
 from rce.api.joining import Role as MachineRole
-from rce.api.joining import process_name
+from rce.api.joining import process_name, sibling_name
+from rce.control.calls.joining import JoinToken
 from rce.errors import InvalidRequest, NotFound, Unauthorized
 from rce.net.certificates import MACHINE_DAYS
 
 DAY = 86_400.0  # seconds
 LEAST_LENGTH = 32  # characters of a credential that a process made
 MACHINE = "machine"  # role of the invitation of a machine
+SIBLINGS = range(2, 65)  # numbers of the further processes of a Robot endpoint
 
 
 class JoinTokens:
@@ -61,6 +63,27 @@ class JoinTokens:
             await self._store.run(put)
         except sa.exc.IntegrityError:
             raise Unauthorized("the API key was revoked") from None
+
+    async def invite_sibling(self, endpoint: str, number: int) -> JoinToken:
+        """Return a join token for a further process of a Robot endpoint; an earlier unused one is revoked.
+
+        Raises:
+            InvalidRequest: An endpoint has no process of this number, or `endpoint` is itself a further process.
+        """
+        if "." in endpoint or number not in SIBLINGS:
+            raise InvalidRequest(
+                f"{endpoint} has no further process {number}: a first process has {SIBLINGS[0]} to {SIBLINGS[-1]}"
+            )
+        name, token = sibling_name(endpoint, number), secrets.token_hex(32)
+        unused = sa.and_(db.tokens.c.process == name, db.tokens.c.used.is_(False))
+
+        def put(connection: sa.Connection) -> None:
+            connection.execute(db.tokens.delete().where(unused))
+            row = {"digest": digest(token), "process": name, "role": "robot", "used": False}
+            connection.execute(db.tokens.insert(), row)
+
+        await self._store.run(put)
+        return JoinToken(name, token)
 
     async def redeem(self, machine: str, invitation: str, public_key: str) -> bool:
         """Use up an invitation; return whether it was valid.
@@ -127,6 +150,7 @@ class JoinTokens:
             NotFound: There is no such machine.
         """
         processes = [machine, *(process_name(machine, role) for role in get_args(MachineRole))]
+        processes += [sibling_name(process_name(machine, "robot"), number) for number in SIBLINGS]
         removed, now = db.removed_machines, time.time()
 
         def remove(connection: sa.Connection) -> bool:

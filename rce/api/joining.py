@@ -91,3 +91,8 @@ def parse_join_code(text: str) -> JoinCode:
 def process_name(machine: str, role: Role) -> str:
     """Return the name of a machine's process, unique on the platform: a machine has one process of each role."""
     return machine if role == "container" else f"{machine}-{role}"
+
+
+def sibling_name(endpoint: str, number: int) -> str:
+    """Return the name of a further process of a Robot endpoint. No name of a machine has a dot."""
+    return f"{endpoint}.{number}"

@@ -24,8 +24,10 @@ PAUSE = 1.0  # seconds without accepting after the system refused to, as a rule 
 log = logging.getLogger(__name__)
 
 
-def bind(host: str, port: int, backlog: int = BACKLOG) -> socket.socket:
+def bind(host: str, port: int, backlog: int = BACKLOG, shared: bool = False) -> socket.socket:
     """Return a listening TCP socket; port 0 takes a free one.
+
+    The kernel divides the connections to a `shared` port among the processes of this user that listen at it.
 
     Raises:
         Unavailable: The port is in use or cannot be bound.
@@ -33,7 +35,9 @@ def bind(host: str, port: int, backlog: int = BACKLOG) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         # `::` means all addresses, those of IPv4 too.
-        return socket.create_server((host, port), family=family, backlog=backlog, dualstack_ipv6=host == "::")
+        return socket.create_server(
+            (host, port), family=family, backlog=backlog, reuse_port=shared, dualstack_ipv6=host == "::"
+        )
     except OSError as error:
         raise port_unavailable(host, port, error) from None
 

@@ -91,7 +91,7 @@ class ManagedProcess:
             status = await self._process.wait()
             if self.ready is None:
                 return
-            print(f"rce up: {self.name} ended with status {status}: restarting it", file=self._log, flush=True)
+            print(f"rce {self.name} ended with status {status}: restarting it", file=self._log, flush=True)
             stable = loop.time() - began > STABLE_AFTER
             delay = RESTART_DELAY_MIN if stable else min(2 * delay, RESTART_DELAY_MAX)
             await asyncio.sleep(delay)

@@ -67,6 +67,7 @@ class Settings(Struct):
         "process"
     )
     size: Annotated[int, Meta(ge=1, description="slots for environments")] = 10
+    robot_processes: Annotated[int, Meta(ge=1, le=64, description="processes that serve robots, a core each")] = 1
     dev: Annotated[bool, Meta(description="create the users admin/admin and testUser/testUser, loopback only")] = False
     allow_unisolated: Annotated[bool, Meta(description="accept other machines although nodes run as this user")] = False
     allow_root: Annotated[bool, Meta(description="run nodes as root with the process engine")] = False
@@ -203,6 +204,7 @@ def make_processes(
             f"--master={master.ready.control}",
             f"--ws-host={host}",
             f"--ws-port={_port(robot.ready.url) if robot.ready else settings.port(settings.ws_port, WS_PORT)}",
+            f"--processes={settings.robot_processes}",
             f"--grace={settings.grace}",
             f"--bad-messages={settings.bad_messages}",
             f"--certificate={settings.certificate}",

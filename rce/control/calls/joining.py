@@ -44,6 +44,19 @@ class SetRemovedMachines(Call[Nothing], frozen=True):
     machines: dict[str, float]
 
 
+class JoinToken(Struct, frozen=True):
+    """One-time join token of the process of this name."""
+
+    name: str
+    token: str
+
+
+class InviteSibling(Call[JoinToken], frozen=True):
+    """Ask the Master for a join token for a further process of this Robot endpoint, of which there is one by number."""
+
+    number: int
+
+
 class Welcome(Struct, frozen=True):
     """Answer of the Master, with the credential of the process."""
 

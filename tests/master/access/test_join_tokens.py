@@ -57,6 +57,33 @@ async def test_process_may_repeat_its_first_join_with_the_credential_that_it_mad
         await processes.admit("west", "robot", "t", own)
 
 
+async def test_further_process_of_an_endpoint_joins_by_its_newest_token(processes: JoinTokens) -> None:
+    earlier = await processes.invite_sibling("west-robot", 2)
+    newest = await processes.invite_sibling("west-robot", 2)
+    assert newest.name == "west-robot.2"
+    with pytest.raises(Unauthorized):
+        await processes.admit("west-robot.2", "robot", earlier.token)
+    with pytest.raises(Unauthorized):
+        await processes.admit("west-robot.3", "robot", newest.token)
+    await processes.admit("west-robot.2", "robot", newest.token)
+
+
+@pytest.mark.parametrize(("endpoint", "number"), [("west-robot", 1), ("west-robot", 65), ("west-robot.2", 3)])
+async def test_endpoint_has_no_other_further_processes(processes: JoinTokens, endpoint: str, number: int) -> None:
+    with pytest.raises(InvalidRequest, match=f"{endpoint} has no further process {number}"):
+        await processes.invite_sibling(endpoint, number)
+
+
+async def test_removed_machine_takes_its_further_processes_with_it(processes: JoinTokens) -> None:
+    invited = await processes.invite_sibling("west-robot", 2)
+    credential = await processes.admit(invited.name, "robot", invited.token)
+    waiting = await processes.invite_sibling("west-robot", 3)
+    await processes.remove_machine("west")
+    for name, secret in ((invited.name, credential), (waiting.name, waiting.token)):
+        with pytest.raises(Unauthorized):
+            await processes.admit(name, "robot", secret)
+
+
 async def test_credential_that_can_be_guessed_is_refused(processes: JoinTokens) -> None:
     await processes.allow("west", "robot", "t")
     with pytest.raises(InvalidRequest, match="at least 32"):

@@ -23,7 +23,7 @@ def line(level: str, message: str) -> str:
         (line("debug", "a call"), ""),
         (line("warn", "robot r1 sends nonsense"), "08:00:01 warn: robot r1 sends nonsense"),
         (line("error", "disk full"), "08:00:01 error: disk full"),
-        ("rce up: robot ended with status 1: restarting it", "rce up: robot ended with status 1: restarting it"),
+        ("rce robot ended with status 1: restarting it", "rce robot ended with status 1: restarting it"),
     ],
 )
 def test_terminal_shows_what_concerns_the_user(logged: str, shown: str) -> None:
