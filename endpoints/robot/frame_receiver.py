@@ -10,10 +10,13 @@ from msgspec import UNSET, Meta, Struct
 
 from endpoints.robot.intake import BadMessages, Conversions
 from endpoints.robot.session import RobotSession
-from rce.errors import InvalidRequest, RceError
+from rce.errors import InvalidRequest, LimitExceeded, RceError
 from rce.protocol import messages as m
 from rce.protocol.assembler import Assembler, AssemblyLimits, AssemblyResult
 from rce.protocol.blobs import Buffer
+
+LARGE = 1024 * 1024  # bytes of a text frame that is decoded as a whole in a few milliseconds
+MAX_OTHER = 8 * LARGE  # bytes of a text frame that must be decoded as a whole
 
 Handle = Callable[[RobotSession, m.DataMessage, dict[str, Buffer]], asyncio.Task[None] | None]
 
@@ -54,8 +57,11 @@ class FrameReceiver:
         """Handle a text message, which is a frame."""
         frame: m.Frame | None = None
         try:
-            frame = m.decode_frame(payload)
-            if frame.type != "DM":
+            large = self._split(payload) if len(payload) > LARGE else None
+            frame = m.decode_frame(payload) if large is None else large.frame
+            if large is not None:
+                self._message(frame, large.message, {}, len(payload))
+            elif frame.type != "DM":
                 self._session.command(frame)
             elif b"*" in payload:  # a search for one byte is ten times as fast as for two
                 self._dispatch(self._assembler.add_frame(frame))
@@ -65,6 +71,21 @@ class FrameReceiver:
             self._reject(error, frame)
         except RecursionError:
             self._reject(InvalidRequest("the message is nested too deeply"), frame)
+
+    def _split(self, payload: bytes) -> m.LargeMessage | None:
+        """Split a large frame if it is an ordinary data message.
+
+        Raises:
+            LimitExceeded: It is not, and would have to be decoded as a whole, which would take too long.
+        """
+        large = m.split_large(payload)
+        if large is None and len(payload) > MAX_OTHER:
+            raise LimitExceeded(
+                f"the text frame has {len(payload)} bytes: only a data message without blobs may have more than "
+                f"{MAX_OTHER}; send the large part as a blob, or divide the frame",
+                bytes=MAX_OTHER,
+            )
+        return large
 
     def binary(self, payload: bytes) -> None:
         """Handle a binary message, which is a blob or a part of one."""
@@ -88,7 +109,10 @@ class FrameReceiver:
                 self._reject(error, outcome.complete.frame)
 
     def _data(self, frame: m.Frame, blobs: dict[str, Buffer]) -> None:
-        message = m.decode_as(m.DataMessage, frame.data, "data")
+        size = len(memoryview(frame.data)) + sum(map(len, blobs.values()))
+        self._message(frame, m.decode_as(m.DataMessage, frame.data, "data"), blobs, size)
+
+    def _message(self, frame: m.Frame, message: m.DataMessage, blobs: dict[str, Buffer], size: int) -> None:
         if message.stream and not self._begin(frame, message):
             return
         try:
@@ -99,7 +123,6 @@ class FrameReceiver:
         if conversion is None:
             self._converted(None, frame, message)
             return
-        size = len(memoryview(frame.data)) + sum(map(len, blobs.values()))
         self._conversions.add(conversion, size, lambda error: self._converted(error, frame, message))
 
     def _begin(self, frame: m.Frame, message: m.DataMessage) -> bool:

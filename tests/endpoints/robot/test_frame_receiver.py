@@ -10,11 +10,11 @@ from typing import Any, cast
 import pytest
 from msgspec import UNSET
 
-from endpoints.robot.frame_receiver import FrameReceiver, ServerLimits
+from endpoints.robot.frame_receiver import LARGE, MAX_OTHER, FrameReceiver, ServerLimits
 from endpoints.robot.intake import BAD_WINDOW
 from endpoints.robot.session import RobotSession
 from endpoints.robot.streams import Streams
-from rce.errors import InvalidRequest, NotConnected, NotFound, RceError
+from rce.errors import InvalidRequest, LimitExceeded, NotConnected, NotFound, RceError
 from rce.protocol.blobs import Buffer
 from rce.protocol.messages import Ack, DataMessage, Frame, StatusData
 from tests.support.hand_turned import HandTurnedLoop
@@ -248,3 +248,27 @@ def test_numbered_message_is_passed_on_once_and_acknowledged_again(make: Callabl
     assert len(socket.handled) == 2
     socket.text({"type": "DM", "id": "long", "data": data | {"stream": "s" * 65}})
     assert socket.errors[-1] == ("invalid_request", "long")
+
+
+def test_large_message_is_passed_on_without_decoding_its_content(socket: Socket) -> None:
+    broken = json.dumps(dm(id=3, msg={"data": "x" * LARGE})).replace("x", "\x01")  # a converter refuses this
+    socket.text(broken)
+    assert socket.handled == [("out", {})]
+    assert (socket.errors, socket.session.acknowledged) == ([], [3])
+
+
+def test_large_message_with_blobs_is_decoded_as_a_whole(socket: Socket) -> None:
+    socket.text(dm(msg={"data": "x" * LARGE, "pixels*": BLOB}))
+    socket.binary(BLOB.encode() + b"pixels")
+    assert socket.handled == [("out", {BLOB: b"pixels"})]
+
+
+@pytest.mark.parametrize("frame", [{"type": "CN", "data": {}}, dm(msg={"pixels*": BLOB})])
+def test_frame_that_would_take_long_to_decode_is_refused(socket: Socket, frame: dict[str, Any]) -> None:
+    socket.text(frame | {"padding": "x" * MAX_OTHER})
+    ((error, _),) = socket.session.errors
+    assert isinstance(error, LimitExceeded)
+    assert f"{MAX_OTHER}; send the large part as a blob" in str(error)
+    assert (socket.handled, socket.session.commands) == ([], [])
+    socket.text(dm())
+    assert socket.handled == [("out", {})], "the next one is not disturbed"

@@ -1,0 +1,51 @@
+"""Large data messages, whose envelope is decoded without their content: scanning 10 MB of JSON takes 10 to 80 ms.
+
+The content is found by its key near the begin and by the last braces. It is replaced by null, and what is left is
+decoded as a frame. If that is valid and the content is valid JSON, which its converter checks, the whole is the same
+frame: the result is never another one.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+from msgspec import UNSET, Raw
+from msgspec.structs import replace
+
+from rce.errors import RceError
+from rce.protocol.messages.data import DataMessage
+from rce.protocol.messages.frames import Frame, decode_as, decode_frame
+
+HEAD, TAIL = 4096, 2048  # bytes before and after the content, in which the other keys are
+_key = re.compile(rb'"msg"[ \t\n\r]*:[ \t\n\r]*(?=\{)')
+
+
+class LargeMessage(NamedTuple):
+    """A data message, and its frame, whose data lacks the content."""
+
+    frame: Frame
+    message: DataMessage
+
+
+def split_large(payload: bytes) -> LargeMessage | None:
+    """Return the data message of a text frame, whose content is not checked and has no references to blobs.
+
+    Returns:
+        None for all other frames, and for unusual ones: decode them as a whole.
+    """
+    key = _key.search(payload, 0, HEAD)
+    end = len(payload)
+    for _ in range(3):  # of the frame, of its data, of the content
+        end = payload.rfind(b"}", max(0, len(payload) - TAIL), end)
+    if key is None or end < key.end() or (b"*" in payload and b'*"' in payload):  # one byte is found ten times as fast
+        return None
+    content = memoryview(payload)[key.end() : end + 1]
+    try:
+        frame = decode_frame(payload[: key.end()] + b"null" + payload[end + 1 :])
+        message = decode_as(DataMessage, frame.data, "data")
+    except RceError:
+        return None
+    if frame.type != "DM" or message.msg is UNSET or bytes(message.msg) != b"null" or message.blob is not UNSET:
+        return None
+    return LargeMessage(frame, replace(message, msg=Raw(content)))

@@ -1,0 +1,99 @@
+"""Large data messages: the envelope that is decoded alone is that of the whole frame."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rce.errors import RceError
+from rce.protocol.messages import DataMessage, decode_as, decode_frame, split_large
+
+text = st.text(st.sampled_from('ab{}[]",:\\* é'), max_size=8)
+content = st.recursive(
+    st.none() | st.booleans() | st.integers() | text,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(text | st.just("msg"), inner, max_size=3),
+    max_leaves=8,
+)
+
+
+def _shuffled(keys: dict[str, Any]) -> st.SearchStrategy[dict[str, Any]]:
+    return st.permutations(list(keys.items())).map(dict)
+
+
+@st.composite
+def frames(draw: st.DrawFn) -> dict[str, Any]:
+    """Return a frame whose keys are in any order, and some of them wrong or missing."""
+    data = {"iTag": draw(text), "type": draw(text), "msgID": draw(text), "msg": draw(content)}
+    data |= draw(st.dictionaries(text | st.sampled_from(["stream", "number", "msg*", "phase"]), content, max_size=2))
+    frame: dict[str, Any] = {"type": draw(st.sampled_from(["DM", "DM", "DM", "CN"])), "data": draw(_shuffled(data))}
+    frame |= draw(st.dictionaries(st.sampled_from(["id", "msg", "x"]), content, max_size=1))
+    return draw(_shuffled(frame))
+
+
+def whole(payload: bytes) -> DataMessage:
+    return decode_as(DataMessage, decode_frame(payload).data, "data")
+
+
+@given(frames(), st.sampled_from([None, 1]))
+def test_split_message_is_that_of_the_whole_frame(frame: dict[str, Any], indent: int | None) -> None:
+    payload = json.dumps(frame, indent=indent, ensure_ascii=False).encode()
+    large = split_large(payload)
+    if large is None:
+        return
+    assert large.frame.id == decode_frame(payload).id
+    expected, found = whole(payload), large.message
+    for name in DataMessage.__struct_fields__:
+        one, other = getattr(expected, name), getattr(found, name)
+        if name == "msg":
+            try:
+                assert json.loads(bytes(other)) == json.loads(bytes(one))
+            except json.JSONDecodeError:
+                assert bytes(other).startswith(bytes(one) + b","), "its converter refuses what follows"
+        else:
+            assert one == other
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b'{"type":"DM","data":{"iTag":"a","type":"b/C","msgID":"nil","msg":{"x":[1,2]}}}',
+        b'{"id":7,"data":{"msg": {"x":[1,2]},"iTag":"a","msgID":"nil","type":"b/C"},"type":"DM"}',
+        b' {"type":"DM","id":"q","data":{"iTag":"a","type":"b/C","msgID":"nil","msg":\n{"x":[1,2]} } }\n',
+        b'{"type":"DM","data":{"iTag":"a","type":"b/C","msgID":"nil","msg":{"x":[1,2]},"stream":"s","number":3},"id":"s/3"}',
+    ],
+)
+def test_usual_messages_are_split(payload: bytes) -> None:
+    large = split_large(payload)
+    assert large is not None
+    assert json.loads(bytes(large.message.msg)) == {"x": [1, 2]}  # type: ignore[arg-type]  # it is set
+    assert (large.message.iTag, large.message.type, large.message.msgID) == ("a", "b/C", "nil")
+    assert large.message.number == whole(payload).number
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b'{"type":"CN","data":{"setParam":[{"containerTag":"a","name":"b","value":{"msg":{}}}]}}',
+        b'{"type":"DM","data":{"iTag":"a","type":"b/C","msgID":"nil","msg*":"' + b"0" * 32 + b'"}}',
+        b'{"type":"DM","data":{"iTag":"a","type":"b/C","msgID":"nil","msg":{"pixels*":"' + b"0" * 32 + b'"}}}',
+        b'{"type":"DM","data":{"iTag":"a","type":"b/C","msgID":"nil","msg":[1]}}',
+        b'{"type":"DM","data":{"iTag":"a","type":"b/C","msgID":"nil"},"msg":{"x":1}}',
+        b"}}}",
+        b"",
+    ],
+)
+def test_other_frames_are_not_split(payload: bytes) -> None:
+    assert split_large(payload) is None
+
+
+def test_content_that_is_no_json_is_left_to_the_converter() -> None:
+    payload = b'{"type":"DM","data":{"iTag":"a","type":"b/C","msgID":"nil","msg":{"x":[1,2}}}'
+    large = split_large(payload)
+    assert large is not None
+    assert bytes(large.message.msg) == b'{"x":[1,2}'  # type: ignore[arg-type]  # it is set
+    with pytest.raises(RceError):
+        whole(payload)
