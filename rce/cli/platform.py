@@ -44,8 +44,15 @@ async def platform(args: argparse.Namespace) -> AsyncIterator[Access]:
 
 
 @contextlib.asynccontextmanager
-async def own_platform(directory: Path, engine: str, size: int = 10) -> AsyncIterator[Ready]:
-    """Run a new platform with `size` slots that keeps its data in `directory` and ends with the context."""
+async def own_platform(directory: Path, engine: str, size: int = 10, robot_processes: int = 1) -> AsyncIterator[Ready]:
+    """Run a new platform that ends with the context.
+
+    Args:
+        directory: Directory for its data.
+        engine: Engine of the environments.
+        size: Slots for environments.
+        robot_processes: Processes of the Robot endpoint; they may be ready a moment later than the platform.
+    """
     with programs_log() as log:
         settings = up.Settings(
             data_dir=directory,
@@ -53,6 +60,7 @@ async def own_platform(directory: Path, engine: str, size: int = 10) -> AsyncIte
             dev=True,
             engine=engine,  # type: ignore[arg-type]
             size=size,
+            robot_processes=robot_processes,
             allow_root=True,  # its only user is the one who runs the command
         )
         entry: asyncio.Future[Ready] = asyncio.get_running_loop().create_future()

@@ -103,6 +103,22 @@ COMMANDS = (
         section=Section.LOCAL,
     ),
     Command(
+        "bench traffic",
+        "Measure thousands of robots that send each other messages, and a node that floods a robot.",
+        Lazy(MODULE, "measure_traffic"),
+        (
+            argument("--robots", default="1000", help="how many, a list (default: %(default)s)"),
+            argument("--processes", default="1", help="of the Robot endpoint, a list (default: %(default)s)"),
+            argument("--rate", type=float, default=10.0, help="messages of a robot in a second (default: %(default)s)"),
+            argument("--size", type=int, default=1000, help="bytes of a message (default: %(default)s)"),
+            argument("--flood", type=int, default=100, help="bytes of a message of the flood (default: %(default)s)"),
+            argument("--seconds", type=float, default=10.0, help="of each measurement (default: %(default)s)"),
+            SAMPLES_JSON,
+        ),
+        platform=None,
+        section=Section.LOCAL,
+    ),
+    Command(
         "bench fleet",
         "Measure a Master with thousands of machines and robots, of which only the control connections are real.",
         Lazy(MODULE, "measure_fleet"),

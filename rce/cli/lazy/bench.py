@@ -129,6 +129,45 @@ def measure_control(session: ConsoleSession, args: argparse.Namespace) -> int:
     return loop.run(run)
 
 
+def measure_traffic(session: ConsoleSession, args: argparse.Namespace) -> None:
+    """Measure crowds of robots, and a flood; each number of processes has a platform of its own."""
+    import uvloop
+
+    from rce.bench.crowd import create_key  # needs the extra `server`
+    from rce.bench.traffic import crowd, flood, login, report
+
+    robots, processes = _numbers(args.robots, "--robots"), _numbers(args.processes, "--processes")
+    if args.size < crowd.STAMP or args.flood < flood.NUMBER or min(args.rate, args.seconds) <= 0:
+        raise InvalidRequest(
+            f"rce bench: --size is at least {crowd.STAMP}, --flood {flood.NUMBER}, --rate and --seconds are above 0"
+        )
+
+    async def run() -> None:
+        crowds, floods = [], []
+        for count in processes:
+            with tempfile.TemporaryDirectory(prefix="rce-") as name:
+                async with own_platform(Path(name), "process", robot_processes=count) as entry:
+                    key = await asyncio.to_thread(create_key, entry.url)
+                    access = login.Login(entry.url, DEV_USER, key)
+                    await crowd.until_joined(entry.url, count)
+                    for number in robots:
+                        load = crowd.Load(number, args.rate, args.size, args.seconds)
+                        crowds.append(await crowd.crowd(access, Path(name), load, count))
+                    if count == processes[0]:
+                        floods.append(await flood.flood(access, args.flood, args.seconds))
+        print(json.dumps(report.as_data(crowds, floods)) if args.json else report.as_text(crowds, floods))
+
+    uvloop.run(run())
+
+
+def _numbers(text: str, option: str) -> list[int]:
+    """Return a list of numbers that was given as `1,20`."""
+    numbers = [int(each) if each.isdecimal() else 0 for each in text.split(",")]
+    if min(numbers) < 1:
+        raise InvalidRequest(f"rce bench: {option} is a list of numbers such as 1,20")
+    return numbers
+
+
 def measure_fleet(session: ConsoleSession, args: argparse.Namespace) -> int:
     """Measure a fleet, on Twisted's event loop because the bench stands in for processes of the platform."""
     from rce.bench import fleet  # needs the extras `server` and `bench`
