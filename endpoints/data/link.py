@@ -21,6 +21,7 @@ from rce.net.sockets import tune
 
 STRAYS = 1000  # messages a second without a receiver that a link may send for long, and 16 times as many at once
 HIGH_WATER = 256 * 1024  # bytes; while the transport holds more, messages wait in the outbox, where they take turns
+CLOSED = "closed by the other side"
 
 log = Logger()
 P = TypeVar("P")
@@ -187,10 +188,9 @@ class StreamLink(_QueuedLink[list[Buffer]], asyncio.BufferedProtocol):
 
     def fail(self, reason: str) -> None:
         """Mark the link as broken and report it; waiting messages are kept until it is closed."""
-        if not self._end(reason):
-            return
-        log.warn("link {link}: {reason}", link=self.name, reason=reason)
-        self._lost(self, reason)
+        if self._end(reason):
+            log.warn("link {link}: {reason}", link=self.name, reason=reason)
+            self._lost(self, reason)
 
     def _end(self, reason: str) -> bool:
         if self.broken:
@@ -256,7 +256,11 @@ class StreamLink(_QueuedLink[list[Buffer]], asyncio.BufferedProtocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Report the loss of the connection."""
         self._transport = None
-        self.fail(str(exc) if exc else "closed by the other side")
+        if exc is not None:
+            self.fail(str(exc))
+        elif self._end(CLOSED):  # as a rule the other side was told first that the link is not needed any more
+            log.info("link {link}: {reason}", link=self.name, reason=CLOSED)
+            self._lost(self, CLOSED)
 
     def pause_writing(self) -> None:
         """Keep messages in the outbox while the transport is full."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import textwrap
 from collections.abc import Callable, Sequence
 from enum import Enum, auto
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 from rce.cli.arguments import SIGNED_IN, Argument, PlatformOptions
 from rce.errors import InvalidRequest
+from rce.spelling import did_you_mean
 
 if TYPE_CHECKING:  # the session runs commands
     from rce.cli.session import ConsoleSession
@@ -102,8 +104,10 @@ class Parser(argparse.ArgumentParser):
     """An argparse parser that raises its errors, because an interactive console goes on after them."""
 
     def error(self, message: str) -> NoReturn:
-        """Raise UsageError with the text that argparse would print."""
-        raise UsageError(f"{self.format_usage()}{self.prog}: error: {message}")
+        """Raise UsageError with the text that argparse would print, and the option nearest to an unknown one."""
+        unknown = re.match(r"unrecognized arguments: (--[\w-]+)", message)
+        hint = did_you_mean(unknown[1], self._option_string_actions) if unknown else ""
+        raise UsageError(f"{self.format_usage()}{self.prog}: error: {message}{f': {hint}' if hint else ''}")
 
 
 def parser(command: Command, prog: str = "rce", in_console: bool = False) -> Parser:

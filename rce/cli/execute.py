@@ -13,6 +13,14 @@ from rce.cli.session import ConsoleSession
 from rce.errors import RceError, describe_os_error
 from rce.spelling import did_you_mean
 
+SYNONYMS = (
+    frozenset({"remove", "delete", "destroy", "rm", "del"}),
+    frozenset({"add", "create", "make", "new"}),
+    frozenset({"start", "run", "launch"}),
+    frozenset({"list", "ls"}),
+    frozenset({"show", "info", "inspect", "describe"}),
+)
+"""Verbs of the same meaning: those of commands, and what users may type in their place."""
 SUCCESS, FAILURE, USAGE_ERROR, INTERRUPTED = 0, 1, 2, 130
 
 
@@ -83,7 +91,9 @@ def _run_group(words: Sequence[str], prog: str, in_console: bool) -> int:
     if not rest or rest[0] in ("-h", "--help", "help"):
         print(text)
         return SUCCESS if rest else USAGE_ERROR
-    hint = did_you_mean(rest[0], [each.name.partition(" ")[2] for each in table.commands_of(word, in_console)])
+    verbs = [each.name.partition(" ")[2] for each in table.commands_of(word, in_console)]
+    meant = next((verb for same in SYNONYMS if rest[0] in same for verb in verbs if verb in same), "")
+    hint = f"did you mean {meant}?" if meant else did_you_mean(rest[0], verbs)
     problem = f"{'console' if in_console else 'rce'}: there is no command '{word} {rest[0]}'"
     return _fail(problem + (f": {hint}" if hint else f"\n\n{text}"), USAGE_ERROR)
 

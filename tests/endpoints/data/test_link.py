@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import gc
-from typing import cast
+from typing import Any, cast
 from unittest.mock import Mock
+
+import pytest
+from twisted.logger import LogEvent, LogLevel, globalLogPublisher
 
 from endpoints.data.frames import Message
 from endpoints.data.link import LoopLink, StreamLink
@@ -35,6 +38,22 @@ async def test_broken_link_is_reported_once_and_closed_link_never(pair: tuple[En
     there.link.close()
     await asyncio.sleep(0)
     assert (here.lost, len(there.lost)) == ([], 1)
+
+
+@pytest.mark.parametrize(("error", "level"), [(None, LogLevel.info), (OSError("reset"), LogLevel.warn)])
+async def test_only_link_that_broke_is_a_warning(
+    pair: tuple[End, End], error: Exception | None, level: LogLevel
+) -> None:
+    """A link that its other side closed was not needed any more, as a rule."""
+    here, _ = pair
+    events: list[LogEvent] = []
+    globalLogPublisher.addObserver(cast(Any, events.append))
+    try:
+        here.link.connection_lost(error)
+    finally:
+        globalLogPublisher.removeObserver(cast(Any, events.append))
+    assert [event["log_level"] for event in events] == [level]
+    assert len(here.lost) == 1
 
 
 async def test_close_of_broken_link_releases_waiting_senders(pair: tuple[End, End]) -> None:
