@@ -19,7 +19,7 @@ from master.graph.records import Ref, Robot, user_of
 from master.graph.state import State, followers
 from master.storage.depot import Depot
 from master.storage.store import Store
-from rce.control.calls.call import Call
+from rce.control.calls.call import Call, Nothing
 from rce.control.calls.environments import StartEnvironment
 from rce.control.calls.robots import SendStatus
 from rce.errors import ErrorInfo, NotFound, RceError, Unavailable
@@ -120,6 +120,8 @@ class EffectRunner:
     async def _call(self, turn: Turn) -> object:
         try:
             control = await self.dispatcher.wait(turn)
+            if turn.send.unless is not None and self.readiness.is_ready(turn.send.unless):
+                return Nothing()
             call = await self._with_token(turn.send.call)
             turn.going()  # those who wait for this run later
             return await control.call(call)

@@ -14,12 +14,14 @@ class Send(Struct, frozen=True):
     """A control call at a process.
 
     Calls with the same `about` reach one process in the order in which their plans were made. Without `about` a call
-    is about everything that the process has: later calls to this process wait until it is answered.
+    is about everything that the process has: later calls to this process wait until it is answered. A call is not made
+    if `unless` is ready by then.
     """
 
     to: str
     call: Call[Any]
     about: Ref | None
+    unless: Ref | None = None
 
 
 class MarkReady(Struct, frozen=True):

@@ -154,9 +154,13 @@ def _socket(template: str, environment: Environment) -> str:
 
 
 def opening(state: State, link: Link) -> Sequence:
-    """Return the calls that open a link at both ends; an end that has it open already ignores the call."""
+    """Return the steps that open a link at both ends, unless it is open; an end that has it open ignores the call."""
     ends = [link.listener] if link.listener == link.dialler else [link.listener, link.dialler]
-    return [Send(end, OpenLink(link_spec(state, link, end)), ref(link)) for end in ends]
+    opened = ref(link)
+    return [
+        *(Send(end, OpenLink(link_spec(state, link, end)), opened, unless=opened) for end in ends),
+        MarkReady(opened),
+    ]
 
 
 def _link(state: State, one: Process, other: Process, alone_for: str, ids: Ids) -> Link:

@@ -6,6 +6,7 @@ import asyncio
 from typing import Any, cast
 
 import pytest
+from msgspec.structs import replace
 
 from master.execution.effect_runner import Answer, EffectRunner, raise_first_error
 from master.graph.effects import MarkReady, Plan, Send
@@ -133,6 +134,22 @@ def test_calls_about_one_thing_keep_their_order_across_plans(desk: Desk) -> None
     desk.answer(desk.a)
     desk.answer(desk.a)
     assert desk.a.arrived[2:] == [StopNode("second")]
+
+
+def test_call_that_is_not_needed_any_more_is_not_made(desk: Desk) -> None:
+    """Of several connections over a new link the first one opens it."""
+
+    def opening(node: str) -> list[Send | MarkReady]:
+        return [replace(stop("a", "open", "link"), unless=thing("link")), ready("link"), stop("a", node), ready(node)]
+
+    first, second = desk.run(opening("1")), desk.run(opening("2"))
+    assert desk.a.arrived == [StopNode("open")]
+    desk.answer(desk.a)
+    assert desk.a.arrived == [StopNode("open"), StopNode("1"), StopNode("2")]
+    desk.answer(desk.a)
+    desk.answer(desk.a)
+    assert results(first) == results(second) == [Nothing(), Nothing()]
+    assert desk.is_ready("2")
 
 
 def test_calls_about_one_thing_at_two_processes_run_concurrently(desk: Desk) -> None:

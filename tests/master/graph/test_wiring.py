@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 
 from master.graph import reconcile, wiring
-from master.graph.records import Process
+from master.graph.effects import MarkReady
+from master.graph.records import Process, ref
 from rce.control.calls.endpoints import AddRoute, CloseLink, OpenLink, RemoveRoute, Unbind
 from rce.control.calls.environments import SetRelays
 from rce.errors import Unavailable
@@ -32,6 +33,17 @@ def test_connecting_opens_a_link_and_routes_the_receiver_first() -> None:
     received = calls([steps], "west")[1]
     assert isinstance(received, AddRoute)
     assert (received.route.interface, received.route.peer) == (robot, brain)
+
+
+def test_open_link_is_not_opened_again() -> None:
+    fleet = wired()
+    fleet.do("ann", interface("r1", "two", "PublisherConverter"))
+    fleet.do("ann", interface("brain", "two", "SubscriberInterface"))
+    (steps,) = fleet.do("ann", m.Connect("r1/two", "brain/two")).plan
+    (link,) = fleet.state.links
+    opening = [send for send in sends([steps]) if isinstance(send.call, OpenLink)]
+    assert {send.unless for send in opening} == {ref(link)}
+    assert steps[len(opening)] == MarkReady(ref(link)), "before the routes, and only if both ends have answered"
 
 
 def test_socket_file_is_told_to_ends_on_the_same_host_only() -> None:
