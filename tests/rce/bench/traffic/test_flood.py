@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from rce.bench.traffic.crowd import BEGIN
-from rce.bench.traffic.flood import DROPS, NUMBER
+from rce.bench.traffic.flood import NUMBER, Reading
 from rce.protocol.messages import DataMessage, DropEvent, Status
 
 
@@ -15,6 +15,8 @@ def test_number_and_drops_are_found_in_frames_of_the_platform() -> None:
     begin = BEGIN.search(text)
     assert begin is not None
     assert text[begin.end() : begin.end() + NUMBER] == b"0000000042"
-    told = DROPS.search(msgspec.json.encode(Status(DropEvent("flood", 12, "on the way to the robot"))))
-    assert told is not None
-    assert told[1] == b"12"
+    read = Reading()
+    read.received(text)
+    for count, where in ((5, "in environment flooded"), (12, "on the way to the robot"), (7, "in environment flooded")):
+        read.received(msgspec.json.encode(Status(DropEvent("flood", count, where))))
+    assert (read.numbers, read.dropped()) == ([42], 19)
