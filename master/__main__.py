@@ -7,10 +7,11 @@ import contextlib
 import gc
 import os
 import secrets
+import socket
 import sys
 from ipaddress import IPv4Network
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from msgspec import Meta, Struct
 from twisted.internet.address import IPv4Address, IPv6Address
@@ -22,12 +23,15 @@ from master.access.join_tokens import JoinTokens
 from master.access.users import Users, digest
 from master.api.resources import make_api
 from master.api.site import Site
+from master.front import Front
 from master.graph.groups import PREFIX
 from master.graph.limits import IMAGES, Policy, parse, with_changes
 from master.graph.records import Role
 from master.graph.state import GROUP_POOL
 from master.service import Master
 from master.storage.depot import Depot
+from master.storage.leader_row import LeaderRow, create, fence
+from master.storage.lease import Lease
 from master.storage.store import Store
 from rce.control.server import listen
 from rce.errors import InvalidRequest, Unauthorized
@@ -37,6 +41,7 @@ from rce.net.tls import (
     CERTIFICATE,
     KEY,
     PLAINTEXT_WARNING,
+    Tls,
     is_exposed,
     listening_address,
     load_tls,
@@ -45,7 +50,8 @@ from rce.net.tls import (
 from rce.process import loop, settings
 from rce.process.lock import lock_directory
 from rce.process.ready import Ready, announce
-from rce.web.server import Endpoint, parse_endpoint
+from rce.web.server import Endpoint, parse_endpoint, serve_handler
+from rce.web.server import listen as web_listen
 
 log = Logger("master")
 # Of the garbage collector, in place of 700, 10, 10. The objects of a fleet are millions, and all of them are in use:
@@ -94,13 +100,87 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
         await _serve(reactor, options)
 
 
+class Ports(NamedTuple):
+    """What a Master listens at: its HTTP entry, and the control port."""
+
+    scheme: str
+    host: str
+    port: int
+    control: IPv4Address | IPv6Address
+
+
 async def _serve(reactor: ReactorBase, options: Settings) -> None:
     endpoint = parse_endpoint(loopback_only(options.http) if options.dev else options.http)
     tls = load_tls(options.tls)
     if is_exposed(listening_address(options.control), tls):
         log.warn(PLAINTEXT_WARNING, what="control", host=listening_address(options.control) or "all addresses")
     store = Store(options.database or f"sqlite:///{options.data_dir / 'master.db'}")
-    await store.open()
+    async with contextlib.AsyncExitStack() as stack, contextlib.AsyncExitStack() as doors:  # the doors close first
+        lease = await _prepare_lease(stack, store, options.data_dir) if store.shared else None
+        stack.push_async_callback(store.close)
+        front = Front(lease)
+        if lease is not None:  # a standby answers, too
+            ports = await _open_ports(doors, reactor, options, endpoint, tls, front, lease)
+            await lease.take(_own_url(options, ports))
+            store.fence = fence(lease)
+        await store.open()
+        master, site = await _start_master(stack, options, store, tls)
+        front.lead(master, site)
+        if lease is None:
+            ports = await _open_ports(doors, reactor, options, endpoint, tls, front, None)
+        doors.push_async_callback(site.stop)
+        if options.machines:
+            enrolment = _enrolment_server(options, master.join_tokens)
+            doors.push_async_callback(enrolment.stop)
+            await enrolment.start(_enrolment_endpoint(options))
+        await create_first_users(master.users, options.dev)  # last: a start that fails must not use up the password
+        master.entry = (ports.scheme, ports.port)
+        _announce(ports)
+        if lease is None:
+            await asyncio.Event().wait()
+        else:
+            _end_at_once(await asyncio.shield(lease.lost))
+
+
+async def _prepare_lease(stack: contextlib.AsyncExitStack, store: Store, data_dir: Path) -> Lease:
+    await store.prepare(create)
+    row = LeaderRow(store.url, _identity(data_dir))
+    stack.callback(row.close)
+    lease = Lease(row)
+    stack.push_async_callback(lease.release)
+    return lease
+
+
+def _identity(data_dir: Path) -> str:
+    """Return the identity of a data directory, which it keeps."""
+    file = data_dir / "identity"
+    if not file.exists():
+        temporary = file.with_suffix(".new")
+        temporary.write_text(secrets.token_hex(16))
+        temporary.replace(file)
+    return file.read_text().strip()
+
+
+async def _open_ports(
+    doors: contextlib.AsyncExitStack,
+    reactor: ReactorBase,
+    options: Settings,
+    endpoint: Endpoint,
+    tls: Tls | None,
+    front: Front,
+    lease: Lease | None,
+) -> Ports:
+    control = await listen(reactor, options.control, front, tls, lease)
+    doors.callback(control.stopListening)  # type: ignore[misc]  # zope declares its methods without self
+    runner = serve_handler(front.handle)
+    doors.push_async_callback(runner.cleanup)
+    host, port = await web_listen(runner, endpoint)
+    return Ports(endpoint.scheme, host, port, control.getHost())  # type: ignore[misc]  # as above
+
+
+async def _start_master(
+    stack: contextlib.AsyncExitStack, options: Settings, store: Store, tls: Tls | None
+) -> tuple[Master, Site]:
     depot = Depot(options.data_dir / "packages")
     master = Master(store, options.grace, platform_policy(options), options.machine_grace, depot, tls)
     master.state.group_pool = _pool(options.group_pool)
@@ -108,28 +188,31 @@ async def _serve(reactor: ReactorBase, options: Settings) -> None:
         role, process, token = _parse_token(entry)
         await master.join_tokens.allow(process, role, token)
     await master.start()
+    stack.push_async_callback(master.stop)
     tidying = asyncio.create_task(master.audit.tidy(options.audit_days))
-    async with contextlib.AsyncExitStack() as stack:
-        stack.push_async_callback(store.close)
-        stack.push_async_callback(master.stop)
-        stack.callback(tidying.cancel)
-        control = await listen(reactor, options.control, master, tls)
-        stack.callback(control.stopListening)  # type: ignore[misc]  # zope declares its methods without self
-        inviter = Inviter.from_settings(master.join_tokens, options.machines, options.tls, options.address)
-        site = Site(master.state, make_api(master, depot, inviter), depot)
-        stack.push_async_callback(site.stop)
-        host, port = await site.start(endpoint)
-        if options.machines:
-            enrolment = _enrolment_server(options, master.join_tokens)
-            stack.push_async_callback(enrolment.stop)
-            await enrolment.start(_enrolment_endpoint(options))
-        await create_first_users(master.users, options.dev)  # last: a start that fails must not use up the password
-        master.entry = (endpoint.scheme, port)
-        address: IPv4Address | IPv6Address = control.getHost()  # type: ignore[misc]  # as above
-        inside, outside = f"{address.host}:{address.port}", f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-        log.info("Master serves robots at {http}, its processes at {control}", http=outside, control=inside)
-        announce(Ready("master", f"{endpoint.scheme}://{outside}/", f"tcp:{inside}"))
-        await asyncio.Event().wait()
+    stack.callback(tidying.cancel)
+    inviter = Inviter.from_settings(master.join_tokens, options.machines, options.tls, options.address)
+    return master, Site(master.state, make_api(master, depot, inviter), depot)
+
+
+def _own_url(options: Settings, ports: Ports) -> str:
+    """Return the URL of this Master's entry for clients of a standby."""
+    host = options.address or (socket.getfqdn() if ports.host in ("0.0.0.0", "::") else ports.host)
+    return f"{ports.scheme}://{f'[{host}]' if ':' in host else host}:{ports.port}/"
+
+
+def _announce(ports: Ports) -> None:
+    inside = f"{ports.control.host}:{ports.control.port}"
+    outside = f"[{ports.host}]:{ports.port}" if ":" in ports.host else f"{ports.host}:{ports.port}"
+    log.info("Master serves robots at {http}, its processes at {control}", http=outside, control=inside)
+    announce(Ready("master", f"{ports.scheme}://{outside}/", f"tcp:{inside}"))
+
+
+def _end_at_once(reason: str) -> None:
+    """End this process without another word to anybody: what it has in memory may be out of date."""
+    log.critical("this Master does not lead any more: {reason}. It ends, to be started as a standby", reason=reason)
+    sys.stderr.flush()
+    os._exit(1)
 
 
 def platform_policy(options: Settings) -> Policy:

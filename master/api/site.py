@@ -37,7 +37,7 @@ class Site:
         self._entry = Entry(state)
         self._dashboard = dashboard.Dashboard(state)
         self._redirects = ServiceRedirects(state)
-        self._runner = serve_handler(self.handle)
+        self._runner: web.ServerRunner | None = None
 
     async def start(self, endpoint: Endpoint) -> tuple[str, int]:
         """Listen, and return the host and port.
@@ -45,12 +45,14 @@ class Site:
         Raises:
             Unavailable: The port is in use or cannot be bound.
         """
+        self._runner = serve_handler(self.handle)
         return await listen(self._runner, endpoint)
 
     async def stop(self) -> None:
         """Close the listening socket and all connections."""
         await self._api.stop()
-        await self._runner.cleanup()
+        if self._runner is not None:
+            await self._runner.cleanup()
 
     async def handle(self, request: web.BaseRequest) -> web.StreamResponse:
         """Answer a request."""

@@ -10,11 +10,13 @@ import msgspec
 import sqlalchemy as sa
 
 from master.storage import migration
+from master.storage import tables as db
 from master.storage.tables import tables
 from rce.errors import AlreadyExists, InvalidRequest
 
 SUFFIX = ".jsonl"
 BATCH = 1000  # rows
+LEFT_OUT = {migration.REVISIONS, db.leader.name, db.archives.name}  # packages are files of a backup
 
 
 def write(connection: sa.Connection, directory: Path) -> str:
@@ -70,7 +72,7 @@ def _own_tables(connection: sa.Connection) -> list[sa.Table]:
     """Return the tables as they are in the database, each after those that it refers to."""
     found = sa.MetaData()
     found.reflect(connection)
-    return [table for table in found.sorted_tables if table.name != migration.REVISIONS]
+    return [table for table in found.sorted_tables if table.name not in LEFT_OUT]
 
 
 def _remove_tables(connection: sa.Connection, replace: bool) -> None:

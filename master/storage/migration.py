@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import sqlalchemy as sa
 
 from rce.errors import InvalidRequest
 
-HEAD = "0005"  # the newest revision
+HEAD = "0006"  # the newest revision
 REVISIONS = "alembic_version"  # the table that has the revision of the database
 SCRIPTS = Path(__file__).with_name("migrations")
 
 
-def upgrade(engine: sa.Engine) -> None:
-    """Create the tables, or migrate those of an earlier version.
+def upgrade(engine: sa.Engine, fence: Callable[[sa.Connection], None] | None = None) -> None:
+    """Create the tables, or migrate those of an earlier version; `fence` raises an error if this is not permitted.
 
     Raises:
         InvalidRequest: The database is of a later version, or of none.
     """
     with engine.begin() as connection:
+        if fence is not None:
+            fence(connection)
         migrate(connection, HEAD)
 
 

@@ -3,6 +3,9 @@
 One worker thread owns the database, so that writes keep their order and the event loop never waits for a disk. What
 comes during a transaction shares the next one, and so one flush to the disk: records that changed, and other work, of
 which each piece has a savepoint.
+
+A transaction whose connection is lost before its commit runs again. If it is lost during the commit, nobody knows
+whether it was stored: only work that may be repeated runs again then.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 import sqlalchemy as sa
@@ -25,29 +28,51 @@ from sqlalchemy.pool import StaticPool
 from twisted.logger import Logger
 
 from master.graph.state import State
+from master.storage import postgresql
 from master.storage.migration import upgrade
 from master.storage.tables import records
-from rce.errors import DiskFull, InvalidRequest
+from rce.errors import DiskFull, InvalidRequest, Unavailable
 from rce.process import metrics
 
 log = Logger()
 _transactions = metrics.Timing("rce_database_seconds", "Time of a transaction, with waiting for the one before")
 PATIENCE = 5.0  # seconds
-FAILURES = (sa.exc.SQLAlchemyError, DiskFull)  # what a database raises that does not work
+FAILURES = (sa.exc.SQLAlchemyError, DiskFull, Unavailable)  # what a database raises that does not work
 MAX_TOGETHER = 100  # pieces of work in one transaction
+RETRY_INTERVAL = 0.2  # seconds until a transaction runs again whose connection was lost, for PATIENCE
 R = TypeVar("R")
-Work = Callable[[sa.Connection], Any]
 Outcome = tuple[Any, Exception | None]
 
 
+class Work(NamedTuple):
+    """A piece of work, and who waits for its result; `repeatable` if it may run again after it was committed."""
+
+    run: Callable[[sa.Connection], Any]
+    done: Future[Any]
+    repeatable: bool
+
+
+class UnknownOutcome(Unavailable):
+    """The connection to the database was lost during a commit. Look at what is there, and try again."""
+
+
 class Store:
-    """A database; `url` is SQLAlchemy's (`sqlite:////var/lib/rce/master.db`, `postgresql+psycopg://…`)."""
+    """A database; `url` is SQLAlchemy's (`sqlite:////var/lib/rce/master.db`, `postgresql+psycopg://…`).
+
+    Attributes:
+        url: The URL.
+        fence: Called at the begin of each transaction; it raises an error if this Master may not use the database.
+    """
 
     def __init__(self, url: str) -> None:
+        self.fence: Callable[[sa.Connection], None] | None = None
         try:
-            parsed = sa.make_url(url)
+            self.url = parsed = sa.make_url(url)
             memory = parsed.get_backend_name() == "sqlite" and parsed.database in (None, "", ":memory:")
-            self._engine = sa.create_engine(parsed, **({"poolclass": StaticPool} if memory else {}))
+            if self.shared:
+                self._engine = postgresql.connect(parsed, int(PATIENCE))
+            else:
+                self._engine = sa.create_engine(parsed, **({"poolclass": StaticPool} if memory else {}))
         except (sa.exc.ArgumentError, sa.exc.NoSuchModuleError, ModuleNotFoundError) as error:
             raise InvalidRequest(f"database {url!r} cannot be used: {error}", field="database") from None
         if parsed.get_backend_name() == "sqlite":
@@ -56,12 +81,17 @@ class Store:
             sa.event.listen(self._engine, "connect", _tune_sqlite)
             sa.event.listen(self._engine, "begin", _begin_sqlite)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="store")
-        self._works: deque[tuple[Work, Future[Any]]] = deque()
+        self._works: deque[Work] = deque()
         self._waiting: dict[tuple[str, str], str | None] = {}
         self._batch: asyncio.Future[None] | None = None  # resolves when what waits now is stored
         self._under_way: asyncio.Future[None] | None = None  # the batch that is being written
         self._flush: asyncio.Task[None] | None = None
         self._check: asyncio.Future[Any] | None = None
+
+    @property
+    def shared(self) -> bool:
+        """True if several Masters may use this database."""
+        return self.url.get_backend_name() == "postgresql"
 
     async def open(self) -> None:
         """Create the tables, or migrate them to this version.
@@ -70,27 +100,50 @@ class Store:
             InvalidRequest: The database cannot be opened or migrated.
         """
         try:
-            await self._do(lambda: upgrade(self._engine))
+            await self._do(lambda: upgrade(self._engine, self.fence))
         except sa.exc.SQLAlchemyError as error:
-            reason = str(getattr(error, "orig", None) or error).partition("\n")[0]  # without SQLAlchemy's own advice
-            raise InvalidRequest(
-                f"database {self._engine.url!r} cannot be opened: {reason}; check that its disk has room and that the "
-                "file may be written, or put a backup in its place (docs/operations.md)",
-                field="database",
-            ) from None
+            raise self._unusable(error) from None
 
-    async def run(self, work: Callable[[sa.Connection], R]) -> R:
+    async def prepare(self, create: Callable[[sa.Connection], None]) -> None:
+        """Make what must be there before the database is opened.
+
+        Raises:
+            InvalidRequest: The database cannot be used.
+        """
+
+        def transact() -> None:
+            with self._engine.begin() as connection:
+                create(connection)
+
+        try:
+            await self._do(transact)
+        except sa.exc.SQLAlchemyError as error:
+            raise self._unusable(error) from None
+
+    def _unusable(self, error: sa.exc.SQLAlchemyError) -> InvalidRequest:
+        advice = (
+            "check that it runs and admits this Master"
+            if self.shared
+            else "check that its disk has room and that the file may be written, or put a backup in its place"
+        )
+        return InvalidRequest(
+            f"database {self.url!r} cannot be opened: {_reason(error)}; {advice} (docs/operations.md)", field="database"
+        )
+
+    async def run(self, work: Callable[[sa.Connection], R], *, repeatable: bool = False) -> R:
         """Run `work` in the database's thread; return its result when it is stored, or nothing of it if it fails.
 
-        `work` may be run a second time after it was rolled back.
+        `work` may be run a second time after it was rolled back, and after it was committed if it is `repeatable`.
 
         Raises:
             InvalidRequest: The database cannot hold a value, as PostgreSQL text with NUL.
             DiskFull: There is no room for what it writes.
+            UnknownOutcome: The connection was lost during the commit.
+            Unavailable: The database cannot be reached, or another Master leads.
         """
         done: Future[R] = Future()
         began = time.perf_counter()
-        self._works.append((work, done))
+        self._works.append(Work(work, done, repeatable))
         self._thread.submit(self._serve)
         try:
             return await asyncio.wrap_future(done)
@@ -99,6 +152,8 @@ class Store:
         except sa.exc.OperationalError as error:
             if _is_full(error):
                 raise DiskFull.at(f"database: {error.orig}") from None
+            if postgresql.is_lost(error):
+                raise Unavailable(f"the database cannot be reached: {_reason(error)}; try again") from None
             raise
         finally:
             _transactions.labels().observe_since(began)
@@ -106,37 +161,51 @@ class Store:
     def _serve(self) -> None:
         """Run what waits, in one transaction if possible; called in the thread, once for each piece of work."""
         works = [self._works.popleft() for _ in range(min(MAX_TOGETHER, len(self._works)))]
-        works = [(work, done) for work, done in works if done.set_running_or_notify_cancel()]
+        works = [work for work in works if work.done.set_running_or_notify_cancel()]
         if len(works) > 1:
             try:
-                outcomes = self._transact_together([work for work, _ in works])
+                outcomes = self._transact(lambda connection: _run_together(connection, works))
             except Exception as error:  # noqa: BLE001  # the transaction as a whole failed: each gets one of its own
                 log.info("{count} transactions are repeated: {error}", count=len(works), error=str(error)[:200])
+                if isinstance(error, UnknownOutcome):
+                    for work in works:
+                        if not work.repeatable:
+                            work.done.set_exception(error)
+                    works = [work for work in works if work.repeatable]
             else:
-                for (_, done), outcome in zip(works, outcomes, strict=True):
-                    _settle(done, outcome)
+                for work, outcome in zip(works, outcomes, strict=True):
+                    _settle(work.done, outcome)
                 return
-        for work, done in works:
+        for work in works:
+            try:
+                work.done.set_result(self._transact(work.run, work.repeatable))
+            except Exception as error:  # noqa: BLE001  # its caller gets it
+                work.done.set_exception(error)
+
+    def _transact(self, run: Callable[[sa.Connection], R], repeatable: bool = False) -> R:
+        """Run in a transaction, and again if its connection is lost before its commit."""
+        until = time.monotonic() + PATIENCE
+        while True:
+            committing = False
             try:
                 with self._engine.begin() as connection:
-                    result = work(connection)
-                done.set_result(result)
-            except Exception as error:  # noqa: BLE001  # its caller gets it
-                done.set_exception(error)
-
-    def _transact_together(self, works: list[Work]) -> list[Outcome]:
-        """Run works in one transaction; return their results or errors."""
-        outcomes: list[Outcome] = []
-        with self._engine.begin() as connection:
-            for work in works:
-                try:
-                    with connection.begin_nested():
-                        outcomes.append((work(connection), None))
-                except sa.exc.OperationalError:  # a full disk, or a lost connection
+                    if self.fence is not None:
+                        self.fence(connection)
+                    result = run(connection)
+                    committing = True
+                return result
+            except sa.exc.SQLAlchemyError as error:
+                if not postgresql.is_lost(error):
                     raise
-                except Exception as error:  # noqa: BLE001  # its caller gets it
-                    outcomes.append((None, error))
-        return outcomes
+                self._engine.dispose()  # after a fail-over of PostgreSQL all connections are to its old primary
+                if committing and not repeatable:
+                    raise UnknownOutcome(
+                        f"the database was lost while it stored this: {_reason(error)}; look at what is there"
+                    ) from None
+                if time.monotonic() > until:
+                    raise
+                log.info("a transaction is repeated, as the database was lost: {error}", error=_reason(error))
+            time.sleep(RETRY_INTERVAL)
 
     async def _do(self, work: Callable[[], R]) -> R:
         return await asyncio.get_running_loop().run_in_executor(self._thread, work)
@@ -174,7 +243,7 @@ class Store:
             self._batch, self._under_way = None, batch
             rows, self._waiting = self._waiting, {}
             try:
-                await self.run(partial(_put, rows=rows))
+                await self.run(partial(_put, rows=rows), repeatable=True)
             except Exception as error:  # noqa: BLE001  # who waits for the batch gets it
                 self._waiting = rows | self._waiting  # written by the next try, unless changed again
                 batch.set_exception(error)
@@ -200,10 +269,29 @@ class Store:
             if self._flush is not None:
                 await self._flush
             if self._waiting:
-                await self.run(partial(_put, rows=self._waiting))
+                await self.run(partial(_put, rows=self._waiting), repeatable=True)
         finally:
             await self._do(self._engine.dispose)
             self._thread.shutdown()
+
+
+def _run_together(connection: sa.Connection, works: list[Work]) -> list[Outcome]:
+    """Run works in one transaction; return their results or errors."""
+    outcomes: list[Outcome] = []
+    for work in works:
+        try:
+            with connection.begin_nested():
+                outcomes.append((work.run(connection), None))
+        except sa.exc.OperationalError:  # a full disk, or a lost connection
+            raise
+        except Exception as error:  # noqa: BLE001  # its caller gets it
+            outcomes.append((None, error))
+    return outcomes
+
+
+def _reason(error: sa.exc.SQLAlchemyError) -> str:
+    """Return the reason in one line, without SQLAlchemy's own advice."""
+    return str(getattr(error, "orig", None) or error).partition("\n")[0]
 
 
 def _settle(done: Future[Any], outcome: Outcome) -> None:

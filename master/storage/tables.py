@@ -102,3 +102,23 @@ audit = sa.Table(
     sa.Column("door", sa.String(16), nullable=False),
     sa.Column("address", sa.String(64), nullable=False),
 )
+# The Master that leads, of several with one PostgreSQL database: one row. Backups have neither this nor the next table.
+leader = sa.Table(
+    "leader",
+    tables,
+    sa.Column("id", sa.Integer, primary_key=True),  # always 1
+    # Unique, so that PostgreSQL takes a change of the term for one of a key, and a renewal not: transactions share a
+    # lock of the key, for which a change of the term waits and a renewal does not.
+    sa.Column("term", sa.BigInteger, unique=True, nullable=False),
+    sa.Column("holder", sa.String(64), nullable=False),  # identity of the Master's data directory
+    sa.Column("url", sa.Text, nullable=False),  # of its entry
+    sa.Column("until", sa.DateTime(timezone=True), nullable=False),  # by the clock of the database
+)
+# Archives of users' packages, with PostgreSQL only: parts of them by their numbers.
+archives = sa.Table(
+    "archives",
+    tables,
+    sa.Column("digest", sa.String(64), primary_key=True),
+    sa.Column("part", sa.Integer, primary_key=True),
+    sa.Column("data", sa.LargeBinary, nullable=False),
+)

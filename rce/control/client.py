@@ -1,4 +1,7 @@
-"""The connecting side of control connections: TLS, the join handshake, and reconnection with backoff."""
+"""The connecting side of control connections: TLS, the join handshake, and reconnection with backoff.
+
+A process may know several Masters, of which one leads. It asks all of them at once, and joins the one that welcomes it.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ import re
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+from msgspec.structs import replace
 from twisted.internet import endpoints
 from twisted.internet.base import ReactorBase
 from twisted.internet.defer import Deferred
@@ -29,7 +33,8 @@ from rce.control.connection import (
 )
 from rce.control.limits import max_message
 from rce.control.liveness import LiveBroker
-from rce.errors import ErrorInfo, RceError, Unavailable
+from rce.control.term import Fence, KnownTerm, Unfenced
+from rce.errors import ErrorInfo, InvalidRequest, RceError, Unavailable
 from rce.net.tls import Tls
 
 CONNECT_TIMEOUT = 10.0  # seconds
@@ -44,10 +49,29 @@ R = TypeVar("R")
 _TCP = re.compile(r"tcp:(?:host=)?((?:[^:\\]|\\.)*)")
 
 
+def addresses(masters: str) -> list[str]:
+    """Return the Twisted client endpoints in a setting with those of one or more Masters, separated by commas.
+
+    Raises:
+        InvalidRequest: There is none.
+    """
+    found = [each.strip() for each in masters.split(",") if each.strip()]
+    if not found:
+        raise InvalidRequest("setting master: give the control address of the Master, as tcp:HOST:8080", field="master")
+    return found
+
+
 async def connect(
-    reactor: ReactorBase, description: str, hello: Hello, handlers: Handlers, tls: Tls | None = None
+    reactor: ReactorBase,
+    description: str,
+    hello: Hello,
+    handlers: Handlers,
+    tls: Tls | None = None,
+    fence: Fence | None = None,
 ) -> tuple[Control, Welcome]:
     """Connect and join the Master at a Twisted client endpoint (`tcp:host:8080`, `unix:/path`).
+
+    `fence` refuses Masters and calls, and has the term that is sent with them.
 
     Raises:
         Unavailable: The Master cannot be reached or does not answer in time.
@@ -56,6 +80,7 @@ async def connect(
     loop = asyncio.get_running_loop()
     factory = pb.PBClientFactory()
     factory.protocol = LiveBroker
+    fence = fence or Unfenced()
     broker: pb.Broker | None = None
     limit = CONNECT_TIMEOUT
     try:
@@ -65,8 +90,8 @@ async def connect(
         limit = JOIN_TIMEOUT
         async with asyncio.timeout(limit):
             root = await _get_root(factory, broker).asFuture(loop)
-            joined = root.callRemote("join", encode_pages(hello), CallReceiver(handlers, max_message(hello.role)))
-            good, pages, receiver = await joined.asFuture(loop)
+            own = CallReceiver(handlers, max_message(hello.role), fence)
+            good, pages, receiver = await root.callRemote("join", encode_pages(hello), own).asFuture(loop)
     except BaseException as error:  # each transport has its own classes for this
         if broker is not None:
             abort(broker)
@@ -82,7 +107,13 @@ async def connect(
     if not good:
         factory.disconnect()
         raise RceError.from_info(decode_pages(pages, ErrorInfo))
-    return Control(receiver, description, max_message(hello.role), pings=True), decode_pages(pages, Welcome)
+    welcome = decode_pages(pages, Welcome)
+    try:
+        fence.check(welcome.term)
+    except RceError:
+        factory.disconnect()
+        raise
+    return Control(receiver, description, max_message(hello.role), pings=True, fence=fence), welcome
 
 
 def client_endpoint(reactor: ReactorBase, description: str, tls: Tls | None) -> Any:
@@ -108,8 +139,18 @@ def _get_root(factory: pb.PBClientFactory, broker: pb.Broker) -> Deferred[pb.Rem
     return deferred
 
 
+def _close_unused(attempt: asyncio.Task[tuple[Control, Welcome]]) -> None:
+    """Close the connection of an attempt that was given up when it had succeeded."""
+    if not attempt.cancelled() and attempt.exception() is None:
+        attempt.result()[0].close()
+
+
 class ControlClient:
-    """A process's connection to the Master, which reconnects whenever it is lost; calls wait in the meantime."""
+    """A process's connection to the Master, which reconnects whenever it is lost; calls wait in the meantime.
+
+    Attributes:
+        master: Twisted client endpoint of the Master that this process joined last.
+    """
 
     def __init__(
         self,
@@ -124,7 +165,7 @@ class ControlClient:
 
         Args:
             reactor: Twisted's reactor.
-            description: The Master's Twisted client endpoint.
+            description: The Master's Twisted client endpoint; those of several Masters are separated by commas.
             hello: Makes the Hello of each join, with the present state of this process.
             handlers: Handlers for the Master's calls.
             welcomed: Called with the Master's answer after each join.
@@ -132,7 +173,9 @@ class ControlClient:
         """
         self._tls = tls
         self._reactor = reactor
-        self._description = description
+        self._masters = addresses(description)
+        self._fence = KnownTerm()
+        self.master = self._masters[0]
         self._hello = hello
         self._handlers = handlers
         self._welcomed = welcomed
@@ -144,19 +187,8 @@ class ControlClient:
         Raises:
             RceError: The Master refuses this process.
         """
-        delay = BACKOFF_MIN
         while True:
-            try:
-                control, welcome = await connect(
-                    self._reactor, self._description, self._hello(), self._handlers, self._tls
-                )
-            except Unavailable as error:
-                pause = random.uniform(delay / 2, delay)  # not all processes at the same moment
-                log.info("{error}; next attempt in {pause:.2f} s", error=str(error), pause=pause)
-                await asyncio.sleep(pause)
-                delay = min(2 * delay, BACKOFF_MAX)
-                continue
-            delay = BACKOFF_MIN
+            control, welcome = await self._join()
             try:
                 self._welcomed(welcome)
                 self._control.set_result(control)
@@ -164,6 +196,38 @@ class ControlClient:
             finally:
                 control.close()
             self._control = asyncio.get_running_loop().create_future()
+
+    async def _join(self) -> tuple[Control, Welcome]:
+        """Ask all Masters until one welcomes this process: one that does not lead refuses it, or does not answer."""
+        attempts = {asyncio.create_task(self._join_one(master)) for master in self._masters}
+        chosen = None
+        try:
+            done, _ = await asyncio.wait(attempts, return_when=asyncio.FIRST_COMPLETED)
+            chosen = done.pop()
+            control, welcome = chosen.result()
+        finally:
+            for attempt in attempts - {chosen}:
+                attempt.cancel()
+                attempt.add_done_callback(_close_unused)
+        self.master = control.address
+        return control, welcome
+
+    async def _join_one(self, master: str) -> tuple[Control, Welcome]:
+        """Ask a Master until it welcomes this process.
+
+        Raises:
+            RceError: It refuses this process.
+        """
+        delay = BACKOFF_MIN
+        while True:
+            hello = replace(self._hello(), term=self._fence.term)
+            try:
+                return await connect(self._reactor, master, hello, self._handlers, self._tls, self._fence)
+            except Unavailable as error:
+                pause = random.uniform(delay / 2, delay)  # not all processes at the same moment
+                log.info("{error}; next attempt in {pause:.2f} s", error=str(error), pause=pause)
+            await asyncio.sleep(pause)
+            delay = min(2 * delay, BACKOFF_MAX)
 
     async def issue(self, call: Call[R], wait: float = 10.0) -> asyncio.Task[R]:
         """Send a call to the Master and return a task for its answer; calls arrive in the order of their issue.

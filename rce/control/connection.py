@@ -25,6 +25,7 @@ from rce.control.calls.call import Call, Nothing, result_type
 from rce.control.calls.watching import Metrics, ReadMetrics
 from rce.control.limits import MAX_MESSAGE
 from rce.control.liveness import Liveness
+from rce.control.term import Fence, Unfenced
 from rce.errors import (
     MALFORMED,
     ErrorInfo,
@@ -170,15 +171,24 @@ class Receiver(pb.Referenceable):
 class CallReceiver(Receiver):
     """The only object that a joined peer needs: it passes the peer's calls to `handlers`."""
 
-    def __init__(self, handlers: Handlers, max_size: int = MAX_MESSAGE) -> None:
-        """Create a receiver; `max_size` is the limit of the size of an answer."""
+    def __init__(self, handlers: Handlers, max_size: int = MAX_MESSAGE, fence: Fence | None = None) -> None:
+        """Create a receiver; `max_size` is the limit of the size of an answer, and `fence` refuses calls."""
         self.handlers = handlers
         self._max_size = max_size
+        self._fence = fence or Unfenced()
 
-    def remote_call(self, name: str, pages: Pages, request: str = "") -> Deferred[tuple[bool, Pages]]:
+    def remote_call(self, name: str, pages: Pages, request: str = "", term: int = 0) -> Deferred[tuple[bool, Pages]]:
         """Answer a call of the peer; see `Handlers.answer`."""
         if not (isinstance(name, str) and isinstance(pages, list) and isinstance(request, str)):
             raise TypeError("the arguments of a call have other types")
+        if not isinstance(term, int):
+            raise TypeError("the term of a call is no number")
+        try:
+            self._fence.check(term)
+        except RceError as error:
+            refused: Deferred[tuple[bool, Pages]] = Deferred()
+            refused.callback((False, encode_pages(error.info)))
+            return refused
         return Deferred.fromFuture(asyncio.ensure_future(self.handlers.answer(name, pages, request, self._max_size)))
 
 
@@ -192,7 +202,12 @@ class Control:
     """
 
     def __init__(
-        self, receiver: pb.RemoteReference, address: str, max_size: int = MAX_MESSAGE, pings: bool = False
+        self,
+        receiver: pb.RemoteReference,
+        address: str,
+        max_size: int = MAX_MESSAGE,
+        pings: bool = False,
+        fence: Fence | None = None,
     ) -> None:
         """Use a joined connection, until it is silent.
 
@@ -201,10 +216,12 @@ class Control:
             address: The peer's address.
             max_size: Limit of the size of a call.
             pings: This side sends the pings.
+            fence: Has the term that is sent with each call.
         """
         self.address = address
         self.fell_silent = False
         self._max_size = max_size
+        self._fence = fence or Unfenced()
         self.lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._receiver = receiver
         self._liveness = Liveness(receiver.broker, pings, self._end_silent)
@@ -242,7 +259,8 @@ class Control:
         raise error
 
     def _call_remote(self, name: str, pages: Pages) -> asyncio.Future[tuple[bool, Pages]]:
-        deferred: Deferred[tuple[bool, Pages]] = self._receiver.callRemote("call", name, pages, logs.request_id.get())
+        arguments = name, pages, logs.request_id.get(), self._fence.term
+        deferred: Deferred[tuple[bool, Pages]] = self._receiver.callRemote("call", *arguments)
         return deferred.asFuture(asyncio.get_running_loop())
 
     def close(self) -> None:

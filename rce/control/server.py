@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Callable
 from typing import Any, Protocol
 
+from msgspec.structs import replace
 from twisted.internet import endpoints
 from twisted.internet.base import ReactorBase
 from twisted.internet.defer import Deferred
@@ -26,6 +27,7 @@ from rce.control.connection import (
     encode_pages,
 )
 from rce.control.limits import Budgets, max_message
+from rce.control.term import Fence, Unfenced
 from rce.errors import InternalError, InvalidRequest, RceError
 from rce.net.listener import BACKLOG
 from rce.net.tls import Tls
@@ -54,14 +56,15 @@ class Joiner(Protocol):
 class _Root(Receiver, pb.Root):
     """The object that an unjoined peer can reach; its only method is `join`, which can be called once."""
 
-    def __init__(self, joiner: Joiner, budgets: Budgets) -> None:
+    def __init__(self, joiner: Joiner, budgets: Budgets, fence: Fence) -> None:
         self.joiner = joiner
         self.budgets = budgets
+        self.fence = fence
         self.broker: Broker | None = None
         self._called = False
 
     def rootObject(self, broker: Broker) -> _Root:
-        root = _Root(self.joiner, self.budgets)  # one for each connection, whose limits depend on who joins
+        root = _Root(self.joiner, self.budgets, self.fence)  # one for each connection, whose limits depend on who joins
         root.broker = broker
         return root
 
@@ -82,6 +85,7 @@ class _Root(Receiver, pb.Root):
         try:
             hello = self._hello(pages, receiver)
             welcome, handlers, joined = await self.joiner.join(hello, address)
+            self.fence.check(hello.term)
         except RceError as error:
             return False, encode_pages(error.info), None
         except Exception:  # noqa: BLE001  # the peer gets an InternalError, the log has the traceback
@@ -93,8 +97,8 @@ class _Root(Receiver, pb.Root):
         if self.broker is not None:
             self.broker.admit(max_message(hello.role), budget)
         # Only after the answer is on its way, so that the peer has our CallReceiver before our first call arrives.
-        asyncio.get_running_loop().call_soon(lambda: joined(Control(receiver, address)))
-        return True, encode_pages(welcome), CallReceiver(handlers)
+        asyncio.get_running_loop().call_soon(lambda: joined(Control(receiver, address, fence=self.fence)))
+        return True, encode_pages(replace(welcome, term=self.fence.term)), CallReceiver(handlers, fence=self.fence)
 
     def _hello(self, pages: Pages, receiver: object) -> Hello:
         """Decode the arguments of `join`.
@@ -129,14 +133,18 @@ def _server_endpoint(reactor: ReactorBase, description: str) -> Any:  # zope dec
         ) from None
 
 
-async def listen(reactor: ReactorBase, description: str, joiner: Joiner, tls: Tls | None = None) -> IListeningPort:
+async def listen(
+    reactor: ReactorBase, description: str, joiner: Joiner, tls: Tls | None = None, fence: Fence | None = None
+) -> IListeningPort:
     """Accept control connections at a Twisted server endpoint.
+
+    `fence` refuses greetings and calls, and has the term that is sent with them.
 
     Raises:
         InvalidRequest: The description is malformed.
     """
     endpoint = _server_endpoint(reactor, description)
-    factory = pb.PBServerFactory(_Root(joiner, Budgets()))
+    factory = pb.PBServerFactory(_Root(joiner, Budgets(), fence or Unfenced()))
     factory.protocol = Broker
     port: IListeningPort = await endpoint.listen(_with_tls(tls, factory)).asFuture(asyncio.get_running_loop())
     return port

@@ -16,12 +16,8 @@ from master.storage.store import Store
 from tests.support.master.entry import Ask, asking
 from tests.support.master.fleet import Fleet
 from tests.support.master.peers import LONG, Furnished, Platform
+from tests.support.master.postgresql import POSTGRES, needs_postgres
 from tests.support.master.served import serve_entry
-
-POSTGRES = os.environ.get("RCE_TEST_POSTGRES", "")
-needs_postgres = pytest.mark.skipif(
-    not POSTGRES, reason="set RCE_TEST_POSTGRES to the SQLAlchemy URL of a PostgreSQL database for tests"
-)
 
 
 @pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=needs_postgres)])

@@ -36,6 +36,7 @@ class Hello(Struct, frozen=True):
     sockets: str = ""  # task set: path of an environment's socket for data links, with {name}, {user} and {run}
     relays: dict[str, str] = {}  # task set: HOST:PORT of the data relay on each of its hosts
     credential: str = ""  # at least 32 random characters; empty: the Master makes one
+    term: int = 0  # the latest term of a Master that the process knows
 
 
 class SetRemovedMachines(Call[Nothing], frozen=True):
@@ -58,6 +59,7 @@ class InviteSibling(Call[JoinToken], frozen=True):
 
 
 class Welcome(Struct, frozen=True):
-    """Answer of the Master, with the credential of the process."""
+    """Answer of the Master, with the credential of the process and the term of the Master."""
 
     credential: str
+    term: int = 0

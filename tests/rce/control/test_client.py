@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from contextlib import suppress
 
 import pytest
 from twisted.internet.base import ReactorBase
 
 from rce.control import client
-from rce.control.calls.joining import Welcome
-from rce.control.client import ControlClient, connect
-from rce.control.connection import Handlers
-from rce.errors import Unavailable
-from tests.support.control import HELLO, TIMEOUT, listening
+from rce.control.calls.joining import Hello, Welcome
+from rce.control.client import ControlClient, addresses, connect
+from rce.control.connection import Control, Handlers
+from rce.errors import InvalidRequest, Unavailable
+from tests.support.control import HELLO, TIMEOUT, OpenJoiner, listening
 
 
 async def test_join_returns_the_credential(reactor: ReactorBase) -> None:
@@ -63,4 +64,45 @@ async def test_cancelled_client_closes_its_connection(reactor: ReactorBase) -> N
         server = await asyncio.wait_for(listener.joiner.joined.get(), TIMEOUT)
         task.cancel()
         await asyncio.wait_for(server.lost, TIMEOUT)
+        await asyncio.wait({task})
+
+
+def test_masters_are_separated_by_commas() -> None:
+    assert addresses("tcp:a:8080, tcp:b:8080,") == ["tcp:a:8080", "tcp:b:8080"]
+    with pytest.raises(InvalidRequest, match="setting master"):
+        addresses(" ,")
+
+
+class Standby(OpenJoiner):
+    """Refuses every process, or does not answer."""
+
+    def __init__(self, answers: bool) -> None:
+        super().__init__()
+        self.asked = asyncio.Event()
+        self.answers = answers
+
+    async def join(self, hello: Hello, address: str) -> tuple[Welcome, Handlers, Callable[[Control], None]]:
+        self.asked.set()
+        if not self.answers:
+            await asyncio.Event().wait()
+        raise Unavailable("this Master is a standby")
+
+
+@pytest.mark.parametrize("answers", [True, False])
+async def test_process_joins_the_master_that_leads(reactor: ReactorBase, answers: bool) -> None:
+    """The other one is a standby, or was stopped: the kernel still accepts connections for it."""
+    standby = Standby(answers)
+    async with listening(reactor, joiner=standby) as other, listening(reactor) as leader:
+        masters = f"{other.description},tcp:127.0.0.1:1,{leader.description}"
+        link = ControlClient(reactor, masters, lambda: HELLO, Handlers(), lambda welcome: None)
+        task = asyncio.create_task(link.run())
+        await asyncio.wait_for(standby.asked.wait(), TIMEOUT)
+        server = await asyncio.wait_for(leader.joiner.joined.get(), TIMEOUT)
+        while not link.connected:  # noqa: ASYNC110  # the answer is on its way
+            await asyncio.sleep(0.001)
+        assert link.master == leader.description
+        server.close()
+        again = await asyncio.wait_for(leader.joiner.joined.get(), TIMEOUT)
+        task.cancel()
+        await asyncio.wait_for(again.lost, TIMEOUT)
         await asyncio.wait({task})
