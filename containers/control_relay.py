@@ -12,7 +12,7 @@ from twisted.internet.tcp import Connection
 from twisted.logger import Logger
 from twisted.python.failure import Failure
 
-from rce.control.client import client_endpoint
+from rce.control.client import addresses, client_endpoint
 from rce.control.connection import disable_nagle
 from rce.net.sockets import bind_unix_socket
 from rce.net.tls import Tls
@@ -119,11 +119,15 @@ class _Onward(Protocol):
 class ControlRelay:
     """Accepts connections at `control.sock` in a directory and forwards them to a Twisted client endpoint.
 
-    The Master authenticates and authorizes; the relay only limits the number of connections of its environment.
+    Of several Masters that is the first, until `lead` says which one leads. The Master authenticates and authorizes;
+    the relay only limits the number of connections of its environment.
     """
 
     def __init__(self, reactor: ReactorBase, master: str, tls: Tls | None = None) -> None:
-        self.master = client_endpoint(reactor, master, tls)
+        self._reactor = reactor
+        self._tls = tls
+        self._address = addresses(master)[0]
+        self.master = client_endpoint(reactor, self._address, tls)
         self._clients: set[_Client] = set()
         self._server: asyncio.Server | None = None
 
@@ -136,10 +140,20 @@ class ControlRelay:
         listener = bind_unix_socket(directory / SOCKET, 0o666)  # for every user that can see the directory
         self._server = await asyncio.get_running_loop().create_unix_server(lambda: _Client(self), sock=listener)
 
+    def lead(self, master: str) -> None:
+        """Forward to this Master from now on, and close the connections to another one."""
+        if master != self._address:
+            self._address = master
+            self.master = client_endpoint(self._reactor, master, self._tls)
+            self._close_clients()
+
     def close(self) -> None:
         """Stop listening and close all connections."""
         if self._server is not None:
             self._server.close()
+        self._close_clients()
+
+    def _close_clients(self) -> None:
         for client in self._clients:
             client.transport.abort()
 

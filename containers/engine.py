@@ -192,6 +192,9 @@ class Engine(ABC):
     def set_removed_machines(self, machines: Mapping[str, float]) -> None:
         """Set when machines were removed; the engine's own relays refuse their certificates (see `rce.net.tls`)."""
 
+    def set_master(self, master: str) -> None:
+        """Set the control address of the Master that leads, to which the engine's own relays forward."""
+
     # --- for subclasses -----------------------------------------------------------------------------------------------
 
     @abstractmethod

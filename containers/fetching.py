@@ -11,7 +11,7 @@ from pathlib import Path
 from containers.settings import host_of
 from rce.api import http
 from rce.control.calls.environments import DownloadTicket, FetchPackage
-from rce.control.client import ControlClient
+from rce.control.client import ControlClient, addresses
 from rce.errors import Unavailable
 from rce.net.tls import CA, Tls
 
@@ -21,9 +21,9 @@ CHUNK = 256 * 1024
 class Fetcher:
     """Downloads package archives from the Master.
 
-    `master` is the Master's control address. `entry` is the URL of its HTTP entry; if it is empty, the host of `master`
-    is used with the scheme and port of the ticket. With https, certificates of the platform's CA (if `tls` is given)
-    and of the CAs that this machine trusts are accepted.
+    `entry` is the URL of the Master's HTTP entry, or those of several Masters, separated by commas; if it is empty, the
+    host of `master`, its control address, is used with the scheme and port of the ticket. With https, certificates of
+    the platform's CA (if `tls` is given) and of the CAs that this machine trusts are accepted.
     """
 
     def __init__(self, link: ControlClient, master: str, entry: str = "", tls: Tls | None = None) -> None:
@@ -42,7 +42,7 @@ class Fetcher:
             Unavailable: The Master cannot be reached, or the transfer was interrupted.
         """
         ticket = await self._link.call(FetchPackage(digest))
-        url = self._entry or entry_of(self._master, ticket)
+        url = self._entry or ",".join(entry_of(each, ticket) for each in addresses(self._master))
         entry = http.EntryClient(url, http.bearer(ticket.token), self._trust, direct=True)
         await asyncio.to_thread(_download, entry, ticket, path)
 

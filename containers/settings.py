@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from rce import __version__
+from rce.control.client import addresses
 from rce.errors import InvalidRequest
 
 _HOST = re.compile(r"(?:tcp|ssl|tls):(?:host=)?((?:[^:\\]|\\.)*)")
@@ -23,9 +24,10 @@ class Settings(Struct, frozen=True):
     """RCE Container task set: starts and stops the environments of one machine."""
 
     data_dir: Annotated[Path, Meta(description="directory for the data of this task set")]
-    master: Annotated[str, Meta(description="control address of the Master, a Twisted client endpoint")] = (
-        "tcp:127.0.0.1:8080"
-    )
+    master: Annotated[
+        str,
+        Meta(description="control address of the Master, a Twisted client endpoint; of several: comma-separated"),
+    ] = "tcp:127.0.0.1:8080"
     name: Annotated[str, Meta(description="name of this task set, unique on the platform; empty: the host's name")] = ""
     token: Annotated[
         str, Meta(description="one-time join token; set RCE_TOKEN rather than the command line, which others can see")
@@ -111,7 +113,9 @@ def host_of(description: str) -> str:
 
 
 def is_local(description: str) -> bool:
-    """Return True if a Twisted client endpoint certainly leads to this machine."""
+    """Return True if a Twisted client endpoint, or each of several, certainly leads to this machine."""
+    if "," in description:
+        return all(is_local(each) for each in addresses(description))
     if description.startswith("unix:"):
         return True
     host = host_of(description)

@@ -115,6 +115,7 @@ class TaskSet:
 
     def _welcomed(self, welcome: Welcome) -> None:
         self._credential.keep(welcome)
+        self._engine.set_master(self._link.master)
         announce(Ready("container"))
 
     def _relays(self) -> dict[str, str]:

@@ -103,6 +103,7 @@ class DockerEngine(Engine):
         self._daemon = Daemon(setup.labels)
         self._networks = Networks(self._daemon.call, setup.labels, egress_pool, nameservers)
         self._environments: dict[str, _Environment] = {}
+        self._master = setup.master
         self._background: set[asyncio.Task[None]] = set()
         self._watch: asyncio.Task[None] | None = None  # of the packet filter
         self._following = asyncio.Event()  # set when Docker's event stream has begun
@@ -235,6 +236,12 @@ class DockerEngine(Engine):
         self._environments.clear()
         await self._trash.close()
 
+    def set_master(self, master: str) -> None:
+        """Forward the environments' control connections to this Master."""
+        self._master = master
+        for environment in self._environments.values():
+            environment.relay.lead(master)
+
     # --- directories and sockets --------------------------------------------------------------------------------------
 
     def _paths(self, name: str, run: str) -> EndpointPaths:
@@ -243,7 +250,7 @@ class DockerEngine(Engine):
     async def _connect(self, name: str, run: str, gpus: Sequence[str]) -> _Environment:
         """Make the directories of an environment unless they exist, and open its sockets to the platform."""
         paths = self._paths(name, run)
-        relay = ControlRelay(self._setup.reactor, self._setup.master, self._setup.tls)
+        relay = ControlRelay(self._setup.reactor, self._master, self._setup.tls)
         environment = _Environment(run, paths, relay, DataSocket(paths.socket), gpus)
         self._environments[name] = environment  # from now on `_sweep` keeps the directories of its user
         for directory in (paths.control, paths.socket.parent):

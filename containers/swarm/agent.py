@@ -41,6 +41,7 @@ from rce.control.calls.agents import (
     RemovedRun,
     RemoveRun,
     SetGroupMembers,
+    SetMaster,
 )
 from rce.control.calls.call import Call, Nothing
 from rce.control.calls.environments import SetRelays
@@ -90,6 +91,7 @@ class Agent:
     def __init__(self, reactor: ReactorBase, settings: Settings) -> None:
         self._reactor = reactor
         self._settings = settings
+        self._master = settings.master
         self._labels = {"rce.platform": settings.platform, "rce.directory": settings.directory}
         self._docker = NodeDaemon(self._labels)
         self._tls = load_tls(settings.tls)
@@ -112,6 +114,7 @@ class Agent:
         handlers.do(SetRemovedMachines, self._refuse_removed)
         handlers.on(MeasureUsage, self._measure_usage)
         handlers.on(SetGroupMembers, self._set_group_members)
+        handlers.do(SetMaster, self._set_master)
         handlers.on(PullImage, self._pull_image)
         handlers.serve_metrics(ROLE, self._data_relay.families, self._families)
         self._link = ControlClient(reactor, settings.task_set, self._hello, handlers, self._welcomed, self._tls)
@@ -224,7 +227,7 @@ class Agent:
         names = Names.of(self._labels, task.name, task.run)
         control, sockets = await self._docker.volume(names.control), await self._docker.volume(names.sockets)
         path = sockets / names.paths.socket.name
-        relay, data_socket = ControlRelay(self._reactor, self._settings.master, self._tls), DataSocket(path)
+        relay, data_socket = ControlRelay(self._reactor, self._master, self._tls), DataSocket(path)
         await self._data_relay.add_environment(task.name, path, control)
         self._served[task.run] = _Served(task.name, relay, data_socket)
         data_socket.offer(control)
@@ -270,6 +273,11 @@ class Agent:
     def _refuse_removed(self, call: SetRemovedMachines) -> None:
         if self._tls is not None:
             self._tls.set_removed(call.machines)
+
+    def _set_master(self, call: SetMaster) -> None:
+        self._master = call.master
+        for served in self._served.values():
+            served.relay.lead(call.master)
 
     async def _measure_usage(self, _: MeasureUsage) -> Usage:
         return Usage(await self._docker.usage())

@@ -19,7 +19,7 @@ from twisted.internet.interfaces import IListeningPort
 from twisted.logger import Logger
 
 from containers.ports import close_port
-from rce.control.calls.agents import NodeReport, PullImage, RemoveRun, SetGroupMembers
+from rce.control.calls.agents import NodeReport, PullImage, RemoveRun, SetGroupMembers, SetMaster
 from rce.control.calls.call import Call, Nothing
 from rce.control.calls.environments import Group, SetRelays
 from rce.control.calls.joining import Hello, SetRemovedMachines, Welcome
@@ -88,6 +88,7 @@ class Agents:
         self._add_handlers = add_handlers
         self._agents: dict[str, _Agent] = {}
         self._changed = asyncio.Event()
+        self._master = SetMaster("")
         self._port: IListeningPort | None = None
         self.relays: dict[str, str] = {}
         self._other_relays: list[str] = []
@@ -188,6 +189,13 @@ class Agents:
             if agent.control is not None:
                 self._notify_later(agent.control, self._removed)
 
+    def set_master(self, master: str) -> None:
+        """Tell the agents which Master leads."""
+        self._master = SetMaster(master)
+        for agent in self._agents.values():
+            if agent.control is not None:
+                self._notify_later(agent.control, self._master)
+
     async def pull_image(self, node: str, call: PullImage) -> None:
         """Have a node pull an image; return when it has it.
 
@@ -237,6 +245,8 @@ class Agents:
         joined.lost.add_done_callback(lambda _: self._left(agent))
         if self._removed.machines:
             self._notify_later(joined, self._removed)
+        if self._master.master:
+            self._notify_later(joined, self._master)
         if agent.report is not None:
             self._handle_report(agent)
 

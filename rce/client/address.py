@@ -20,6 +20,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import InvalidHandshake, InvalidStatus, InvalidURI
 from websockets.typing import Subprotocol
 
+from rce.api.entries import entries
 from rce.api.http import reason_of
 from rce.client.dialing import dial, has_proxy
 from rce.errors import (
@@ -60,7 +61,7 @@ class Address:
     """Address of a platform and the credentials of a robot.
 
     Attributes:
-        url: URL of the Master's entry (http or https).
+        url: URL of the Master's entry (http or https); those of several Masters are separated by commas.
         user: User name.
         robot: robotID.
         password: Password in clear; its SHA-256 is sent, as the original protocol requires. Give this or `key`.
@@ -80,13 +81,12 @@ class Address:
     owner: str = ""
 
     def __post_init__(self) -> None:
-        if urlsplit(self.url).scheme not in ("http", "https"):
-            raise InvalidRequest(f"url {self.url!r} must begin with http:// or https://", field="url")
+        entries(self.url)
         if (self.password is None) == (self.key is None):
             raise InvalidRequest("give either a password or an API key", field="password")
 
     async def locate(self, patient: bool = False) -> str:
-        """Ask the Master's entry for the WebSocket address of a Robot endpoint.
+        """Ask the Master's entry for the WebSocket address of a Robot endpoint; of several Masters, the one that leads.
 
         Args:
             patient: Wait until the entry can be reached, for OPEN_TIMEOUT at most.
@@ -95,23 +95,37 @@ class Address:
             Unavailable: The entry cannot be reached or is not that of an RCE platform.
             RceError: The entry refuses the request, for example an unknown user.
         """
-        parts = urlsplit(self.url)
+        asked = [asyncio.create_task(self._ask(entry, patient)) for entry in entries(self.url)]
+        try:
+            for answer in asyncio.as_completed(asked):
+                try:
+                    return await answer
+                except Unavailable as error:
+                    failure = error
+        finally:
+            for each in asked:
+                each.cancel()
+            await asyncio.gather(*asked, return_exceptions=True)
+        raise failure
+
+    async def _ask(self, entry: str, patient: bool) -> str:
+        parts = urlsplit(entry)
         query = urlencode({"userID": self.user, "version": CURRENT_VERSION})
         url = urlunsplit((parts.scheme, parts.netloc, parts.path or "/", query, ""))
-        if patient and not has_proxy(socket_url := "ws" + self.url.removeprefix("http")):
+        if patient and not has_proxy(socket_url := "ws" + entry.removeprefix("http")):
             try:
                 (await dial(socket_url, OPEN_TIMEOUT)).close()
             except OSError as error:  # also TimeoutError
-                raise Unavailable(f"cannot reach {self.url}: {error or 'no answer'}") from None
-        body = await asyncio.to_thread(self._get, url)
+                raise Unavailable(f"cannot reach {entry}: {error or 'no answer'}") from None
+        body = await asyncio.to_thread(self._get, entry, url)
         try:
             return msgspec.json.decode(body, type=dict[str, str])["url"]
         except (*MALFORMED, KeyError) as error:
             raise Unavailable(
-                f"{self.url} is not the entry of an RCE platform: its answer contains no url ({error})"
+                f"{entry} is not the entry of an RCE platform: its answer contains no url ({error})"
             ) from None
 
-    def _get(self, url: str) -> bytes:
+    def _get(self, entry: str, url: str) -> bytes:
         proxy = urllib.request.ProxyHandler({} if _is_loopback(url) else None)
         opener = urllib.request.build_opener(proxy, urllib.request.HTTPSHandler(context=self.ssl))
         try:
@@ -122,7 +136,7 @@ class Address:
             with error:
                 raise _error_of_status(error.code, error.read(4096).decode(errors="replace")) from None
         except (OSError, HTTPException, ValueError) as error:
-            raise Unavailable(f"cannot reach {self.url}: {reason_of(error)}") from None
+            raise Unavailable(f"cannot reach {entry}: {reason_of(error)}") from None
 
     @property
     def _secret(self) -> dict[str, str]:

@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 
 import msgspec
 
+from rce.api.entries import entries
 from rce.api.http import Problem
 from rce.errors import MALFORMED, ErrorInfo, InvalidRequest, NotFound, RceError, Unavailable
 
@@ -50,7 +51,8 @@ class ServiceClient:
         """Prepare a client; nothing is sent yet.
 
         Args:
-            url: URL of the platform's entry, which redirects to the service, or of the service itself.
+            url: URL of the platform's entry, which redirects to the service, or of the service itself; those of several
+                Masters are separated by commas.
             user: User name, with a password.
             password: Password in clear. Give either this or `key`.
             key: API key.
@@ -59,8 +61,7 @@ class ServiceClient:
         Raises:
             InvalidRequest: The URL is not http or https, or not exactly one of `password` and `key` is given.
         """
-        if urlsplit(url).scheme not in ("http", "https"):
-            raise InvalidRequest(f"url {url!r} must begin with http:// or https://", field="url")
+        self._bases = [each.rstrip("/").removesuffix(self.prefix) for each in entries(url)]
         if (password is None) == (key is None):
             raise InvalidRequest("give either a password or an API key", field="password")
         secret = f"Bearer {key}" if key else "Basic " + base64.b64encode(f"{user}:{password}".encode()).decode()
@@ -68,7 +69,7 @@ class ServiceClient:
         self._ssl = ssl
         self._name = self.prefix.strip("/")
         self._title = self._name.replace("-", " ")
-        self._base = url.rstrip("/").removesuffix(self.prefix)
+        self._base = self._bases[0]
         self._located = False
 
     def ask(
@@ -105,26 +106,30 @@ class ServiceClient:
         return http.client.HTTPConnection(parts.netloc, timeout=TIMEOUT)
 
     def _locate(self) -> str:
-        """Return the URL of the service, to which the platform's entry redirects."""
-        connection = self._connection(self._base)
+        """Return the URL of the service, to which the entry of the Master that leads redirects."""
+        for base in self._bases[:-1]:
+            with contextlib.suppress(Unavailable):
+                return self._locate_at(base)
+        return self._locate_at(self._bases[-1])
+
+    def _locate_at(self, base: str) -> str:
+        connection = self._connection(base)
         try:
             connection.request("GET", self.prefix + "/")
             response = connection.getresponse()
             response.read()
         except (OSError, http.client.HTTPException) as error:
-            raise Unavailable(f"cannot reach {self._base}: {error or type(error).__name__}") from None
+            raise Unavailable(f"cannot reach {base}: {error or type(error).__name__}") from None
         finally:
             connection.close()
         location = response.headers.get("Location", "")
         if response.status == 307 and location:
             return location.rstrip("/").removesuffix(self.prefix)
         if response.status == 200:
-            return self._base
+            return base
         if response.status == 503:
-            raise Unavailable(f"the {self._title} of {self._base} is not connected at present; try again in a moment")
-        raise NotFound(
-            f"the platform at {self._base} has no {self._title}: start `rce {self._name}` there", field="url"
-        )
+            raise Unavailable(f"the {self._title} of {base} is not connected at present; try again in a moment")
+        raise NotFound(f"the platform at {base} has no {self._title}: start `rce {self._name}` there", field="url")
 
     @staticmethod
     def value(answer: Answer, kind: type[T]) -> T:

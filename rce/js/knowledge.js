@@ -1,19 +1,20 @@
 // Client of the knowledge service for pages and Node: recipes, objects and environments that robots share. See
 // docs/knowledge.md for the fields of entries, versions and changes.
 
+import { entries } from "./entries.js";
 import { RceError, Unavailable } from "./errors.js";
 
 const PREFIX = "knowledge-service";
 
 /** Client of one platform's knowledge service. Its methods reject with the errors of `errors.js`. */
 export class Knowledge {
-  #url;
+  #urls;
   #key;
   #base = null;
 
-  /** `url` is that of the platform's entry, `key` an API key. */
+  /** `url` is that of the platform's entry, or those of its Masters separated by commas; `key` an API key. */
   constructor(url, { key }) {
-    [this.#url, this.#key] = [url.replace(/\/*$/, "/"), key];
+    [this.#urls, this.#key] = [entries(url).map((each) => each.replace(/\/*$/, "/")), key];
   }
 
   /** Add an entry: kind, class, id, and optionally owl, description, public, shared, location. */
@@ -84,8 +85,14 @@ export class Knowledge {
 
   async #ask(method, resource, { body, headers = {}, signal } = {}) {
     // Credentials do not follow redirects to another port, so the service's own address is needed.
-    this.#base ??= (await send(`${this.#url}${PREFIX}/openapi.json`)).url.replace(/\/openapi\.json$/, "");
+    this.#base ??= (await this.#locate()).url.replace(/\/openapi\.json$/, "");
     return send(this.#base + resource, { method, body, signal, headers: { ...headers, authorization: `Bearer ${this.#key}` } });
+  }
+
+  /** Ask the Master that leads: it redirects to the service. */
+  async #locate() {
+    const asked = this.#urls.map((url) => send(`${url}${PREFIX}/openapi.json`));
+    return Promise.any(asked).catch(({ errors }) => { throw errors[0]; });
   }
 }
 

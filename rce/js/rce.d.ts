@@ -345,7 +345,7 @@ export interface RobotOptions {
 }
 
 /**
- * Robot that is connected to the platform whose entry is at `url`.
+ * Robot that is connected to the platform whose entry is at `url`; entries of several Masters are separated by commas.
  *
  * It stays connected until it is closed: when the socket breaks it reconnects, takes over its interfaces and
  * connections or declares them again, and repeats the commands that have no answer yet. Commands resolve when they have

@@ -22,8 +22,9 @@ export class Robot {
   #readers = new Set();
 
   /**
-   * `url` is that of the Master's entry. `timeout` is that of each command, in seconds like all times. A robot whose
-   * name begins with `@` is a guest: it takes part in the data of `owner`, and what it makes is removed with it.
+   * `url` is that of the Master's entry; those of several Masters are separated by commas. `timeout` is that of each
+   * command, in seconds like all times. A robot whose name begins with `@` is a guest: it takes part in the data of
+   * `owner`, and what it makes is removed with it.
    */
   constructor(url, { user, robot, owner = "", key = "", password = "", timeout = 60, WebSocket = globalThis.WebSocket }) {
     if (!key === !password) throw new InvalidRequest("give either a password or an API key", { field: "password" });

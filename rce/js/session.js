@@ -5,6 +5,7 @@
 // or with the error by which the platform refused the robot.
 
 import { Connection } from "./connection.js";
+import { entries } from "./entries.js";
 import { AlreadyExists, Forbidden, InvalidRequest, NotConnected, NotFound, RceError, TimedOut, Unauthorized, Unavailable,
   UnknownType, refusal, within } from "./errors.js";
 import { encode } from "./values.js";
@@ -159,8 +160,18 @@ export class ClientSession {
     return Connection.open(WebSocket, await this.#locate(), query, this);
   }
 
+  /** Ask the Master's entry for an endpoint; of several Masters, the one that leads answers. */
   async #locate() {
-    const url = new URL(this.#options.url, globalThis.location?.href);
+    const asked = entries(this.#options.url).map((url) => this.#locateAt(url));
+    try {
+      return await Promise.any(asked);
+    } catch ({ errors }) {
+      throw errors.find((error) => !(error instanceof Unavailable)) ?? errors[0];
+    }
+  }
+
+  async #locateAt(entry) {
+    const url = new URL(entry, globalThis.location?.href);
     url.search = new URLSearchParams({ userID: this.#options.user, version: VERSION });
     let answer;
     try {

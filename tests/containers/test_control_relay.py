@@ -123,3 +123,26 @@ async def test_early_data_is_bounded(path: str, monkeypatch: pytest.MonkeyPatch)
     writer.write(b"too early\n")
     assert await closed(reader)
     writer.close()
+
+
+async def test_connections_go_to_the_master_that_leads(reactor: ReactorBase, master: Master, tmp_path: Path) -> None:
+    other = Master()
+    first, second = await master.start(None), await other.start(None)
+    opened = ControlRelay(reactor, f"{first},{second}")
+    await opened.open(tmp_path)
+    reader, writer = await asyncio.open_unix_connection(tmp_path / SOCKET)
+    writer.write(b"a\n")
+    assert await reader.readline() == b"A\n"
+    opened.lead(first)
+    writer.write(b"b\n")
+    assert await reader.readline() == b"B\n"
+    opened.lead(second)
+    assert await closed(reader)
+    writer.close()
+    reader, writer = await asyncio.open_unix_connection(tmp_path / SOCKET)
+    writer.write(b"c\n")
+    assert await reader.readline() == b"C\n"
+    assert (master.served, other.served) == (1, 1)
+    writer.close()
+    opened.close()
+    other.server.close()

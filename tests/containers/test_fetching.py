@@ -110,6 +110,13 @@ async def test_failed_downloads_are_reported(
         await fetcher(wrong, tls).fetch("0" * 64, tmp_path / "file")
 
 
+async def test_archive_comes_from_the_master_that_leads(ticket: DownloadTicket, tls: Tls, tmp_path: Path) -> None:
+    link: Any = Link(ticket)
+    entry = f"http://127.0.0.1:1/,{ticket.scheme}://127.0.0.1:{ticket.port}/"
+    await Fetcher(link, "tcp:a:1,tcp:b:1", entry, tls).fetch("0" * 64, tmp_path / "file")
+    assert (tmp_path / "file").stat().st_size == ticket.size
+
+
 async def test_unreachable_entry_and_missing_package_are_reported(tmp_path: Path) -> None:
     with pytest.raises(Unavailable, match="cannot reach"):
         await fetcher(DownloadTicket("http", 1, "/", "", 1), None).fetch("0" * 64, tmp_path / "file")

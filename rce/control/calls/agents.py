@@ -53,6 +53,12 @@ class SetGroupMembers(Call[Nothing], frozen=True):
     members: dict[str, str]
 
 
+class SetMaster(Call[Nothing], frozen=True):
+    """Set the control address of the Master that leads, a Twisted client endpoint."""
+
+    master: str
+
+
 class RemovedRun(Struct, frozen=True):
     """Result of RemoveRun; `found` is true if there was a container."""
 

@@ -4,6 +4,9 @@
 #include <boost/beast/http.hpp>
 #include <boost/beast/version.hpp>
 
+#include <sstream>
+#include <utility>
+
 #include "stream_opener.hpp"
 
 namespace rce::detail {
@@ -56,8 +59,21 @@ class Get : public std::enable_shared_from_this<Get<Stream>> {
 
 }  // namespace
 
-void locate(Transport& transport, const std::string& url, const std::string& user,
-            std::function<void(std::string)> found, std::function<void(ErrorInfo)> failed) {
+namespace {
+
+/** The texts between commas, without spaces around them. */
+std::vector<std::string> separated(const std::string& text) {
+  std::vector<std::string> found;
+  std::istringstream stream(text);
+  for (std::string each; std::getline(stream, each, ',');) {
+    const auto begin = each.find_first_not_of(' ');
+    if (begin != std::string::npos) found.push_back(each.substr(begin, each.find_last_not_of(' ') - begin + 1));
+  }
+  return found.empty() ? std::vector<std::string>{text} : found;
+}
+
+void locateAt(Transport& transport, const std::string& url, const std::string& user,
+              std::function<void(std::string)> found, std::function<void(ErrorInfo)> failed) {
   const Url parsed = Url::parse(url, "http", "https");
   const std::string target = parsed.target({{"userID", user}, {"version", VERSION}});
   auto answered = [url, found = std::move(found), failed](unsigned status, const std::string& body) {
@@ -71,6 +87,32 @@ void locate(Transport& transport, const std::string& url, const std::string& use
   };
   if (parsed.isSecure) std::make_shared<Get<Secure>>(transport, parsed, target, answered, unreachable)->start();
   else std::make_shared<Get<Plain>>(transport, parsed, target, answered, unreachable)->start();
+}
+
+/** Answers of several Masters, of which one leads: the first URL counts, or the last failure. */
+struct Answers {
+  std::size_t missing;
+  bool done = false;
+};
+
+}  // namespace
+
+void locate(Transport& transport, const std::string& urls, const std::string& user,
+            std::function<void(std::string)> found, std::function<void(ErrorInfo)> failed) {
+  const auto masters = separated(urls);
+  for (const auto& url : masters) Url::parse(url, "http", "https");  // before the first is asked
+  const auto answers = std::make_shared<Answers>(Answers{masters.size()});
+  for (const auto& url : masters) {
+    locateAt(
+        transport, url, user,
+        [answers, found](const std::string& endpoint) {
+          if (!std::exchange(answers->done, true)) found(endpoint);
+        },
+        [answers, failed](const ErrorInfo& error) {
+          const bool isLast = --answers->missing == 0;
+          if ((isLast || error.code != "unavailable") && !std::exchange(answers->done, true)) failed(error);
+        });
+  }
 }
 
 ErrorInfo refusal(unsigned status, std::string reason) {

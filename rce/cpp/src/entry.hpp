@@ -9,8 +9,11 @@
 
 namespace rce::detail {
 
-/** GET the entry; `found` gets the URL of the Robot endpoint, `failed` the reason. */
-void locate(Transport& transport, const std::string& url, const std::string& user,
+/**
+ * GET the entry; `found` gets the URL of the Robot endpoint, `failed` the reason. Those of several Masters are
+ * separated by commas, and all are asked: the one that leads answers. Throws InvalidRequest.
+ */
+void locate(Transport& transport, const std::string& urls, const std::string& user,
             std::function<void(std::string)> found, std::function<void(ErrorInfo)> failed);
 
 /** The error for an HTTP status of the entry or the handshake. */

@@ -11,7 +11,7 @@ from twisted.internet.base import ReactorBase
 from containers.swarm import agents as module
 from containers.swarm.agents import ROLE, Agents
 from rce import __version__
-from rce.control.calls.agents import NodeReport
+from rce.control.calls.agents import NodeReport, SetMaster
 from rce.control.calls.joining import Hello, SetRemovedMachines
 from rce.control.calls.watching import Metrics, ReadMetrics
 from rce.control.client import connect
@@ -76,6 +76,21 @@ async def test_agents_are_told_of_removed_machines_at_once_and_when_they_join(
     control, _ = await connect(reactor, port, Hello(ROLE, "new", "secret", __version__), handlers)
     assert await asyncio.wait_for(told.get(), 60) == SetRemovedMachines({"m7": 5.0})
     agents[1].append(control)
+
+
+async def test_agents_are_told_which_master_leads_at_once_and_when_they_join(
+    reactor: ReactorBase, agents: tuple[Agents, list[Control]]
+) -> None:
+    agents[0].set_master("tcp:b:8080")
+    told: asyncio.Queue[SetMaster] = asyncio.Queue()
+    handlers = Handlers()
+    handlers.do(SetMaster, told.put_nowait)
+    port = agents[1][0].address  # of the task set
+    control, _ = await connect(reactor, port, Hello(ROLE, "new", "secret", __version__), handlers)
+    agents[1].append(control)
+    assert await asyncio.wait_for(told.get(), 60) == SetMaster("tcp:b:8080")
+    agents[0].set_master("tcp:a:8080")
+    assert await asyncio.wait_for(told.get(), 60) == SetMaster("tcp:a:8080")
 
 
 async def test_relay_of_a_node_is_known_while_its_agent_is_away(agents: tuple[Agents, list[Control]]) -> None:

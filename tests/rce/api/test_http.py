@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import base64
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 
 import pytest
 from aiohttp import web
 
+from rce.api import http
 from rce.api.http import EntryClient, Problem, basic, bearer, error_of_response, is_loopback
 from rce.errors import InvalidRequest, NotFound, RceError, Unavailable
 
@@ -107,3 +108,65 @@ def test_unknown_code_is_a_plain_error() -> None:
 )
 def test_loopback_urls(url: str, expected: bool) -> None:
     assert is_loopback(url) is expected
+
+
+# --- several Masters --------------------------------------------------------------------------------------------------
+
+STANDBY = (
+    b'{"title":"Unavailable","status":503,"detail":"a standby","code":"unavailable","fields":{"leader":"http://x/"}}'
+)
+
+
+class Masters:
+    """Servers of which one leads: the others refuse requests."""
+
+    def __init__(self) -> None:
+        self.leader = 0
+        self.asked: list[int] = []
+        self.urls: list[str] = []
+
+    def handler(self, number: int) -> Callable[[web.Request], Awaitable[web.Response]]:
+        async def handle(request: web.Request) -> web.Response:
+            self.asked.append(number)
+            if number != self.leader:
+                return web.Response(status=503, body=STANDBY, content_type="application/problem+json")
+            return web.json_response(await request.text())
+
+        return handle
+
+
+@pytest.fixture
+async def masters() -> AsyncIterator[Masters]:
+    masters, runners = Masters(), []
+    for number in range(2):
+        runner = web.ServerRunner(web.Server(masters.handler(number)))  # type: ignore[arg-type]
+        await runner.setup()
+        await web.TCPSite(runner, "127.0.0.1", 0).start()
+        runners.append(runner)
+        masters.urls.append(f"http://127.0.0.1:{runner.addresses[0][1]}")
+    yield masters
+    for runner in runners:
+        await runner.cleanup()
+
+
+async def test_request_goes_to_the_master_that_leads(masters: Masters) -> None:
+    client = EntryClient(",".join(["http://127.0.0.1:1", *masters.urls]), {})
+    for masters.leader in (1, 1, 0):
+        assert await asyncio.to_thread(client.json, "POST", "x", Problem("t", 1, "d", "c"))
+        assert client.url == masters.urls[masters.leader] + "/"
+    assert masters.asked == [0, 1, 1, 1, 0]
+
+
+async def test_request_waits_for_a_take_over(masters: Masters, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(http, "PAUSE", (0.0, 0.01))
+    masters.leader = 2
+    client = EntryClient(",".join(masters.urls), {})
+    asking = asyncio.create_task(asyncio.to_thread(client.json, "GET", "x"))
+    while len(masters.asked) < 4:  # noqa: ASYNC110  # the servers note it
+        await asyncio.sleep(0.001)
+    masters.leader = 1
+    await asking
+    monkeypatch.setattr(http, "TAKE_OVER", 0.0)
+    masters.leader = 2
+    with pytest.raises(Unavailable, match="a standby"):
+        await asyncio.to_thread(client.json, "GET", "x")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from contextlib import suppress
 from typing import Any
@@ -73,6 +74,22 @@ async def test_unreachable_entry_and_endpoint_are_unavailable(fake: FakePlatform
     fake.entry_body = '{"url": "ws://127.0.0.1:9/"}'
     with pytest.raises(Unavailable, match="cannot reach"):
         await fake.robot().open()
+
+
+async def test_robot_connects_through_the_master_that_leads(fake: FakePlatform) -> None:
+    """The others are unreachable, or standbys, whose entries answer with 503."""
+
+    async def refuse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.readuntil(b"\r\n\r\n")
+        writer.write(b"HTTP/1.1 503 Unavailable\r\nContent-Length: 9\r\n\r\na standby")
+        writer.close()
+
+    async with await asyncio.start_server(refuse, "127.0.0.1", 0) as standby:
+        other = f"http://127.0.0.1:{standby.sockets[0].getsockname()[1]}/"
+        address = Address(f"http://127.0.0.1:1/,{other},{fake.url}", "testUser", "r", "testUser")
+        assert (await address.locate()).startswith("ws://")
+        with pytest.raises(Unavailable, match="a standby"):
+            await Address(other, "testUser", "r", "testUser").locate()
 
 
 async def test_credentials_are_not_logged(fake: FakePlatform, caplog: pytest.LogCaptureFixture) -> None:

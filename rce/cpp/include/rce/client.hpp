@@ -65,8 +65,9 @@ class Client {
   Client& operator=(const Client&) = delete;
 
   /**
-   * Connect to the platform whose entry has this URL. The future has Unauthorized, Forbidden, Unavailable,
-   * InvalidRequest, or AlreadyExists (the name is in use). The callback, if any, is called in a thread of its own.
+   * Connect to the platform whose entry has this URL; those of several Masters are separated by commas. The future has
+   * Unauthorized, Forbidden, Unavailable, InvalidRequest, or AlreadyExists (the name is in use). The callback, if any, is
+   * called in a thread of its own.
    */
   std::future<void> connect(const std::string& url, ConnectCallback callback = nullptr);
 
