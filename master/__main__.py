@@ -29,6 +29,7 @@ from master.graph.limits import IMAGES, Policy, parse, with_changes
 from master.graph.records import Role
 from master.graph.state import GROUP_POOL
 from master.service import Master
+from master.storage.archives import Archives
 from master.storage.depot import Depot
 from master.storage.leader_row import LeaderRow, create, fence
 from master.storage.lease import Lease
@@ -181,7 +182,7 @@ async def _open_ports(
 async def _start_master(
     stack: contextlib.AsyncExitStack, options: Settings, store: Store, tls: Tls | None
 ) -> tuple[Master, Site]:
-    depot = Depot(options.data_dir / "packages")
+    depot = Depot(options.data_dir / "packages", Archives(store) if store.shared else None)
     master = Master(store, options.grace, platform_policy(options), options.machine_grace, depot, tls)
     master.state.group_pool = _pool(options.group_pool)
     for entry in options.tokens:

@@ -111,6 +111,8 @@ class Master:
         self._runner.keep(asyncio.create_task(self.guard.follow()))
         self._runner.keep(asyncio.create_task(self.removals.follow()))
         packages.drop_strays(self.state, set(await self.users.names()))
+        if self._depot is not None:
+            await self._depot.adopt(packages.named(self.state))
         self._runner.remove_unused_archives()
         self.process_tracker.begin()
 
@@ -213,6 +215,7 @@ class Master:
         )
         if self._depot is None or not needed:
             raise NotFound(f"no environment of {process.name} has the package {call.digest[:80]}")
+        await self._depot.provide(call.digest)
         token, size = self._depot.ticket(call.digest)
         scheme, port = self.entry
         return DownloadTicket(scheme, port, FETCH_PATH, token, size)

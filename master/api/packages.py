@@ -138,6 +138,7 @@ class PackagesApi:
         announced = upload.announced
         call.audit.operation, call.audit.owner, call.audit.names = "package.push", announced.user, [announced.name]
         contents = await upload.check()
+        await self._depot.store(upload)
         self._check_quota(announced, 0)
         version = Version(contents.digest, contents.size, contents.packages, 0)
         self._depot.keep(upload)

@@ -164,7 +164,9 @@ class EffectRunner:
     def remove_unused_archives(self) -> None:
         """Remove the archives that no package and no environment needs any more."""
         if self._depot is not None:
-            self._depot.sweep(packages.named(self.state))
+            named = packages.named(self.state)
+            self._depot.sweep(named)
+            self.keep(asyncio.create_task(self._depot.sweep_database(named)))
 
     # --- robots -------------------------------------------------------------------------------------------------------
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import hashlib
 import os
 import sys
@@ -15,6 +16,7 @@ import tarfile
 import tempfile
 import time
 import tomllib
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -23,11 +25,12 @@ import msgspec
 from msgspec import Struct
 
 from master.storage import dump
+from master.storage.archives import Archives
 from master.storage.directory import DATABASE as MASTER_DATABASE
 from master.storage.directory import existing_master_directory, master_directory
 from master.storage.store import Store
 from rce import __version__
-from rce.errors import InvalidRequest, RceError, describe_os_error
+from rce.errors import InvalidRequest, NotFound, RceError, describe_os_error
 from rce.packages.archive import DIGEST
 
 FORMAT = 1
@@ -135,11 +138,13 @@ async def _write(place: Place, target: BinaryIO) -> Manifest:
         store = Store(place.database)
         try:
             manifest.revision = await store.run(lambda connection: dump.write(connection, Path(directory)))
+            for path in _packages(place):  # those that were pushed meanwhile; the database may name them
+                if f"{PACKAGES}/{path.name}" not in manifest.files:
+                    add(f"{PACKAGES}/{path.name}", path)
+            if store.shared:  # those that other Masters stored
+                await _add_shared(Archives(store), Path(directory), manifest, add)
         finally:
             await store.close()
-        for path in _packages(place):  # those that were pushed meanwhile; the database may name them
-            if f"{PACKAGES}/{path.name}" not in manifest.files:
-                add(f"{PACKAGES}/{path.name}", path)
         for path in files(Path(directory)):
             add(f"{DATABASE}/{path.name}", path)
         for name, path in _settings(place):
@@ -148,6 +153,18 @@ async def _write(place: Place, target: BinaryIO) -> Manifest:
         text.write_bytes(msgspec.json.format(msgspec.json.encode(manifest)))
         archive.add(text, MANIFEST)
     return manifest
+
+
+async def _add_shared(
+    archives: Archives, directory: Path, manifest: Manifest, add: Callable[[str, Path], None]
+) -> None:
+    for digest in sorted(await archives.digests()):
+        if f"{PACKAGES}/{digest}" not in manifest.files:
+            path = directory / digest
+            with contextlib.suppress(NotFound):  # it is being stored, or was removed meanwhile
+                await archives.fetch(digest, path)
+                add(f"{PACKAGES}/{digest}", path)
+                path.unlink()
 
 
 def files(directory: Path) -> list[Path]:

@@ -1,5 +1,7 @@
 """Depot: archives of users' packages on the Master's disk, by their digests.
 
+With several Masters the archives are in the database too, and the disk of each Master has those that it needed.
+
 An upload is announced first: user, digest and size are checked against the quota. The body that then comes with the
 ticket must have that size, and goes straight to disk. So nobody fills disk or memory without permission.
 """
@@ -10,6 +12,7 @@ import asyncio
 import contextlib
 import hashlib
 import os
+import shutil
 import tempfile
 from pathlib import Path
 
@@ -17,6 +20,7 @@ from msgspec import Struct
 from twisted.logger import Logger
 
 from master.access.tickets import Tickets
+from master.storage.archives import Archives
 from rce.errors import InvalidRequest, LimitExceeded, NotFound
 from rce.packages import archive
 from rce.packages.archive import MAX_BYTES, Contents
@@ -75,17 +79,18 @@ class Upload:
 
 
 class Depot:
-    """Archives in `directory`."""
+    """Archives in `directory`, and in the database if there are `archives`."""
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, archives: Archives | None = None) -> None:
         self._directory = directory
+        self._archives = archives
         self.incoming = directory / "incoming"
         self.running: set[Upload] = set()
         self._uploads: Tickets[AnnouncedUpload] = Tickets(UPLOAD_SECONDS)
         self._fetches: Tickets[Path] = Tickets(FETCH_SECONDS)
         self.incoming.mkdir(parents=True, exist_ok=True, mode=0o700)
-        for path in self.incoming.iterdir():
-            path.unlink()  # unfinished uploads of an earlier Master
+        for path in self.incoming.iterdir():  # unfinished uploads and downloads of an earlier Master
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
 
     def announce(self, announced: AnnouncedUpload) -> str:
         """Issue the ticket of an upload.
@@ -114,10 +119,39 @@ class Depot:
         announced = self._uploads.take(token)
         return None if announced is None or announced.size != length else Upload(self, announced)
 
+    async def store(self, upload: Upload) -> None:
+        """Store a checked upload where other Masters find it."""
+        if self._archives is not None:
+            await self._archives.put(upload.announced.digest, upload.path)
+
     def keep(self, upload: Upload) -> None:
         """Turn a checked upload into an archive. The caller must add it to the records before anything else can run."""
-        upload.path.chmod(0o400)
-        upload.path.rename(self._directory / upload.announced.digest)
+        self._place(upload.path, upload.announced.digest)
+
+    def _place(self, path: Path, digest: str) -> None:
+        path.chmod(0o400)
+        path.rename(self._directory / digest)
+
+    async def provide(self, digest: str) -> None:
+        """Fetch an archive that another Master stored, unless it is on this disk.
+
+        Raises:
+            NotFound: There is no such archive.
+        """
+        if self._archives is None or not archive.DIGEST.fullmatch(digest) or (self._directory / digest).is_file():
+            return
+        with tempfile.TemporaryDirectory(dir=self.incoming) as incoming:
+            path = Path(incoming) / digest
+            await self._archives.fetch(digest, path)
+            self._place(path, digest)
+
+    async def adopt(self, named: set[str]) -> None:
+        """Store archives of this disk that the database lacks: of a restored backup, or of a Master that was alone."""
+        if self._archives is None:
+            return
+        for digest in sorted(named - await self._archives.digests()):
+            if (self._directory / digest).is_file():
+                await self._archives.put(digest, self._directory / digest)
 
     def ticket(self, digest: str) -> tuple[str, int]:
         """Issue a ticket to fetch an archive; return it and the size.
@@ -141,6 +175,11 @@ class Depot:
                 with contextlib.suppress(FileNotFoundError):
                     path.unlink()
                 log.info("removed archive {digest}, which is not used any more", digest=path.name)
+
+    async def sweep_database(self, named: set[str]) -> None:
+        """Remove the archives from the database whose digests are not in `named`, nor those of uploads."""
+        if self._archives is not None:
+            await self._archives.keep_only(named | {each.digest for each in self.pending()})
 
 
 def _inspect(path: Path) -> Contents:
