@@ -120,6 +120,7 @@ async def _serve(reactor: ReactorBase, options: Settings) -> None:
         lease = await _prepare_lease(stack, store, options.data_dir) if store.shared else None
         stack.push_async_callback(store.close)
         front = Front(lease)
+        doors.callback(front.close)
         if lease is not None:  # a standby answers, too
             ports = await _open_ports(doors, reactor, options, endpoint, tls, front, lease)
             await lease.take(_own_url(options, ports))

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from aiohttp import web
 
 from master.api.router import PREFIX
-from master.api.site import Site
+from master.api.site import OUTSIDE_PREFIX, Site
 from master.dashboard import PREFIX as DASHBOARD
 from master.dashboard import wants_dashboard
 from master.service import Master
@@ -33,6 +33,12 @@ class Front:
     def lead(self, master: Master, site: Site) -> None:
         """Begin to serve."""
         self._parts.set_result((master, site))
+
+    def close(self) -> None:
+        """Refuse the processes that wait."""
+        if not self._parts.done():
+            self._parts.set_exception(not_leading(self._leader))
+            self._parts.exception()  # it is no defect if none waits
 
     async def handle(self, request: web.BaseRequest) -> web.StreamResponse:
         """Answer a request."""
@@ -68,7 +74,7 @@ def standby_response(request: web.BaseRequest, leader: str) -> web.Response:
     if leader and (path.startswith(DASHBOARD) or wants_dashboard(request)):
         return web.Response(status=307, headers={"Location": leader.rstrip("/") + request.raw_path})
     error = not_leading(leader).with_fields(retry_after=RETRY_AFTER)
-    if path.startswith(PREFIX + "/"):
+    if path.startswith(PREFIX + "/") or path.removeprefix("/").partition("/")[0] in OUTSIDE_PREFIX:
         return problem_response(error)
     return _text(error)
 

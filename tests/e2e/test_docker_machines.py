@@ -16,8 +16,9 @@ from typing import Any
 
 import pytest
 
+from rce.bench.network.bridge import Network
 from tests.support.e2e.machines import Machines
-from tests.support.e2e.namespaces import Network, network
+from tests.support.e2e.namespaces import network
 from tests.support.e2e.real_platform import until
 from tests.support.e2e.traffic import Traffic, next_event
 from tests.support.e2e.use_cases import FAILOVER_TIMEOUT, check_failover_under_traffic, platform_on, use_case_1

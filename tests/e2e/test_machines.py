@@ -12,9 +12,10 @@ from contextlib import ExitStack
 
 import pytest
 
+from rce.bench.network.bridge import Network
 from rce.client import Reconnected
 from tests.support.e2e.machines import Machines
-from tests.support.e2e.namespaces import Network, network
+from tests.support.e2e.namespaces import network
 from tests.support.e2e.traffic import Traffic, next_event
 from tests.support.e2e.use_cases import (
     RELIABLE,

@@ -105,6 +105,16 @@ async def test_process_that_asks_a_standby_waits_for_it_to_lead(monkeypatch: pyt
         await Front(lease).join(HELLO, "here")
 
 
+async def test_waiting_process_is_refused_when_the_standby_ends() -> None:
+    lease: Any = FakeLease()
+    door = Front(lease)
+    joining = asyncio.create_task(door.join(HELLO, "here"))
+    await asyncio.sleep(0)
+    door.close()
+    with pytest.raises(Unavailable, match="is a standby"):
+        await joining
+
+
 async def test_master_without_a_lease_serves() -> None:
     door, part = Front(), FakePart()
     door.lead(part, part)  # type: ignore[arg-type]

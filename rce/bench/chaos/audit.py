@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from msgspec import Struct
@@ -75,8 +75,10 @@ def _counts(what: str, expected: Counter[str], found: Counter[str]) -> Iterator[
             yield f"{found[name]} {what} {name} instead of {expected[name]}"
 
 
-async def settle(expected: set[Fact], platform: Platform) -> float:
+async def settle(expected: set[Fact], look: Callable[[], Found]) -> float:
     """Wait until a platform agrees with the model; return the seconds that this took.
+
+    `look` returns what is there.
 
     Raises:
         Violation: It does not within SETTLE_TIMEOUT; the message has the differences.
@@ -84,7 +86,7 @@ async def settle(expected: set[Fact], platform: Platform) -> float:
     began = time.monotonic()
     while True:
         try:
-            found = differences(expected, await asyncio.to_thread(look, platform))
+            found = differences(expected, await asyncio.to_thread(look))
         except RceError as error:
             found = [f"REST: {error}"]
         if not found:
@@ -100,25 +102,35 @@ def look(platform: Platform) -> Found:
     Raises:
         RceError: REST or the map service does not answer.
     """
-    facts, unsettled = _graph(platform.api())
+    found = look_without_maps(platform.api(), platform.api(ADMINISTRATOR), [platform.directory / TASK_SET])
+    for upload in platform.maps().uploads():
+        found.facts.add(("upload", upload.name))
+        if upload.offset != upload.length:
+            found.unsettled.append(f"upload {upload.name} has {upload.offset} of {upload.length} bytes")
+    return found
+
+
+def look_without_maps(api: ApiClient, administrator: ApiClient, directories: Sequence[Path]) -> Found:
+    """Return what is there, as the user and an administrator see it, and in the directories of task sets.
+
+    Raises:
+        RceError: REST does not answer.
+    """
+    facts, unsettled = _graph(api)
     unsettled += [
         f"{each.role} {each.name} is {each.state}"
-        for each in platform.api(ADMINISTRATOR).items(MachineView, "machines")
+        for each in administrator.items(MachineView, "machines")
         if each.state != "joined"
     ]
-    for upload in platform.maps().uploads():
-        facts.add(("upload", upload.name))
-        if upload.offset != upload.length:
-            unsettled.append(f"upload {upload.name} has {upload.offset} of {upload.length} bytes")
-    directory = platform.directory / TASK_SET
-    running = processes.of_environments(directory, USER)
+    running = [each for directory in directories for each in processes.of_environments(directory, USER)]
+    lives = [path for directory in directories for path in (directory / "environments" / USER).glob("*/*")]
     return Found(
         facts,
         unsettled,
         Counter(each.environment for each in running if not each.node),
         Counter((each.environment, each.node) for each in running if each.node),
-        Counter(path.parent.name for path in (directory / "environments" / USER).glob("*/*")),
-        _entries(directory / "trash"),
+        Counter(path.parent.name for path in lives),
+        sum(_entries(directory / "trash") for directory in directories),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from contextlib import suppress
+from itertools import pairwise
 from typing import Any
 
 from msgspec import Struct
@@ -162,6 +163,11 @@ class Flow:
             if at < settled and number not in self._received:
                 lost[any(number > newest and at <= until for newest, until in self._disturbed)].append(number)
         return lost
+
+    def longest_gap(self) -> float:
+        """Return the longest time in seconds between the arrivals of two messages."""
+        at = sorted(self._received.values())
+        return max((later - earlier for earlier, later in pairwise(at)), default=0.0)
 
     async def _send(self, publisher: Publisher) -> None:
         number = 0

@@ -8,6 +8,7 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -216,7 +217,7 @@ class Run:
         await asyncio.gather(*(worker.stop() for worker in self._workers))
         what = f"{len(self._model.facts)} facts"
         self._history.add("audit", what)
-        self._audits.append(await audit.settle(self._model.facts, self._platform))
+        self._audits.append(await audit.settle(self._model.facts, partial(audit.look, self._platform)))
         self._history.add("audit", what, "agree")
         problems = [problem for flow in robots.flows for problem in flow.count().problems()]
         if problems:

@@ -146,6 +146,21 @@ COMMANDS = (
         section=Section.LOCAL,
     ),
     Command(
+        "bench standby",
+        "Let the leader of two Masters fail at random, and check what was acknowledged. Needs root and PostgreSQL.",
+        Lazy(MODULE, "measure_standby"),
+        (
+            argument("--minutes", type=float, default=90, help="maximum duration (default: %(default)s)"),
+            argument("--events", type=int, default=200, help="maximum number of faults (default: %(default)s)"),
+            argument("--seed", type=int, help="of an earlier run, to repeat it (default: a random one)"),
+            argument("--dir", type=Path, help="empty directory for history and log (default: a temporary one)"),
+            FIGURES_JSON,
+        ),
+        ("bench standby --events 20", "bench standby --seed 7 --events 60"),
+        platform=None,
+        section=Section.LOCAL,
+    ),
+    Command(
         "bench map-service",
         "Measure the map service with a large recording and another user's job at the same time.",
         Lazy(MODULE, "measure_map_service"),

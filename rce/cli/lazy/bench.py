@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import json
 import secrets
 import shutil
 import sys
 import tempfile
-from collections.abc import AsyncIterator, Callable, Collection, Coroutine, Iterable, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Coroutine, Iterable, Iterator, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from functools import wraps
 from pathlib import Path
@@ -230,15 +231,36 @@ async def measure_chaos(args: argparse.Namespace) -> None:
     from rce.bench.chaos import report as chaos_report
     from rce.bench.chaos.run import Plan, measure  # needs the extra `server`
 
+    with _run_directory(args) as directory:
+        result = await measure(directory, Plan(_seed(args), args.events, 60 * args.minutes), _show_faults)
+    print(json.dumps(chaos_report.as_data(result)) if args.json else chaos_report.as_text(result))
+
+
+@_command
+async def measure_standby(args: argparse.Namespace) -> None:
+    """Let the leader of two Masters fail, and check what they have acknowledged."""
+    from rce.bench.standby import report as standby_report
+    from rce.bench.standby.run import Plan, measure  # needs the extras `server` and `postgresql`
+
+    with _run_directory(args) as directory:
+        result = await measure(directory, Plan(_seed(args), args.events, 60 * args.minutes), _show_faults)
+    print(json.dumps(standby_report.as_data(result)) if args.json else standby_report.as_text(result))
+
+
+def _seed(args: argparse.Namespace) -> int:
+    return secrets.randbelow(1_000_000) if args.seed is None else int(args.seed)
+
+
+@contextlib.contextmanager
+def _run_directory(args: argparse.Namespace) -> Iterator[Path]:
+    """Give the directory of a run with faults; a temporary one remains after a failure, which names its files."""
     if args.minutes <= 0 or args.events < 1:
         raise InvalidRequest("rce bench: --minutes and --events must be positive")
-    seed = secrets.randbelow(1_000_000) if args.seed is None else args.seed
-    directory = args.dir or Path(tempfile.mkdtemp(prefix="rce-chaos-"))
+    directory = args.dir or Path(tempfile.mkdtemp(prefix="rce-bench-"))
     directory.mkdir(parents=True, exist_ok=True)
-    result = await measure(directory, Plan(seed, args.events, 60 * args.minutes), _show_faults)
+    yield directory
     if args.dir is None:
-        shutil.rmtree(directory)  # it remains after a failure, which names its files
-    print(json.dumps(chaos_report.as_data(result)) if args.json else chaos_report.as_text(result))
+        shutil.rmtree(directory)
 
 
 @_command

@@ -8,13 +8,13 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
+from rce.bench.network.bridge import Network
 from rce.client import Environment, Publisher, Robot, Subscriber
 from rce.errors import TimedOut
 from rce.net.certificates import Authority
 from rce.protocol.messages import EnvironmentEvent, Qos
 from tests.support.certificates import certify
 from tests.support.e2e.machines import Host, Machines
-from tests.support.e2e.namespaces import Network
 from tests.support.e2e.real_platform import USER, until
 from tests.support.e2e.traffic import Traffic, next_event
 

@@ -57,7 +57,7 @@ class Looks:
 
     results: list[Found | Exception]
 
-    def __call__(self, platform: object) -> Found:
+    def __call__(self) -> Found:
         result = self.results.pop(0) if len(self.results) > 1 else self.results[0]
         if isinstance(result, Exception):
             raise result
@@ -65,10 +65,8 @@ class Looks:
 
 
 async def settled(monkeypatch: pytest.MonkeyPatch, *results: Found | Exception) -> float:
-    monkeypatch.setattr(audit, "look", Looks(list(results)))
     monkeypatch.setattr(audit, "POLL_INTERVAL", 0)
-    platform: Any = None
-    return await settle(EXPECTED, platform)
+    return await settle(EXPECTED, Looks(list(results)))
 
 
 async def test_platform_may_take_a_while_to_agree(monkeypatch: pytest.MonkeyPatch) -> None:
