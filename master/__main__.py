@@ -91,6 +91,9 @@ class Settings(Struct):
     machines: Annotated[str, Meta(description="Twisted server endpoint where machines join (tcp:8081); needs tls")] = ""
     authority_key: Annotated[str, Meta(description="PEM file: the key of ca.pem, which signs their certificates")] = ""
     address: Annotated[str, Meta(description="HOST by which other machines reach this Master, for join codes")] = ""
+    masters: Annotated[
+        list[str], Meta(description="HOSTs of all Masters with this database, for machines that join; empty: address")
+    ] = []
     source: Annotated[str, Meta(description="archive of RCE that machines may fetch where they join")] = ""
     tokens: Annotated[list[str], Meta(description="one-time join tokens role:process:token of processes to come")] = []
 
@@ -230,7 +233,9 @@ def _enrolment_server(options: Settings, join_tokens: JoinTokens) -> EnrolmentSe
     if not (options.tls and options.authority_key and options.address):
         raise InvalidRequest("machines can join with the settings tls, authority_key and address only")
     authority = Authority.load(options.tls / CA, Path(options.authority_key))
-    registrar = Registrar(join_tokens, authority, f"{options.address}:{port_of(options.control)}")
+    port = port_of(options.control)
+    addresses = ",".join(f"{host}:{port}" for host in options.masters or [options.address])
+    registrar = Registrar(join_tokens, authority, addresses)
     try:
         return EnrolmentServer(registrar, Path(options.source) if options.source else None)
     except OSError as error:

@@ -32,6 +32,8 @@ OVERRIDES = {  # option: the settings that it overrides
     "allow_unisolated": {"allow_unisolated"},
     "size": {"size"},
     "certificate": {"http", "certificate", "private_key", "trust"},
+    "database": {"database"},
+    "masters": {"masters", "master", "entry"},
 }
 FROM_THE_MASTER = {"master", "token", "name", "data_address"}
 
@@ -60,6 +62,11 @@ class Installation:
         return default if value is None else str(value)
 
     @property
+    def masters(self) -> list[str]:
+        """Hosts of the Masters, if there are several."""
+        return masters(self.option("masters", ""))
+
+    @property
     def engine(self) -> str:
         """Engine of environments."""
         return self.option("engine", "docker")
@@ -68,6 +75,11 @@ class Installation:
     def uses_docker(self) -> bool:
         """True if the engine needs Docker."""
         return self.engine in DOCKER
+
+
+def masters(text: str) -> list[str]:
+    """Return the hosts in a text that separates them by commas."""
+    return [host.strip() for host in text.split(",") if host.strip()]
 
 
 def settings(installation: Installation, system: System) -> dict[str, Settings]:
@@ -134,6 +146,8 @@ def _toml(value: Value) -> str:
 def _master(installation: Installation) -> Settings:
     return {
         "data_dir": f"{VAR}/master",
+        "database": installation.option("database", ""),
+        "masters": installation.masters,
         "http": _https(installation),
         "control": f"tcp:{CONTROL_PORT}",
         "tls": TLS,
@@ -189,13 +203,14 @@ def _container(installation: Installation) -> Settings:
 def _web(name: str, installation: Installation) -> Settings:
     """Return the defaults of a web service. Jobs of the map service connect as robots to all Robot endpoints."""
     certificate, key = _certificate(installation)
+    port = installation.option("http_port", str(HTTP_PORT))
     as_robots: Settings = {
-        "entry": f"https://127.0.0.1:{installation.option('http_port', str(HTTP_PORT))}/",
+        "entry": ",".join(f"https://{host}:{port}/" for host in installation.masters or ["127.0.0.1"]),
         "trust": installation.option("certificate", f"{TLS}/ca.pem"),
     }
     return {
         "data_dir": f"{VAR}/{name}",
-        "master": f"tcp:127.0.0.1:{CONTROL_PORT}",
+        "master": _control(installation),
         "token": "",
         "tls": TLS,
         **(as_robots if name == MAPS else {}),
@@ -207,9 +222,14 @@ def _web(name: str, installation: Installation) -> Settings:
     }
 
 
+def _control(installation: Installation) -> str:
+    """Return the control addresses of the Masters, by default of that on this machine."""
+    return ",".join(f"tcp:{host}:{CONTROL_PORT}" for host in installation.masters or ["127.0.0.1"])
+
+
 def _common(installation: Installation, role: str) -> Settings:
     return {
-        "master": f"tcp:127.0.0.1:{CONTROL_PORT}",
+        "master": _control(installation),
         "token": "",
         "tls": TLS,
         "data_host": "0.0.0.0",
@@ -222,7 +242,7 @@ def _membership(membership: Mapping[str, Any], role: str) -> Settings:
     if role not in membership.get("tokens", {}):
         return {}
     return {
-        "master": f"tcp:{membership['master']}",
+        "master": ",".join(f"tcp:{each}" for each in membership["master"].split(",")),
         "token": membership["tokens"][role],
         "name": membership["names"][role],
         "data_address": membership["address"],

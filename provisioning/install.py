@@ -18,7 +18,10 @@ from provisioning.system_steps import account_steps, certificate_step, package_s
 if TYPE_CHECKING:
     from provisioning.steps import Commands
 
-OPTIONS = ("address", "http_port", "ws_port", "engine", "allow_unisolated", "size", "certificate", "private_key")
+OPTIONS = (
+    *("address", "http_port", "ws_port", "engine", "allow_unisolated", "size", "certificate", "private_key"),
+    *("database", "masters"),
+)
 
 
 def install(options: argparse.Namespace, rest: list[str]) -> int:
@@ -71,6 +74,14 @@ def add_commands(commands: Commands) -> None:
         help="PEM file of the certificate for robots (default: by the machine's own CA)",
     )
     command.add_argument("--private-key", metavar="FILE", help="PEM file of its key")
+    command.add_argument(
+        "--database", metavar="URL", help="PostgreSQL for the Master, as `postgresql` prints it (default: SQLite)"
+    )
+    command.add_argument(
+        "--masters",
+        metavar="HOSTS",
+        help="addresses of all Masters of the platform, comma-separated: the first has its services, too",
+    )
     command.add_argument("--no-images", action="store_true", help="build no images for the engine docker")
     command.add_argument("--no-start", action="store_true", help="do not start the services")
 
@@ -84,7 +95,6 @@ def planned_installation(options: argparse.Namespace, system: System) -> Install
     code = joincode.parse(options.join) if options.join else None
     installed = system.roles()
     roles = _roles(options.role) or (code.roles if code else installed or ROLES)
-    with_services = {*roles, *installed, *(WEB_SERVICES if "master" in roles else [])}
     if code is not None and not set(roles) <= set(code.roles):
         raise ProvisioningError(
             f"this join code is for {', '.join(code.roles)}: make one for {', '.join(roles)}, or omit --role"
@@ -103,11 +113,32 @@ def planned_installation(options: argparse.Namespace, system: System) -> Install
     engine = str(options.engine or found.get("container", {}).get("engine", "docker"))
     name = code.name if code else options.name or found.get("container", {}).get("name") or socket.gethostname()
     address = options.address or found.get("master", {}).get("address") or own_address()
+    masters = _masters(options, found.get("master", {}), str(address))
+    with_services = {*roles, *installed}
+    if "master" in roles and (not masters or masters[0] == address):
+        with_services |= set(WEB_SERVICES)
     # Roles that are installed already are kept.
     merged = tuple(role for role in SERVICES if role in with_services)
     installation = Installation(merged, str(name), str(address), {**given, "engine": engine}, code)
     summary.check_ports(installation)
     return installation
+
+
+def _masters(options: argparse.Namespace, found: configuration.Settings, address: str) -> list[str]:
+    """Return the hosts of all Masters, if there are several.
+
+    Raises:
+        ProvisioningError: They have no database that they can share, or this machine is none of them.
+    """
+    if not options.masters:
+        kept = found.get("masters", [])
+        return kept if isinstance(kept, list) else []
+    masters = configuration.masters(options.masters)
+    if not str(options.database or found.get("database", "")).startswith("postgresql"):
+        raise ProvisioningError("several Masters share a PostgreSQL: add --database with the URL of it")
+    if address not in masters:
+        raise ProvisioningError(f"--masters has not the address of this machine, {address}: see --address")
+    return masters
 
 
 def _check_isolation(options: argparse.Namespace, roles: Sequence[str], joins: bool) -> None:
@@ -136,7 +167,8 @@ def install_steps(system: System, installation: Installation, options: argparse.
         raise ProvisioningError(
             f"this is {' '.join(system.release()) or 'an unknown system'}; provision supports {known}"
         )
-    extras = release.required_extras(installation.roles, installation.engine)
+    database = installation.option("database", str(configuration.read(system, "master").get("database", "")))
+    extras = release.required_extras(installation.roles, installation.engine, database)
     steps = [
         package_step(system, installation),
         *account_steps(system, installation.roles),

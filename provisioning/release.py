@@ -32,11 +32,13 @@ TYPESUPPORT = f"{OPT}/typesupport"
 SOURCE = "source.tar.gz"  # the release's source, which new machines can fetch from the Master
 
 
-def required_extras(roles: Collection[str], engine: str) -> list[str]:
-    """Return the extras of RCE that these roles need."""
+def required_extras(roles: Collection[str], engine: str, database: str = "") -> list[str]:
+    """Return the extras of RCE that these roles need; `database` is the URL of the Master's."""
     extras = {extra for role in roles for extra in EXTRAS[role]}
     if "container" in roles:
         extras |= {"docker"} if engine in DOCKER else {"ros", "mapping", "mapping3d"}
+    if "master" in roles and database.startswith("postgresql"):
+        extras.add("postgresql")
     return sorted(extras)
 
 

@@ -112,7 +112,10 @@ def port_of(description: str) -> str:
 
 
 class Registrar:
-    """Admits invited machines, and tells them the address (HOST:PORT) for their control connections."""
+    """Admits invited machines, and tells them the address (HOST:PORT) for their control connections.
+
+    Addresses of several Masters are separated by commas.
+    """
 
     def __init__(self, join_tokens: JoinTokens, authority: Authority, address: str) -> None:
         self.authority = authority

@@ -103,3 +103,30 @@ def test_malformed_settings_file_is_refused(debian: System) -> None:
     debian.path("/etc/rce/master.toml").write_text("= nonsense")
     with pytest.raises(ProvisioningError, match=r"master\.toml: .*correct it"):
         planned(debian)
+
+
+HA = ("--database", "postgresql+psycopg://rce:secret@db/rce", "--masters", "10.0.0.1,10.0.0.2")
+BOTH = "tcp:10.0.0.1:8080,tcp:10.0.0.2:8080"
+
+
+def test_first_of_two_masters_has_the_services_and_all_know_both(debian: System) -> None:
+    values = write_settings(debian, "--name", "alpha", "--address", "10.0.0.1", *HA)
+    assert set(values) == {"master", "robot", "container", "map-service", "knowledge-service"}
+    assert values["master"]["database"] == HA[1]
+    assert values["master"]["masters"] == ["10.0.0.1", "10.0.0.2"]
+    assert {values[role]["master"] for role in values.keys() - {"master"}} == {BOTH}
+    assert values["map-service"]["entry"] == "https://10.0.0.1:9000/,https://10.0.0.2:9000/"
+    assert write_settings(debian) == values
+    loaded = settings.load(MasterSettings, "master", ["--config", str(debian.path("/etc/rce/master.toml"))], {})
+    assert loaded.masters == ["10.0.0.1", "10.0.0.2"]
+
+
+def test_standby_is_a_master_only(debian: System) -> None:
+    values = write_settings(debian, "--role", "master", "--name", "beta", "--address", "10.0.0.2", *HA)
+    assert set(values) == {"master"}
+    assert set(write_settings(debian)) == {"master"}
+
+
+def test_machine_that_joins_two_masters_knows_both(debian: System) -> None:
+    membership = {"master": "a:8080,b:8080", "address": "c", "tokens": {"robot": "t"}, "names": {"robot": "n"}}
+    assert configuration._membership(membership, "robot")["master"] == "tcp:a:8080,tcp:b:8080"

@@ -68,3 +68,15 @@ def test_master_cannot_join_another(debian: System) -> None:
     write_settings(debian, "--role", "master")
     with pytest.raises(ProvisioningError, match="has a Master of its own"):
         planned(debian, "--join", join_code("container"))
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["--masters", "a,b", "--address", "a"], "several Masters share a PostgreSQL: add --database"),
+        (["--masters", "a,b", "--address", "c", "--database", "postgresql+psycopg://x"], "has not the address of this"),
+    ],
+)
+def test_masters_that_cannot_work_together_are_refused(debian: System, words: list[str], reason: str) -> None:
+    with pytest.raises(ProvisioningError, match=reason):
+        planned(debian, *words)

@@ -35,3 +35,9 @@ def test_switch_removes_old_releases(tmp_path: Path) -> None:
     assert release.installed_release(System(tmp_path)) == "r3"
     assert len(list(releases.iterdir())) == release.KEPT
     assert (releases / "r2").exists()
+
+
+def test_master_with_postgresql_needs_its_client() -> None:
+    assert "postgresql" in release.required_extras(["master"], "docker", "postgresql+psycopg://x")
+    assert "postgresql" not in release.required_extras(["master"], "docker")
+    assert "postgresql" not in release.required_extras(["robot"], "docker", "postgresql+psycopg://x")

@@ -25,7 +25,7 @@ from rce.client import Robot
 from rce.errors import RceError
 
 AUDIT_EVERY = 10  # faults
-PAUSE = 0.0, 2.0  # seconds between a recovery and the next fault
+PAUSE = 0.0, 0.5  # seconds between a recovery and the next fault
 TAKE_OVER_LIMIT = 60.0  # seconds until a Master must lead; what it took is in the result
 TAIL, LOG_TAIL = 40, 60  # lines that a failure shows
 PROBE = "probe"
