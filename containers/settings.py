@@ -67,7 +67,7 @@ class Settings(Struct, frozen=True):
     ] = None
     host: Annotated[str, Meta(description="identity of this machine; empty: detected")] = ""
     entry: Annotated[
-        str, Meta(description="URL of the Master's HTTP entry, for users' packages; empty: on the host of `master`")
+        str, Meta(description="URLs of the Masters' HTTP entries, for users' packages; empty: on the hosts of `master`")
     ] = ""
     size: Annotated[int, Meta(ge=1, description="slots for environments on this machine")] = 10
     gpus: Annotated[int, Meta(ge=0, description="docker engine: number of GPUs for environments")] = 0

@@ -39,9 +39,9 @@ class Settings(Struct):
 
     data_dir: Annotated[Path, Meta(description="directory for the credential and the data socket")]
     name: Annotated[str, Meta(description="name of this Robot endpoint, unique in the platform")] = "robot-1"
-    master: Annotated[str, Meta(description="Twisted client endpoint of the Master's control port")] = (
-        "tcp:127.0.0.1:8080"
-    )
+    master: Annotated[
+        str, Meta(description="Twisted client endpoint of the Master's control port; of several: comma-separated")
+    ] = "tcp:127.0.0.1:8080"
     token: Annotated[str, Meta(description="one-time join token; better given as RCE_TOKEN")] = ""
     ws_host: Annotated[str, Meta(description="address on which to serve robots")] = "127.0.0.1"
     ws_port: Annotated[int, Meta(ge=0, le=65535, description="port for robots; 0: any free one")] = 9010

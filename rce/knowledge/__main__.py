@@ -26,9 +26,9 @@ class Settings(Struct):
     """Knowledge service: keeps action recipes, objects and environments that robots share."""
 
     data_dir: Annotated[Path, Meta(description="directory for the repository and the credential")]
-    master: Annotated[str, Meta(description="Twisted client endpoint of the Master's control port")] = (
-        "tcp:127.0.0.1:8080"
-    )
+    master: Annotated[
+        str, Meta(description="Twisted client endpoint of the Master's control port; of several: comma-separated")
+    ] = "tcp:127.0.0.1:8080"
     token: Annotated[str, Meta(description="one-time join token; better given as RCE_TOKEN")] = ""
     tls: Annotated[
         Path | None, Meta(description="directory with ca.pem, cert.pem and key.pem for the connection to the Master")

@@ -28,9 +28,9 @@ class Settings(Struct):
     """Map service: accepts recordings, maps them in environments of their users, and keeps the results."""
 
     data_dir: Annotated[Path, Meta(description="directory for uploads, jobs and the credential")]
-    master: Annotated[str, Meta(description="Twisted client endpoint of the Master's control port")] = (
-        "tcp:127.0.0.1:8080"
-    )
+    master: Annotated[
+        str, Meta(description="Twisted client endpoint of the Master's control port; of several: comma-separated")
+    ] = "tcp:127.0.0.1:8080"
     entry: Annotated[str, Meta(description="URL of the robots' HTTP entry, at which jobs connect to the platform")] = (
         "http://127.0.0.1:9000/"
     )
