@@ -25,6 +25,7 @@ from converters.scalars import FieldError
 from converters.wire import Buffer, Incoming, Outgoing, Wire
 from converters.writer import MAX_CDR, Writers, image_source
 from rce.errors import ConversionError
+from rce.protocol.messages import Decimation
 
 LITTLE_ENDIAN = b"\x00\x01"
 HEADER = LITTLE_ENDIAN + b"\x00\x00"  # encapsulation header: plain CDR, XCDR version 1, no options
@@ -41,7 +42,9 @@ class Recipe(msgspec.Struct, frozen=True):
         image_format: Format in which it produces images.
         added: Definitions that are not common, by name.
         dialect: Form of what it reads and writes.
-        converter: What converts instead: `ros1`, or the name of a user's converter; empty for JSON.
+        converter: What converts instead: `ros1`, `cdr`, or the name of a user's converter; empty for JSON.
+        fields: Paths of the fields that messages for a robot have; empty for all.
+        decimate: Decimation of messages for a robot.
     """
 
     name: str
@@ -49,6 +52,8 @@ class Recipe(msgspec.Struct, frozen=True):
     added: tuple[tuple[str, Definition], ...] = ()
     dialect: Dialect = "plain"
     converter: str = ""
+    fields: tuple[str, ...] = ()
+    decimate: Decimation = Decimation()
 
 
 class Codec:

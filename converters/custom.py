@@ -58,13 +58,26 @@ class Converter(ABC):
 
 
 class CustomCodec:
-    """Codec of a type that uses a user's converter."""
+    """Codec of a type that uses a user's converter.
+
+    Attributes:
+        recipe: What another process needs to make the same codec.
+    """
 
     def __init__(self, codec: Codec, converter: Converter) -> None:
+        self.recipe = msgspec.structs.replace(codec.recipe, converter=converter.name)
         self._message = codec.message
         self._converter = converter
         self._write = Writers().top(codec.message)
         self._read = Readers("json", number=_unchanged).top(codec.message)
+
+    def encodes_fast(self, wire: Wire) -> bool:
+        """Return False: nobody knows how long it takes."""
+        return False
+
+    def decodes_fast(self, cdr: Buffer) -> bool:
+        """Return False: nobody knows how long it takes."""
+        return False
 
     def encode(self, wire: Wire) -> bytes:
         """Convert a message of the robot to CDR.

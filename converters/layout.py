@@ -24,6 +24,7 @@ class Leaf(NamedTuple):
     attrs: tuple[str, ...]
     path: str
     code: str
+    wanted: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +112,6 @@ def _leaves(message: Message, attrs: tuple[str, ...], path: str) -> Iterator[Lea
         if nested := member.inlined:
             yield from _leaves(nested, here, name)
         elif member.type.shape is Shape.SINGLE and not member.type.nested and member.type.base not in STRINGS:
-            yield Leaf(here, name, CODES[member.type.base])
+            yield Leaf(here, name, CODES[member.type.base], member.wanted)
         else:
             yield Item(here, name, member)

@@ -37,11 +37,15 @@ Lookup: TypeAlias = Callable[[str], Definition]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Member:
-    """Field of a message with its attribute name and, for a nested type, its message."""
+    """Field of a message with its attribute name and, for a nested type, its message.
+
+    An unwanted field is part of the layout, but readers skip it (`selection`).
+    """
 
     field: Field
     attr: str
     message: Message | None
+    wanted: bool = True
 
     @property
     def type(self) -> FieldType:

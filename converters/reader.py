@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator
-from itertools import islice
+from itertools import compress, islice
 from math import isfinite
 from typing import TypeAlias
 
@@ -53,8 +53,8 @@ class Readers:
         self._short = _SHORT if dialect == "original" else {}
         self._number = _NUMBERS.get(dialect, number)
         self._cbor = dialect == "cbor"
-        self._structs: dict[str, Callable[..., object]] = {}
-        self._nested: dict[str, Read] = {}
+        self._structs: dict[Message, Callable[..., object]] = {}
+        self._nested: dict[Message, Read] = {}
 
     def top(self, message: Message) -> Read:
         """Return the reader of a message at the beginning of the buffer; a top-level image is not encoded."""
@@ -62,12 +62,12 @@ class Readers:
 
     def nested(self, message: Message) -> Read:
         """Return the reader of a message at any position."""
-        if message.name not in self._nested:
+        if message not in self._nested:
             read = self._read(message, top=False)
             if message.name == IMAGE and self._format != "json":  # read plainly: the file needs the stamp as numbers
                 read = image_reader(Readers(self._format)._read(message, top=False), self._format)
-            self._nested[message.name] = read
-        return self._nested[message.name]
+            self._nested[message] = read
+        return self._nested[message]
 
     def _read(self, message: Message, *, top: bool) -> Read:
         steps = [(step.path if isinstance(step, Item) else "", self._step(step)) for step in layout(message, top=top)]
@@ -91,31 +91,35 @@ class Readers:
         if isinstance(step, Run):
             return _run(step, self._number)
         member = step.member
+        if not member.wanted:
+            return _skipped(member, self._read(member.message, top=False) if member.message else None)
         if member.message is None:
             return _primitive(member, self._number, self._cbor)
         return _nested(member, self.nested(member.message))
 
     def _builder(self, message: Message) -> Build:
-        if message.name in self._short:
+        wanted = [m for m in message.members if m.wanted]
+        if message.name in self._short and len(wanted) == len(message.members):
             short = self._short[message.name]
             return lambda values: short(next(values), next(values))  # type: ignore[arg-type]
         new = self._struct(message)
-        builders = [self._builder(m.inlined) if m.inlined else None for m in message.members]
+        builders = [self._builder(m.inlined) if m.inlined else None for m in wanted]
         count = len(builders)
         if not any(builders):
             return lambda values: new(*islice(values, count))
         return lambda values: new(*[build(values) if build else next(values) for build in builders])
 
     def _struct(self, message: Message) -> Callable[..., object]:
-        if message.name not in self._structs and self._cbor:
-            self._structs[message.name] = cbor.map_of([m.field.name for m in message.members])
-        elif message.name not in self._structs:
+        wanted = [m for m in message.members if m.wanted]
+        if message not in self._structs and self._cbor:
+            self._structs[message] = cbor.map_of([m.field.name for m in wanted])
+        elif message not in self._structs:
             as_blob = IMAGE if self._format != "json" else ""
-            keys = {m.attr: m.field.name + ("*" if m.type.base == as_blob else "") for m in message.members}
-            fields = [(m.attr, object) for m in message.members]
+            keys = {m.attr: m.field.name + ("*" if m.type.base == as_blob else "") for m in wanted}
+            fields = [(m.attr, object) for m in wanted]
             new = msgspec.defstruct(message.name.rpartition("/")[2], fields, rename=keys, gc=False)
-            self._structs[message.name] = new
-        return self._structs[message.name]
+            self._structs[message] = new
+        return self._structs[message]
 
 
 def image_reader(read: Read, image_format: PictureFormat) -> Read:
@@ -135,6 +139,7 @@ def image_reader(read: Read, image_format: PictureFormat) -> Read:
 def _run(run: Run, number: Number) -> Step:
     mask, unpack, size = run.mask, run.struct.unpack_from, run.struct.size
     has_floats = any(leaf.code in "fd" for leaf in run.leaves)
+    wanted = [leaf.wanted for leaf in run.leaves]
 
     def step(data: memoryview, pos: int, values: list[object], blobs: Outgoing) -> int:
         pos += -pos & mask
@@ -142,7 +147,13 @@ def _run(run: Run, number: Number) -> Step:
         values += found if not has_floats or isfinite(sum(found)) else map(number, found)
         return pos + size
 
-    return step
+    def step_of_some(data: memoryview, pos: int, values: list[object], blobs: Outgoing) -> int:
+        some: list[object] = []
+        pos = step(data, pos, some, blobs)
+        values += compress(some, wanted)
+        return pos
+
+    return step if all(wanted) else step_of_some
 
 
 def _length(data: memoryview, pos: int, smallest: int) -> tuple[int, int]:
@@ -216,6 +227,31 @@ def _elements(member: Member, smallest: int, read: Read) -> Step:
         return pos
 
     return step
+
+
+def _skipped(member: Member, read: Read | None) -> Step:
+    """Return the step over a field that nobody wants; `read` is the reader of its message, if it has one."""
+    kind = member.type
+    smallest = member.message.smallest if member.message else struct.calcsize(CODES.get(kind.base, "I"))
+    counted = (lambda data, pos: (1, pos)) if kind.shape is Shape.SINGLE else _counted(member, smallest)
+    unit = 2 if kind.base == "wstring" else 1
+
+    def numbers(data: memoryview, pos: int, values: list[object], blobs: Outgoing) -> int:
+        count, pos = counted(data, pos)
+        pos += -pos & (smallest - 1) if count else 0
+        return pos + len(_slice(data, pos, count * smallest))
+
+    def parts(data: memoryview, pos: int, values: list[object], blobs: Outgoing) -> int:
+        count, pos = counted(data, pos)
+        for _ in range(count):
+            if read is not None:
+                pos = read(data, pos, blobs)[1]
+            else:
+                size, pos = _length(data, pos, unit)
+                pos += size * unit
+        return pos
+
+    return numbers if kind.base in CODES else parts
 
 
 def _text(data: memoryview, pos: int) -> tuple[str, int]:

@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import IntEnum
 from time import perf_counter
+from typing import Any
 
 from endpoints.memory import uninitialized
 from rce.errors import LimitExceeded
@@ -68,6 +69,7 @@ class Message:
         numbered: True if the platform gave the message id to a message that had none.
         phase: Phase of a message of an action; its `msg_id` is the goal's UUID in hex digits.
         entered_at: `time.perf_counter` when the message came into this process; not transmitted.
+        conversions: What this process has made of the payload, by form, for all who want the same; not transmitted.
 
     Raises:
         LimitExceeded: The payload is too large for a data link.
@@ -81,6 +83,7 @@ class Message:
     phase: Phase = Phase.NONE
     numbered: bool = False
     entered_at: float = field(default_factory=perf_counter, compare=False, repr=False)
+    conversions: dict[Any, Any] = field(default_factory=dict, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         if len(self.payload) > MAX_MESSAGE:  # here, where its sender can be told: the other end would break the link

@@ -214,6 +214,7 @@ class Guest:
         form: Literal["Converter", "Forwarder"] = "Converter",
         format: str = "rosbridge",
         qos: m.Qos = m.Qos(),  # noqa: B008  # immutable
+        delivery: m.Delivery = m.Delivery(),  # noqa: B008  # immutable
     ) -> Use:
         """Begin to use a topic, service or action.
 
@@ -226,6 +227,7 @@ class Guest:
             form: Form of the guest's interface.
             format: Its format.
             qos: Quality of service of the environment's interface; its depth is that of the guest's, too.
+            delivery: Treatment of the messages on the line to the client.
 
         Raises:
             LimitExceeded: Too many operations are in progress.
@@ -237,7 +239,7 @@ class Guest:
         inner = f"{robot}.{use.tag}"
         interfaces = [
             m.AddInterface(self.environment, inner, kind.environment, type, address, qos),
-            m.AddInterface(robot, use.tag, kind.own + form, type, qos=m.Qos(depth=qos.depth), format=format),
+            m.AddInterface(robot, use.tag, kind.own + form, type, "", m.Qos(depth=qos.depth), format, delivery),
         ]
         connection = m.Connect(f"{self.environment}/{inner}", f"{robot}/{use.tag}")
         self.run(self._make(use, interfaces, connection))

@@ -12,12 +12,13 @@ from typing import NamedTuple, cast
 from msgspec import UNSET
 
 from converters import Recipe, Wire
+from converters.reduction import AnyCodec as Codec
 from endpoints.data.frames import Message, Phase
 from endpoints.data.goals import MAX_FEEDBACK, MAX_GOALS, Goals, check_goal_id
 from endpoints.data.hops import HopRecorder
 from endpoints.data.interface import error_of
 from endpoints.data.link import Link
-from endpoints.robot.conversion import Codec, Outgoing
+from endpoints.robot.conversion import Outgoing
 from endpoints.robot.formats import Codecs
 from endpoints.robot.interfaces import RobotInterface
 from endpoints.robot.session import RobotSession

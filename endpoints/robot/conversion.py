@@ -4,37 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any
 
-from converters import Recipe, Wire
+from converters import Wire
+from converters.reduction import AnyCodec as Codec
 from endpoints.data.frames import Message
-from endpoints.robot.worker import data_frame
 from endpoints.robot.workers import Workers
 from rce.errors import RceError
 from rce.net.outbox import Outbox, Owner
 from rce.protocol.blobs import Buffer
-
-
-class Codec(Protocol):
-    """Conversion between the robot's representation of a message and CDR."""
-
-    @property
-    def recipe(self) -> Recipe:
-        """Return the description from which a worker makes the same codec."""
-
-    def encodes_fast(self, wire: Wire) -> bool:
-        """Return True if `encode` takes a few milliseconds at most."""
-
-    def decodes_fast(self, cdr: Buffer) -> bool:
-        """Return True if `decode` takes a few milliseconds at most."""
-
-    def encode(self, wire: Wire) -> Buffer:
-        """Convert a message of the robot to CDR; raise ConversionError if it does not fit its type."""
-
-    def decode(self, cdr: Buffer) -> Wire:
-        """Convert CDR to a message for the robot."""
 
 
 class FromRobot:
@@ -79,6 +59,30 @@ class FromRobot:
             self._last = None
 
 
+class SharedConversion:
+    """Conversion of a message to one form, for all who want it in this form.
+
+    Attributes:
+        abandoned: True if it was cancelled, because nobody waited for it any more.
+    """
+
+    def __init__(self, work: Coroutine[Any, Any, Wire]) -> None:
+        self.abandoned = False
+        self._task = asyncio.create_task(work)
+        self._waiting = 0
+
+    async def result(self) -> Wire:
+        """Return the converted message; raises the error of the conversion."""
+        self._waiting += 1
+        try:
+            return await asyncio.shield(self._task)
+        finally:
+            self._waiting -= 1
+            if not self._waiting and not self._task.done():
+                self.abandoned = True
+                self._task.cancel()
+
+
 @dataclass(frozen=True, slots=True)
 class Outgoing:
     """A message to a robot before its conversion.
@@ -97,10 +101,26 @@ class Outgoing:
     keep: int | None
     until: float = math.inf
 
+    def frame(self, wire: Wire) -> tuple[Buffer, Mapping[str, Buffer]]:
+        """Return the text frame and the blobs of the converted message."""
+        key = b',"msg*":' if wire.is_blob else b',"msg":'
+        return b"".join((self.start, key, wire.raw, b"}}")), wire.blobs
+
     def convert(self) -> tuple[Buffer, Mapping[str, Buffer]]:
         """Return the text frame and the blobs; raises ConversionError."""
-        wire = self.codec.decode(self.message.payload)
-        return data_frame(self.start, wire), wire.blobs
+        return self.frame(self.codec.decode(self.message.payload))
+
+    async def convert_by(self, workers: Workers, user: str) -> tuple[Buffer, Mapping[str, Buffer]]:
+        """Return the text frame and the blobs; the workers convert a message once for all who want it in this form.
+
+        Raises:
+            ConversionError: The bytes are not a message of the type.
+            LimitExceeded: The conversion takes too much time or memory.
+        """
+        shared, recipe = self.message.conversions, self.codec.recipe
+        if recipe not in shared or shared[recipe].abandoned:
+            shared[recipe] = SharedConversion(workers.decode(user, recipe, self.message.payload))
+        return self.frame(await shared[recipe].result())
 
 
 class ToRobot:
@@ -170,7 +190,7 @@ class ToRobot:
             if outgoing.codec.decodes_fast(payload):
                 frame, blobs = outgoing.convert()
             else:
-                frame, blobs = await self._workers.decode(self._user, outgoing.codec.recipe, payload, outgoing.start)
+                frame, blobs = await outgoing.convert_by(self._workers, self._user)
         except RceError as error:
             self._task = None
             self._failed(outgoing, error)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import uuid
 from collections.abc import Callable, Sequence
 from typing import Literal, NoReturn
 
@@ -11,10 +10,12 @@ from msgspec import Struct
 
 from converters import Codec as JsonCodec
 from converters import Recipe, Wire
+from converters.cdr import CDR, CdrCodec
 from converters.custom_files import Description
 from converters.dialect import Dialect
-from converters.ros1 import ROS1, Ros1Codec, one_blob
-from endpoints.robot.conversion import Codec
+from converters.reduction import ALL, ReducedCodec
+from converters.reduction import AnyCodec as Codec
+from converters.ros1 import ROS1, Ros1Codec
 from endpoints.robot.session import RobotSession
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import ConversionError, InvalidRequest, RceError
@@ -30,30 +31,21 @@ Codecs = Callable[[], Codec]
 """Returns the codec for the present features of the robot."""
 
 
-class PassThroughCodec:
+class PassThroughCodec(CdrCodec):
     """Codec of Forwarders, for which the blob of a message is its CDR.
 
     Other bytes reach the Forwarders of other robots, as with the original, but nobody else; the robot is told once.
     """
 
-    recipe = Recipe("", "json")  # for no worker
-
     def __init__(self, tag: str, report: Callable[[RceError], None]) -> None:
+        super().__init__(Recipe("", "json"))  # for no worker
         self._tag = tag
         self._report = report
         self._reported = False
 
-    def encodes_fast(self, wire: Wire) -> bool:
-        """Return True: nothing is converted."""
-        return True
-
-    def decodes_fast(self, cdr: Buffer) -> bool:
-        """Return True: nothing is converted."""
-        return True
-
     def encode(self, wire: Wire) -> Buffer:
         """Return the blob of a message; raise InvalidRequest if it is not exactly one blob."""
-        blob = one_blob(wire)
+        blob = super().encode(wire)
         if not self._reported and (len(blob) < 4 or bytes(blob[:2]) not in ENCAPSULATIONS):
             self._reported = True
             self._report(
@@ -65,11 +57,6 @@ class PassThroughCodec:
                 )
             )
         return blob
-
-    def decode(self, cdr: Buffer) -> Wire:
-        """Return the CDR as a blob with a new id."""
-        name = uuid.uuid4().hex
-        return Wire(True, b'"%b"' % name.encode(), {name: cdr})
 
 
 class WorkerCodec:
@@ -120,6 +107,10 @@ class Formats(Struct, frozen=True):
             InvalidRequest: There is no such format for this interface.
             UnknownType: The type is not known, and its messages are converted.
         """
+        forms = self._forms(spec, session, codec)
+        return _reduced(spec, codec, forms) if spec.delivery.fields or spec.delivery.decimate != ALL else forms
+
+    def _forms(self, spec: InterfaceSpec, session: RobotSession, codec: Callable[[Dialect], JsonCodec]) -> Codecs:
         if spec.kind.endswith("Forwarder"):
             return self._of_forwarder(spec, session, codec)
         if spec.format in FOREIGN:
@@ -159,3 +150,25 @@ class Formats(Struct, frozen=True):
             return None
         fitting = [each for each in self.custom if each.type == parse_type(spec.type).msg]
         return next((e.name for e in fitting if e.name == spec.format or (e.default and spec.format == DEFAULT)), None)
+
+
+def _reduced(spec: InterfaceSpec, codec: Callable[[Dialect], JsonCodec], forms: Codecs) -> Codecs:
+    """Return codecs that make messages smaller first; raise InvalidRequest if the type has no such parts."""
+    made: dict[int, tuple[Codec, Codec]] = {}  # by identity of the form: features decide which one is used
+
+    def find() -> Codec:
+        form = forms()
+        if id(form) not in made:
+            made[id(form)] = form, _make_reduced(spec, codec, form)
+        return made[id(form)][1]
+
+    find()
+    return find
+
+
+def _make_reduced(spec: InterfaceSpec, codec: Callable[[Dialect], JsonCodec], form: Codec) -> Codec:
+    plain = codec("plain")
+    if isinstance(form, PassThroughCodec):
+        form = CdrCodec(msgspec.structs.replace(plain.recipe, converter=CDR))
+    delivery, base = spec.delivery, form if isinstance(form, JsonCodec) else plain
+    return ReducedCodec(base, form, delivery.fields, delivery.decimate)

@@ -16,11 +16,12 @@ import msgspec
 from msgspec import UNSET
 
 from converters import Wire
+from converters.reduction import AnyCodec as Codec
 from endpoints.data.frames import Message
 from endpoints.data.hops import HopRecorder
 from endpoints.data.interface import Interface, error_of
 from endpoints.data.link import Link
-from endpoints.robot.conversion import Codec, FromRobot, Outgoing, ToRobot
+from endpoints.robot.conversion import FromRobot, Outgoing, ToRobot
 from endpoints.robot.formats import Codecs
 from endpoints.robot.pace import Pace
 from endpoints.robot.session import Piece, RobotSession

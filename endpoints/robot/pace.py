@@ -1,20 +1,27 @@
-"""Pace of a topic for one receiver: at most one message in an interval, before any is converted."""
+"""Pace of a topic for one receiver: at most one message in an interval, before any is converted.
+
+Intervals begin at the same times for all receivers, at multiples of their length. So receivers at the same rate get the
+same messages, each of which is converted once for all of them.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import math
 from collections import deque
 from collections.abc import Callable
 
 from endpoints.data.frames import Message
 from rce.net.budget import OVERHEAD, Budget
 
+EARLY = 0.05  # intervals
+
 
 class Pace:
     """Pace of messages.
 
     Args:
-        interval: Seconds between two messages.
+        interval: Seconds in which one message passes.
         length: Number of messages that wait for their turn, the newest; with 0 those that come too early are dropped.
         budget: Bytes that the messages which wait may hold; while it is exceeded, only one of them waits.
     """
@@ -35,7 +42,7 @@ class Pace:
         loop = asyncio.get_running_loop()
         now = loop.time()
         if now >= self._next and not self._waiting:
-            self._next = now + self._interval
+            self._next = self._end_of_interval(now)
             return True
         if self._length:
             self._waiting.append((message, deliver))
@@ -60,6 +67,10 @@ class Pace:
         if self._timer is not None:
             self._timer.cancel()
 
+    def _end_of_interval(self, now: float) -> float:
+        """Return the end of the interval in which a time lies; a timer that is a little early is in the next one."""
+        return (math.floor(now / self._interval + EARLY) + 1) * self._interval
+
     def _charge(self, amount: int) -> None:
         self.charged += amount
         self._budget.charge(self, amount)
@@ -75,7 +86,7 @@ class Pace:
             return
         loop = asyncio.get_running_loop()
         message, deliver = self._take()
-        self._next = loop.time() + self._interval
+        self._next = self._end_of_interval(loop.time())
         if self._waiting:
             self._timer = loop.call_at(self._next, self._deliver)
         deliver(message)

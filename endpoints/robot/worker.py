@@ -25,8 +25,10 @@ import msgspec
 from msgspec import Struct
 
 from converters import Codec, Converter, Recipe, TypeRegistry, Wire, custom_files
+from converters.cdr import CDR, CdrCodec
 from converters.custom import CustomCodec
 from converters.custom_files import Description
+from converters.reduction import ALL, AnyCodec, ReducedCodec
 from converters.ros1 import ROS1, Ros1Codec
 from endpoints.memory import keep_large_blocks, uninitialized
 from rce.errors import ErrorInfo, LimitExceeded, RceError
@@ -47,10 +49,9 @@ class Encode(Struct, frozen=True, tag=True):
 
 
 class Decode(Struct, frozen=True, tag=True):
-    """Request to convert CDR to a text frame and blobs; its buffer is the CDR."""
+    """Request to convert CDR to JSON and blobs; its buffer is the CDR."""
 
     recipe: Recipe
-    start: bytes  # of the text frame
 
 
 class Describe(Struct, frozen=True, tag=True):
@@ -64,8 +65,9 @@ class Described(Struct, frozen=True, tag=True):
 
 
 class Converted(Struct, frozen=True, tag=True):
-    """Answer: CDR in one buffer, or a text frame and blobs in several."""
+    """Answer: CDR in one buffer, or JSON and blobs in several."""
 
+    is_blob: bool = False
     blobs: list[str] = []  # their ids
 
 
@@ -111,16 +113,20 @@ def _read(sock: socket.socket, size: int) -> bytearray:
     return buffer
 
 
-def data_frame(start: bytes, wire: Wire) -> bytes:
-    """Return the text frame of a data message, given what comes before its content."""
-    return b"".join((start, b',"msg*":' if wire.is_blob else b',"msg":', wire.raw, b"}}"))
-
-
 @lru_cache(MAX_CODECS)
-def _codec(recipe: Recipe, converters: str) -> Codec | CustomCodec | Ros1Codec:
+def _codec(recipe: Recipe, converters: str) -> AnyCodec:
     codec = TypeRegistry.codec_of(recipe)
+    form = _form(recipe, codec, converters)
+    if recipe.fields or recipe.decimate != ALL:
+        return ReducedCodec(codec, form, recipe.fields, recipe.decimate)
+    return form
+
+
+def _form(recipe: Recipe, codec: Codec, converters: str) -> AnyCodec:
     if recipe.converter == ROS1:
         return Ros1Codec(codec)
+    if recipe.converter == CDR:
+        return CdrCodec(recipe)
     return CustomCodec(codec, _custom(converters)[recipe.converter]) if recipe.converter else codec
 
 
@@ -139,7 +145,7 @@ def convert(request: Request, buffers: Sequence[Buffer], converters: str = "") -
             raw, *blobs = buffers
             return Converted(), [codec.encode(Wire(request.is_blob, raw, dict(zip(request.blobs, blobs, strict=True))))]
         wire = codec.decode(buffers[0])
-        return Converted(list(wire.blobs)), [data_frame(request.start, wire), *wire.blobs.values()]
+        return Converted(wire.is_blob, list(wire.blobs)), [memoryview(wire.raw), *wire.blobs.values()]
     except RceError as refused:
         return Failed(refused.info), []
     except MemoryError:

@@ -142,10 +142,11 @@ class Workers:
         )
         return cdr
 
-    async def decode(self, user: str, recipe: Recipe, cdr: Buffer, start: bytes) -> tuple[Buffer, dict[str, Buffer]]:
-        """Convert CDR to the text frame that begins with `start`, and its blobs; raises the errors of `encode`."""
-        answer, (text, *blobs) = await self._ask(user, Decode(recipe, start), [cdr])
-        return text, dict(zip(answer.blobs if isinstance(answer, Converted) else [], blobs, strict=True))
+    async def decode(self, user: str, recipe: Recipe, cdr: Buffer) -> Wire:
+        """Convert CDR to the form of a robot; raises the errors of `encode`."""
+        answer, (raw, *blobs) = await self._ask(user, Decode(recipe), [cdr])
+        assert isinstance(answer, Converted)  # `_ask` raises a failure
+        return Wire(answer.is_blob, raw, dict(zip(answer.blobs, blobs, strict=True)))
 
     async def _ask(self, user: str, request: Request, buffers: Sequence[Buffer]) -> tuple[Answer, list[bytearray]]:
         done = asyncio.get_running_loop().create_future()

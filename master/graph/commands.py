@@ -205,6 +205,13 @@ def _owner_of_new_interface(context: CommandContext, command: m.AddInterface, ki
             f"{', '.join(TOPICS_OF_ROBOTS)}",
             field="delivery",
         )
+    for option in ("fields", "decimate"):
+        if kind.startswith("Subscriber") and getattr(command.delivery, option) != getattr(m.Delivery(), option):
+            raise InvalidRequest(
+                f"{with_article(kind)} has no delivery.{option}: the platform makes messages to robots smaller, which "
+                "a Publisher sends; a robot that sends leaves out by itself what nobody needs",
+                field=f"delivery.{option}",
+            )
     if split_kind(kind)[1] == "Interface":
         owner = context.environment(command.endpointTag, "endpointTag").name
         check_new_name(command.interfaceTag, "interfaceTag", context.guest)

@@ -178,11 +178,17 @@ class Qos(Struct, frozen=True, omit_defaults=True):
 
 
 class Delivery(Struct, frozen=True, omit_defaults=True):
-    """Treatment of the messages of a topic on the line between a robot and the cloud; 0 is no limit."""
+    """Treatment of the messages of a topic on the line between a robot and the cloud; 0 is no limit.
+
+    Without `fields`, messages have all; `step` and `size` (width, height in pixels) decimate them.
+    """
 
     priority: Literal["high", "normal", "low"] = "normal"
     max_age: float = 0.0  # seconds
     rate: float = 0.0  # messages per second
+    fields: tuple[str, ...] = ()
+    step: int = 1
+    size: tuple[int, int] | None = None
 
 
 class Interface(Struct, frozen=True):

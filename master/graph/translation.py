@@ -51,7 +51,9 @@ def parameter_spec(parameter: Parameter) -> ParameterSpec:
 def interface_from(id: str, owner: str, kind: str, command: m.AddInterface) -> Interface:
     """Return the record of an interface that a command adds to `owner`."""
     qos = Qos(command.qos.reliability, command.qos.durability, command.qos.history, command.qos.depth)
-    delivery = Delivery(command.delivery.priority, command.delivery.maxAge, command.delivery.rate)
+    wanted, decimate = command.delivery, command.delivery.decimate
+    smaller = (wanted.fields, decimate.step, decimate.size)
+    delivery = Delivery(wanted.priority, wanted.maxAge, wanted.rate, *smaller)
     named = (command.interfaceTag, kind, command.className, command.addr)
     return Interface(id, owner, *named, qos, command.format, delivery=delivery)
 
@@ -63,7 +65,8 @@ def qos_message(qos: Qos) -> m.Qos:
 
 def delivery_message(delivery: Delivery) -> m.Delivery:
     """Return how messages cross the line, as robots and views see it."""
-    return m.Delivery(delivery.priority, delivery.max_age, delivery.rate)
+    decimate = m.Decimation(delivery.step, delivery.size)
+    return m.Delivery(delivery.priority, delivery.max_age, delivery.rate, delivery.fields, decimate)
 
 
 def interface_spec(interface: Interface) -> InterfaceSpec:

@@ -219,7 +219,7 @@ class Environment:
             raw: Receive serialized ROS messages (CDR) as bytes instead of dicts.
             format: Encoding in which `sensor_msgs/Image` messages arrive: PNG or JPEG bytes, or dicts (`json`); other
                 formats as for `publisher`.
-            delivery: Priority, greatest age and rate of messages on the line to the robot.
+            delivery: Priority, greatest age, rate, fields and decimation of messages on the line to the robot.
 
         Returns:
             A connected subscriber.

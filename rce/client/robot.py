@@ -271,7 +271,7 @@ class Robot(Operations):
             format: Encoding in which `sensor_msgs/Image` messages arrive: PNG or JPEG bytes, or dicts (`json`); other
                 formats as for `publisher`.
             qos: History and depth of the queue at the platform.
-            delivery: Priority, greatest age and rate of messages on the line from the platform.
+            delivery: Priority, greatest age, rate, fields and decimation of messages on the line from the platform.
 
         Returns:
             The subscriber, with a peer if `to` is given.

@@ -80,6 +80,10 @@ export interface Delivery {
   maxAge?: number;
   /** Messages a second, at most. */
   rate?: number;
+  /** Paths of the only fields that messages to the robot have, such as `header.stamp`. */
+  fields?: string[];
+  /** Fewer beams, points or pixels in messages to the robot: each `step`-th, or an image that fits into `size`. */
+  decimate?: { step?: number; size?: [width: number, height: number] };
 }
 
 /** Options of an environment: `containerData` of docs/protocol.md, which has the defaults. */

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 
@@ -35,12 +35,13 @@ def schema() -> dict[str, Any]:
         }
         for name, kind in FROM_ROBOT.items()
     ]
-    return {
+    document = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": f"Text frames between robots and the platform, version {m.CURRENT_VERSION}",
         "anyOf": [*from_robot, by_kind[m.Status], by_kind[m.Failure]],
         "$defs": components,
     }
+    return cast("dict[str, Any]", json.loads(json.dumps(document)))  # defaults may be tuples
 
 
 if __name__ == "__main__":

@@ -8,6 +8,8 @@ import msgspec
 from msgspec import UNSET, Raw, Struct, UnsetType
 
 from rce.errors import InvalidRequest
+from rce.protocol.messages import Decimation
+from rce.protocol.messages.commands import FieldPath
 
 MAX_ID = 1000  # bytes
 Id = Raw | UnsetType
@@ -44,7 +46,7 @@ class Publish(Operation, frozen=True, kw_only=True, tag="publish"):
 
 
 class Subscribe(Operation, frozen=True, kw_only=True, tag="subscribe"):
-    """Subscribe to a topic; times in milliseconds, sizes in bytes."""
+    """Subscribe to a topic; times in milliseconds, sizes in bytes. `fields` and `decimate` are additions of RCE."""
 
     topic: str
     type: str | None = None
@@ -52,6 +54,8 @@ class Subscribe(Operation, frozen=True, kw_only=True, tag="subscribe"):
     queue_length: int | None = 0
     fragment_size: int | None = None
     compression: Compression | None = "none"
+    fields: tuple[FieldPath, ...] | None = None
+    decimate: Decimation | None = None
 
 
 class Unsubscribe(Operation, frozen=True, kw_only=True, tag="unsubscribe"):

@@ -17,11 +17,12 @@ from endpoints.gateways.rosbridge.peer import Peer
 from endpoints.gateways.uses import PUBLISH, SUBSCRIBE, Arrived, Frame, Use
 from endpoints.robot.interfaces import Publisher
 from rce.errors import InvalidRequest, LimitExceeded, NotFound, RceError
-from rce.protocol.messages import Qos
+from rce.protocol.messages import Decimation, Delivery, Qos
 from rce.protocol.names import parse_type
 
 MAX_DEPTH = 10_000
 MAX_IDS = 1000  # of one topic
+EVERYTHING = Delivery()
 FORMATS: dict[str, tuple[Literal["Converter", "Forwarder"], str]] = {
     "cbor": ("Converter", "cbor"),
     "cbor-raw": ("Forwarder", "cdr"),
@@ -129,6 +130,7 @@ class _Subscription:
     asked: dict[bytes, Subscribe] = field(default_factory=dict)
     use: Use | None = None
     form: Form = encoding.PLAIN
+    delivery: Delivery = EVERYTHING
 
     def merged(self) -> Subscribe:
         """Return what all of them get: the fastest, longest and least fragmented of what they asked for."""
@@ -141,7 +143,24 @@ class _Subscription:
             queue_length=max(max(each.queue_length or 0, 0) for each in every),
             fragment_size=min(sizes, default=0),
             compression=next(kind for kind in ("cbor-raw", "cbor", "png", "none") if kind in kinds),
+            fields=_merged_fields(every),
+            decimate=_merged_decimation(every),
         )
+
+
+def _merged_fields(every: Sequence[Subscribe]) -> tuple[str, ...]:
+    """Return the fields that any of them wants; empty for all."""
+    if not all(each.fields for each in every):
+        return ()
+    return tuple(sorted({name for each in every for name in each.fields or ()}))
+
+
+def _merged_decimation(every: Sequence[Subscribe]) -> Decimation:
+    """Return the finest decimation."""
+    asked = [each.decimate or Decimation() for each in every]
+    sizes = [each.size for each in asked if each.size is not None]
+    largest = (max(width for width, _ in sizes), max(height for _, height in sizes)) if sizes else None
+    return Decimation(min(each.step for each in asked), largest if len(sizes) == len(asked) else None)
 
 
 class Subscriptions:
@@ -205,9 +224,12 @@ class Subscriptions:
         merged = subscription.merged()
         kind = merged.compression or "none"
         form, old = FORMATS.get(kind, ("Converter", "rosbridge")), subscription.use
-        if old is None or form != FORMATS.get(subscription.form.compression, ("Converter", "rosbridge")):
+        before = FORMATS.get(subscription.form.compression, ("Converter", "rosbridge")), subscription.delivery
+        delivery = Delivery(fields=merged.fields or (), decimate=merged.decimate or Decimation())
+        if old is None or (form, delivery) != before:
             if old is not None:
                 self._guest.drop(old)
+            subscription.delivery = delivery
             self._begin(subscription, kind, form)
         subscription.form = Form(kind, merged.fragment_size or 0)
         assert subscription.use is not None
@@ -233,6 +255,7 @@ class Subscriptions:
             lambda _, error: self._peer.report(error),
             form=form[0],
             format=form[1],
+            delivery=subscription.delivery,
         )
         subscription.use = use
         use.ready.add_done_callback(lambda done: self._ready(subscription, use, done))

@@ -16,6 +16,7 @@ from rce.protocol.messages.commands import ConfigureConnections as ConfigureConn
 from rce.protocol.messages.commands import Connect as Connect
 from rce.protocol.messages.commands import ContainerData as ContainerData
 from rce.protocol.messages.commands import CreateContainer as CreateContainer
+from rce.protocol.messages.commands import Decimation as Decimation
 from rce.protocol.messages.commands import DeleteParameter as DeleteParameter
 from rce.protocol.messages.commands import Delivery as Delivery
 from rce.protocol.messages.commands import DestroyContainer as DestroyContainer

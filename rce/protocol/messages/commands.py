@@ -153,6 +153,20 @@ class Qos(Struct, frozen=True, omit_defaults=True):
 
 
 MAX_AGE = 7 * 24 * 3600.0  # seconds
+MAX_FIELDS = 100
+FieldPath = Annotated[str, Meta(pattern=r"^[A-Za-z]\w*(\.[A-Za-z]\w*)*$(?!\n)", max_length=500)]
+Pixels = Annotated[int, Meta(ge=2, le=65_535)]
+
+
+class Decimation(Struct, frozen=True, omit_defaults=True):
+    """Fewer parts of a scan, an image or a cloud.
+
+    Each `step`-th beam or point is sent, of images and clouds in rows each `step`-th row and column. An image is scaled
+    to fit into `size`, its greatest width and height in pixels.
+    """
+
+    step: Annotated[int, Meta(ge=1, le=1000)] = 1
+    size: tuple[Pixels, Pixels] | None = None
 
 
 class Delivery(Struct, frozen=True, omit_defaults=True):
@@ -160,12 +174,14 @@ class Delivery(Struct, frozen=True, omit_defaults=True):
 
     Messages of a higher priority are sent first. A message that is older than `maxAge` seconds when its turn comes is
     dropped and counted. Of more than `rate` messages a second the newest are sent. A `maxAge` or `rate` of 0 is no
-    limit.
+    limit. A robot that receives gets only some `fields` of each message, unless there are none, and decimated ones.
     """
 
     priority: Literal["high", "normal", "low"] = "normal"
     maxAge: Annotated[float, Meta(ge=0, le=MAX_AGE)] = 0.0
     rate: Annotated[float, Meta(ge=0, le=10_000)] = 0.0
+    fields: Annotated[tuple[FieldPath, ...], Meta(max_length=MAX_FIELDS)] = ()
+    decimate: Decimation = Decimation()
 
 
 Format = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_-]{0,39}$")]

@@ -23,7 +23,7 @@ LARGE = bytes(2_000_000)
 
 
 class HandWorkers:
-    """Workers whose conversions end when the test says so, with the CDR or the frame that it gives."""
+    """Workers whose conversions end when the test says so, with the CDR or the JSON that it gives."""
 
     def __init__(self) -> None:
         self.asked: list[asyncio.Future[bytes]] = []
@@ -31,8 +31,8 @@ class HandWorkers:
     async def encode(self, user: str, recipe: Recipe, wire: Wire) -> Buffer:
         return await self._ask()
 
-    async def decode(self, user: str, recipe: Recipe, cdr: Buffer, start: bytes) -> tuple[Buffer, Mapping[str, Buffer]]:
-        return await self._ask(), {}
+    async def decode(self, user: str, recipe: Recipe, cdr: Buffer) -> Wire:
+        return Wire(False, await self._ask(), {})
 
     def _ask(self) -> asyncio.Future[bytes]:
         self.asked.append(asyncio.get_running_loop().create_future())
@@ -114,7 +114,7 @@ async def test_message_to_a_robot_is_converted_when_the_one_before_has_left(hand
     assert len(hand_workers.asked) == 1, "one at a time"
     hand_workers.asked[0].set_result(b"first")
     await turns()
-    assert (sent.frames, len(hand_workers.asked)) == ([b"first"], 1)
+    assert (sent.frames, len(hand_workers.asked)) == ([b'{,"msg":first}}'], 1)
     sent.lane.proceed()
     await turns()
     hand_workers.asked[1].set_exception(ConversionError("bad"))
@@ -147,3 +147,39 @@ async def test_closed_queue_converts_nothing(hand_workers: HandWorkers) -> None:
     await turns()
     assert hand_workers.asked[0].cancelled()
     assert sent.frames == []
+
+
+async def test_message_is_converted_once_for_all_who_want_the_same_form(hand_workers: HandWorkers) -> None:
+    receivers, message = [Sent(hand_workers) for _ in range(50)], Message(bytes(16), "", LARGE)
+    for number, each in enumerate(receivers):
+        each.lane.put(Outgoing(CODEC, b"{%d" % number, message, 1), len(LARGE), Owner())
+    await turns()
+    receivers[0].lane.close()
+    await turns()
+    assert len(hand_workers.asked) == 1
+    hand_workers.asked[0].set_result(b"{}")
+    await turns()
+    assert [each.frames for each in receivers[1:]] == [[b'{%d,"msg":{}}}' % number] for number in range(1, 50)]
+
+
+async def test_message_that_nobody_waited_for_is_converted_again(hand_workers: HandWorkers) -> None:
+    first, second, message = Sent(hand_workers), Sent(hand_workers), Message(bytes(16), "", LARGE)
+    first.lane.put(Outgoing(CODEC, b"{", message, 1), len(LARGE), Owner())
+    await turns()
+    first.lane.close()
+    await turns()
+    second.lane.put(Outgoing(CODEC, b"{", message, 1), len(LARGE), Owner())
+    await turns()
+    hand_workers.asked[1].set_result(b"2")
+    await turns()
+    assert second.frames == [b'{,"msg":2}}']
+
+
+async def test_error_of_a_shared_conversion_reaches_all_who_wait(hand_workers: HandWorkers) -> None:
+    receivers, message = [Sent(hand_workers) for _ in range(2)], Message(bytes(16), "", LARGE)
+    for each in receivers:
+        each.lane.put(Outgoing(CODEC, b"{", message, 1), len(LARGE), Owner())
+    await turns()
+    hand_workers.asked[0].set_exception(ConversionError("bad"))
+    await turns()
+    assert [each.errors for each in receivers] == [["bad"], ["bad"]]

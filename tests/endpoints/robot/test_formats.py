@@ -11,12 +11,13 @@ from typing import Any
 import cbor2
 import pytest
 
-from converters import Recipe, Wire
+from converters import Recipe, TypeRegistry, Wire
 from converters.custom_files import Description
 from endpoints.robot.formats import Formats, WorkerCodec
 from endpoints.robot.workers import Workers
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import StartFailed
+from rce.protocol.names import parse_type
 from tests.support.endpoints.platforms import Platform
 from tests.support.endpoints.raw_robot import Robot
 
@@ -199,3 +200,49 @@ def test_codec_of_workers_converts_nothing_itself() -> None:
         codec.encode(Wire(False, b"1", {}))
     with pytest.raises(NotImplementedError):
         codec.decode(b"")
+
+
+SCAN = {"header": {"frame_id": "laser"}, "angle_increment": 0.5, "ranges": [1.0, 2.0, 3.0]}
+SMALLER = {"fields": ["header.frame_id", "ranges"], "decimate": {"step": 2}}
+
+
+async def scans(platform: Platform, kind: str, **options: Any) -> Robot:
+    """Return a robot that receives a scan of another one."""
+    a, b = await robots(platform)
+    await a.add("out", "SubscriberConverter", "sensor_msgs/LaserScan")
+    await a.add("in", kind, "sensor_msgs/LaserScan", of="b", **options)
+    await a.connect("a/out", "b/in")
+    for robot in (a, b):
+        await robot.receive_all(1)
+    await a.data("out", SCAN, "sensor_msgs/LaserScan")
+    return b
+
+
+async def test_robot_gets_the_fields_and_beams_that_it_asked_for(platform: Platform) -> None:
+    robot = await scans(platform, "PublisherConverter", delivery=SMALLER)
+    assert (await robot.receive())["data"]["msg"] == {"header": {"frame_id": "laser"}, "ranges": [1.0, 3.0]}
+
+
+async def test_cbor_and_cdr_have_the_fields_and_beams_that_were_asked_for(platform: Platform) -> None:
+    robot = await scans(platform, "PublisherConverter", delivery=SMALLER, format="cbor")
+    await robot.receive()
+    found = cbor2.loads((await robot.receive())[32:])
+    assert (found["header"], len(found)) == ({"frame_id": "laser"}, 2)
+
+
+async def test_forwarder_gets_a_smaller_message_of_the_same_type(platform: Platform) -> None:
+    robot = await scans(platform, "PublisherForwarder", delivery=SMALLER)
+    await robot.receive()
+    cdr = (await robot.receive())[32:]
+    codec = TypeRegistry().message(parse_type("sensor_msgs/LaserScan"))
+    found = json.loads(bytes(codec.decode(cdr).raw))
+    assert (found["ranges"], found["header"]["frame_id"], found["angle_increment"]) == ([1.0, 3.0], "laser", 0.0)
+
+
+async def test_wrong_fields_are_refused_when_the_interface_is_added(platform: Platform) -> None:
+    a, _ = await robots(platform)
+    for kind in ("PublisherConverter", "PublisherForwarder"):
+        await a.add("in", kind, "sensor_msgs/LaserScan", delivery={"fields": ["range"]})
+        error = (await a.receive())["error"]
+        assert (error["code"], error["field"]) == ("invalid_request", "delivery.fields")
+        assert "did you mean ranges?" in error["message"]

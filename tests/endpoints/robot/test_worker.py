@@ -13,7 +13,7 @@ import pytest
 
 from converters import Recipe, TypeRegistry, Wire
 from endpoints.robot import worker
-from endpoints.robot.worker import Answer, Converted, Decode, Encode, Failed, Request, data_frame
+from endpoints.robot.worker import Answer, Converted, Decode, Encode, Failed, Request
 from rce.protocol.blobs import Buffer
 from rce.protocol.names import parse_type
 
@@ -50,9 +50,10 @@ def test_picture_becomes_cdr_and_text_frame_with_blob(served: socket.socket) -> 
     answer, (cdr,) = ask(served, Encode(IMAGE, True, [ID]), [raw, png()])
     assert answer == Converted()
     assert cdr == codec.encode(Wire(True, raw, {ID: png()}))
-    answer, (text, blob) = ask(served, Decode(IMAGE, b'{"data":{"msgID":"n"'), [cdr])
+    answer, (text, blob) = ask(served, Decode(IMAGE), [cdr])
     assert isinstance(answer, Converted)
-    assert msgspec.json.decode(text) == {"data": {"msgID": "n", "msg*": answer.blobs[0]}}
+    assert answer.is_blob
+    assert msgspec.json.decode(text) == answer.blobs[0]
     assert bytes(codec.encode(Wire(True, raw, {ID: blob}))) == cdr
 
 
@@ -63,8 +64,8 @@ def test_added_types_are_converted_by_their_recipe(served: socket.socket) -> Non
     assert sorted(name for name, _ in codec.recipe.added) == ["a/msg/Outer", "b/msg/Inner"]
     _, (cdr,) = ask(served, Encode(codec.recipe, False, []), [b'{"inner":[{}]}'])
     assert cdr == codec.encode(Wire(False, b'{"inner":[{}]}', {}))
-    _, (text,) = ask(served, Decode(codec.recipe, b'{"data":{"msgID":"n"'), [cdr])
-    assert text == data_frame(b'{"data":{"msgID":"n"', Wire(False, b'{"inner":[{"x":5}]}', {}))
+    _, (text,) = ask(served, Decode(codec.recipe), [cdr])
+    assert text == b'{"inner":[{"x":5}]}'
 
 
 def test_message_that_does_not_fit_is_refused_and_the_next_is_converted(served: socket.socket) -> None:

@@ -160,6 +160,17 @@ def test_delivery_is_refused_where_nothing_crosses_the_line_as_a_topic(endpoint:
     assert raised.value.info.field == "delivery"
 
 
+@pytest.mark.parametrize(
+    ("option", "delivery"),
+    [("fields", m.Delivery(fields=("data",))), ("decimate", m.Delivery(decimate=m.Decimation(2)))],
+)
+def test_messages_from_a_robot_are_not_made_smaller(option: str, delivery: m.Delivery) -> None:
+    command = m.AddInterface("r1", "out", "SubscriberConverter", "std_msgs/String", delivery=delivery)
+    with pytest.raises(InvalidRequest, match=rf"a SubscriberConverter has no delivery\.{option}") as raised:
+        furnished().do("ann", command)
+    assert raised.value.info.field == f"delivery.{option}"
+
+
 def test_environment_with_the_name_of_a_robot_is_refused_with_the_kind_of_its_owner() -> None:
     fleet = furnished()
     for name, kind in (("r1", "robot"), ("brain", "environment")):

@@ -39,7 +39,7 @@ def test_other_spelling_of_the_group_address_is_taken() -> None:
 
 
 def test_interface_of_a_robot_keeps_its_delivery() -> None:
-    delivery = m.Delivery("high", 0.5, 10.0)
+    delivery = m.Delivery("high", 0.5, 10.0, ("data",), m.Decimation(2, (320, 240)))
     command = m.AddInterface("r1", "in", "PublisherConverter", "std_msgs/String", delivery=delivery)
     spec = interface_spec(interface_from("1" * 32, "ann/r1", "PublisherConverter", command))
     assert spec.delivery == delivery

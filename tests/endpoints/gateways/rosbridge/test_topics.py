@@ -7,9 +7,10 @@ import pytest
 from msgspec import Raw
 
 from endpoints.gateways.rosbridge.operations import Advertise, Publish, Subscribe, Unadvertise, Unsubscribe
-from endpoints.gateways.rosbridge.topics import MAX_IDS, Publications, Subscriptions, find_topic_type
+from endpoints.gateways.rosbridge.topics import MAX_IDS, Publications, Subscriptions, _Subscription, find_topic_type
 from rce.control.calls.watching import RosGraph, RosName
 from rce.errors import InvalidRequest, LimitExceeded, NotFound, RceError
+from rce.protocol.messages import Decimation, Delivery
 from tests.support.endpoints.fake_guest import FakeGuest, FakePeer
 
 STRING = "std_msgs/String"
@@ -110,6 +111,39 @@ async def test_subscriptions_of_a_topic_share_one_use(guest: FakeGuest, subscrip
     assert not guest.dropped
     subscriptions.unsubscribe(Unsubscribe(topic="/a", id=TWO))
     assert guest.dropped == ["/a"]
+
+
+@pytest.mark.parametrize(
+    ("one", "two", "merged"),
+    [
+        (("a.x",), ("b",), ("a.x", "b")),
+        (("a.x",), None, ()),
+        ((), ("b",), ()),
+    ],
+)
+def test_subscriptions_get_the_fields_that_any_of_them_wants(
+    one: tuple[str, ...], two: tuple[str, ...] | None, merged: tuple[str, ...]
+) -> None:
+    found = _Subscription("/a", STRING)
+    found.asked = {b"1": Subscribe(topic="/a", fields=one), b"2": Subscribe(topic="/a", fields=two)}
+    assert found.merged().fields == merged
+
+
+async def test_change_of_the_fields_begins_another_use(guest: FakeGuest, subscriptions: Subscriptions) -> None:
+    subscriptions.subscribe(Subscribe(topic="/a", type=STRING, id=ONE, fields=("data",)))
+    assert guest.options["u0"]["delivery"] == Delivery(fields=("data",))
+    subscriptions.subscribe(Subscribe(topic="/a", type=STRING, id=TWO))
+    assert guest.options["u1"]["delivery"] == Delivery()
+
+
+def test_subscriptions_get_the_finest_decimation_of_them() -> None:
+    def merged(*decimations: Decimation | None) -> Decimation | None:
+        asked = {b"%d" % n: Subscribe(topic="/a", decimate=each) for n, each in enumerate(decimations)}
+        return _Subscription("/a", STRING, asked).merged().decimate
+
+    assert merged(Decimation(4, (320, 100)), Decimation(2, (160, 240))) == Decimation(2, (320, 240))
+    assert merged(Decimation(4, (320, 100)), Decimation(2)) == Decimation(2)
+    assert merged(Decimation(4), None) == Decimation()
 
 
 async def test_subscriptions_get_the_lowest_throttle_and_the_longest_queue(subscriptions: Subscriptions) -> None:
