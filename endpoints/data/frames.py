@@ -2,6 +2,7 @@
 
     flags 1 | length of message id 1 | stream 4 | payload bytes in this frame 4 | payload bytes in all 4  (big-endian)
     first frame of a message only: source 16 | destination 16 if DESTINATION | message id
+        and, if the phase is SHARED: number of senders 1 | senders 16 each
     payload
 
 A message of more than `PART` bytes is split into several frames with the same stream number, and frames of other
@@ -13,7 +14,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from time import perf_counter
 from typing import Any
@@ -24,6 +25,8 @@ from rce.errors import LimitExceeded
 HEAD = struct.Struct("!BBIII")
 FIRST, DESTINATION, ERROR, NUMBERED = 1, 2, 4, 8
 PHASE = 4  # the bits of the flags above these: the phase
+SHARED = 15  # in place of the phase of a message that several interfaces send
+MAX_SENDERS = 255  # of one message
 PART = 256 * 1024
 MAX_MESSAGE = 80 * 1024 * 1024  # a 64 MB WebSocket message grows a little when it is converted to CDR
 MAX_UNFINISHED = 4 * MAX_MESSAGE
@@ -61,13 +64,15 @@ class Message:
     """Message from one interface to all its peers, or to one of them.
 
     Attributes:
-        source: Id of the sending interface.
+        source: Id of the sending interface, or of what it shares with others.
         msg_id: Message id, which connects a response with its request.
         payload: Serialized ROS message (CDR with its encapsulation header); with `error`, an ErrorInfo as msgpack.
         destination: Id of the only peer that gets the message; None for all peers.
         error: True for the answer to a service request that failed, or the end of a goal that failed.
         numbered: True if the platform gave the message id to a message that had none.
         phase: Phase of a message of an action; its `msg_id` is the goal's UUID in hex digits.
+        senders: Ids of the interfaces that send this message of a topic together; without any, `source` sends it.
+        series: Id of the messages among which this one is the next: those of one source; not transmitted.
         entered_at: `time.perf_counter` when the message came into this process; not transmitted.
         conversions: What this process has made of the payload, by form, for all who want the same; not transmitted.
 
@@ -82,6 +87,8 @@ class Message:
     error: bool = False
     phase: Phase = Phase.NONE
     numbered: bool = False
+    senders: tuple[bytes, ...] = ()
+    series: bytes = field(default=b"", compare=False, repr=False)
     entered_at: float = field(default_factory=perf_counter, compare=False, repr=False)
     conversions: dict[Any, Any] = field(default_factory=dict, compare=False, repr=False)
 
@@ -91,6 +98,14 @@ class Message:
                 f"a message of {len(self.payload)} bytes exceeds the {MAX_MESSAGE} bytes of a data link",
                 bytes=MAX_MESSAGE,
             )
+        self.series = self.series or self.source
+
+    def by_sender(self) -> Iterator[Message]:
+        """Yield this message as each of its senders would send it alone; what is made of it stays common."""
+        if not self.senders:
+            yield self
+        for sender in self.senders:
+            yield replace(self, source=sender, senders=())
 
 
 def pieces(message: Message, stream: int) -> Iterator[list[Buffer]]:
@@ -99,9 +114,11 @@ def pieces(message: Message, stream: int) -> Iterator[list[Buffer]]:
     total = len(payload)
     name = message.msg_id.encode()
     flags = FIRST | (ERROR if message.error else 0) | (DESTINATION if message.destination else 0)
-    flags |= (NUMBERED if message.numbered else 0) | message.phase << PHASE
+    flags |= (NUMBERED if message.numbered else 0) | (SHARED if message.senders else message.phase) << PHASE
     first = min(total, PART)
     head = HEAD.pack(flags, len(name), stream, first, total) + message.source + (message.destination or b"") + name
+    if message.senders:
+        head += bytes([len(message.senders)]) + b"".join(message.senders)
     if total <= 16 * 1024:
         yield [head + message.payload]  # one small buffer: one system call
         return
@@ -188,11 +205,17 @@ class FrameReader:
             destination = bytes(self._view[body + 16 : ends]) if flags & DESTINATION else None
             name = str(self._view[ends : ends + name_length], "utf-8")
             body = ends + name_length
-            phase = flags >> PHASE
+            phase, senders = flags >> PHASE, tuple[bytes, ...]()
+            if phase == SHARED:
+                count = self._scratch[body] if body < self._have else 0
+                if self._have < body + 1 + 16 * count or body >= self._have:
+                    return 0
+                senders = tuple(bytes(self._view[at : at + 16]) for at in range(body + 1, body + 1 + 16 * count, 16))
+                body, phase = body + 1 + 16 * count, Phase.NONE
             if phase >= len(_PHASES):
                 raise LimitExceeded("a data link sent a message of an unknown phase")
             error, numbered = bool(flags & ERROR), bool(flags & NUMBERED)
-            message = Message(source, name, b"", destination, error, _PHASES[phase], numbered)
+            message = Message(source, name, b"", destination, error, _PHASES[phase], numbered, senders)
             if size == total and self._have - body >= size:
                 message.payload = bytes(self._view[body : body + size])
                 done.append(message)

@@ -45,9 +45,12 @@ class HopRecorder:
     def sent(self, message: Message) -> None:
         """Record that a message begins to go out over a link."""
         self._to_link.observe_since(message.entered_at)
-        if message.source in self._followed:
-            self._record(message.source, message, "entered", message.entered_at)
-            self._record(message.source, message, "sent", time.perf_counter())
+        if not self._followed:
+            return
+        for each in message.by_sender():
+            if each.source in self._followed:
+                self._record(each.source, each, "entered", each.entered_at)
+                self._record(each.source, each, "sent", time.perf_counter())
 
     def received(self, interface: bytes, message: Message) -> None:
         """Record that a message came in over a link for this interface."""

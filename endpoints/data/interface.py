@@ -67,8 +67,17 @@ class Interface(ABC):
         """True if the interface has a peer."""
         return bool(self.peers)
 
+    @property
+    def queue(self) -> bytes:
+        """Source of the interface's messages in the queues of links."""
+        return self.id
+
     def joined(self, peer: bytes) -> None:
         """Handle a new peer."""
+
+    def unlinked(self, link: Link) -> None:
+        """Handle that no peer is behind a link any more: drop what waits there."""
+        link.discard(self.id)
 
     def left(self, peer: bytes) -> None:
         """Handle the departure of a peer."""
@@ -113,10 +122,14 @@ class Interface(ABC):
     def _put(self, message: Message, link: Link, keep: int | None) -> None:
         dropped = link.send(message, keep, self)
         if dropped:
-            self.dropped += dropped
-            for peer, towards in self.peers.items():
-                if towards is link:
-                    self.traffic.of(peer).drops += dropped
+            self.count_drops(dropped, link)
+
+    def count_drops(self, count: int, link: Link) -> None:
+        """Count messages that were dropped on the way to a link."""
+        self.dropped += count
+        for peer, towards in self.peers.items():
+            if towards is link:
+                self.traffic.of(peer).drops += count
 
     def wait_for_room(self) -> asyncio.Future[None] | None:
         """Return None while more may be sent, else a future that is done when it may; only with `keep_all`."""

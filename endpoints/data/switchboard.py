@@ -143,7 +143,7 @@ class Switchboard:
         if before is None:
             interface.joined(peer)
         elif before not in interface.peers.values():
-            before.discard(interface.id)
+            interface.unlinked(before)
 
     def remove_route(self, interface: str, peer: str) -> None:
         """Remove a route, if it exists."""
@@ -162,7 +162,7 @@ class Switchboard:
         if not listeners:
             self._listeners.pop(peer, None)
         if link not in interface.peers.values():
-            link.discard(interface.id)
+            interface.unlinked(link)
         interface.left(peer)
         if not interface.peers:
             interface.stopped()
@@ -173,17 +173,22 @@ class Switchboard:
         Raises:
             LimitExceeded: The link carries too many messages that no interface receives.
         """
+        heard = [self._deliver_from(each, link) for each in message.by_sender()]
+        if not any(heard) and isinstance(link, StreamLink):
+            link.stray()
+
+    def _deliver_from(self, message: Message, link: Link) -> bool:
+        """Pass a message to the interfaces that have a route to its source; return False if there are none."""
         listeners = self._listeners.get(message.source)
         if listeners is None or link.name not in listeners.values():
-            if isinstance(link, StreamLink):
-                link.stray()
-            return
+            return False
         for interface, name in list(listeners.items()):
             if name == link.name and (message.destination is None or message.destination == interface.id):
                 try:
                     self._deliver_to(interface, message, link)
                 except Exception:  # noqa: BLE001  # a defect in one interface must not cost others the link
                     log.failure("defect while delivering to interface {interface}", interface=interface.spec.tag)
+        return True
 
     def _deliver_to(self, interface: Interface, message: Message, link: Link) -> None:
         count = interface.traffic.of(message.source)
@@ -202,7 +207,8 @@ class Switchboard:
     def families(self) -> list[Family]:
         """Return the metrics of all interfaces and links."""
         present = [each.counted for each in self.interfaces.values()]
-        queued = sum(link.backlog(each.id) for each in self.interfaces.values() for link in set(each.peers.values()))
+        queues = {(link, each.queue) for each in self.interfaces.values() for link in each.peers.values()}
+        queued = sum(link.backlog(queue) for link, queue in queues)
         links = Counter("up" if link.opened.done() else "opening" for link in self.links.values())
         return [
             *self._totals.families(present),

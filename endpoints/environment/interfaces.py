@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, TypeVar
 
 from rclpy.exceptions import InvalidServiceNameException, InvalidTopicNameException
@@ -14,6 +15,7 @@ from endpoints.data.hops import HopRecorder
 from endpoints.data.interface import Interface
 from endpoints.environment.definitions import InstalledTypes
 from endpoints.environment.ros import RosThread
+from endpoints.environment.shared_subscription import SharedSubscriptions
 from endpoints.environment.shared_topics import SharedTopics
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import InvalidRequest, RceError
@@ -35,6 +37,11 @@ class RosContext:
     report: Callable[[InterfaceSpec, RceError], None]
     budget: Budget = field(default_factory=lambda: Budget(QUEUES))
     shared: SharedTopics = field(default_factory=SharedTopics)
+
+    @cached_property
+    def subscriptions(self) -> SharedSubscriptions:
+        """Subscriptions that interfaces share."""
+        return SharedSubscriptions(self.ros, self.shared, self.budget)
 
 
 class RosInterface(Interface):

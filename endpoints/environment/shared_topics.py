@@ -14,12 +14,12 @@ from rce.control.calls.endpoints import InterfaceSpec
 
 
 class Receiver(Protocol):
-    """Interface that subscribes to a topic."""
+    """Subscription to a topic."""
 
     spec: InterfaceSpec
 
     def receive_shared(self, message: Message, link: Link, latched: bool) -> None:
-        """Pass a message on to the peers of the interface.
+        """Pass a message on to the peers of all interfaces that share the subscription.
 
         Args:
             message: A message that another interface publishes.
@@ -29,32 +29,37 @@ class Receiver(Protocol):
 
 
 class SharedTopics:
-    """Interfaces that subscribe, by the names of their topics and types."""
+    """Subscriptions by the names of their topics and types."""
 
     def __init__(self) -> None:
         self._receivers: dict[tuple[str, str], list[Receiver]] = {}
 
     def add(self, receiver: Receiver) -> None:
-        """Let an interface receive what is published on its topic."""
-        self._receivers.setdefault(_key(receiver.spec), []).append(receiver)
+        """Let a subscription receive what is published on its topic."""
+        self._receivers.setdefault(topic_key(receiver.spec), []).append(receiver)
 
     def remove(self, receiver: Receiver) -> None:
         """Undo `add`, if it was called."""
-        receivers = self._receivers.get(_key(receiver.spec), [])
+        receivers = self._receivers.get(topic_key(receiver.spec), [])
         if receiver in receivers:
             receivers.remove(receiver)
         if not receivers:
-            self._receivers.pop(_key(receiver.spec), None)
+            self._receivers.pop(topic_key(receiver.spec), None)
+
+    def receivers_of(self, spec: InterfaceSpec) -> list[Receiver]:
+        """Return what receives from the topic of the interface `spec`."""
+        return self._receivers.get(topic_key(spec), [])
 
     def has_receivers(self, spec: InterfaceSpec) -> bool:
-        """Return whether an interface subscribes to the topic of the interface `spec`."""
-        return _key(spec) in self._receivers
+        """Return whether somebody subscribes to the topic of the interface `spec`."""
+        return topic_key(spec) in self._receivers
 
     def publish(self, spec: InterfaceSpec, message: Message, link: Link, latched: bool) -> None:
         """Pass a message of the interface `spec` to all that subscribe to its topic."""
-        for receiver in self._receivers.get(_key(spec), ()):
+        for receiver in self._receivers.get(topic_key(spec), ()):
             receiver.receive_shared(message, link, latched)
 
 
-def _key(spec: InterfaceSpec) -> tuple[str, str]:
+def topic_key(spec: InterfaceSpec) -> tuple[str, str]:
+    """Return the topic and the type of an interface, in one spelling."""
     return "/" + spec.addr.lstrip("/"), spec.type.replace("/msg/", "/")

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from endpoints.data import frames
-from endpoints.data.frames import FIRST, HEAD, PART, FrameReader, Message, Phase, pieces
+from endpoints.data.frames import FIRST, HEAD, MAX_SENDERS, PART, FrameReader, Message, Phase, pieces
 from rce.errors import LimitExceeded
 
 SIZES = st.one_of(
@@ -29,7 +29,10 @@ def messages(draw: st.DrawFn) -> Message:
     text = text.encode("utf-8", "ignore").decode()
     payload = random.Random(draw(st.integers(0, 1000))).randbytes(draw(SIZES))
     error, phase, numbered = draw(st.booleans()), draw(st.sampled_from(Phase)), draw(st.booleans())
-    return Message(draw(ID), text, payload, draw(st.none() | ID), error, phase, numbered)
+    senders = draw(st.sampled_from([(), (bytes(16),), tuple(bytes([each]) * 16 for each in range(MAX_SENDERS))]))
+    if senders:
+        phase = Phase.NONE
+    return Message(draw(ID), text, payload, draw(st.none() | ID), error, phase, numbered, senders)
 
 
 def feed(reader: FrameReader, data: bytes, cuts: itertools.cycle[int]) -> list[Message]:
@@ -48,7 +51,7 @@ def feed(reader: FrameReader, data: bytes, cuts: itertools.cycle[int]) -> list[M
 
 def plain(message: Message) -> tuple[object, ...]:
     flags = message.error, message.phase, message.numbered
-    return message.source, message.msg_id, bytes(message.payload), message.destination, flags
+    return message.source, message.msg_id, bytes(message.payload), message.destination, flags, message.senders
 
 
 @settings(max_examples=25, deadline=None)
@@ -76,6 +79,15 @@ def test_stream_of_single_bytes() -> None:
     assert list(map(plain, feed(FrameReader(), wire, itertools.cycle([1])))) == list(map(plain, sent))
 
 
+def test_message_of_several_senders_is_that_of_each_and_what_is_made_of_it_is_common() -> None:
+    message = Message(b"s" * 16, "id", b"payload", senders=(b"a" * 16, b"b" * 16))
+    one, other = message.by_sender()
+    assert (one.source, other.source, one.senders) == (b"a" * 16, b"b" * 16, ())
+    assert one.series == other.series == b"s" * 16
+    assert one.conversions is other.conversions
+    assert list(one.by_sender()) == [one]
+
+
 def test_large_payload_is_read_into_final_buffer() -> None:
     reader = FrameReader()
     (first, *_) = pieces(Message(bytes(16), "", bytes(10 * PART)), 1)
@@ -89,7 +101,7 @@ def test_large_payload_is_read_into_final_buffer() -> None:
 
 def test_unknown_phase_is_refused() -> None:
     with pytest.raises(LimitExceeded, match="unknown phase"):
-        feed(FrameReader(), HEAD.pack(0xF1, 0, 0, 0, 0) + bytes(16), itertools.cycle([100]))
+        feed(FrameReader(), HEAD.pack(0xE1, 0, 0, 0, 0) + bytes(16), itertools.cycle([100]))
 
 
 @pytest.mark.slow

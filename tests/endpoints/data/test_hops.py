@@ -61,6 +61,13 @@ def test_response_belongs_to_trace_of_its_request(hand: HandTurnedLoop, clock: l
     assert {each.source for each in follow(hand, recorder, "t", IN)} == {OUT.hex()}
 
 
+def test_message_of_several_senders_is_recorded_for_each_that_is_followed(hand: HandTurnedLoop) -> None:
+    recorder = HopRecorder()
+    follow(hand, recorder, "t", OUT)
+    recorder.sent(Message(bytes(16), "m", b"", senders=(IN, OUT)))
+    assert {(each.source, each.interface) for each in follow(hand, recorder, "t", OUT)} == {(OUT.hex(), OUT.hex())}
+
+
 def test_trace_expires_without_further_calls(hand: HandTurnedLoop, clock: list[float]) -> None:
     recorder = HopRecorder()
     follow(hand, recorder, "one", OUT)

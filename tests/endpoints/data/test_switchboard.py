@@ -110,6 +110,15 @@ async def test_message_goes_to_all_peers_or_to_its_destination(board: Board) -> 
     assert a.events == ["started", "joined 1", "joined 2"]
 
 
+async def test_message_of_several_senders_reaches_the_peers_of_each(board: Board) -> None:
+    await board.ready(5)
+    for own, peer in ((0, 3), (1, 4), (2, 4)):
+        await board.join(own, peer)
+    senders = tuple(board.at(number).id for number in (0, 1))
+    board.deliver(Message(b"s" * 16, "m", b"x", senders=senders), board.links["l"])
+    assert [[each.source for each in board.at(number).received] for number in (3, 4)] == [[senders[0]], [senders[1]]]
+
+
 async def test_routes_are_idempotent_and_need_link_and_interface(board: Board) -> None:
     a, b = await board.ready(2)
     for _ in range(2):

@@ -16,7 +16,6 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
-from endpoints.data import frames
 from endpoints.data.frames import Message
 from endpoints.data.hops import HopRecorder
 from endpoints.data.link import Link
@@ -288,18 +287,11 @@ async def test_unbound_interface_receives_nothing(master: FakeMaster) -> None:
     assert receiver.received.empty()
 
 
-async def test_message_too_large_for_links_is_reported_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(frames, "MAX_MESSAGE", 1000)
+async def test_error_of_a_message_that_did_not_reach_its_robot_is_reported() -> None:
     reports: list[RceError] = []
     context = Mock(hops=HopRecorder(), budget=None, report=lambda _, error: reports.append(error))
     spec = InterfaceSpec("ab" * 16, "user/env", "tag", "SubscriberInterface", "std_msgs/String", "addr", Qos())
     interface = SubscriberInterface(spec, context)
-    interface._subscription = Mock(latched=False)
-    for _ in range(2):
-        interface._handle(bytes(1001), b"publisher", True, 0.0)
-    interface._handle(bytes(10), b"publisher", True, 0.0)
-    assert interface.dropped == 2
-    assert [error.code for error in reports] == ["limit_exceeded"]
     undelivered = msgspec.msgpack.encode(LimitExceeded("too large for the robot").info)
     interface.receive(Message(bytes(16), "", undelivered, error=True), cast(Link, None))
     assert str(reports[-1]) == "too large for the robot"
@@ -359,16 +351,3 @@ async def test_messages_beyond_the_depth_are_unheard_while_no_node_subscribes_an
         for word in ("one", "two", "three"):
             interface.receive(Message(bytes(16), "", cdr(word)), Mock())
     assert (interface.unheard, interface.dropped) == (1, 3)
-
-
-async def test_messages_kept_for_late_peers_are_bounded_by_bytes() -> None:
-    spec = interface_without_node("SubscriberInterface", Qos(durability="transient_local", depth=1000))
-    interface = SubscriberInterface(spec, Mock(hops=HopRecorder(), budget=None))
-    interface._subscription = Mock(latched=True)
-    interface._handle(b"first", b"other", True, 0.0)
-    for number in range(10):
-        interface._handle(bytes([number]) * (INTERFACE // 4), b"publisher", True, 0.0)
-    kept = [payload for messages in interface._latched.values() for payload in messages]
-    assert [payload[0] for payload in kept] == [6, 7, 8, 9]
-    interface._handle(bytes(2 * INTERFACE), b"publisher", True, 0.0)
-    assert [len(payload) for messages in interface._latched.values() for payload in messages] == [2 * INTERFACE]
