@@ -45,6 +45,9 @@ class Recipe(msgspec.Struct, frozen=True):
         converter: What converts instead: `ros1`, `cdr`, or the name of a user's converter; empty for JSON.
         fields: Paths of the fields that messages for a robot have; empty for all.
         decimate: Decimation of messages for a robot.
+        codec: Codec of packets, as `h264`; empty for none.
+        stream: Id of a series of packets, in which one needs those before it; empty if each can be unpacked alone.
+        bitrate: Bytes per second that the packets do not exceed; 0 for the default.
     """
 
     name: str
@@ -54,6 +57,9 @@ class Recipe(msgspec.Struct, frozen=True):
     converter: str = ""
     fields: tuple[str, ...] = ()
     decimate: Decimation = Decimation()
+    codec: str = ""
+    stream: str = ""
+    bitrate: int = 0
 
 
 class Codec:

@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import SimpleNamespace
-from typing import Any
 
 import cv2
 import numpy as np
-from msgspec import UNSET
 from numpy.typing import NDArray
 
-from converters.codec import HEADER, LITTLE_ENDIAN
 from converters.images import ENCODINGS, Encoding
 from converters.model import IMAGE, Message
-from converters.reader import Readers
+from converters.namespaces import Fields, Namespaces
 from converters.scalars import FieldError
-from converters.wire import Buffer, Incoming, Outgoing
-from converters.writer import Writers
+from converters.wire import Buffer
 from rce.errors import ConversionError, InvalidRequest
 
 SCAN, CLOUD = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2"
 FIELD = "delivery.decimate"
 
-Fields = Any  # a message as a namespace of its fields
 Size = tuple[int, int]  # width, height in pixels
 
 
@@ -47,12 +41,8 @@ class Decimator:
             )
         if size is not None and message.name != IMAGE:
             raise InvalidRequest(f"{FIELD}.size: only {IMAGE} has a size: use step", field=f"{FIELD}.size")
-        self._name = message.name
-        self._names = {member.attr: member.field.name for member in message.members}
-        self._blobs = {member.attr + "b": UNSET for member in message.members if member.accepts_blob}
+        self._name, self._namespaces = message.name, Namespaces(message)
         self._decimate, self._step, self._size = _DECIMATE[message.name], step, size
-        self._read = Readers("json", number=lambda value: value).top(message)
-        self._write = Writers().top(message)
 
     def __call__(self, cdr: Buffer) -> bytes:
         """Return the smaller message.
@@ -60,19 +50,12 @@ class Decimator:
         Raises:
             ConversionError: The bytes are not CDR of the type, or its parts do not fit each other.
         """
-        data, parts = memoryview(cdr).cast("B"), list[Buffer]([HEADER])
         try:
-            if data[:2] != LITTLE_ENDIAN:
-                raise FieldError("it does not begin as plain little-endian CDR")
-            found, _ = self._read(data[4:], 0, Outgoing())
-            values = {attr: getattr(found, attr) for attr in self._names}
-            fields = SimpleNamespace(**{self._names[attr]: value for attr, value in values.items()})
+            fields = self._namespaces.read(cdr)
             self._decimate(fields, self._step, self._size)
-            changed = {attr: getattr(fields, name) for attr, name in self._names.items()}
-            self._write(SimpleNamespace(**changed, **self._blobs), parts, 0, Incoming({}))  # type: ignore[arg-type]
+            return self._namespaces.write(fields)
         except FieldError as error:
             raise ConversionError(f"{self._name} {error.path}: {error.reason}", field=error.path) from error
-        return b"".join(parts)
 
 
 def _scan(scan: Fields, step: int, size: Size | None) -> None:

@@ -114,18 +114,18 @@ def write_picture(image: Picture, image_format: PictureFormat) -> bytes:
 def _file_pixels(image: Picture) -> Pixels:
     """Return the pixels in OpenCV's channel order."""
     if image.encoding in _TO_BGR:
-        return cast("Pixels", cv2.cvtColor(_rows(image, _YUV), _TO_BGR[image.encoding]))
+        return cast("Pixels", cv2.cvtColor(pixels_of(image, _YUV), _TO_BGR[image.encoding]))
     encoding = ENCODINGS.get(image.encoding)
     if encoding is None:
         raise FieldError(
             f"an image file cannot hold the encoding {image.encoding[:40]!r}: use format json or a Forwarder; "
             f"supported are {', '.join((*ENCODINGS, *_TO_BGR))}"
         )
-    pixels = _rows(image, encoding)
+    pixels = pixels_of(image, encoding)
     return pixels if encoding.to_file is None else cast("Pixels", cv2.cvtColor(pixels, encoding.to_file))
 
 
-def _rows(image: Picture, encoding: Encoding) -> Pixels:
+def pixels_of(image: Picture, encoding: Encoding) -> Pixels:
     """Return the pixels as (height, width) or (height, width, channels), without the padding of the rows."""
     row = image.width * encoding.channels * encoding.depth
     if not row or not image.height or image.step < row or image.step * image.height > len(image.data):

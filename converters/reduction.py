@@ -14,6 +14,7 @@ import msgspec
 from converters.codec import Codec, Recipe
 from converters.decimation import Decimator
 from converters.model import Message
+from converters.packed import PackedCodec
 from converters.reader import Readers
 from converters.selection import select
 from converters.wire import Buffer, Wire
@@ -80,6 +81,11 @@ class ReducedCodec:
         self._projector = Projector(codec.message, fields) if fields and form is not codec else None
         if fields and form is codec:
             self._form = _projected(codec, fields)
+
+    def request_key(self) -> None:
+        """Make the next packet of video a key frame."""
+        if isinstance(self._form, PackedCodec):
+            self._form.request_key()
 
     def encodes_fast(self, wire: Wire) -> bool:
         """Return True if `encode` takes a few milliseconds at most."""

@@ -42,7 +42,7 @@ PYTHON = VENV / "bin" / "python"
 STAMP = VENV / "provisioned.json"
 DEMO_EXTRAS = ("server", "knowledge", "bag", "mapping", "mapping3d", "ros", "images")  # the last for the examples
 IMAGE_EXTRAS = ("server", "docker")
-TEST_EXTRAS = (*DEMO_EXTRAS, "video", "docker", "bench", "postgresql", "docs", "dev")
+TEST_EXTRAS = (*DEMO_EXTRAS, "video", "draco", "docker", "bench", "postgresql", "docs", "dev")
 TEST_PACKAGE = ROOT / "tests" / "ros" / "Test"
 DOCKER_PROGRAMS = {  # a private daemon, what makes images without a registry, and disks and networks of environments
     "docker.io": "dockerd",

@@ -24,6 +24,7 @@ from endpoints.robot.kinds import make_interface
 from endpoints.robot.session import RobotSession
 from endpoints.robot.streams import Streams
 from endpoints.robot.types import UserTypes
+from endpoints.robot.video import SharedEncoders
 from endpoints.robot.workers import Workers
 from rce.control.calls.call import BatchResult
 from rce.control.calls.endpoints import MAX_TEXT, InterfaceSpec, LinkLost, Sync
@@ -97,6 +98,7 @@ class RobotEndpoint:
         self.switchboard = Switchboard(port, self._link_lost)
         self.workers = Workers(converters=options.converters)
         self._formats = Formats(original_forwarders=options.original_forwarders)
+        self._encoders = SharedEncoders()
         self.sessions: dict[str, RobotSession] = {}
         self._queues = options.queues
         self._budget = Budget(options.queues)
@@ -279,7 +281,7 @@ class RobotEndpoint:
         types = self._types.setdefault(user, UserTypes(partial(self._describe_type, user)))
         registry = await types.registry_for(spec)
         return make_interface(
-            spec, self.switchboard.hops, session, self.workers, registry, self._timeout, self._formats
+            spec, self.switchboard.hops, session, self.workers, registry, self._timeout, self._formats, self._encoders
         )
 
     async def definitions(self, user: str, type: str, sort: Sort) -> dict[str, Definition]:

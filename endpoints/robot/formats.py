@@ -17,6 +17,7 @@ from converters.reduction import ALL, ReducedCodec
 from converters.reduction import AnyCodec as Codec
 from converters.ros1 import ROS1, Ros1Codec
 from endpoints.robot.session import RobotSession
+from rce.codecs.names import check, is_series
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import ConversionError, InvalidRequest, RceError
 from rce.protocol.blobs import Buffer
@@ -60,7 +61,7 @@ class PassThroughCodec(CdrCodec):
 
 
 class WorkerCodec:
-    """Codec that only the workers have: a user's converter, which runs nowhere else."""
+    """Codec that only the workers have: a user's converter or one of packets, which run nowhere else."""
 
     def __init__(self, recipe: Recipe) -> None:
         self.recipe = recipe
@@ -107,7 +108,7 @@ class Formats(Struct, frozen=True):
             InvalidRequest: There is no such format for this interface.
             UnknownType: The type is not known, and its messages are converted.
         """
-        forms = self._forms(spec, session, codec)
+        forms = _packed(spec, codec) if spec.codec else self._forms(spec, session, codec)
         return _reduced(spec, codec, forms) if spec.delivery.fields or spec.delivery.decimate != ALL else forms
 
     def _forms(self, spec: InterfaceSpec, session: RobotSession, codec: Callable[[Dialect], JsonCodec]) -> Codecs:
@@ -150,6 +151,18 @@ class Formats(Struct, frozen=True):
             return None
         fitting = [each for each in self.custom if each.type == parse_type(spec.type).msg]
         return next((e.name for e in fitting if e.name == spec.format or (e.default and spec.format == DEFAULT)), None)
+
+
+def _packed(spec: InterfaceSpec, codec: Callable[[Dialect], JsonCodec]) -> Codecs:
+    """Return the codec of packets, which only the workers have; raise InvalidRequest if there is none for the type."""
+    check(spec.codec, spec.type)
+    if spec.delivery.fields:
+        raise InvalidRequest("a packet has no fields: leave out delivery.fields, or the codec", field="delivery.fields")
+    received = is_series(spec.codec) and spec.kind.startswith("Subscriber")
+    stream = spec.id if received else ""  # those to robots get theirs from the encoder, which they share
+    recipe = msgspec.structs.replace(codec("plain").recipe, codec=spec.codec, stream=stream)
+    by_worker = WorkerCodec(recipe)
+    return lambda: by_worker
 
 
 def _reduced(spec: InterfaceSpec, codec: Callable[[Dialect], JsonCodec], forms: Codecs) -> Codecs:

@@ -11,7 +11,9 @@ from endpoints.robot.formats import Formats
 from endpoints.robot.interfaces import Publisher, RobotInterface, Subscriber
 from endpoints.robot.services import ServiceClient, ServiceProvider
 from endpoints.robot.session import RobotSession
+from endpoints.robot.video import SharedEncoders, VideoPublisher
 from endpoints.robot.workers import Workers
+from rce.codecs.names import is_series
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.protocol.messages import IMAGE_FORMATS
 from rce.protocol.names import parse_type
@@ -25,6 +27,7 @@ def make_interface(
     types: TypeRegistry,
     timeout: float,
     formats: Formats,
+    encoders: SharedEncoders,
 ) -> RobotInterface:
     """Create an interface of the kind that `spec` names.
 
@@ -36,9 +39,10 @@ def make_interface(
         types: Types that the robot's user has.
         timeout: Seconds until a service call fails.
         formats: Formats of this endpoint.
+        encoders: Encoders of video of this endpoint.
 
     Raises:
-        InvalidRequest: There is no such format for this interface.
+        InvalidRequest: There is no such format or codec for this interface.
         UnknownType: The type is not known, and its messages are converted.
     """
     prefix = spec.kind.removesuffix("Converter").removesuffix("Forwarder")
@@ -46,6 +50,8 @@ def make_interface(
     if prefix in ("Publisher", "Subscriber"):
         image = cast(Literal["png", "jpeg", "json"], spec.format if spec.format in IMAGE_FORMATS else "json")
         codec = formats.codecs(spec, session, lambda dialect: types.message(name, image, dialect))
+        if prefix == "Publisher" and is_series(spec.codec):
+            return VideoPublisher(spec, hops, session, workers, codec, encoders)
         return (Publisher if prefix == "Publisher" else Subscriber)(spec, hops, session, workers, codec)
     if prefix in ("ActionClient", "ActionProvider"):
         goal = formats.codecs(spec, session, lambda dialect: types.action(name, dialect).goal)

@@ -28,6 +28,7 @@ from converters import Codec, Converter, Recipe, TypeRegistry, Wire, custom_file
 from converters.cdr import CDR, CdrCodec
 from converters.custom import CustomCodec
 from converters.custom_files import Description
+from converters.packed import PackedCodec
 from converters.reduction import ALL, AnyCodec, ReducedCodec
 from converters.ros1 import ROS1, Ros1Codec
 from endpoints.memory import keep_large_blocks, uninitialized
@@ -37,6 +38,7 @@ from rce.protocol.blobs import Buffer
 MAX_MEMORY = 2 << 30  # bytes of data of one worker
 NICENESS = 10  # small messages, which the endpoint converts itself, come first
 MAX_CODECS = 1000
+MAX_STREAMS = 32  # of video, whose encoders hold several images each
 COUNT, SIZE = struct.Struct("!I"), struct.Struct("!Q")
 
 
@@ -49,9 +51,10 @@ class Encode(Struct, frozen=True, tag=True):
 
 
 class Decode(Struct, frozen=True, tag=True):
-    """Request to convert CDR to JSON and blobs; its buffer is the CDR."""
+    """Request to convert CDR to JSON and blobs; its buffer is the CDR. With `key`, a packet of video is a key frame."""
 
     recipe: Recipe
+    key: bool = False
 
 
 class Describe(Struct, frozen=True, tag=True):
@@ -113,8 +116,22 @@ def _read(sock: socket.socket, size: int) -> bytearray:
     return buffer
 
 
-@lru_cache(MAX_CODECS)
 def _codec(recipe: Recipe, converters: str) -> AnyCodec:
+    return (_stream if recipe.stream else _shared)(recipe, converters)
+
+
+@lru_cache(MAX_STREAMS)
+def _stream(recipe: Recipe, converters: str) -> AnyCodec:
+    """Return the codec of a stream, with its state; a forgotten one begins again with a key frame."""
+    return _make(recipe, converters)
+
+
+@lru_cache(MAX_CODECS)
+def _shared(recipe: Recipe, converters: str) -> AnyCodec:
+    return _make(recipe, converters)
+
+
+def _make(recipe: Recipe, converters: str) -> AnyCodec:
     codec = TypeRegistry.codec_of(recipe)
     form = _form(recipe, codec, converters)
     if recipe.fields or recipe.decimate != ALL:
@@ -123,6 +140,8 @@ def _codec(recipe: Recipe, converters: str) -> AnyCodec:
 
 
 def _form(recipe: Recipe, codec: Codec, converters: str) -> AnyCodec:
+    if recipe.codec:
+        return PackedCodec(codec, recipe)
     if recipe.converter == ROS1:
         return Ros1Codec(codec)
     if recipe.converter == CDR:
@@ -144,6 +163,8 @@ def convert(request: Request, buffers: Sequence[Buffer], converters: str = "") -
         if isinstance(request, Encode):
             raw, *blobs = buffers
             return Converted(), [codec.encode(Wire(request.is_blob, raw, dict(zip(request.blobs, blobs, strict=True))))]
+        if request.key and isinstance(codec, PackedCodec | ReducedCodec):
+            codec.request_key()
         wire = codec.decode(buffers[0])
         return Converted(wire.is_blob, list(wire.blobs)), [memoryview(wire.raw), *wire.blobs.values()]
     except RceError as refused:

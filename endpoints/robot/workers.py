@@ -16,6 +16,7 @@ from collections import Counter, OrderedDict, deque
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from zlib import crc32
 
 import msgspec
 from twisted.logger import Logger
@@ -25,10 +26,11 @@ from converters.custom_files import Description
 from endpoints.robot import worker
 from endpoints.robot.worker import Answer, Converted, Decode, Describe, Described, Encode, Failed, Request
 from rce.errors import MALFORMED, LimitExceeded, RceError
-from rce.process.metrics import Family, gauge_family
+from rce.process.metrics import Family, counter_family, gauge_family
 from rce.protocol.blobs import Buffer
 
 MAX_SECONDS = 60  # of one conversion
+STREAM_WORKERS = 2
 SOCKET_BUFFER = 1 << 20  # bytes
 PROGRAM = ("-P", "-m", worker.__name__)
 
@@ -98,6 +100,34 @@ class _Job:
     done: asyncio.Future[tuple[Answer, list[bytearray]]]
 
 
+class StreamWorker:
+    """One process for conversions with state, one after the other. It starts when it is needed."""
+
+    def __init__(self, converters: str = "") -> None:
+        self._worker = Worker(converters)
+        self._thread = ThreadPoolExecutor(1, "stream")
+        self._running = False
+
+    async def ask(self, request: Request, buffers: Sequence[Buffer]) -> tuple[Answer, list[bytearray]]:
+        """Return the answer to a request and its buffers; requests are answered in their order."""
+        return await asyncio.get_running_loop().run_in_executor(self._thread, self._call, request, buffers)
+
+    def _call(self, request: Request, buffers: Sequence[Buffer]) -> tuple[Answer, list[bytearray]]:
+        self._running = True
+        try:
+            return self._worker.call(request, buffers)
+        finally:
+            self._running = False
+
+    def close(self) -> None:
+        """End the process; a conversion that runs fails."""
+        self._thread.shutdown(wait=False, cancel_futures=True)
+        if self._running:
+            self._worker.kill()  # its thread does the rest
+        else:
+            self._worker.stop()
+
+
 class Workers:
     """A few workers, shared by all users."""
 
@@ -116,6 +146,8 @@ class Workers:
         self._waiting: OrderedDict[str, deque[_Job]] = OrderedDict()  # by user, whose turn is next first
         self._running: Counter[str] = Counter()  # by user
         self._tasks: set[asyncio.Task[None]] = set()
+        self._streams = [StreamWorker(converters) for _ in range(STREAM_WORKERS)]
+        self._converted = 0
 
     async def converters(self) -> list[Description]:
         """Return the users' converters.
@@ -135,27 +167,33 @@ class Workers:
             ConversionError: The message does not fit its type.
             LimitExceeded: The conversion takes too much time or memory.
         """
-        _, (cdr,) = await self._ask(
-            user,
-            Encode(recipe, wire.is_blob, list(wire.blobs)),
-            [memoryview(wire.raw), *wire.blobs.values()],
-        )
+        request = Encode(recipe, wire.is_blob, list(wire.blobs))
+        _, (cdr,) = await self._convert(user, recipe, request, [memoryview(wire.raw), *wire.blobs.values()])
         return cdr
 
-    async def decode(self, user: str, recipe: Recipe, cdr: Buffer) -> Wire:
-        """Convert CDR to the form of a robot; raises the errors of `encode`."""
-        answer, (raw, *blobs) = await self._ask(user, Decode(recipe), [cdr])
+    async def decode(self, user: str, recipe: Recipe, cdr: Buffer, *, key: bool = False) -> Wire:
+        """Convert CDR to the form of a robot, with `key` to a key frame of video; raises the errors of `encode`."""
+        answer, (raw, *blobs) = await self._convert(user, recipe, Decode(recipe, key), [cdr])
         assert isinstance(answer, Converted)  # `_ask` raises a failure
         return Wire(answer.is_blob, raw, dict(zip(answer.blobs, blobs, strict=True)))
+
+    async def _convert(
+        self, user: str, recipe: Recipe, request: Request, buffers: Sequence[Buffer]
+    ) -> tuple[Answer, list[bytearray]]:
+        self._converted += 1
+        if not recipe.stream:
+            return await self._ask(user, request, buffers)
+        return _result(await self._stream(recipe.stream).ask(request, buffers))
+
+    def _stream(self, stream: str) -> StreamWorker:
+        """Return the worker of a stream, which is always the same one: it has the state."""
+        return self._streams[crc32(stream.encode()) % len(self._streams)]
 
     async def _ask(self, user: str, request: Request, buffers: Sequence[Buffer]) -> tuple[Answer, list[bytearray]]:
         done = asyncio.get_running_loop().create_future()
         self._waiting.setdefault(user, deque()).append(_Job(request, buffers, done))
         self._pump()
-        answer, results = await done
-        if isinstance(answer, Failed):
-            raise RceError.from_info(answer.error)
-        return answer, results
+        return _result(await done)
 
     def _pump(self) -> None:
         """Start jobs on idle workers, one of each user in turn."""
@@ -194,7 +232,10 @@ class Workers:
             ("running",): self._running.total(),
             ("waiting",): sum(map(len, self._waiting.values())),
         }
-        return [gauge_family("rce_conversions", "Conversions of large messages", ["state"], numbers)]
+        return [
+            gauge_family("rce_conversions", "Conversions of large messages", ["state"], numbers),
+            counter_family("rce_converted", "Large messages that were converted", [], {(): self._converted}),
+        ]
 
     def close(self) -> None:
         """End the processes; conversions that run or wait fail."""
@@ -208,3 +249,12 @@ class Workers:
             else:
                 each.kill()  # its thread does the rest
         self._threads.shutdown(wait=False)
+        for stream in self._streams:
+            stream.close()
+
+
+def _result(result: tuple[Answer, list[bytearray]]) -> tuple[Answer, list[bytearray]]:
+    """Return the result of a conversion, or raise its error."""
+    if isinstance(result[0], Failed):
+        raise RceError.from_info(result[0].error)
+    return result

@@ -205,6 +205,12 @@ def _owner_of_new_interface(context: CommandContext, command: m.AddInterface, ki
             f"{', '.join(TOPICS_OF_ROBOTS)}",
             field="delivery",
         )
+    if command.codec and kind not in ("PublisherConverter", "SubscriberConverter"):
+        raise InvalidRequest(
+            f"{with_article(kind)} has no codec: give it to an interface of a robot for a topic, which is a "
+            "PublisherConverter or a SubscriberConverter",
+            field="codec",
+        )
     for option in ("fields", "decimate"):
         if kind.startswith("Subscriber") and getattr(command.delivery, option) != getattr(m.Delivery(), option):
             raise InvalidRequest(

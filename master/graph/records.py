@@ -208,6 +208,7 @@ class Interface(Struct, frozen=True):
     format: str = "png"
     by: str = ""
     delivery: Delivery = Delivery()
+    codec: str = ""
 
     @property
     def key(self) -> str:

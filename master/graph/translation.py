@@ -55,7 +55,7 @@ def interface_from(id: str, owner: str, kind: str, command: m.AddInterface) -> I
     smaller = (wanted.fields, decimate.step, decimate.size)
     delivery = Delivery(wanted.priority, wanted.maxAge, wanted.rate, *smaller)
     named = (command.interfaceTag, kind, command.className, command.addr)
-    return Interface(id, owner, *named, qos, command.format, delivery=delivery)
+    return Interface(id, owner, *named, qos, command.format, delivery=delivery, codec=command.codec)
 
 
 def qos_message(qos: Qos) -> m.Qos:
@@ -81,4 +81,5 @@ def interface_spec(interface: Interface) -> InterfaceSpec:
         qos_message(interface.qos),
         interface.format,
         delivery_message(interface.delivery),
+        interface.codec,
     )

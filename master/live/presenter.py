@@ -132,6 +132,7 @@ class Presenter:
             qos_message(record.qos),
             record.format,
             delivery_message(record.delivery),
+            record.codec,
             self.state.connections.count(record.key),
             self.rates.get(record.key),
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from msgspec import Struct
 
 from rce.protocol.messages import (
+    CodecName,
     ContainerData,
     Delivery,
     Format,
@@ -56,6 +57,7 @@ class NewInterface(Struct, frozen=True, forbid_unknown_fields=True):
     qos: Qos = Qos()
     format: Format = "png"
     delivery: Delivery = Delivery()
+    codec: CodecName = ""
 
 
 class NewConnection(Struct, frozen=True, forbid_unknown_fields=True):

@@ -115,6 +115,7 @@ class InterfaceView(Struct, frozen=True):
     qos: Qos
     format: str
     delivery: Delivery
+    codec: str
     connections: int
     rate: Rate | None = None
 

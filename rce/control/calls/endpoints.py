@@ -29,6 +29,7 @@ class InterfaceSpec(Struct, frozen=True):
     qos: Qos = Qos()
     format: str = "png"
     delivery: Delivery = Delivery()
+    codec: str = ""
 
 
 class Route(Struct, frozen=True):

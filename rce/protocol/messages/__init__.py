@@ -10,6 +10,7 @@ from rce.protocol.messages.commands import CX_ITEMS as CX_ITEMS
 from rce.protocol.messages.commands import IMAGE_FORMATS as IMAGE_FORMATS
 from rce.protocol.messages.commands import AddInterface as AddInterface
 from rce.protocol.messages.commands import AddNode as AddNode
+from rce.protocol.messages.commands import CodecName as CodecName
 from rce.protocol.messages.commands import Command as Command
 from rce.protocol.messages.commands import ConfigureComponents as ConfigureComponents
 from rce.protocol.messages.commands import ConfigureConnections as ConfigureConnections

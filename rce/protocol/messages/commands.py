@@ -184,6 +184,7 @@ class Delivery(Struct, frozen=True, omit_defaults=True):
     decimate: Decimation = Decimation()
 
 
+CodecName = Annotated[str, Meta(pattern=r"^([a-z][a-z0-9_-]{0,39})?$(?!\n)")]
 Format = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_-]{0,39}$")]
 IMAGE_FORMATS = ("png", "jpeg", "json")
 
@@ -192,7 +193,8 @@ class AddInterface(Struct, frozen=True):
     """Add an interface to an environment (`…Interface`) or to a robot (`…Converter`, `…Forwarder`).
 
     The `format` of a Converter is that of images, or a converter of the Robot endpoint; that of a Forwarder is `cdr` or
-    `ros1`, where `png` stands for the default. `delivery` is for topics of robots.
+    `ros1`, where `png` stands for the default. With a `codec`, the messages of a Converter are packets. `delivery` and
+    `codec` are for topics of robots.
     """
 
     endpointTag: str
@@ -203,6 +205,7 @@ class AddInterface(Struct, frozen=True):
     qos: Qos = Qos()
     format: Format = "png"
     delivery: Delivery = Delivery()
+    codec: CodecName = ""
 
 
 class RemoveInterface(Struct, frozen=True):
