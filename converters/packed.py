@@ -17,7 +17,7 @@ from converters.namespaces import Fields, Namespaces
 from converters.scalars import FieldError, TimeValue
 from converters.wire import Buffer, Outgoing, Wire
 from rce.codecs import clouds
-from rce.codecs.names import IMAGE, is_series
+from rce.codecs.names import CLOUD, FFMPEG, FOXGLOVE, IMAGE, is_series
 from rce.codecs.packed import CloudField, Header, PackedCloud, PackedImage, Stamp
 from rce.errors import ConversionError
 
@@ -35,8 +35,7 @@ class PackedCodec:
         """Make a codec for the type of another; its recipe names the codec, the stream and the rate."""
         self.recipe = recipe
         self._name = codec.message.name
-        packing: type[_Packing] = _Images if codec.message.name == IMAGE else _Clouds
-        self._packing = packing(codec.message, recipe)
+        self._packing = _PACKINGS[codec.message.name](codec.message, recipe)
         self._namespaces = Namespaces(codec.message)
 
     def encodes_fast(self, wire: Wire) -> bool:
@@ -90,9 +89,9 @@ class _Packing:
     head: type[Struct]
 
     def __init__(self, message: Message, recipe: Recipe) -> None:
-        header = message.members[0].message
-        assert header is not None
-        self._header = header.model
+        first = message.members[0].message  # the header, or the stamp
+        assert first is not None
+        self._header = first.model
         self._codec = recipe.codec
 
     def request_key(self) -> None:
@@ -185,3 +184,32 @@ def _points(fields: Fields, kind: np.dtype[Any]) -> NDArray[Any]:
         raise FieldError(f"{len(fields.data)} bytes are not {fields.height} rows of {fields.row_step}", "data")
     rows = np.frombuffer(fields.data, np.uint8, fields.row_step * fields.height).reshape(fields.height, -1)
     return np.ascontiguousarray(rows[:, :size]).reshape(-1).view(kind)
+
+
+class _CompressedVideo(_Packing):
+    """Video stays packed."""
+
+    head = PackedImage
+
+    def pack(self, fields: Fields) -> tuple[Struct, bytes]:
+        raise ConversionError("it is video already")
+
+    def unpack(self, head: PackedImage, data: bytes) -> Fields:
+        stamp = TimeValue(head.header.stamp.sec, head.header.stamp.nanosec)
+        return SimpleNamespace(timestamp=stamp, frame_id=head.header.frame_id, data=data, format=head.codec)
+
+
+class _FfmpegPacket(_CompressedVideo):
+    def unpack(self, head: PackedImage, data: bytes) -> Fields:
+        return SimpleNamespace(
+            header=self._to_model(head.header), width=head.width, height=head.height, encoding=head.codec,
+            pts=head.number, flags=int(head.key), is_bigendian=False, data=data,
+        )  # fmt: skip
+
+
+_PACKINGS: dict[str, type[_Packing]] = {
+    IMAGE: _Images,
+    CLOUD: _Clouds,
+    FOXGLOVE: _CompressedVideo,
+    FFMPEG: _FfmpegPacket,
+}

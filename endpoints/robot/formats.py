@@ -155,11 +155,12 @@ class Formats(Struct, frozen=True):
 
 def _packed(spec: InterfaceSpec, codec: Callable[[Dialect], JsonCodec]) -> Codecs:
     """Return the codec of packets, which only the workers have; raise InvalidRequest if there is none for the type."""
-    check(spec.codec, spec.type)
+    receives = spec.kind.startswith("Publisher")
+    check(spec.codec, spec.type, receives=receives)
     if spec.delivery.fields:
         raise InvalidRequest("a packet has no fields: leave out delivery.fields, or the codec", field="delivery.fields")
-    received = is_series(spec.codec) and spec.kind.startswith("Subscriber")
-    stream = spec.id if received else ""  # those to robots get theirs from the encoder, which they share
+    series = is_series(spec.codec, spec.type)
+    stream = spec.id if series and not receives else ""  # those to robots get theirs from the encoder, which they share
     recipe = msgspec.structs.replace(codec("plain").recipe, codec=spec.codec, stream=stream)
     by_worker = WorkerCodec(recipe)
     return lambda: by_worker

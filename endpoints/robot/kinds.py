@@ -50,7 +50,7 @@ def make_interface(
     if prefix in ("Publisher", "Subscriber"):
         image = cast(Literal["png", "jpeg", "json"], spec.format if spec.format in IMAGE_FORMATS else "json")
         codec = formats.codecs(spec, session, lambda dialect: types.message(name, image, dialect))
-        if prefix == "Publisher" and is_series(spec.codec):
+        if prefix == "Publisher" and is_series(spec.codec, spec.type):
             return VideoPublisher(spec, hops, session, workers, codec, encoders)
         return (Publisher if prefix == "Publisher" else Subscriber)(spec, hops, session, workers, codec)
     if prefix in ("ActionClient", "ActionProvider"):

@@ -164,6 +164,7 @@ class Environment:
         format: Format = "png",
         offline: Offline | Store = "drop",
         delivery: Delivery | None = None,
+        codec: CodecName = "",
     ) -> Publisher:
         """Publish on a topic of the environment.
 
@@ -177,6 +178,8 @@ class Environment:
             offline: What `publish(…, wait=False)` does with messages that cannot be sent: `drop`, keep the `newest`, or
                 `store` in memory or in the file of a `Store`; see `Publisher`.
             delivery: Priority, greatest age and rate of messages on the line from the robot.
+            codec: Codec of images and clouds, which the robot sends as packets: `h264`, `palette`, `quantised` and
+                others of the protocol. Messages are numpy arrays then.
 
         Returns:
             A connected publisher.
@@ -192,7 +195,7 @@ class Environment:
         to = await self._interface(topic, "pub", "PublisherInterface", type_name, qos)
         tag = self._own_tag(to)
         return await self.robot.publisher(
-            tag, type_name, to=to, raw=raw, format=format, qos=qos, offline=offline, delivery=delivery
+            tag, type_name, to=to, raw=raw, format=format, qos=qos, offline=offline, delivery=delivery, codec=codec
         )
 
     async def subscriber(
@@ -206,6 +209,7 @@ class Environment:
         raw: bool = False,
         format: Format = "png",
         delivery: Delivery | None = None,
+        codec: CodecName = "",
     ) -> Subscriber:
         """Subscribe to a topic of the environment.
 
@@ -220,6 +224,7 @@ class Environment:
             format: Encoding in which `sensor_msgs/Image` messages arrive: PNG or JPEG bytes, or dicts (`json`); other
                 formats as for `publisher`.
             delivery: Priority, greatest age, rate, fields and decimation of messages on the line to the robot.
+            codec: Codec in which images and clouds come, as for `publisher`.
 
         Returns:
             A connected subscriber.
@@ -238,6 +243,7 @@ class Environment:
             format=format,
             qos=qos,
             delivery=delivery,
+            codec=codec,
         )
 
     async def service_client(self, service: str, type_name: str, *, raw: bool = False) -> ServiceClient:

@@ -227,6 +227,7 @@ class Operations:
         qos: Qos | None = None,
         format: Format = "png",
         delivery: Delivery | None = None,
+        codec: CodecName = "",
     ) -> None:
         """Add an interface to an environment or a robot.
 
@@ -244,6 +245,7 @@ class Operations:
             format: Encoding in which a robot gets images.
             delivery: Priority, greatest age and rate of messages between a robot and the platform, for topics of
                 robots.
+            codec: Codec of the packets in which a robot exchanges images and clouds.
 
         Raises:
             NotFound: The endpoint does not exist.
@@ -252,7 +254,7 @@ class Operations:
             TimedOut: The platform did not answer within the robot's `timeout`.
             RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
         """
-        options = (addr, qos or Qos(), format, delivery or Delivery())
+        options = (addr, qos or Qos(), format, delivery or Delivery(), codec)
         await self.configure(AddInterface(endpoint, tag, interface_type, type_name, *options))
 
     async def remove_interface(self, endpoint: str, tag: str) -> None:

@@ -211,6 +211,7 @@ class Robot(Operations):
         qos: Qos | None = None,
         offline: Offline | Store = "drop",
         delivery: Delivery | None = None,
+        codec: CodecName = "",
     ) -> Publisher:
         """Add an interface through which the robot sends messages.
 
@@ -226,6 +227,8 @@ class Robot(Operations):
             offline: What `publish(…, wait=False)` does with messages that cannot be sent: `drop`, keep the `newest`, or
                 `store` in memory or in the file of a `Store`; see `Publisher`.
             delivery: Priority, greatest age and rate of messages on the line to the platform.
+            codec: Codec of images and clouds, which the robot sends as packets: `h264`, `palette`, `quantised` and
+                others of the protocol. Messages are numpy arrays then.
 
         Returns:
             The publisher, with a peer if `to` is given.
@@ -240,8 +243,8 @@ class Robot(Operations):
             RceError: Any other error of the platform, or `Unavailable` if the robot is not open. After any error the
                 interface does not exist.
         """
-        publisher = make_publisher(self, tag, type_name, offline, delivery or Delivery())
-        return await self._add(publisher, "Subscriber", to, raw, format, qos, delivery)
+        publisher = make_publisher(self, tag, type_name, offline, delivery or Delivery(), codec)
+        return await self._add(publisher, "Subscriber", to, raw, format, qos, delivery, codec)
 
     async def subscriber(
         self,
@@ -255,6 +258,7 @@ class Robot(Operations):
         format: Format = "png",
         qos: Qos | None = None,
         delivery: Delivery | None = None,
+        codec: CodecName = "",
     ) -> Subscriber:
         """Add an interface through which the robot receives messages.
 
@@ -272,6 +276,7 @@ class Robot(Operations):
                 formats as for `publisher`.
             qos: History and depth of the queue at the platform.
             delivery: Priority, greatest age, rate, fields and decimation of messages on the line from the platform.
+            codec: Codec in which images and clouds come, as for `publisher`.
 
         Returns:
             The subscriber, with a peer if `to` is given.
@@ -279,10 +284,10 @@ class Robot(Operations):
         Raises:
             RceError: The same errors as `publisher`, for the same reasons.
         """
-        subscriber = Subscriber(self, tag, type_name, depth)
+        subscriber = Subscriber(self, tag, type_name, depth, codec)
         if callback is not None:
             subscriber.call(callback)
-        return await self._add(subscriber, "Publisher", to, raw, format, qos, delivery)
+        return await self._add(subscriber, "Publisher", to, raw, format, qos, delivery, codec)
 
     async def service_client(
         self, tag: str, type_name: str, *, to: str = "", raw: bool = False, format: Format = "png"
@@ -380,6 +385,7 @@ class Robot(Operations):
         format: Format = "png",
         qos: Qos | None = None,
         delivery: Delivery | None = None,
+        codec: CodecName = "",
     ) -> I:
         """Add the interface and connect it to `to`; remove it again if that fails."""
         tag = interface.tag
@@ -389,7 +395,7 @@ class Robot(Operations):
         interfaces[tag] = interface
         kind += "Forwarder" if raw else "Converter"
         try:
-            options = (qos or Qos(), format, delivery or Delivery())
+            options = (qos or Qos(), format, delivery or Delivery(), codec)
             await self.configure(AddInterface(self.name, tag, kind, interface.type_name, "", *options))
         except RceError:
             interfaces.pop(tag)._end(None)

@@ -211,7 +211,9 @@ class StoringPublisher(Publisher):
         self._store.close()
 
 
-def make_publisher(owner: Owner, tag: str, type_name: str, offline: Offline | Store, delivery: Delivery) -> Publisher:
+def make_publisher(
+    owner: Owner, tag: str, type_name: str, offline: Offline | Store, delivery: Delivery, codec: str = ""
+) -> Publisher:
     """Return the publisher for a treatment of messages that cannot be sent.
 
     Raises:
@@ -225,4 +227,4 @@ def make_publisher(owner: Owner, tag: str, type_name: str, offline: Offline | St
     if offline not in get_args(Offline):
         choices = ", ".join(get_args(Offline))
         raise InvalidRequest(f"offline={offline!r}: write {choices}, or give a Store", field="offline")
-    return Publisher(owner, tag, type_name, keep_newest=offline == "newest", delivery=delivery)
+    return Publisher(owner, tag, type_name, keep_newest=offline == "newest", delivery=delivery, codec=codec)

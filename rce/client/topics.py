@@ -14,6 +14,7 @@ from typing import Any
 from rce.client.backlog import Backlog, Encoded
 from rce.client.connection import Connection, Message
 from rce.client.interface import CONNECT_TIMEOUT, Interface, Owner
+from rce.client.packing import Packer, Unpacker
 from rce.client.stream import Stream
 from rce.client.values import decode_message, encode_message
 from rce.errors import RceError
@@ -22,6 +23,7 @@ from rce.protocol.messages import Delivery
 from rce.protocol.messages.commands import DEEP, SHALLOW, is_large
 
 ALL = Delivery()
+KEY_FIELD = "key"  # of the error by which the platform asks for a key frame
 TOPIC_ID = "nil"  # msgID of topic messages, as the original's clients send it
 
 log = logging.getLogger("rce.client")
@@ -45,9 +47,17 @@ class Publisher(Interface):
     """
 
     def __init__(
-        self, owner: Owner, tag: str, type_name: str, *, keep_newest: bool = False, delivery: Delivery = ALL
+        self,
+        owner: Owner,
+        tag: str,
+        type_name: str,
+        *,
+        keep_newest: bool = False,
+        delivery: Delivery = ALL,
+        codec: str = "",
     ) -> None:
         super().__init__(owner, tag, type_name)
+        self._packer = Packer(codec, type_name) if codec else None
         self._backlog = Backlog(keep=keep_newest)
         self._priority = Priority[delivery.priority.upper()]
         self._max_age = delivery.maxAge or math.inf
@@ -73,7 +83,8 @@ class Publisher(Interface):
 
         Args:
             value: The message as a dict; bytes of a PNG or JPEG file for an image interface, or of the serialized
-                message (CDR) for a raw one. In a dict, byte arrays may be bytes and lists may be numpy arrays.
+                message (CDR) for a raw one. In a dict, byte arrays may be bytes and lists may be numpy arrays. With a
+                codec, a numpy array, or a dict with `header` and `image` or `points`.
             timeout: Seconds to wait for a peer.
             wait: False to return at once in any case.
 
@@ -102,7 +113,7 @@ class Publisher(Interface):
                 break
             if room is not None:
                 await asyncio.shield(room)  # other senders may wait for the same future
-        self._send(connection, Encoded(*encode_message(self.tag, self.type_name, TOPIC_ID, value)), None)
+        self._send(connection, self._encoded(value), None)
 
     def offer(self, value: Any, keep: int = 1) -> bool:
         """Send a message without waiting; older unsent messages give way to it.
@@ -128,8 +139,17 @@ class Publisher(Interface):
         if connection is None or self._early() > 0:
             self._given_way += 1
             return False
-        self._send(connection, Encoded(*encode_message(self.tag, self.type_name, TOPIC_ID, value)), keep)
+        self._send(connection, self._encoded(value), keep)
         return True
+
+    def _encoded(self, value: Any) -> Encoded:
+        packed = value if self._packer is None else self._packer.pack(value, self.dropped)
+        return Encoded(*encode_message(self.tag, self.type_name, TOPIC_ID, packed))
+
+    def _refused(self, error: RceError) -> None:
+        """Send a key frame: the platform cannot unpack video without one."""
+        if self._packer is not None and error.info.field == KEY_FIELD:
+            self._packer.request_key()
 
     def _early(self) -> float:
         """Return the seconds until the rate of the interface permits a message."""
@@ -151,7 +171,7 @@ class Publisher(Interface):
     def _put(self, value: Any) -> None:
         if self._ended is not None:
             raise self._ended
-        message = Encoded(*encode_message(self.tag, self.type_name, TOPIC_ID, value))
+        message = self._encoded(value)
         self._backlog.put(message, self._connection() is not None, time.monotonic() + self._max_age)
         self._send_next()
 
@@ -189,6 +209,8 @@ class Publisher(Interface):
     def _update(self) -> None:
         super()._update()
         if self._open.is_set():
+            if self._packer is not None:
+                self._packer.request_key()
             self._send_next()
         else:
             self._backlog.disconnected()
@@ -214,7 +236,8 @@ class Subscriber(Interface):
     or the robot is closed.
 
     Messages are dicts; byte arrays are base64 strings, NaN and infinities are floats. An image interface gives the
-    bytes of a PNG or JPEG file (see `rce.client.images`), a raw one the bytes of the serialized message (CDR).
+    bytes of a PNG or JPEG file (see `rce.client.images`), a raw one the bytes of the serialized message (CDR), and one with
+    a codec an array (see `rce.client.packing`).
 
     Attributes:
         tag: Name of the interface, unique within the robot.
@@ -222,8 +245,9 @@ class Subscriber(Interface):
         stream: Queue of the unread messages.
     """
 
-    def __init__(self, owner: Owner, tag: str, type_name: str, depth: int) -> None:
+    def __init__(self, owner: Owner, tag: str, type_name: str, depth: int, codec: str = "") -> None:
         super().__init__(owner, tag, type_name)
+        self._unpacker = Unpacker(codec, type_name) if codec else None
         self.stream: Stream[Any] = Stream(depth or (SHALLOW if is_large(type_name) else DEEP))
         self._task: asyncio.Task[None] | None = None
 
@@ -259,7 +283,11 @@ class Subscriber(Interface):
         self._task = asyncio.create_task(self._call(callback), name=f"rce subscriber {self.tag}")
 
     def _receive(self, message: Message) -> None:
-        self.stream.put(decode_message(message.data, message.blobs))
+        value = decode_message(message.data, message.blobs)
+        if self._unpacker is not None:
+            value = self._unpacker.unpack(value)
+        if value is not None:
+            self.stream.put(value)
 
     def _end(self, error: RceError | None) -> None:
         super()._end(error)

@@ -112,3 +112,17 @@ def test_packets_that_do_not_fit_are_refused() -> None:
         codec("sensor_msgs/Image", "h264").decode(image(DEPTH, "16UC1"))
     assert not depth.encodes_fast(packet)
     assert not depth.decodes_fast(b"")
+
+
+def test_video_stays_packed_where_its_type_is_video() -> None:
+    sender = codec("sensor_msgs/Image", "h264", stream="s")
+    packets = [sender.decode(image(RGB, "rgb8")) for _ in range(2)]
+    (data,) = packets[1].blobs.values()
+    got = message("foxglove_msgs/CompressedVideo", codec("foxglove_msgs/CompressedVideo", "h264").encode(packets[1]))
+    assert (got["timestamp"], got["frame_id"], got["format"]) == (HEADER["stamp"], "cam", "h264")
+    assert base64.b64decode(got["data"]) == data
+    type_name = "ffmpeg_image_transport_msgs/FFMPEGPacket"
+    got = message(type_name, codec(type_name, "h264").encode(packets[1]))
+    assert (got["header"], got["encoding"], got["pts"], got["flags"]) == (HEADER, "h264", 1, 0)
+    with pytest.raises(ConversionError, match="video already"):
+        codec(type_name, "h264").decode(cdr(type_name, {}))
