@@ -32,7 +32,7 @@ from rce.client.operations import EnvironmentOptions, Format
 from rce.client.robot import Robot
 from rce.client.session import NAME_WAIT
 from rce.client.threads import Blocking, BlockingStream, LoopThread, blocking
-from rce.protocol.messages import Delivery, Qos
+from rce.protocol.messages import CodecName, Delivery, Qos
 
 P = ParamSpec("P")
 W = TypeVar("W")
@@ -99,6 +99,7 @@ class BlockingEnvironment(Blocking[Environment]):
         raw: bool = False,
         format: Format = "png",
         delivery: Delivery | None = None,
+        codec: CodecName = "",
     ) -> BlockingSubscriber:
         """Subscribe to a topic of the environment; see `Environment.subscriber`.
 
@@ -107,7 +108,15 @@ class BlockingEnvironment(Blocking[Environment]):
         call = in_thread(callback) if callback is not None else None
         subscriber = self._thread.wait(
             self.inner.subscriber(
-                topic, type_name, callback=call, depth=depth, qos=qos, raw=raw, format=format, delivery=delivery
+                topic,
+                type_name,
+                callback=call,
+                depth=depth,
+                qos=qos,
+                raw=raw,
+                format=format,
+                delivery=delivery,
+                codec=codec,
             )
         )
         return BlockingSubscriber(self._thread, subscriber)
@@ -304,6 +313,7 @@ class BlockingRobot(Blocking[Robot]):
         format: Format = "png",
         qos: Qos | None = None,
         delivery: Delivery | None = None,
+        codec: CodecName = "",
     ) -> BlockingSubscriber:
         """Add an interface through which the robot receives messages; see `Robot.subscriber`.
 
@@ -321,6 +331,7 @@ class BlockingRobot(Blocking[Robot]):
                 format=format,
                 qos=qos,
                 delivery=delivery,
+                codec=codec,
             )
         )
         return BlockingSubscriber(self._thread, subscriber)

@@ -68,6 +68,9 @@ class Dispatcher:
         msg_id = error.info.fields.get("msgID")
         if msg_id is not None and any(each._fail_call(error, str(msg_id)) for each in self.interfaces.values()):
             return
+        interface = self.interfaces.get(str(error.info.fields.get("iTag", "")))
+        if interface is not None and interface._refused(error):
+            return
         log.warning("%s: %s", self._robot, error)
         self._publish(error)
 

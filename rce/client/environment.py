@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from rce.errors import AlreadyExists
-from rce.protocol.messages import Delivery, InterfaceType, NodeRestart, ParameterValue, Qos
+from rce.protocol.messages import CodecName, Delivery, InterfaceType, NodeRestart, ParameterValue, Qos
 from rce.protocol.names import is_guest
 
 if TYPE_CHECKING:  # Robot imports this module

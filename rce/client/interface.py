@@ -106,6 +106,10 @@ class Interface:
         """Fail the pending call with this msgID; returns False if it is not one of this interface."""
         return False
 
+    def _refused(self, error: RceError) -> bool:
+        """Handle an error about a message of this interface; return True if nobody else need know it."""
+        return False
+
     def _end(self, error: RceError | None) -> None:
         """Finish for good: nothing is sent or received any more."""
         self._ended = error or Unavailable(f"{self._owner.name}/{self.tag} has been closed")

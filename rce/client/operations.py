@@ -13,6 +13,7 @@ from rce.errors import AlreadyExists, InvalidRequest, RceError
 from rce.protocol.messages import (
     AddInterface,
     AddNode,
+    CodecName,
     Command,
     Connect,
     ContainerData,

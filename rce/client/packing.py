@@ -40,8 +40,8 @@ class Unpacker:
     def unpack(self, value: Value) -> Value | None:
         """Return a message with an array, or None while video waits for a key frame.
 
-        Images have `header`, `encoding` and `image` (height, width, 3) or (height, width); clouds have `header`, `height`,
-        `width` and `points`, a structured array.
+        Images have `header`, `encoding` and `image` (height, width, 3) or (height, width); clouds have `header`,
+        `height`, `width` and `points`, a structured array.
 
         Raises:
             ConversionError: The packet is damaged.

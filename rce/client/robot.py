@@ -24,7 +24,7 @@ from rce.client.stored import make_publisher
 from rce.client.stream import Stream
 from rce.client.topics import Publisher, Subscriber
 from rce.errors import AlreadyExists, RceError
-from rce.protocol.messages import AddInterface, Delivery, Qos
+from rce.protocol.messages import AddInterface, CodecName, Delivery, Qos
 from rce.protocol.names import check_robot_id, check_tag
 
 I = TypeVar("I", bound=Interface)  # noqa: E741

@@ -223,6 +223,8 @@ def make_publisher(
     if offline == "store":
         offline = Store()
     if isinstance(offline, Store):
+        if codec:
+            raise InvalidRequest("a publisher that stores has no codec: leave it out, or drop what cannot be sent")
         return StoringPublisher(owner, tag, type_name, offline, delivery)
     if offline not in get_args(Offline):
         choices = ", ".join(get_args(Offline))

@@ -67,6 +67,7 @@ class Publisher(Interface):
         self._sending: Connection | None = None  # in whose queue the first message of the backlog is
         self._drained = asyncio.Event()
         self._given_way = 0
+        self._unpacked = 0  # of the dropped messages, those that were not packed
 
     @property
     def dropped(self) -> int:
@@ -138,18 +139,21 @@ class Publisher(Interface):
             return True
         if connection is None or self._early() > 0:
             self._given_way += 1
+            self._unpacked += 1
             return False
         self._send(connection, self._encoded(value), keep)
         return True
 
     def _encoded(self, value: Any) -> Encoded:
-        packed = value if self._packer is None else self._packer.pack(value, self.dropped)
+        packed = value if self._packer is None else self._packer.pack(value, self.dropped - self._unpacked)
         return Encoded(*encode_message(self.tag, self.type_name, TOPIC_ID, packed))
 
-    def _refused(self, error: RceError) -> None:
-        """Send a key frame: the platform cannot unpack video without one."""
-        if self._packer is not None and error.info.field == KEY_FIELD:
-            self._packer.request_key()
+    def _refused(self, error: RceError) -> bool:
+        """Send a key frame if the platform cannot unpack video without one."""
+        if self._packer is None or error.info.field != KEY_FIELD:
+            return False
+        self._packer.request_key()
+        return True
 
     def _early(self) -> float:
         """Return the seconds until the rate of the interface permits a message."""
@@ -236,8 +240,8 @@ class Subscriber(Interface):
     or the robot is closed.
 
     Messages are dicts; byte arrays are base64 strings, NaN and infinities are floats. An image interface gives the
-    bytes of a PNG or JPEG file (see `rce.client.images`), a raw one the bytes of the serialized message (CDR), and one with
-    a codec an array (see `rce.client.packing`).
+    bytes of a PNG or JPEG file (see `rce.client.images`), a raw one the bytes of the serialized message (CDR), and one
+    with a codec an array (see `rce.client.packing`).
 
     Attributes:
         tag: Name of the interface, unique within the robot.
