@@ -261,6 +261,8 @@ export interface InterfaceOptions {
 /** Options of a topic of the robot. */
 export interface TopicOptions extends InterfaceOptions {
   delivery?: Delivery;
+  /** Exchange images and clouds as packets: objects with `codec`, `number`, `key` and `data`, and others of docs/protocol.md. */
+  codec?: string;
 }
 export interface PublisherOptions extends TopicOptions {
   /**
@@ -392,7 +394,7 @@ export class Robot {
   deleteParameter(environment: string, name: string, options?: { node?: string }): Promise<void>;
   /** Add an interface to an environment or a robot. */
   addInterface(endpoint: string, tag: string, interfaceType: InterfaceType, typeName: string,
-    options?: { addr?: string; qos?: Qos; format?: string; delivery?: Delivery }): Promise<void>;
+    options?: { addr?: string; qos?: Qos; format?: string; delivery?: Delivery; codec?: string }): Promise<void>;
   /** Remove an interface and its connections. */
   removeInterface(endpoint: string, tag: string): Promise<void>;
   /** Connect two interfaces, each `endpoint/interface`, in either order. */

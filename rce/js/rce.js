@@ -108,9 +108,9 @@ export class Robot {
     return this.configure(["deleteParam", { containerTag: environment, name, nodeTag: node }]);
   }
 
-  addInterface(endpoint, tag, interfaceType, typeName, { addr, qos, format, delivery } = {}) {
+  addInterface(endpoint, tag, interfaceType, typeName, { addr, qos, format, delivery, codec } = {}) {
     return this.configure(["addInterfaces", {
-      endpointTag: endpoint, interfaceTag: tag, interfaceType, className: typeName, addr, qos, format, delivery }]);
+      endpointTag: endpoint, interfaceTag: tag, interfaceType, className: typeName, addr, qos, format, delivery, codec }]);
   }
 
   removeInterface(endpoint, tag) {
@@ -177,13 +177,13 @@ export class Robot {
   }
 
   /** Add the interface and connect it to `to`; remove it again if that fails. */
-  async #add(added, kind, { to = "", raw = false, format, qos, delivery }) {
+  async #add(added, kind, { to = "", raw = false, format, qos, delivery, codec }) {
     const { tag, typeName } = added;
     if (this.#interfaces.has(tag)) throw new AlreadyExists(`${this.name}/${tag} exists already: close it first`);
     this.#interfaces.set(tag, added);
     try {
       const interfaceType = kind + (raw ? "Forwarder" : "Converter");
-      await this.addInterface(this.name, tag, interfaceType, typeName, { qos, format, delivery });
+      await this.addInterface(this.name, tag, interfaceType, typeName, { qos, format, delivery, codec });
     } catch (error) {
       this.#interfaces.delete(tag);
       added.end(null);

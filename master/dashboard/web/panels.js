@@ -9,6 +9,7 @@ import { Picture } from "./picture.js";
 import { Guest } from "./robot.js";
 import { Space } from "./space.js";
 import { Transforms } from "./tf.js";
+import { canDecode, Video } from "./video.js";
 
 const LATCHED = { reliability: "reliable", durability: "transient_local", depth: 1 };
 const BEST_EFFORT = { depth: 5 };
@@ -49,14 +50,27 @@ function mapPanel(app, owner, environment, { topic, pose, path }) {
   return { element, stop: () => { picture.stop(); guest.close(); } };
 }
 
-/** The images of a camera. */
+/** The images of a camera: as video where the browser and the platform can, else as JPEG. */
 function imagePanel(app, owner, environment, { topic }) {
   const picture = new Picture();
-  const guest = new Guest(app, owner, environment);
-  const options = { format: "jpeg", depth: 1, qos: { depth: 1 }, callback: (message) => picture.take(message) };
-  typesOfTopics(app, owner, environment).then((types) => guest.subscribe(topic, types.get(topic) ?? IMAGES[0], options))
-    .catch((error) => { picture.status.textContent = error.message; });
-  return { element: h("div", picture.status, picture.element), stop: () => guest.close() };
+  let guest = new Guest(app, owner, environment);
+  const asFiles = (type) => guest.subscribe(topic, type, { format: "jpeg", depth: 1, qos: { depth: 1 }, callback: (message) => picture.take(message) });
+  const video = new Video((frame) => picture.draw(frame, frame.displayWidth, frame.displayHeight), () => fallBack());
+  let fallBack = () => {
+    fallBack = () => {};
+    guest.close();
+    guest = new Guest(app, owner, environment);
+    tell(asFiles(IMAGES[0]));
+  };
+  const tell = (promise) => promise.catch((error) => { picture.status.textContent = error.message; });
+  tell(typesOfTopics(app, owner, environment).then((types) => {
+    const type = types.get(topic) ?? IMAGES[0];
+    if (type !== IMAGES[0] || !canDecode()) return asFiles(type);
+    guest.onError(() => fallBack()); // these images are no video: depth, or of an odd size
+    const callback = (packet) => video.take(packet);
+    return guest.subscribe(topic, type, { codec: "h264", depth: 10, qos: { depth: 1 }, callback }).catch(() => fallBack());
+  }));
+  return { element: h("div", picture.status, picture.element), stop: () => { fallBack = () => {}; video.close(); guest.close(); } };
 }
 
 /** Laser scans and point clouds where /tf says that they are. */

@@ -18,16 +18,21 @@ export class Picture {
     try {
       const bytes = message instanceof Uint8Array ? message : Uint8Array.from(atob(message.data), (each) => each.charCodeAt(0));
       const bitmap = await createImageBitmap(new Blob([bytes]));
-      const { element } = this;
-      if (element.width !== bitmap.width || element.height !== bitmap.height) [element.width, element.height] = [bitmap.width, bitmap.height];
-      element.getContext("2d").drawImage(bitmap, 0, 0);
-      bitmap.close();
-      this.#tell();
+      this.draw(bitmap, bitmap.width, bitmap.height);
     } catch (error) {
       this.status.textContent = `This image cannot be shown: ${error.message}`;
     } finally {
       this.#busy = false;
     }
+  }
+
+  /** Show an image, and release it. */
+  draw(image, width, height) {
+    const { element } = this;
+    if (element.width !== width || element.height !== height) [element.width, element.height] = [width, height];
+    element.getContext("2d").drawImage(image, 0, 0);
+    image.close();
+    this.#tell();
   }
 
   #tell() {

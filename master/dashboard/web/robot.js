@@ -28,6 +28,14 @@ export class Guest {
     return this.#robot.environment(this.environment).subscriber(topic, type, options);
   }
 
+  /** Call a function with the first error about a message. */
+  async onError(use) {
+    for await (const event of this.#robot.events()) {
+      if (event.topic === "error") return use(event.error);
+    }
+    return undefined;
+  }
+
   async publish(topic, type, message) {
     const publisher = await this.#once(topic, (environment) => environment.publisher(topic, type));
     await publisher.publish(message);

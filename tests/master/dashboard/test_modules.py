@@ -132,3 +132,29 @@ def test_labels_of_wires_do_not_overlap() -> None:
 def test_label_is_as_long_as_there_is_room(width: int, text: str | None) -> None:
     wire = "{ key: 'wire', texts: ['20/s · 19 KiB/s', '20/s'], at: (t) => [t, 0] }"
     assert run("layout.js", f"return m.labels([{wire}], 0, {width}).get('wire')?.text ?? null") == text
+
+
+def test_codec_of_a_key_frame_is_that_of_its_sequence_parameters() -> None:
+    found = run("video.js", "return m.codecName(Uint8Array.from([0, 0, 0, 1, 9, 0, 0, 0, 1, 0x67, 0x64, 0, 0x1e, 5]))")
+    assert found == "avc1.64001e"
+    script = "try { m.codecName(Uint8Array.from([0, 0, 1, 0x65, 1, 2, 3, 4])) } catch (error) { return error.message }"
+    assert "no sequence parameters" in run("video.js", script)
+
+
+def test_packets_after_a_gap_are_not_decoded_until_a_key_frame_comes() -> None:
+    packets = [(0, True), (1, False), (3, False), (4, False), (5, True), (6, False)]
+    decoded = run(
+        "video.js",
+        f"""const decoded = [];
+globalThis.EncodedVideoChunk = class {{ constructor(all) {{ Object.assign(this, all); }} }};
+globalThis.VideoDecoder = class {{
+  state = "unconfigured";
+  configure() {{ this.state = "configured"; }}
+  decode(chunk) {{ decoded.push([chunk.timestamp / 1000, chunk.type]); }}
+}};
+const video = new m.Video(() => {{}}, (error) => decoded.push(error.message));
+const data = Uint8Array.from([0, 0, 1, 0x67, 0x64, 0, 0x1e, 5]);
+for (const [number, key] of {json.dumps(packets)}) video.take({{ number, key, data }});
+return decoded;""",
+    )
+    assert decoded == [[0, "key"], [1, "delta"], [5, "key"], [6, "delta"]]
