@@ -73,6 +73,33 @@ COMMANDS = (
         section=Section.LOCAL,
     ),
     Command(
+        "bench viewers",
+        "Measure a control loop beside many viewers of one camera, and how often its images are encoded.",
+        Lazy(MODULE, "measure_viewers"),
+        (
+            argument("--viewers", type=int, default=50, help="(default: %(default)s)"),
+            argument("--rates", default="0", help="images a second, in turn; 0: all (default: %(default)s)"),
+            argument("--format", default="jpeg", help="format of the images (default: %(default)s)"),
+            argument("--codec", default="", help="codec in place of a format"),
+            argument("--samples", type=int, default=300, help="of each phase (default: %(default)s)"),
+            FIGURES_JSON,
+        ),
+        platform=RUNNING_OR_OWN,
+        section=Section.LOCAL,
+    ),
+    Command(
+        "bench delivery",
+        "Measure the bytes of messages to a robot by the options of its interface.",
+        Lazy(MODULE, "measure_delivery"),
+        (
+            argument("recording", type=Path, metavar="DIR", help="with NAME.color.jpg or .png and NAME.depth.png"),
+            argument("--messages", type=int, default=60, help="of each kind (default: %(default)s)"),
+            FIGURES_JSON,
+        ),
+        platform=RUNNING_OR_OWN,
+        section=Section.LOCAL,
+    ),
+    Command(
         "bench start",
         "Measure the time from the command to a ready environment, beside a bare container.",
         Lazy(MODULE, "measure_start"),

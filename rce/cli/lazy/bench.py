@@ -19,10 +19,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import msgspec
 
 from rce.api.map_jobs import MAPPERS
-from rce.bench import overtake, payloads, report, start
+from rce.bench import overtake, payloads, report, start, viewers
 from rce.bench.nodes import Place
 from rce.bench.routes import ROUTES
 from rce.bench.run import take
+from rce.bench.viewer_program import Task
 from rce.cli.arguments import DEV_USER, ENGINES
 from rce.cli.commands.bench import QUICK_SAMPLES, QUICK_SIZES
 from rce.cli.platform import own_platform, platform, programs_log
@@ -91,6 +92,34 @@ async def measure_overtake(args: argparse.Namespace) -> None:
     async with _bench_place(args) as place:
         result = await overtake.measure(place, args.samples)
     print(json.dumps(overtake.as_data(result)) if args.json else overtake.as_text(result))
+
+
+@_command
+async def measure_viewers(args: argparse.Namespace) -> None:
+    """Measure a control loop beside many viewers of one camera."""
+    try:
+        rates = tuple(float(each) for each in args.rates.split(","))
+    except ValueError:
+        raise InvalidRequest("rce bench: --rates is a list of numbers such as 0,10") from None
+    if min(args.viewers, args.samples) < 1:
+        raise InvalidRequest("rce bench: --viewers and --samples must be at least 1")
+    task = Task(args.viewers, rates, args.format, args.codec)
+    async with _bench_place(args) as place:
+        phases = await viewers.measure(place, task, args.samples)
+    print(json.dumps(msgspec.to_builtins(phases)) if args.json else viewers.as_text(phases))
+
+
+@_command
+async def measure_delivery(args: argparse.Namespace) -> None:
+    """Measure the bytes of messages by the options of an interface."""
+    from rce.bench import delivery  # needs the extra `video`
+
+    if args.messages < 1:
+        raise InvalidRequest("rce bench: --messages must be at least 1")
+    found = delivery.sources(args.recording, args.messages)
+    async with _bench_place(args) as place:
+        figures = await delivery.measure(place.robot, found)
+    print(json.dumps(msgspec.to_builtins(figures)) if args.json else delivery.as_text(figures))
 
 
 @_command
