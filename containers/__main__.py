@@ -12,6 +12,8 @@ from twisted.internet.base import ReactorBase
 from containers.data_relay import DataRelay
 from containers.engine import Engine, EnvironmentEnded
 from containers.process.engine import ProcessEngine
+from containers.recordings.receiver import RecordingReceiver
+from containers.recordings.store import RecordingStore
 from containers.settings import NAMESERVERS, Settings, check_isolation
 from containers.taskset import TaskSet
 from rce.control.credential import Credential
@@ -43,22 +45,26 @@ async def serve(reactor: ReactorBase, settings: Settings) -> None:
         credential = Credential(directory / "container.credential", settings.token)
         tls = load_tls(settings.tls)
         relay = DataRelay(tls)
+        store = RecordingStore(directory / "recordings")
+        receiver = RecordingReceiver(store)
         task_set = TaskSet(
             reactor,
             settings.master,
             settings.own_name,
             credential,
-            lambda ended: make_engine(reactor, settings, relay, tls, ended),
+            lambda ended: make_engine(reactor, settings, relay, receiver, tls, ended),
             directory / "packages",
             relay,
             settings.entry,
             tls,
+            (store, receiver),
         )
         try:
             if settings.data_host and settings.engine != "swarm":
                 await relay.listen(settings.data_host, settings.data_port, settings.data_address)
             await task_set.run(stop_environments=settings.stop_environments)
         finally:
+            await receiver.close()
             await relay.close()
 
 
@@ -66,6 +72,7 @@ def make_engine(
     reactor: ReactorBase,
     settings: Settings,
     relay: DataRelay,
+    recordings: RecordingReceiver,
     tls: Tls | None,
     ended: Callable[[EnvironmentEnded], None],
 ) -> Engine:
@@ -88,6 +95,7 @@ def make_engine(
             root=directory / "environments",
             settings={"master": settings.master, "host": settings.host, **_files(settings.tls), **surroundings},
             relay=relay,
+            recordings=recordings,
             packages=directory / "packages",
         )
     try:
@@ -133,6 +141,7 @@ def make_engine(
         setup,
         gpus=settings.gpus,
         relay=relay,
+        recordings=recordings,
         host=settings.host,
         egress_pool=settings.egress_pool,
         nameservers=settings.nameservers or NAMESERVERS,

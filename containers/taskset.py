@@ -16,6 +16,9 @@ from containers.data_relay import DataRelay
 from containers.engine import Engine, EnvironmentEnded
 from containers.fetching import Fetcher
 from containers.packages import PackageCache
+from containers.recordings.calls import RecordingCalls
+from containers.recordings.receiver import RecordingReceiver
+from containers.recordings.store import RecordingStore
 from rce.control.calls.call import Nothing
 from rce.control.calls.environments import (
     EnvironmentDied,
@@ -28,6 +31,7 @@ from rce.control.calls.environments import (
     StopEnvironment,
 )
 from rce.control.calls.joining import Hello, SetRemovedMachines, Welcome
+from rce.control.calls.recordings import BeginRecording
 from rce.control.calls.watching import EnvironmentUsage, MeasureUsage, Metrics, ReadMetrics, Usage
 from rce.control.client import ControlClient
 from rce.control.connection import Handlers
@@ -56,6 +60,7 @@ class TaskSet:
         relay: DataRelay | None = None,
         entry: str = "",
         tls: Tls | None = None,
+        recordings: tuple[RecordingStore, RecordingReceiver] | None = None,
     ) -> None:
         """Prepare a task set.
 
@@ -69,6 +74,7 @@ class TaskSet:
             relay: Data relay to which the engine adds its environments.
             entry: URL of the Master's HTTP entry (see `Fetcher`).
             tls: Certificate and CA for the connection to the Master.
+            recordings: Store of recordings, and what receives those of the engine's environments.
         """
         self._name = name
         self._tls = tls
@@ -88,6 +94,11 @@ class TaskSet:
         handlers.do(SetRemovedMachines, self._refuse_removed)
         handlers.on(MeasureUsage, self._measure)
         handlers.on(ReadMetrics, self._read_metrics)
+        if recordings is not None:
+            RecordingCalls(recordings[0]).add_to(handlers)
+            recordings[1].ask_quota = lambda environment, recorder: self._link.call(
+                BeginRecording(environment, recorder)
+            )
         self._link = ControlClient(reactor, master, self._hello, handlers, self._welcomed, tls)
         self._engine.request_ticket = lambda digest: self._link.call(FetchPackage(digest))
         self._packages = PackageCache(packages, Fetcher(self._link, master, entry, tls).fetch)

@@ -59,7 +59,7 @@ log = Logger("master")
 # each full collection stops the loop for up to a second and finds nothing.
 GC_THRESHOLDS = (50_000, 20, 100)
 ADMIN, TEST_USER = DEVELOPMENT_USERS = "admin", "testUser"  # their passwords are their names
-DEFAULT_LIMITS = ["package_bytes=2Gi", "connections=20000"]
+DEFAULT_LIMITS = ["package_bytes=2Gi", "recording_bytes=20Gi", "connections=20000"]
 
 
 class Settings(Struct):

@@ -41,6 +41,7 @@ from rce.control.calls.call import Call, Nothing
 from rce.control.calls.endpoints import Report
 from rce.control.calls.environments import DownloadTicket, FetchPackage, ReportRelays
 from rce.control.calls.joining import Hello, InviteSibling, Welcome
+from rce.control.calls.recordings import BeginRecording, RecordingQuota
 from rce.control.calls.robots import Definitions, DescribeType, ReadGraphFor
 from rce.control.calls.watching import ReadGraph, ReadMetrics, RosGraph
 from rce.control.connection import Control, Handlers
@@ -164,6 +165,7 @@ class Master:
                 self._lifecycle.add_machine_handlers(handlers)
                 handlers.do(ReportRelays, lambda call: self._relays_changed(process, call))
                 handlers.on(FetchPackage, lambda call: self._fetch_package(process, call))
+                handlers.on(BeginRecording, lambda call: self._begin_recording(process, call))
         self._links.add_handlers(handlers, process)
         return handlers
 
@@ -220,6 +222,14 @@ class Master:
         scheme, port = self.entry
         return DownloadTicket(scheme, port, FETCH_PATH, token, size)
 
+    async def _begin_recording(self, process: Process, call: BeginRecording) -> RecordingQuota:
+        """Tell a task set the quota of a recorder's user, if one of its environments has that recorder."""
+        environment = self.state.environments.get(call.environment)
+        known = f"{call.environment}/{call.recorder}" in self.state.recorders
+        if environment is None or environment.machine != process.name or not known:
+            raise NotFound(f"{call.environment[:300]} has no recorder {call.recorder[:80]!r} on {process.name}")
+        return self.recording_quota(user_of(environment.name))
+
     # --- questions to processes ---------------------------------------------------------------------------------------
 
     async def ask(self, environment: Environment, call: Call[R], seconds: float = ASK_TIMEOUT) -> R:
@@ -235,6 +245,20 @@ class Master:
         if control is None:
             raise Unavailable(f"environment {environment.name} is away at present")
         return await control.call(call, seconds)
+
+    def recording_quota(self, user: str) -> RecordingQuota:
+        """Return what the recordings of a user may have on one machine."""
+        return RecordingQuota(self.limits.of(user).recording_bytes)
+
+    async def ask_machine(self, machine: str, call: Call[R], seconds: float = ASK_TIMEOUT) -> R:
+        """Make a call at a task set.
+
+        Raises:
+            Unavailable: It is away.
+            TimedOut: It did not answer within `seconds`.
+            RceError: It refused the call.
+        """
+        return await self._runner.dispatcher.ask(machine, call, seconds)
 
     def own_metrics(self) -> list[metrics.Family]:
         """Return the Master's own metrics."""

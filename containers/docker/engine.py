@@ -42,8 +42,10 @@ from containers.engine import LAST_LINES, Engine, EnvironmentEnded, RunningEnvir
 from containers.limits import Size, limits
 from containers.logfile import LONGEST_LINE
 from containers.packages import package_directories, package_path
+from containers.recordings.receiver import RecordingReceiver
 from containers.settings import EGRESS_POOL, NAMESERVERS
 from containers.trash import Trash
+from rce.bag.transfer import SOCKET as RECORDINGS
 from rce.control.calls.environments import EnvironmentSpec
 from rce.control.calls.watching import EnvironmentUsage
 from rce.errors import NoCapacity, StartFailed, Unavailable, disk_full
@@ -81,13 +83,14 @@ class DockerEngine(Engine):
         *,
         gpus: int = 0,
         relay: DataRelay | None = None,
+        recordings: RecordingReceiver | None = None,
         host: str = "",
         egress_pool: str = EGRESS_POOL,
         nameservers: Sequence[str] = NAMESERVERS,
     ) -> None:
         """Prepare the engine; arguments are as in `containers.settings.Settings`.
 
-        `relay` is the data relay that environments are added to.
+        `relay` is the data relay that environments are added to, and `recordings` receives what they record.
         """
         super().__init__(capacity, features, ended)
         self.gpus = gpus
@@ -97,7 +100,10 @@ class DockerEngine(Engine):
         self.sockets = f"{self._sockets}/{{user}}/{{run}}.sock"
         self._packages = setup.directory / "packages"
         self._trash = Trash(setup.directory / "trash")
+        self._recordings = recordings or RecordingReceiver()
         self._settings = {**setup.settings, "relay": f"{CONTROL}/{GATE}"}
+        if self._recordings.active:
+            self._settings["recordings"] = f"{CONTROL}/{RECORDINGS}"
         self._data_relay = relay or DataRelay()
         self.host = host or host_identity()
         self._daemon = Daemon(setup.labels)
@@ -180,6 +186,7 @@ class DockerEngine(Engine):
         """Remove the container, networks, sockets and directories of an environment."""
         self._data_relay.remove_environment(name)
         await self._daemon.remove(name)
+        self._recordings.remove_environment(name)  # after its end, at which it completes them
         await self._networks.leave(name)
         environment = self._environments.get(name)
         if environment is not None:
@@ -233,6 +240,7 @@ class DockerEngine(Engine):
         for name, environment in self._environments.items():
             environment.close()
             self._data_relay.remove_environment(name)
+            self._recordings.remove_environment(name)
         self._environments.clear()
         await self._trash.close()
 
@@ -259,6 +267,7 @@ class DockerEngine(Engine):
         environment.data_socket.offer(paths.control)
         await environment.relay.open(paths.control)
         await self._data_relay.add_environment(name, paths.socket, paths.control)
+        self._recordings.add_environment(name, paths.control)
         return environment
 
     async def _remove_leftovers(self) -> None:

@@ -32,7 +32,9 @@ from containers.process.domains import Domains
 from containers.process.options import NEVER_ENFORCED, check_options
 from containers.process.tree import KILL_TIMEOUT, MARKER, Watch, describe_end, has_marker, kill_marked
 from containers.process.usage import used_below
+from containers.recordings.receiver import RecordingReceiver
 from containers.trash import Trash
+from rce.bag.transfer import SOCKET as RECORDINGS
 from rce.control.calls.environments import EnvironmentSpec
 from rce.control.calls.watching import EnvironmentUsage
 from rce.errors import StartFailed, TimedOut, disk_full
@@ -86,6 +88,7 @@ class ProcessEngine(Engine):
         command: Sequence[str] | None = None,
         domains: Domains | None = None,
         relay: DataRelay | None = None,
+        recordings: RecordingReceiver | None = None,
     ) -> None:
         """Prepare the engine.
 
@@ -99,6 +102,7 @@ class ProcessEngine(Engine):
             command: Command that starts an endpoint.
             domains: ROS domains to allocate from.
             relay: Data relay that environments are added to.
+            recordings: Receiver of the recordings of environments.
         """
         super().__init__(capacity, features, ended)
         self._root = root
@@ -110,6 +114,7 @@ class ProcessEngine(Engine):
         self._command = command or COMMAND
         self._domains = domains or Domains()
         self._relay = relay or DataRelay()
+        self._recordings = recordings or RecordingReceiver()
         self._environments: dict[str, _Environment] = {}
         self._groups = ControlGroups(f"rce-{hashlib.sha256(bytes(root)).hexdigest()[:16]}")
         self._killed: dict[str, int] = {}  # processes that exceeded the memory limit, by run
@@ -128,9 +133,13 @@ class ProcessEngine(Engine):
             state = self._start_process(spec, domain, lock)
             directory = self._environments[spec.name].directory
             _write(directory / "state.json", msgspec.json.encode(state))
-            await self._relay.add_environment(spec.name, directory / SOCKET, directory)
+            await self._connect(spec.name, directory)
         except OSError as error:
             raise StartFailed(f"environment {spec.name} did not start: {disk_full(error) or error}") from None
+
+    async def _connect(self, name: str, directory: Path) -> None:
+        await self._relay.add_environment(name, directory / SOCKET, directory)
+        self._recordings.add_environment(name, directory)
 
     async def remove(self, name: str) -> None:
         """Stop the process, kill what it left running, and remove its directory and shared memory."""
@@ -138,6 +147,7 @@ class ProcessEngine(Engine):
         environment = self._environments.get(name)
         if environment is not None and not environment.watch.ended.is_set():
             await self._terminate(environment)
+        self._recordings.remove_environment(name)  # after its end, at which it completes them
         for directory in _directories(self._root / name):
             await kill_marked(directory.name)
             await asyncio.to_thread(self._groups.remove, directory.name)
@@ -195,6 +205,7 @@ class ProcessEngine(Engine):
         while self._environments:
             name, environment = self._environments.popitem()
             self._relay.remove_environment(name)
+            self._recordings.remove_environment(name)
             self._release(environment)
         self._groups.close()
         await self._trash.close()
@@ -254,6 +265,7 @@ class ProcessEngine(Engine):
             "RCE_DATA_DIR": str(directory),
             "RCE_SOCKET": str(directory / SOCKET),
             "RCE_RELAY": str(directory / GATE),
+            **({"RCE_RECORDINGS": str(directory / RECORDINGS)} if self._recordings.active else {}),
             "RCE_ENV": msgspec.json.encode(spec.options.env).decode(),
             "ROS_DOMAIN_ID": str(domain),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
@@ -275,7 +287,7 @@ class ProcessEngine(Engine):
         except ProcessLookupError:
             return False
         if has_marker(state.pid, state.run):  # checked while the watch holds the pid, which may have been reused
-            await self._relay.add_environment(state.name, directory / SOCKET, directory)
+            await self._connect(state.name, directory)
             return True
         self._environments.pop(state.name).watch.close()
         return False

@@ -9,15 +9,14 @@ from pathlib import Path
 
 from twisted.logger import Logger
 
-from endpoints.data.frames import Message
 from endpoints.data.hops import HopRecorder
+from endpoints.data.sink import Sink
 from endpoints.data.traffic import TrafficTotals
 from endpoints.environment.definitions import InstalledTypes
 from endpoints.environment.interfaces import RosContext, RosInterface
 from endpoints.environment.ros import RosThread
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import RceError
-from rce.net.outbox import Owner
 from rce.process.metrics import Family
 from rce.protocol.messages import Qos
 
@@ -28,36 +27,11 @@ log = Logger()
 MakeInterface = Callable[[InterfaceSpec, RosContext], RosInterface]
 
 
-class CloudLink:
-    """Link from an interface in the robot's ROS to the platform; nothing is queued in it."""
+class CloudLink(Sink):
+    """Link from an interface in the robot's ROS to the platform."""
 
     name = "cloud"
     to_environment = True  # so that what came from there is not sent back
-
-    def __init__(self) -> None:
-        self.opened: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self.opened.set_result(None)
-
-    def send(self, message: Message, keep: int | None, owner: Owner | None = None) -> int:
-        """Process a message of the robot's ROS; return the number of older ones that were dropped."""
-        raise NotImplementedError
-
-    def wait_for_room(self, source: bytes) -> asyncio.Future[None] | None:
-        """Return None: there is always room."""
-        return None
-
-    def backlog(self, source: bytes) -> int:
-        """Return 0: nothing waits."""
-        return 0
-
-    def discard(self, source: bytes) -> None:
-        """Do nothing: nothing waits."""
-
-    def pause(self, until: asyncio.Future[None]) -> None:
-        """Do nothing: the interfaces of a bridge drop old messages instead of pausing links."""
-
-    def close(self) -> None:
-        """Do nothing."""
 
 
 class LocalRos:

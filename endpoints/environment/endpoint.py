@@ -22,6 +22,7 @@ from endpoints.environment.output_log import OutputLog
 from endpoints.environment.packages import Packages
 from endpoints.environment.parameters import Parameters, validate
 from endpoints.environment.process_environment import LOOPBACK, install_prefixes, node_variables
+from endpoints.environment.recorders import Recorders
 from endpoints.environment.ros import RosThread
 from endpoints.environment.ros_graph import read_graph
 from endpoints.environment.services import ServiceClientInterface, ServiceProviderInterface
@@ -39,7 +40,9 @@ from rce.control.calls.endpoints import (
     PutParameter,
     Report,
     StartNode,
+    StartRecorder,
     StopNode,
+    StopRecorder,
     Sync,
 )
 from rce.control.calls.robots import Definitions, DescribeType
@@ -97,6 +100,7 @@ class Environment:
         self._nodes = Nodes(settings.data_dir, packages, self._parameters, node_variables(settings), self._node_died)
         self._switchboard = Switchboard(port, lambda link, reason: report(LinkLost(link, reason[:MAX_TEXT])))
         self._context = RosContext(ros, self._switchboard.hops, self._definitions, self._report_error)
+        self._recorders = Recorders(self._context, settings.recordings, self._read_topics, report)
         self._hosts = list(filter(None, [LOOPBACK, settings.address, *settings.peers]))
         self._reported_drops: dict[str, int] = {}  # by interface id
 
@@ -109,6 +113,8 @@ class Environment:
         handlers.do(StopNode, lambda call: nodes.stop(call.node))
         handlers.do(PutParameter, lambda call: self._put(call.parameter))
         handlers.do(DropParameter, lambda call: self._parameters.drop(call.key))
+        handlers.do(StartRecorder, lambda call: self._recorders.start(call.recorder))
+        handlers.do(StopRecorder, lambda call: self._recorders.stop(call.recorder))
         handlers.on(ReadLog, self._read_log)
         handlers.on(DescribeType, self._describe)
         handlers.on(ReadGraph, self._read_graph)
@@ -123,7 +129,7 @@ class Environment:
                 await asyncio.sleep(TICK)
                 self._tick(time.monotonic())
         finally:
-            await self._nodes.stop_all()
+            await asyncio.gather(self._nodes.stop_all(), self._recorders.stop_all())
             await self._ros.stop()
 
     # calls
@@ -145,6 +151,7 @@ class Environment:
         for tag in set(self._nodes.specs) - {spec.tag for spec in call.nodes}:
             await self._nodes.stop(tag)
         failed |= await self._switchboard.sync(call, self._make_interface)
+        failed |= await self._recorders.sync(call.recorders)
         await starting
         return BatchResult(failed)
 
@@ -194,6 +201,10 @@ class Environment:
 
     async def _read_graph(self, call: ReadGraph) -> RosGraph:
         return await self._ros.run(lambda: read_graph(self._ros.node))
+
+    async def _read_topics(self) -> dict[str, str]:
+        found = await self._ros.run(self._ros.node.get_topic_names_and_types)
+        return {name: types[0] for name, types in found}
 
     async def _read_packages(self, call: ReadPackages) -> RosPackages:
         found = await asyncio.to_thread(self._packages.executables)

@@ -32,6 +32,9 @@ class Settings(Struct, frozen=True):
     relay: Annotated[
         Path | None, Meta(description="UNIX socket through which data links reach other machines; empty: the network")
     ] = None
+    recordings: Annotated[
+        Path | None, Meta(description="UNIX socket of the machine's store of recordings; empty: it has none")
+    ] = None
     address: Annotated[
         str,
         Meta(description="address of this environment in its network group; empty: it is in none"),

@@ -29,7 +29,19 @@ DAY = 86_400.0
 MAX_WAITING = 100_000  # entries in memory while the database fails
 MAX_UNAUTHENTICATED = 600  # entries a minute of unauthenticated clients, which must not fill the disk
 MAX_OBJECT = 1500  # characters
-NAMES = ("containerTag", "endpointTag", "nodeTag", "interfaceTag", "tagA", "tagB", "name", "role", "label", "users")
+NAMES = (
+    "containerTag",
+    "endpointTag",
+    "nodeTag",
+    "recorderTag",
+    "interfaceTag",
+    "tagA",
+    "tagB",
+    "name",
+    "role",
+    "label",
+    "users",
+)
 """Fields that name what a command or a request is about, in the order in which they are noted."""
 
 log = Logger()

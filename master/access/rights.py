@@ -50,6 +50,12 @@ node.log            own    own    own    own    all      all
 parameter.read      own    own    own    own    all      all
 parameter.set       own    own    -      own    all      all
 parameter.remove    own    own    -      own    all      all
+recorder.read       own    own    own    own    all      all
+recorder.create     own    own    -      own    all      all
+recorder.remove     own    own    -      own    all      all
+recording.read      -      own    own    own    all      all
+recording.upload    -      own    -      own    own      own
+recording.remove    -      -      -      own    all      all
 interface.read      own    own    own    own    all      all
 interface.create    own    own    -      own    all      all
 interface.remove    own    own    -      own    all      all
@@ -165,6 +171,8 @@ COMMANDS: dict[type[m.Command], str] = {
     m.RemoveNode: "node.remove",
     m.SetParameter: "parameter.set",
     m.DeleteParameter: "parameter.remove",
+    m.AddRecorder: "recorder.create",
+    m.RemoveRecorder: "recorder.remove",
     m.AddInterface: "interface.create",
     m.RemoveInterface: "interface.remove",
     m.Connect: "connection.create",

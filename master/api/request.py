@@ -12,6 +12,7 @@ from msgspec import Meta, Struct
 
 from master.access.audit import names_of
 from master.access.rights import Principal
+from master.api.downloads import Download
 from master.api.streams import EventStream
 from master.storage.depot import Upload
 from rce.choices import with_choices
@@ -140,10 +141,10 @@ class Answer(NamedTuple):
     """Result of a handler.
 
     `body` is sent by its type: a path as the file there, bytes as they are (with the content type in `headers`), a
-    stream until it ends, None as no body, anything else as JSON.
+    stream or download until it ends, None as no body, anything else as JSON.
     """
 
-    body: Struct | msgspec.Raw | list[Any] | Path | EventStream | bytes | None = None
+    body: Struct | msgspec.Raw | list[Any] | Path | EventStream | Download | bytes | None = None
     status: int = 200
     headers: dict[str, str] = {}  # noqa: RUF012  # never changed
 

@@ -15,6 +15,8 @@ from master.api.machines import MachinesApi
 from master.api.monitoring import Monitoring
 from master.api.openapi import OpenApi
 from master.api.packages import PackagesApi
+from master.api.recorders import RecordersApi
+from master.api.recordings import RecordingsApi
 from master.api.robots import RobotsApi
 from master.api.ros import RosApi
 from master.api.router import Api
@@ -29,7 +31,10 @@ from master.storage.depot import Depot
 def make_api(master: Master, depot: Depot, inviter: Inviter | None = None) -> Api:
     """Return the API of this Master; without an inviter no machines can be invited."""
     api = Api(master.users, master.audit)
-    families = (UsersApi, KeysApi, AuditApi, RobotsApi, EnvironmentsApi, InterfacesApi, RosApi, JobsApi, ServicesApi)
+    families = (
+        *(UsersApi, KeysApi, AuditApi, RobotsApi, EnvironmentsApi, RecordersApi, RecordingsApi),
+        *(InterfacesApi, RosApi, JobsApi, ServicesApi),
+    )
     for family in families:
         family(master).add_to(api)
     MachinesApi(master, inviter).add_to(api)

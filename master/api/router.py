@@ -17,6 +17,7 @@ from twisted.logger import Logger
 from master.access.audit import Audit
 from master.access.users import Users
 from master.api.authentication import Authenticator, authorization
+from master.api.downloads import Download
 from master.api.idempotency import IdempotencyCache
 from master.api.request import Answer, AuditDetails, Call, Handler
 from master.api.streams import EventStream
@@ -36,7 +37,8 @@ log = Logger()
 class Route(NamedTuple):
     """A method of a path, its handler, and all that the OpenAPI document says about it.
 
-    `query`, `body` and `answer` are types. A `public` route takes no credentials, or tickets in their place.
+    `query`, `body` and `answer` are types. A `public` route takes no credentials, or tickets in their place. Of a
+    `streamed` one the handler reads the body itself, as it comes.
     """
 
     method: str
@@ -48,6 +50,7 @@ class Route(NamedTuple):
     answer: Any = None
     status: int = 200
     public: bool = False
+    streamed: bool = False
 
     def pattern(self, prefix: str) -> re.Pattern[str]:
         """Return what matches the paths of this route."""
@@ -78,12 +81,19 @@ class Api:
         """Give all requests for a path below PREFIX to a handler that authenticates them itself."""
         self._mounted[PREFIX + path] = handler
 
+    def streams(self, request: web.BaseRequest) -> bool:
+        """Return whether the handler of a request reads its body itself."""
+        path, method = raw_path(request), request.method
+        return any(
+            route.streamed and route.method == method and pattern.fullmatch(path) for pattern, route in self._patterns
+        )
+
     async def stop(self) -> None:
         """End the answers that would go on for ever: the server stops."""
         await asyncio.gather(*(stop() for stop in self.on_stop))
 
     async def handle(self, request: web.BaseRequest, content: bytes, upload: Upload | None) -> web.StreamResponse:
-        """Answer a request whose body has been received."""
+        """Answer a request whose body has been received, unless its route is streamed."""
         mounted = self._mounted.get(raw_path(request))
         if mounted is not None:
             return await mounted(request)
@@ -118,7 +128,7 @@ class Api:
     async def _send(self, request: web.BaseRequest, answer: Answer, headers: dict[str, str]) -> web.StreamResponse:
         status, headers = answer.status, headers | answer.headers
         match answer.body:
-            case EventStream() as stream:
+            case EventStream() | Download() as stream:
                 return await stream.send(request, headers)
             case Path() as path:
                 return web.FileResponse(path, headers=headers | {"Content-Type": "application/octet-stream"})

@@ -1,8 +1,8 @@
 """The HTTP server of one Master: the API and the dashboard under their prefixes, the robots' entry everywhere else.
 
 Bodies are limited before any of them is read: uploads that were announced go straight to disk, all others must be
-small. A large body for a service is redirected to it. Clients that send `Expect: 100-continue`, as curl does, have sent
-nothing of it by then.
+small, except those that the handler of their route passes on. A large body for a service is redirected to it. Clients
+that send `Expect: 100-continue`, as curl does, have sent nothing of it by then.
 """
 
 from __future__ import annotations
@@ -69,6 +69,8 @@ class Site:
                 return problem_response(Unavailable(f"the upload cannot be stored: {describe_os_error(error)}"))
             finally:
                 upload.close()
+        if self._api.streams(request):
+            return await self._api.handle(request, b"", None)
         length = declared_length(request)
         if length is None or length > MAX_BODY:
             return self._refuse_body(request)

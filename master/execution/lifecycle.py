@@ -13,13 +13,13 @@ from master.execution.node_ends import NodeEnds
 from master.graph import reconcile, wiring
 from master.graph.effects import Plan
 from master.graph.records import Environment, Process, Ref, ref, user_of
-from master.graph.translation import node_spec, parameter_spec
+from master.graph.translation import node_spec, parameter_spec, recorder_spec
 from rce.control.calls.call import BatchResult, Nothing
-from rce.control.calls.endpoints import NodeDied, Sync
+from rce.control.calls.endpoints import NodeDied, RecorderEnded, Sync
 from rce.control.calls.environments import EnvironmentDied, LimitReached, StartEnvironment
 from rce.control.connection import Handlers
 from rce.errors import ErrorInfo, RceError, StartFailed, clipped
-from rce.protocol.messages import EnvironmentEvent, LimitEvent
+from rce.protocol.messages import EnvironmentEvent, LimitEvent, RecorderEvent
 
 RETRY_FIRST, RETRY_MOST = 0.5, 30.0  # seconds
 RESETTLED_AT_ONCE = 50  # environments: a tenth of a second, in which a Master with 1,000 machines answers nobody
@@ -48,6 +48,7 @@ class Lifecycle:
     def add_environment_handlers(self, handlers: Handlers, process: Process) -> None:
         """Answer the reports of an Environment endpoint."""
         handlers.on(NodeDied, lambda call: self._node_ends.node_died(process, call))
+        handlers.do(RecorderEnded, lambda call: self._recorder_ended(process, call))
 
     # --- plans --------------------------------------------------------------------------------------------------------
 
@@ -114,6 +115,9 @@ class Lifecycle:
             spec_of = parameter_spec(parameter)
             if spec_of in sync.parameters:
                 self._conclude(ref(parameter), failed.get(f"parameter:{spec_of.key}"), process)
+        for recorder in state.recorders.by(process):
+            if recorder_spec(recorder) in sync.recorders:
+                self._conclude(ref(recorder), failed.get(f"recorder:{recorder.tag}"), process)
         self._readiness.mark_ready(ref(environment))
         ready = EnvironmentEvent(process.partition("/")[2], "ready", address=environment.address)
         self._runner.tell(user_of(process), ready)
@@ -162,9 +166,21 @@ class Lifecycle:
             ref(environment),
             *map(ref, state.nodes.by(name)),
             *map(ref, state.parameters.by(name)),
+            *map(ref, state.recorders.by(name)),
             *map(ref, state.interfaces.by(name)),
             *map(ref, wiring.connections_of(state, name)),
         ]
+
+    def _recorder_ended(self, process: Process, call: RecorderEnded) -> None:
+        """Remove a recorder that cannot go on, so that its tag is free, and tell its user the reason."""
+        environment = self._state.environments.get(process.name)
+        recorder = self._state.recorders.get(f"{process.name}/{call.recorder}")
+        if recorder is None or environment is None or process.incarnation != environment.run:
+            return
+        self._state.recorders.drop(recorder.key)
+        self.apply([])
+        tag = process.name.partition("/")[2]
+        self._runner.tell(user_of(process.name), RecorderEvent(tag, call.recorder, call.reason))
 
     async def _restart(self, name: str, run: str) -> None:
         environment = self._state.environments.get(name)

@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from master.graph import connections, groups
 from master.graph.effects import MarkReady, Outcome, Plan, Send
-from master.graph.records import Connection, Environment, Interface, Node, Parameter, Ref, ref
+from master.graph.records import Connection, Environment, Interface, Node, Parameter, Recorder, Ref, ref
 from master.graph.state import State
 from master.graph.translation import container_data, parameter_spec
 from master.graph.wiring import deactivate, interface_ref
-from rce.control.calls.endpoints import DropParameter, PutParameter, StartNode, StopNode, Unbind
+from rce.control.calls.endpoints import (
+    DropParameter,
+    PutParameter,
+    StartNode,
+    StartRecorder,
+    StopNode,
+    StopRecorder,
+    Unbind,
+)
 from rce.control.calls.environments import EnvironmentSpec, StartEnvironment, StopEnvironment
 
 
@@ -40,6 +48,8 @@ def remove_environment(state: State, environment: Environment, away: bool = Fals
         state.ends.drop(end.key)
     for parameter in state.parameters.by(name):
         state.parameters.drop(parameter.key)
+    for recorder in state.recorders.by(name):
+        state.recorders.drop(recorder.key)
     state.environments.drop(name)
     state.forget(name)  # no further calls go to its process, and a later environment of this name gets a process anew
     if environment.machine in state.joined:  # else KeepEnvironments tells it when it joins again
@@ -51,6 +61,12 @@ def remove_node(state: State, node: Node) -> Plan:
     """Remove a node from the graph and stop it."""
     state.nodes.drop(node.key)
     return call_host(state, node, StopNode(node.tag))
+
+
+def remove_recorder(state: State, recorder: Recorder) -> Plan:
+    """Remove a recorder from the graph and stop it."""
+    state.recorders.drop(recorder.key)
+    return call_host(state, recorder, StopRecorder(recorder.tag))
 
 
 def remove_interface(state: State, interface: Interface, away: bool = False) -> Plan:
@@ -83,15 +99,16 @@ def remove_connection(state: State, connection: Connection) -> Plan:
     return plan
 
 
-def call_host(
-    state: State, record: Node | Parameter, call: StartNode | StopNode | PutParameter | DropParameter
-) -> Plan:
+HostCall = StartNode | StopNode | PutParameter | DropParameter | StartRecorder | StopRecorder
+
+
+def call_host(state: State, record: Node | Parameter | Recorder, call: HostCall) -> Plan:
     """Return the plan for a call at a record's environment. An environment that is away gets it by its Sync."""
     host = state.host(record.owner)
     if not host:
         return []
     send = Send(host, call, ref(record))
-    return [[send] if isinstance(call, StopNode | DropParameter) else [send, MarkReady(ref(record))]]
+    return [[send] if isinstance(call, StopNode | DropParameter | StopRecorder) else [send, MarkReady(ref(record))]]
 
 
 def undo(state: State, outcome: Outcome) -> Plan:
@@ -123,4 +140,6 @@ def _undo_one(state: State, awaited: Ref) -> Plan:
             plan = remove_connection(state, connection)
         case "node" if node := state.nodes.get(awaited.key):
             plan = remove_node(state, node)
+        case "recorder" if recorder := state.recorders.get(awaited.key):
+            plan = remove_recorder(state, recorder)
     return plan

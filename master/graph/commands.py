@@ -20,9 +20,18 @@ from master.graph.packages import resolve_all
 from master.graph.placement import place
 from master.graph.records import Connection, Environment, Interface, Parameter, Waiting, parameter_key, ref
 from master.graph.state import State
-from master.graph.translation import interface_from, interface_spec, node_from, node_spec, options_from, parameter_spec
+from master.graph.translation import (
+    interface_from,
+    interface_spec,
+    node_from,
+    node_spec,
+    options_from,
+    parameter_spec,
+    recorder_from,
+    recorder_spec,
+)
 from master.graph.wiring import Ids, activate, interface_ref
-from rce.control.calls.endpoints import Bind, DropParameter, PutParameter, StartNode
+from rce.control.calls.endpoints import Bind, DropParameter, PutParameter, StartNode, StartRecorder
 from rce.errors import AlreadyExists, InvalidRequest, NotConnectable, NotFound
 from rce.protocol import messages as m
 from rce.protocol.names import check_new_name, check_tag, is_guest, parse_type, split_interface
@@ -166,6 +175,39 @@ def delete_parameter(context: CommandContext, command: m.DeleteParameter) -> Out
     return Outcome(call_host(context.state, parameter, DropParameter(parameter_spec(parameter).key)))
 
 
+# --- recorders --------------------------------------------------------------------------------------------------------
+
+
+def add_recorder(context: CommandContext, command: m.AddRecorder) -> Outcome:
+    """CN: add a recorder to an environment and start it."""
+    state = context.state
+    owner = context.environment(command.containerTag).name
+    check_tag(command.recorderTag, "recorderTag")
+    recorder = recorder_from(owner, command)
+    present = state.recorders.get(recorder.key)
+    if present == recorder and (context.repeated or command.existOk):
+        return Outcome([], [ref(recorder)])
+    if present is not None and not command.existOk:
+        raise AlreadyExists(
+            f"recorderTag {command.recorderTag} is in use in {command.containerTag}", field="recorderTag"
+        )
+    if present is None:
+        hard_limits.check_count(state.recorders, owner, hard_limits.RECORDERS, "recorderTag")
+    state.recorders.put(recorder)
+    return Outcome(call_host(state, recorder, StartRecorder(recorder_spec(recorder))), [ref(recorder)])
+
+
+def remove_recorder(context: CommandContext, command: m.RemoveRecorder) -> Outcome:
+    """CN: remove a recorder and stop it; its recordings are kept."""
+    owner = context.environment(command.containerTag).name
+    recorder = context.state.recorders.get(f"{owner}/{command.recorderTag}")
+    if recorder is None:
+        if context.repeated:
+            return Outcome([])
+        raise NotFound(f"{command.containerTag} has no recorder {command.recorderTag[:80]!r}", field="recorderTag")
+    return Outcome(changes.remove_recorder(context.state, recorder))
+
+
 # --- interfaces -------------------------------------------------------------------------------------------------------
 
 
@@ -306,6 +348,8 @@ HANDLERS: dict[type[m.Command], Callable[[CommandContext, Any], Outcome]] = {
     m.RemoveNode: remove_node,
     m.SetParameter: set_parameter,
     m.DeleteParameter: delete_parameter,
+    m.AddRecorder: add_recorder,
+    m.RemoveRecorder: remove_recorder,
     m.AddInterface: add_interface,
     m.RemoveInterface: remove_interface,
     m.Connect: connect,

@@ -10,6 +10,7 @@ from rce.errors import LimitExceeded
 
 NODES = 1000  # of one environment, as are those below
 PARAMETERS = 10_000
+RECORDERS = 16  # each has a thread in the environment, and one in its task set
 PARAMETER_TEXT = 16 * 1024 * 1024  # characters and items of lists, in all of its parameters together
 INTERFACES = 10_000  # of one robot or environment
 WAITING = 1000  # connections of one user that wait for an end that is away

@@ -65,6 +65,9 @@ class Policy(Struct, frozen=True, forbid_unknown_fields=True):
     connections: Number | None = None
     package_bytes: Number | None = None
 
+    # total of the user's recordings on each machine
+    recording_bytes: Number | None = None
+
 
 UNLIMITED = Policy()
 NAMES = {field.name: field.type for field in msgspec.structs.fields(Policy)}

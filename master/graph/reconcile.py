@@ -13,7 +13,7 @@ from master.graph.limits import UNLIMITED, Policy, check_robots
 from master.graph.placement import most_free_slots, place
 from master.graph.records import Environment, Process, Ref, Robot, ref, user_of
 from master.graph.state import State, all_of, at
-from master.graph.translation import interface_spec, node_spec, parameter_spec
+from master.graph.translation import interface_spec, node_spec, parameter_spec, recorder_spec
 from master.graph.wiring import (
     Ids,
     bring_up,
@@ -126,6 +126,7 @@ def _sync(state: State, process: Process, owners: list[str]) -> Sync:
         routes=[route for interface in interfaces for route in routes_of(state, interface)],
         nodes=[node_spec(node) for owner in owners for node in state.nodes.by(owner)],
         parameters=[parameter_spec(parameter) for owner in owners for parameter in state.parameters.by(owner)],
+        recorders=[recorder_spec(recorder) for owner in owners for recorder in state.recorders.by(owner)],
         robots=owners if process.role == "robot" else [],
     )
 

@@ -1,7 +1,7 @@
 """Records of the command graph: everything that users asked for and that must outlive the Master.
 
     User 1─* Environment, Robot      (one name space of tags per user)
-    Environment 1─* Node, Parameter; Node 1─? NodeEnd, which outlives it
+    Environment 1─* Node, Parameter, Recorder; Node 1─? NodeEnd, which outlives it
     Environment, Robot 1─* Interface
     Connection: two Interfaces of one user
     Waiting: a Connection of which an Interface is away
@@ -166,6 +166,21 @@ class Parameter(Struct, frozen=True):
     def key(self) -> str:
         """Return the key of the record in its table."""
         return parameter_key(self.owner, self.node, self.name)
+
+
+class Recorder(Struct, frozen=True, omit_defaults=True):
+    """A recorder of topics of an environment, of all of them if `topics` is empty; 0 is no limit of one file."""
+
+    owner: str  # the environment
+    tag: str
+    topics: list[str] = []
+    max_size: int = 0  # bytes
+    max_duration: float = 0.0  # seconds
+
+    @property
+    def key(self) -> str:
+        """Return the key of the record in its table."""
+        return f"{self.owner}/{self.tag}"
 
 
 class Qos(Struct, frozen=True, omit_defaults=True):

@@ -19,6 +19,7 @@ from master.graph.records import (
     Parameter,
     Process,
     Record,
+    Recorder,
     Ref,
     Robot,
     Waiting,
@@ -206,6 +207,7 @@ class State:
         self.nodes = Table(Node, lambda record: (record.owner,))
         self.ends = Table(NodeEnd, lambda record: (record.owner,))
         self.parameters = Table(Parameter, lambda record: (record.owner,))
+        self.recorders = Table(Recorder, lambda record: (record.owner,))
         self.interfaces = Table(Interface, lambda record: (record.owner,))
         self.connections = Table(
             Connection,
@@ -230,6 +232,7 @@ class State:
             self.nodes,
             self.ends,
             self.parameters,
+            self.recorders,
             self.interfaces,
             self.connections,
             self.waiting,

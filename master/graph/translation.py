@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from master.graph.records import Delivery, EnvironmentOptions, Interface, IoRates, Node, Parameter, Qos
-from rce.control.calls.endpoints import InterfaceSpec, NodeSpec, ParameterSpec
+from master.graph.records import Delivery, EnvironmentOptions, Interface, IoRates, Node, Parameter, Qos, Recorder
+from rce.control.calls.endpoints import InterfaceSpec, NodeSpec, ParameterSpec, RecorderSpec
 from rce.protocol import messages as m
 
 SAME = ("image", "size", "cpu", "memory", "pids", "disk", "bandwidth", "gpus", "packages", "group", "restart")
@@ -46,6 +46,17 @@ def node_spec(node: Node) -> NodeSpec:
 def parameter_spec(parameter: Parameter) -> ParameterSpec:
     """Return a parameter as its environment sets it."""
     return ParameterSpec(parameter.name, parameter.value, parameter.node)
+
+
+def recorder_from(owner: str, command: m.AddRecorder) -> Recorder:
+    """Return the record of a recorder that a command adds to environment `owner`."""
+    topics = ["/" + topic.lstrip("/") for topic in command.topics]
+    return Recorder(owner, command.recorderTag, topics, command.maxSize, command.maxDuration)
+
+
+def recorder_spec(recorder: Recorder) -> RecorderSpec:
+    """Return a recorder as its environment starts it."""
+    return RecorderSpec(recorder.tag, recorder.topics, recorder.max_size, recorder.max_duration)
 
 
 def interface_from(id: str, owner: str, kind: str, command: m.AddInterface) -> Interface:

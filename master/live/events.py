@@ -72,6 +72,8 @@ class Events:
             case m.NodeEvent(tag, node, code, lines):
                 text = f"ended with status {code}"
                 self._add("node.died", user, f"{user}/{tag}/{node}", text, status=code, lines=_newest(lines))
+            case m.RecorderEvent(tag, recorder, reason):
+                self._add("recorder.ended", user, f"{user}/{tag}/{recorder}", reason)
             case m.LimitEvent(reason):
                 self._add("limit.reached", user, user, reason)
 

@@ -20,6 +20,7 @@ from master.graph.records import (
     NodeEnd,
     Parameter,
     Process,
+    Recorder,
     Robot,
     ref,
 )
@@ -35,6 +36,7 @@ from rce.api.views import (
     NodeView,
     ParameterView,
     Rate,
+    RecorderView,
     RobotView,
     Usage,
 )
@@ -86,6 +88,7 @@ class Presenter:
             state.interfaces.count(name),
             self.usage.get(name),
             self._not_enforced(record),
+            state.recorders.count(name),
         )
 
     def _not_enforced(self, record: Environment) -> list[str]:
@@ -119,6 +122,14 @@ class Presenter:
     def parameter(self, record: Parameter) -> ParameterView:
         """Return the view of a parameter."""
         return ParameterView(*_parts(record.owner), record.node, record.name, record.value)
+
+    def recorder(self, record: Recorder) -> RecorderView:
+        """Return the view of a recorder."""
+        ready = self._readiness.is_ready(ref(record))
+        state: Literal["starting", "recording"] = "recording" if ready else "starting"
+        return RecorderView(
+            *_parts(record.owner), record.tag, state, record.topics, record.max_size, record.max_duration
+        )
 
     def interface(self, record: Interface) -> InterfaceView:
         """Return the view of an interface."""

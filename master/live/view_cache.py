@@ -12,7 +12,18 @@ import msgspec
 from msgspec import Raw
 
 from master.execution.readiness import Readiness
-from master.graph.records import Connection, Environment, Interface, Node, Parameter, Process, Record, Ref, Robot
+from master.graph.records import (
+    Connection,
+    Environment,
+    Interface,
+    Node,
+    Parameter,
+    Process,
+    Record,
+    Recorder,
+    Ref,
+    Robot,
+)
 from master.graph.state import at
 from master.live.presenter import Presenter
 from rce.api.views import Kind
@@ -23,6 +34,7 @@ KIND_OF: dict[str, Kind] = {
     "environment": "environments",
     "node": "nodes",
     "parameter": "parameters",
+    "recorder": "recorders",
     "interface": "interfaces",
     "connection": "connections",
     "process": "machines",
@@ -106,7 +118,7 @@ class ViewCache:
                 self.mark("groups", f"{record.name.partition('/')[0]}/{record.options.group}")
             case Robot():
                 self.mark("machines", record.endpoint)
-            case Node() | Parameter() if new:
+            case Node() | Parameter() | Recorder() if new:
                 self.mark("environments", record.owner)
             case Interface() if new:
                 self.mark("environments", record.owner)

@@ -6,9 +6,10 @@ import queue
 import threading
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO, NamedTuple, Protocol, cast
 
 from mcap.writer import CompressionType, Writer
 
@@ -30,6 +31,22 @@ class Limits(NamedTuple):
 
 
 NO_LIMITS = Limits()
+
+
+class Output(Protocol):
+    """What a file of a recording is written to. Its methods may raise RceError, which ends the recording."""
+
+    def write(self, data: bytes, /) -> int:
+        """Append bytes."""
+
+    def tell(self) -> int:
+        """Return the number of bytes so far."""
+
+    def flush(self) -> None:
+        """Pass on what is buffered."""
+
+    def close(self) -> None:
+        """End the file."""
 
 
 class Topic(NamedTuple):
@@ -56,15 +73,17 @@ class BagWriter:
         error: Why the recording ended by itself; None while it goes on.
     """
 
-    def __init__(self, path: Path, limits: Limits = NO_LIMITS) -> None:
+    def __init__(self, path: Path, limits: Limits = NO_LIMITS, create: Callable[[Path], Output] | None = None) -> None:
         """Begin a recording.
 
         Args:
             path: The file, which must not exist; further ones are `NAME-1.mcap`, `NAME-2.mcap`, …
             limits: When the next file begins.
+            create: Makes each file, on the disk unless given.
 
         Raises:
             InvalidRequest: The file exists or cannot be made.
+            RceError: `create` raised it.
         """
         self.paths: list[Path] = []
         self.messages = 0
@@ -72,6 +91,7 @@ class BagWriter:
         self.error: RceError | None = None
         self._path = path
         self._limits = limits
+        self._create = create or _create
         self._waiting: queue.SimpleQueue[_Message | None] = queue.SimpleQueue()
         self._waiting_size = 0
         self._size_lock = threading.Lock()
@@ -106,8 +126,20 @@ class BagWriter:
         try:
             self._write()
             self._file.finish(self.dropped)
+        except RceError as error:
+            self._fail(error)
         except OSError as error:
-            self.error = disk_full(error) or InvalidRequest(f"the recording cannot be written: {error}")
+            self._fail(disk_full(error) or InvalidRequest(f"the recording cannot be written: {error}"))
+
+    def _fail(self, error: RceError) -> None:
+        with self._size_lock:
+            self.error = error
+        self._file.abandon()
+        with suppress(queue.Empty):
+            while True:
+                message = self._waiting.get_nowait()
+                if message is not None:
+                    self.dropped[message.topic.name] += 1
 
     def _write(self) -> None:
         flushed = time.monotonic()
@@ -133,10 +165,7 @@ class BagWriter:
     def _open(self) -> _File:
         number = len(self.paths)
         path = self._path.with_stem(f"{self._path.stem}-{number}") if number else self._path
-        try:
-            file = _File(path.open("xb"))
-        except OSError as error:
-            raise disk_full(error) or InvalidRequest(f"cannot record into {path}: {error.strerror}") from None
+        file = _File(self._create(path))
         self.paths.append(path)
         return file
 
@@ -144,10 +173,10 @@ class BagWriter:
 class _File:
     """One file of a recording."""
 
-    def __init__(self, file: IO[bytes]) -> None:
+    def __init__(self, file: Output) -> None:
         self._file = file
         self._began = time.monotonic()
-        self._writer = Writer(file, chunk_size=CHUNK, compression=CompressionType.ZSTD)
+        self._writer = Writer(cast(IO[bytes], file), chunk_size=CHUNK, compression=CompressionType.ZSTD)
         self._writer.start(profile="ros2", library=f"rce {__version__}")
         self._channels: dict[str, int] = {}
         self._sequences: Counter[str] = Counter()
@@ -174,6 +203,18 @@ class _File:
             self._writer.add_metadata(METADATA, {f"dropped {topic}": str(count) for topic, count in dropped.items()})
         self._writer.finish()  # type: ignore[no-untyped-call]  # as above
         self._file.close()
+
+    def abandon(self) -> None:
+        """Close a file that cannot be written, whose end is missing."""
+        with suppress(OSError, RceError):
+            self._file.close()
+
+
+def _create(path: Path) -> Output:
+    try:
+        return path.open("xb")
+    except OSError as error:
+        raise disk_full(error) or InvalidRequest(f"cannot record into {path}: {error.strerror}") from None
 
 
 def join_definitions(texts: Mapping[str, str], name: str) -> str:

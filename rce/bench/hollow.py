@@ -23,7 +23,9 @@ from rce.control.calls.endpoints import (
     PutParameter,
     RemoveRoute,
     StartNode,
+    StartRecorder,
     StopNode,
+    StopRecorder,
     Sync,
     Unbind,
 )
@@ -42,6 +44,8 @@ DONE = (
     StopNode,
     PutParameter,
     DropParameter,
+    StartRecorder,
+    StopRecorder,
     SendStatus,
     DropRobot,
 )

@@ -16,7 +16,9 @@ from rce.cli import layout
 T = TypeVar("T")
 # Seconds since 1970, unless they are whole numbers.
 TIME_FIELDS = frozenset({"created", "modified", "expires", "used", "time"})
-SIZE_FIELDS = frozenset({"memory", "disk", "bandwidth", "io", "read", "write", "package_bytes"})  # bytes, or bytes/s
+SIZE_FIELDS = frozenset(
+    {"memory", "disk", "bandwidth", "io", "read", "write", "package_bytes", "recording_bytes"}
+)  # bytes, or bytes/s
 Columns = Mapping[str, Callable[[T], object]]
 """Functions that return the value of each column, by the column's title."""
 

@@ -20,6 +20,7 @@ from rce.cli.commands import (
     packages,
     planning,
     programs,
+    recordings,
     robots,
     tracing,
 )
@@ -44,6 +45,8 @@ TABLE: tuple[Command | Program | Group, ...] = (
     *data.COMMANDS,
     bags.GROUP,
     *bags.COMMANDS,
+    recordings.GROUP,
+    *recordings.COMMANDS,
     *tracing.COMMANDS,
     *machines.COMMANDS,
     *accounts.COMMANDS,

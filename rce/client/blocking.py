@@ -67,6 +67,10 @@ class BlockingEnvironment(Blocking[Environment]):
     """Set a ROS 2 parameter; see `Environment.set_parameter`."""
     delete_parameter = blocking(Environment.delete_parameter)
     """Remove a parameter; see `Environment.delete_parameter`."""
+    add_recorder = blocking(Environment.add_recorder)
+    """Record topics on the machine of the environment; see `Environment.add_recorder`."""
+    remove_recorder = blocking(Environment.remove_recorder)
+    """End a recorder; see `Environment.remove_recorder`."""
     publisher = blocking_factory(Environment.publisher, BlockingPublisher)
     """Publish on a topic of the environment; see `Environment.publisher`."""
     service_client = blocking_factory(Environment.service_client, BlockingServiceClient)
@@ -192,6 +196,12 @@ class BlockingRobot(Blocking[Robot]):
     """Set a ROS 2 parameter; see `Robot.set_parameter`."""
     delete_parameter = blocking(Robot.delete_parameter)
     """Remove a parameter; see `Robot.delete_parameter`."""
+    add_recorder = blocking(Robot.add_recorder)
+    """Record topics of an environment on its machine; see `Robot.add_recorder`."""
+    remove_recorder = blocking(Robot.remove_recorder)
+    """End a recorder; see `Robot.remove_recorder`."""
+    upload_recording = blocking(Robot.upload_recording)
+    """Upload a recording of the robot's own; see `Robot.upload_recording`."""
     add_interface = blocking(Robot.add_interface)
     """Add an interface to an environment or a robot; see `Robot.add_interface`."""
     remove_interface = blocking(Robot.remove_interface)

@@ -17,6 +17,7 @@ from rce.protocol.messages import (
     Disconnect,
     RemoveInterface,
     RemoveNode,
+    RemoveRecorder,
 )
 
 LISTS = {kind: ("CN", name) for name, kind in CN_ITEMS.items()} | {
@@ -24,7 +25,7 @@ LISTS = {kind: ("CN", name) for name, kind in CN_ITEMS.items()} | {
 }
 """Frame type and the name of the list in it, by command."""
 
-REMOVALS = (DestroyContainer, RemoveNode, RemoveInterface, DeleteParameter, Disconnect)
+REMOVALS = (DestroyContainer, RemoveNode, RemoveInterface, DeleteParameter, RemoveRecorder, Disconnect)
 
 
 def frame_of(command: Command) -> dict[str, Any]:

@@ -154,6 +154,39 @@ class Environment:
         """
         await self.robot.delete_parameter(self.tag, name, node=node)
 
+    async def add_recorder(self, tag: str, *topics: str, max_size: int = 0, max_duration: float = 0.0) -> None:
+        """Record topics on the machine of the environment, until the recorder or the environment is removed.
+
+        Args:
+            tag: Name of the recorder, unique within the environment.
+            *topics: Topics to record, also before they exist; without any, all that are not hidden.
+            max_size: Bytes of a file after which the next one begins; 0 is no limit.
+            max_duration: Seconds of a file after which the next one begins; 0 is no limit.
+
+        Raises:
+            AlreadyExists: The environment has a recorder with this tag; with `exist_ok`, it is kept or replaced.
+            LimitExceeded: The quota for recordings is used up.
+            StartFailed: The machine of the environment keeps no recordings.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
+        """
+        await self.robot.add_recorder(
+            self.tag, tag, *topics, max_size=max_size, max_duration=max_duration, exist_ok=self._exist_ok
+        )
+
+    async def remove_recorder(self, tag: str) -> None:
+        """End a recorder, and complete its file. Its recordings are kept.
+
+        Args:
+            tag: Name of the recorder, as given to `add_recorder`.
+
+        Raises:
+            NotFound: There is no such recorder.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
+        """
+        await self.robot.remove_recorder(self.tag, tag)
+
     async def publisher(
         self,
         topic: str,

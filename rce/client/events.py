@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from rce.errors import RceError
-from rce.protocol.messages import ConnectionEvent, DropEvent, EnvironmentEvent, LimitEvent, NodeEvent
+from rce.protocol.messages import ConnectionEvent, DropEvent, EnvironmentEvent, LimitEvent, NodeEvent, RecorderEvent
 
 
 class Disconnected(NamedTuple):
@@ -29,7 +29,7 @@ class Reconnected(NamedTuple):
     resumed: bool
 
 
-PlatformEvent = EnvironmentEvent | NodeEvent | DropEvent | ConnectionEvent | LimitEvent
+PlatformEvent = EnvironmentEvent | NodeEvent | RecorderEvent | DropEvent | ConnectionEvent | LimitEvent
 """Events that the platform sends."""
 
 Event = PlatformEvent | Disconnected | Reconnected | RceError
@@ -37,6 +37,7 @@ Event = PlatformEvent | Disconnected | Reconnected | RceError
 
 - `EnvironmentEvent`: an environment is ready, failed to start, was lost, or is gone.
 - `NodeEvent`: a node ended; with its exit status and the last lines of its output.
+- `RecorderEvent`: a recorder ended by itself; with the reason.
 - `DropEvent`: the platform dropped messages of one of the robot's interfaces, with their number and the place.
 - `ConnectionEvent`: a connection that the robot made waits for an end that is away, is restored, or is gone.
 - `LimitEvent`: a limit of the user was reached.

@@ -13,6 +13,7 @@ from rce.errors import AlreadyExists, InvalidRequest, RceError
 from rce.protocol.messages import (
     AddInterface,
     AddNode,
+    AddRecorder,
     CodecName,
     Command,
     Connect,
@@ -29,6 +30,7 @@ from rce.protocol.messages import (
     Rates,
     RemoveInterface,
     RemoveNode,
+    RemoveRecorder,
     SetParameter,
 )
 from rce.spelling import did_you_mean
@@ -216,6 +218,52 @@ class Operations:
             RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
         """
         await self.configure(DeleteParameter(environment, name, node))
+
+    async def add_recorder(
+        self,
+        environment: str,
+        tag: str,
+        *topics: str,
+        max_size: int = 0,
+        max_duration: float = 0.0,
+        exist_ok: bool = False,
+    ) -> None:
+        """Record topics of an environment on its machine, until the recorder or the environment is removed.
+
+        It is started again with the environment, which begins another file. A recorder that ends by itself, because a
+        quota is used up, for example, sends a `RecorderEvent`.
+
+        Args:
+            environment: Name of the environment.
+            tag: Name of the recorder, unique within the environment.
+            *topics: Topics to record, also before they exist; without any, all that are not hidden.
+            max_size: Bytes of a file after which the next one begins; 0 is no limit.
+            max_duration: Seconds of a file after which the next one begins; 0 is no limit.
+            exist_ok: Keep a recorder of this tag that is the same, and replace one that is not.
+
+        Raises:
+            NotFound: The environment does not exist.
+            AlreadyExists: The environment has a recorder with this tag.
+            LimitExceeded: The quota for recordings is used up.
+            StartFailed: The machine of the environment keeps no recordings.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
+        """
+        await self.configure(AddRecorder(environment, tag, list(topics), max_size, max_duration, exist_ok))
+
+    async def remove_recorder(self, environment: str, tag: str) -> None:
+        """End a recorder, and complete its file. Its recordings are kept.
+
+        Args:
+            environment: Name of the environment.
+            tag: Name of the recorder.
+
+        Raises:
+            NotFound: There is no such recorder.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
+        """
+        await self.configure(RemoveRecorder(environment, tag))
 
     async def add_interface(
         self,

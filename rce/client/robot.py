@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import ssl as tls
 from collections.abc import Awaitable, Callable
+from functools import partial
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar, Unpack
 
@@ -17,6 +20,7 @@ from rce.client.environment import Environment
 from rce.client.events import Event
 from rce.client.interface import Interface
 from rce.client.operations import EnvironmentOptions, Format, Operations
+from rce.client.recordings import RecordingsClient
 from rce.client.services import ServiceClient, ServiceProvider
 from rce.client.session import NAME_WAIT, ClientSession
 from rce.client.store import Store
@@ -104,6 +108,7 @@ class Robot(Operations):
         check_tag(user, "user")
         self.name = check_robot_id(robot, "robot")
         declarations = Declarations(robot)
+        self._recordings = partial(RecordingsClient, url, user=user, password=password, key=key, ssl=ssl)
         self._dispatcher = Dispatcher(robot, declarations)
         address = Address(url, user, robot, password, key, compress, ssl, owner)
         super().__init__(ClientSession(address, self._dispatcher, timeout), declarations)
@@ -167,6 +172,31 @@ class Robot(Operations):
             and ends with the robot. If the platform refuses the robot, reading it raises that error.
         """
         return self._dispatcher.events()
+
+    async def upload_recording(
+        self, path: Path, name: str = "", progress: Callable[[int], None] = lambda _: None
+    ) -> str:
+        """Upload a recording that the robot made itself, or the rest of it; see `rce.bag.writer`.
+
+        An upload that was interrupted goes on where it stopped, also in a later run of the program. Bytes of a file
+        never count twice: one that is there already is not uploaded again.
+
+        Args:
+            path: MCAP file.
+            name: Name in place of the file's own; letters, digits, `.`, `_` and `-`.
+            progress: Function that is called, in another thread, with the number of bytes that have been sent.
+
+        Returns:
+            Name of the recording at the platform, `machine/id`.
+
+        Raises:
+            InvalidRequest: The file is no MCAP file.
+            LimitExceeded: The quota for recordings is used up.
+            Unavailable: There was no progress for a minute.
+            RceError: Any other error of the platform.
+        """
+        upload = await asyncio.to_thread(self._recordings().upload, path, progress, name)
+        return upload.id
 
     def environment(self, tag: str, *, exist_ok: bool = True, **options: Unpack[EnvironmentOptions]) -> Environment:
         """Return a handle of an environment, through which the robot uses its topics, services and nodes.

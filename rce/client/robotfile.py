@@ -35,7 +35,7 @@ from rce.client.topics import Publisher
 from rce.client.values import encode
 from rce.errors import AlreadyExists, InvalidRequest, NotFound, RceError
 from rce.protocol.blobs import Buffer
-from rce.protocol.messages import ConnectionEvent, DropEvent, EnvironmentEvent, LimitEvent, NodeEvent
+from rce.protocol.messages import ConnectionEvent, DropEvent, EnvironmentEvent, LimitEvent, NodeEvent, RecorderEvent
 
 log = logging.getLogger("rce.client")
 
@@ -88,6 +88,8 @@ def event_text(event: Event) -> str:
     match event:
         case EnvironmentEvent(tag, state, reason):
             return f"environment {tag} is {state}" + (f": {reason}" if reason else "")
+        case RecorderEvent(tag, recorder, reason):
+            return f"recorder {tag}/{recorder} ended: {reason}"
         case NodeEvent(tag, node, status, lines):
             return "\n  ".join([f"node {tag}/{node} ended with status {status}", *lines])
         case DropEvent(interface, count, where):

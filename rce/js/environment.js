@@ -40,6 +40,16 @@ export class Environment {
     return this.robot.deleteParameter(this.tag, name, options);
   }
 
+  /** See Robot.addRecorder. */
+  addRecorder(tag, options) {
+    return this.robot.addRecorder(this.tag, tag, options);
+  }
+
+  /** End a recorder; its recordings are kept. */
+  removeRecorder(tag) {
+    return this.robot.removeRecorder(this.tag, tag);
+  }
+
   /** Publish on a topic of the environment. */
   async publisher(topic, typeName, options = {}) {
     const to = await this.#interface(topic, "pub", "PublisherInterface", typeName, options.qos);

@@ -298,6 +298,10 @@ export class Environment {
   setParameter(name: string, value: ParameterValue, options?: { node?: string }): Promise<void>;
   /** Remove a parameter. */
   deleteParameter(name: string, options?: { node?: string }): Promise<void>;
+  /** Record topics on the machine of the environment, all that are not hidden unless `topics` names some. */
+  addRecorder(tag: string, options?: RecorderOptions): Promise<void>;
+  /** End a recorder; its recordings are kept. */
+  removeRecorder(tag: string): Promise<void>;
   /** Publish on a topic of the environment. */
   publisher(topic: string, typeName: string, options?: PublisherOptions): Promise<Publisher>;
   /** Subscribe to a topic of the environment. */
@@ -312,6 +316,17 @@ export class Environment {
   /** Offer an action to the nodes of the environment. */
   actionServer(action: string, typeName: string, handler: GoalHandler, options?: ActionServerOptions):
     Promise<ActionServer>;
+}
+
+export interface RecorderOptions {
+  /** Topics to record, also before they exist. */
+  topics?: string[];
+  /** Bytes of a file after which the next one begins. */
+  maxSize?: number;
+  /** Seconds of a file after which the next one begins. */
+  maxDuration?: number;
+  /** Keep a recorder of this tag that is the same, and replace one that is not. */
+  existOk?: boolean;
 }
 
 export interface NodeOptions {
@@ -330,7 +345,7 @@ export interface NodeOptions {
 /** `[list, item]` with the names of the protocol, such as `["addNodes", {containerTag: …}]` and `["CC", {…}]`. */
 export type Command = [
   "CC" | "DC" | "addNodes" | "removeNodes" | "addInterfaces" | "removeInterfaces" | "setParam" | "deleteParam"
-    | "connect" | "disconnect",
+    | "addRecorders" | "removeRecorders" | "connect" | "disconnect",
   Record<string, unknown>,
 ];
 
@@ -392,6 +407,10 @@ export class Robot {
   setParameter(environment: string, name: string, value: ParameterValue, options?: { node?: string }): Promise<void>;
   /** Remove a parameter. */
   deleteParameter(environment: string, name: string, options?: { node?: string }): Promise<void>;
+  /** Record topics of an environment on its machine, all that are not hidden unless `topics` names some. */
+  addRecorder(environment: string, tag: string, options?: RecorderOptions): Promise<void>;
+  /** End a recorder; its recordings are kept. */
+  removeRecorder(environment: string, tag: string): Promise<void>;
   /** Add an interface to an environment or a robot. */
   addInterface(endpoint: string, tag: string, interfaceType: InterfaceType, typeName: string,
     options?: { addr?: string; qos?: Qos; format?: string; delivery?: Delivery; codec?: string }): Promise<void>;

@@ -108,6 +108,14 @@ export class Robot {
     return this.configure(["deleteParam", { containerTag: environment, name, nodeTag: node }]);
   }
 
+  addRecorder(environment, tag, { topics, maxSize, maxDuration, existOk } = {}) {
+    return this.configure(["addRecorders", { containerTag: environment, recorderTag: tag, topics, maxSize, maxDuration, existOk }]);
+  }
+
+  removeRecorder(environment, tag) {
+    return this.configure(["removeRecorders", { containerTag: environment, recorderTag: tag }]);
+  }
+
   addInterface(endpoint, tag, interfaceType, typeName, { addr, qos, format, delivery, codec } = {}) {
     return this.configure(["addInterfaces", {
       endpointTag: endpoint, interfaceTag: tag, interfaceType, className: typeName, addr, qos, format, delivery, codec }]);

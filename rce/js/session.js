@@ -18,7 +18,7 @@ const [MIN_DELAY, MAX_DELAY] = [0.1, 10]; // seconds between attempts to reconne
 const ATTEMPT = 3; // seconds, and five round trips, of an attempt while the session may be resumed
 const RESUME_DELAY = 0.4; // seconds between these attempts at most
 const LISTS = { connect: "CX", disconnect: "CX" };
-const REMOVALS = new Set(["DC", "removeNodes", "removeInterfaces", "deleteParam", "disconnect"]);
+const REMOVALS = new Set(["DC", "removeNodes", "removeInterfaces", "deleteParam", "removeRecorders", "disconnect"]);
 
 /** Session that lasts from `open` until `close`, or until the platform refuses the robot. */
 export class ClientSession {

@@ -27,9 +27,9 @@ from rce.mapservice.fairness import FairQueue
 from rce.mapservice.inspection import InspectionQueue, Inspector, collect, recording_in
 from rce.mapservice.job_program import Platform, Report, Task
 from rce.mapservice.job_store import JobStore, StoredJob
-from rce.mapservice.record_store import new_id
 from rce.mapservice.uploads import Uploads
 from rce.process.metrics import Family, Timing, gauge_family
+from rce.process.record_store import new_id
 from rce.services.disk import service_disk_full
 
 RETRY_MIN, RETRY_MAX = 2.0, 60.0  # seconds

@@ -11,9 +11,9 @@ from aiohttp.typedefs import Handler
 
 from rce.api.map_jobs import PREFIX, Job, JobRequest, Plan, PlanRequest, Upload
 from rce.errors import RceError
-from rce.mapservice.rest import CHUNK_TYPE, Rest
+from rce.mapservice.rest import Rest
 from rce.services.problems import check_headers
-from rce.web import openapi
+from rce.web import openapi, tus
 from rce.web.problems import problem_response
 
 OFFSET, LENGTH, METADATA = "Upload-Offset", "Upload-Length", "Upload-Metadata"
@@ -51,14 +51,14 @@ def routes(rest: Rest) -> list[Route]:
         Route("OPTIONS", "/uploads", rest.tus_options, "Supported parts of tus 1.0", 204, public=True),
         Route(
             *("POST", "/uploads", rest.create_upload, "Announce a file, or send a small one at once", 201),
-            *(CHUNK_TYPE, Upload, (LENGTH, METADATA), sizes),
+            *(tus.CHUNK_TYPE, Upload, (LENGTH, METADATA), sizes),
         ),
         Route("GET", "/uploads", rest.list_uploads, "Your uploads", answer=list[Upload]),
         Route("HEAD", "/uploads/{upload}", rest.show_upload, "Received length of an upload", answer_headers=sizes),
         Route("GET", "/uploads/{upload}", rest.show_upload, "An upload", answer=Upload, answer_headers=sizes),
         Route(
             *("PATCH", "/uploads/{upload}", rest.continue_upload, "Append bytes to an upload", 204),
-            *(CHUNK_TYPE, None, (OFFSET,), sizes),
+            *(tus.CHUNK_TYPE, None, (OFFSET,), sizes),
         ),
         Route("DELETE", "/uploads/{upload}", rest.remove_upload, "Remove an upload that no job needs", 204),
         Route("POST", "/jobs", rest.submit, "Submit a job that makes a map of uploads", 201, JobRequest, Job),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import base64
 import contextlib
 from collections.abc import AsyncIterator
 from email.utils import formatdate
@@ -20,14 +19,13 @@ from rce.mapservice.plans import Plans
 from rce.mapservice.uploads import Uploads
 from rce.services.auditing import CLIENT
 from rce.services.authentication import Authenticator, Client
-from rce.services.problems import TOO_LARGE, WRONG_TYPE, WRONG_VERSION, decode
+from rce.services.problems import TOO_LARGE, decode
+from rce.web import tus
 from rce.web.problems import HttpError
 from rce.web.requests import body_pieces, read_accepted_body
 from rce.web.server import logged_in
 
-TUS = "1.0.0"
 EXTENSIONS = "creation,creation-with-upload,expiration,termination"
-CHUNK_TYPE = "application/offset+octet-stream"
 MAX_REQUEST = 64 * 1024  # bytes of a JSON body
 HEARTBEAT = 15.0  # seconds without an event until a comment is sent
 TYPES = {
@@ -64,18 +62,18 @@ class Rest:
 
     async def tus_options(self, request: web.Request) -> web.Response:
         """Answer OPTIONS with the supported version and extensions of tus."""
-        headers = {"Tus-Version": TUS, "Tus-Extension": EXTENSIONS, "Tus-Max-Size": str(self._uploads.largest)}
-        return web.Response(status=204, headers=_tus(headers))
+        headers = {"Tus-Version": tus.VERSION, "Tus-Extension": EXTENSIONS, "Tus-Max-Size": str(self._uploads.largest)}
+        return web.Response(status=204, headers=tus.answer_headers(headers))
 
     async def create_upload(self, request: web.Request) -> web.Response:
         """Announce an upload; the body may have the first bytes of the file, or all of them."""
         client = await self._client(request)
-        _check_version(request)
-        metadata = _metadata(request.headers.get("Upload-Metadata", ""))
+        tus.check_version(request.headers)
+        metadata = tus.metadata(request.headers.get("Upload-Metadata", ""))
         name = metadata.get("filename", request.query.get("filename", ""))
-        with_body = request.content_type == CHUNK_TYPE
+        with_body = request.content_type == tus.CHUNK_TYPE
         given = request.headers.get("Upload-Length") or (request.headers.get("Content-Length") if with_body else None)
-        length, mark = _number(given, "Upload-Length"), metadata.get("fingerprint", "")
+        length, mark = tus.number(given, "Upload-Length"), metadata.get("fingerprint", "")
         upload = self._uploads.create(client.user, name, length, mark)
         if with_body and request.can_read_body:
             upload = await self._uploads.append(client.user, upload.id, 0, _pieces(request))
@@ -94,10 +92,9 @@ class Rest:
     async def continue_upload(self, request: web.Request) -> web.Response:
         """Append data at the end of a file."""
         client = await self._client(request)
-        _check_version(request)
-        if request.content_type != CHUNK_TYPE:
-            raise HttpError(f"the Content-Type must be {CHUNK_TYPE}", status=WRONG_TYPE, field="Content-Type")
-        offset = _number(request.headers.get("Upload-Offset"), "Upload-Offset")
+        tus.check_version(request.headers)
+        tus.check_chunk(request.content_type)
+        offset = tus.number(request.headers.get("Upload-Offset"), "Upload-Offset")
         upload = await self._uploads.append(client.user, request.match_info["upload"], offset, _pieces(request))
         return _upload_answer(upload, 204)
 
@@ -109,7 +106,7 @@ class Rest:
         if self._jobs.uses(upload):
             raise InvalidRequest(f"a job needs upload {upload}: wait until it is over, or cancel it", field="upload")
         await self._uploads.remove(client.user, upload)
-        return web.Response(status=204, headers=_tus())
+        return web.Response(status=204, headers=tus.answer_headers())
 
     # --- jobs --------------------------------------------------------------------------------------------------------
 
@@ -212,39 +209,11 @@ def _upload_answer(upload: Upload, status: int, headers: dict[str, str] | None =
         "Upload-Expires": formatdate(upload.expires, usegmt=True),
         "Cache-Control": "no-store",
     }
-    answer = web.Response(status=status, headers=_tus(given | (headers or {})))
+    answer = web.Response(status=status, headers=tus.answer_headers(given | (headers or {})))
     if status != 204:
         answer.content_type = "application/json"
         answer.body = msgspec.json.encode(upload)
     return answer
-
-
-def _tus(headers: dict[str, str] | None = None) -> dict[str, str]:
-    return {"Tus-Resumable": TUS, **(headers or {})}
-
-
-def _check_version(request: web.Request) -> None:
-    """Check the version of tus; clients without tus, such as curl, do not send one."""
-    if request.headers.get("Tus-Resumable", TUS) != TUS:
-        raise HttpError(f"only tus {TUS} is supported", status=WRONG_VERSION, field="Tus-Resumable")
-
-
-def _number(text: str | None, field: str) -> int:
-    if text is None or not text.isascii() or not text.isdigit() or len(text) > 18:
-        raise InvalidRequest(f"the header {field} must be given, as a number of bytes", field=field)
-    return int(text)
-
-
-def _metadata(text: str) -> dict[str, str]:
-    """Parse the header Upload-Metadata of tus: `key base64,key base64`."""
-    found = {}
-    for pair in filter(None, (part.strip() for part in text.split(","))):
-        key, _, value = pair.partition(" ")
-        try:
-            found[key] = base64.b64decode(value, validate=True).decode()
-        except ValueError:
-            raise InvalidRequest(f"{key[:60]!r} is not followed by base64", field="Upload-Metadata") from None
-    return found
 
 
 async def _pieces(request: web.Request) -> AsyncIterator[bytes]:

@@ -17,7 +17,7 @@ from rce.services.disk import service_disk_full
 from rce.web.problems import HttpError, problem_response
 from rce.web.requests import check_encoding, check_same_site
 
-WRONG_TYPE, WRONG_VERSION, TOO_LARGE = 415, 412, 413
+TOO_LARGE = 413
 
 T = TypeVar("T")
 log = Logger()

@@ -8,6 +8,7 @@ const speed = { words: (value) => `${bytes(value)}/s`, amount: true };
 const GROUPS = [
   ["All together", { environments: ["Environments"], cores: ["Cores"], total_memory: ["Memory", size], total_bandwidth: ["Bandwidth", speed],
     robots: ["Robots"], connections: ["Connections"], package_bytes: ["Stored packages", size] }],
+  ["On each machine", { recording_bytes: ["Recordings", size] }],
   ["Each environment, at most", { size: ["Slots"], cpu: ["Cores"], memory: ["Memory", size], pids: ["Processes"], disk: ["Disk", size],
     bandwidth: ["Bandwidth", speed], io: ["Disk traffic", speed], gpus: ["GPUs"] }],
   ["Each environment, unless it asks for more", { default_cpu: ["Cores"], default_memory: ["Memory", size], default_pids: ["Processes"],

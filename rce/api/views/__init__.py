@@ -29,6 +29,7 @@ from rce.api.views.requests import NewEnvironment as NewEnvironment
 from rce.api.views.requests import NewInterface as NewInterface
 from rce.api.views.requests import NewNode as NewNode
 from rce.api.views.requests import NewParameter as NewParameter
+from rce.api.views.requests import NewRecorder as NewRecorder
 from rce.api.views.resources import ConnectionView as ConnectionView
 from rce.api.views.resources import EnvironmentView as EnvironmentView
 from rce.api.views.resources import GroupView as GroupView
@@ -37,6 +38,9 @@ from rce.api.views.resources import NodeEndView as NodeEndView
 from rce.api.views.resources import NodeView as NodeView
 from rce.api.views.resources import ParameterView as ParameterView
 from rce.api.views.resources import Rate as Rate
+from rce.api.views.resources import RecorderView as RecorderView
+from rce.api.views.resources import RecordingPage as RecordingPage
+from rce.api.views.resources import RecordingView as RecordingView
 from rce.api.views.resources import RobotView as RobotView
 from rce.api.views.resources import Usage as Usage
 from rce.api.views.traces import HopView as HopView

@@ -6,7 +6,17 @@ from typing import Any, Literal
 
 from msgspec import Struct
 
-Kind = Literal["robots", "environments", "nodes", "parameters", "interfaces", "connections", "groups", "machines"]
+Kind = Literal[
+    "robots",
+    "environments",
+    "nodes",
+    "parameters",
+    "recorders",
+    "interfaces",
+    "connections",
+    "groups",
+    "machines",
+]
 
 
 class Greeting(Struct, frozen=True, forbid_unknown_fields=True):
@@ -27,6 +37,7 @@ class Deltas(Struct, frozen=True, omit_defaults=True):
     again when the watcher was too slow for the single changes. `seq` counts the messages of a connection from 1.
 
     Keys are `user/robotID`, `user/containerTag`, `user/containerTag/nodeTag`, `user/containerTag/nodeTag:name`,
+    `user/containerTag/recorderTag`,
     `user/endpointTag/interfaceTag`, two of these with a space between them for a connection, `user/group`, and a
     machine's name.
     """
@@ -46,6 +57,7 @@ EventType = Literal[
     "environment.lost",
     "environment.gone",
     "node.died",
+    "recorder.ended",
     "connection.made",
     "connection.gone",
     "interface.gone",
@@ -56,8 +68,8 @@ EventType = Literal[
 """Types of events.
 
 `missed`: earlier events are no longer stored. An environment that did not start is `failed`, one that ended by itself
-is `lost`, and one that was destroyed is `gone`. An interface of an environment is `gone` after the robot that added it
-has left and nobody else uses it.
+is `lost`, and one that was destroyed is `gone`. A recorder that `ended` did so by itself. An interface of an
+environment is `gone` after the robot that added it has left and nobody else uses it.
 """
 
 

@@ -15,6 +15,7 @@ from rce.protocol.messages import (
     ParameterValue,
     Qos,
 )
+from rce.protocol.messages.commands import Amount, Seconds, Topics
 from rce.protocol.names import InterfaceTag, Tag, TagOrNone, Text, TypeText
 
 
@@ -44,6 +45,16 @@ class NewParameter(Struct, frozen=True, forbid_unknown_fields=True):
     name: ParameterName
     value: ParameterValue
     nodeTag: TagOrNone = ""
+
+
+class NewRecorder(Struct, frozen=True, forbid_unknown_fields=True):
+    """Recorder of topics to start in the environment of the path; without `topics`, of all of them."""
+
+    recorderTag: Tag
+    topics: Topics = []
+    maxSize: Amount = 0
+    maxDuration: Seconds = 0.0
+    existOk: bool = False
 
 
 class NewInterface(Struct, frozen=True, forbid_unknown_fields=True):

@@ -61,6 +61,7 @@ class EnvironmentView(Struct, frozen=True):
     interfaces: int
     usage: Usage | None = None
     notEnforced: list[str] = []
+    recorders: int = 0
 
 
 class NodeEndView(Struct, frozen=True):
@@ -100,6 +101,47 @@ class ParameterView(Struct, frozen=True):
     nodeTag: str
     name: str
     value: ParameterValue
+
+
+class RecorderView(Struct, frozen=True):
+    """Recorder of topics of an environment, of all of them if `topics` is empty; 0 is no limit of one file."""
+
+    user: str
+    containerTag: str
+    recorderTag: str
+    state: Literal["starting", "recording"]
+    topics: list[str]
+    maxSize: int
+    maxDuration: float
+
+
+class RecordingView(Struct, frozen=True):
+    """Recording that the platform keeps on one of its machines.
+
+    One that is `cut off` has no end, because its environment or machine ended before: readers find all messages up to
+    its last second. `containerTag` and `recorderTag` are empty for one that was uploaded; `length` is then the
+    announced size, else 0.
+    """
+
+    user: str
+    machine: str
+    recording: str  # id on that machine
+    name: str  # of the file
+    state: Literal["recording", "uploading", "complete", "cut off"]
+    size: int
+    created: float
+    containerTag: str = ""
+    recorderTag: str = ""
+    length: int = 0
+    fingerprint: str = ""  # of an uploaded file, by which its client finds it again
+
+
+class RecordingPage(Struct, frozen=True):
+    """Page of recordings; those on the `missing` machines are not known at present."""
+
+    items: list[RecordingView]
+    next: str = ""
+    missing: list[str] = []
 
 
 class InterfaceView(Struct, frozen=True):

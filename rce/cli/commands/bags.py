@@ -12,7 +12,7 @@ MODULE = "rce.cli.lazy.bag"
 
 GROUP = Group(
     "bag",
-    "Record and play topics of environments.",
+    "Record and play topics of environments, and list, download and upload the platform's recordings.",
     "Recordings are MCAP files with the definitions of their types, as rosbag2, Foxglove and Lichtblick read them.",
 )
 

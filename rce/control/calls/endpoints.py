@@ -78,10 +78,19 @@ class ParameterSpec(Struct, frozen=True):
         return f"{self.node}:{self.name}"
 
 
+class RecorderSpec(Struct, frozen=True):
+    """Recorder of topics of an environment; without `topics`, of all. 0 is no limit of bytes or seconds of a file."""
+
+    tag: str
+    topics: list[str] = []
+    max_size: int = 0
+    max_duration: float = 0.0
+
+
 class Sync(Call[BatchResult], frozen=True):
     """Reconcile the endpoint with its desired state: it removes objects that are not listed and creates missing ones.
 
-    Errors are keyed by interface id, `node:TAG`, `parameter:KEY` and `link:NAME`.
+    Errors are keyed by interface id, `node:TAG`, `parameter:KEY`, `recorder:TAG` and `link:NAME`.
     """
 
     timeout = 120.0  # nodes are stopped and started
@@ -90,6 +99,7 @@ class Sync(Call[BatchResult], frozen=True):
     routes: list[Route] = []
     nodes: list[NodeSpec] = []
     parameters: list[ParameterSpec] = []
+    recorders: list[RecorderSpec] = []
     robots: list[str] = []  # userID/robotID of the robots with a session at this endpoint
 
 
@@ -153,6 +163,25 @@ class DropParameter(Call[Nothing], frozen=True):
     """Delete a parameter."""
 
     key: str
+
+
+class StartRecorder(Call[Nothing], frozen=True):
+    """Start a recorder; answered when it records. Raises NotFound (topic), LimitExceeded, DiskFull, StartFailed."""
+
+    recorder: RecorderSpec
+
+
+class StopRecorder(Call[Nothing], frozen=True):
+    """Stop a recorder; answered when its last file is complete."""
+
+    recorder: str
+
+
+class RecorderEnded(Call[Nothing], frozen=True):
+    """Report that a recorder of this environment ended by itself."""
+
+    recorder: ShortText
+    reason: ShortText
 
 
 class NodeDied(Call[Nothing], frozen=True):

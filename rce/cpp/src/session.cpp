@@ -24,7 +24,7 @@ std::string frameOf(const Command& command, int id) {
 
 /** True if the answer to a repeated command means that an earlier attempt was executed. */
 bool isDone(const Command& command, const ErrorInfo& error) {
-  const bool removes = isOneOf(command.list, {"DC", "removeNodes", "removeInterfaces", "deleteParam", "disconnect"});
+  const bool removes = isOneOf(command.list, {"DC", "removeNodes", "removeInterfaces", "deleteParam", "removeRecorders", "disconnect"});
   return error.code == (removes ? "not_found" : "already_exists");
 }
 

@@ -10,6 +10,7 @@ from rce.protocol.messages.commands import CX_ITEMS as CX_ITEMS
 from rce.protocol.messages.commands import IMAGE_FORMATS as IMAGE_FORMATS
 from rce.protocol.messages.commands import AddInterface as AddInterface
 from rce.protocol.messages.commands import AddNode as AddNode
+from rce.protocol.messages.commands import AddRecorder as AddRecorder
 from rce.protocol.messages.commands import CodecName as CodecName
 from rce.protocol.messages.commands import Command as Command
 from rce.protocol.messages.commands import ConfigureComponents as ConfigureComponents
@@ -31,6 +32,7 @@ from rce.protocol.messages.commands import Qos as Qos
 from rce.protocol.messages.commands import Rates as Rates
 from rce.protocol.messages.commands import RemoveInterface as RemoveInterface
 from rce.protocol.messages.commands import RemoveNode as RemoveNode
+from rce.protocol.messages.commands import RemoveRecorder as RemoveRecorder
 from rce.protocol.messages.commands import SetParameter as SetParameter
 from rce.protocol.messages.data import MAX_MSG_ID as MAX_MSG_ID
 from rce.protocol.messages.data import DataMessage as DataMessage
@@ -54,6 +56,7 @@ from rce.protocol.messages.status import Failure as Failure
 from rce.protocol.messages.status import InterfaceStatus as InterfaceStatus
 from rce.protocol.messages.status import LimitEvent as LimitEvent
 from rce.protocol.messages.status import NodeEvent as NodeEvent
+from rce.protocol.messages.status import RecorderEvent as RecorderEvent
 from rce.protocol.messages.status import Session as Session
 from rce.protocol.messages.status import Status as Status
 from rce.protocol.messages.status import StatusData as StatusData

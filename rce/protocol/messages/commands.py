@@ -254,6 +254,33 @@ class DeleteParameter(Struct, frozen=True):
     nodeTag: str = ""
 
 
+TopicName = Annotated[str, Meta(min_length=1, max_length=255, pattern=r"^[^\x00]*$")]
+Topics = Annotated[list[TopicName], Meta(max_length=1000)]
+Seconds = Annotated[float, Meta(ge=0, le=1e9)]
+
+
+class AddRecorder(Struct, frozen=True):
+    """Record topics of an environment on its machine, also in its later lives; without `topics`, all of them.
+
+    The next file begins after `maxSize` bytes or `maxDuration` seconds; 0 is no limit. With `existOk` a recorder of
+    this tag that is as described is kept, and one that is not is replaced.
+    """
+
+    containerTag: str
+    recorderTag: str
+    topics: Topics = []
+    maxSize: Amount = 0
+    maxDuration: Seconds = 0.0
+    existOk: bool = False
+
+
+class RemoveRecorder(Struct, frozen=True):
+    """End a recorder; its recordings are kept."""
+
+    containerTag: str
+    recorderTag: str
+
+
 class ConfigureComponents(Struct, frozen=True):
     """CN: the lists are executed in this order, their items one after the other."""
 
@@ -263,6 +290,8 @@ class ConfigureComponents(Struct, frozen=True):
     removeInterfaces: list[Raw] = []
     setParam: list[Raw] = []
     deleteParam: list[Raw] = []
+    addRecorders: list[Raw] = []
+    removeRecorders: list[Raw] = []
 
 
 class Connect(Struct, frozen=True):
@@ -295,6 +324,8 @@ Command = (
     | RemoveInterface
     | SetParameter
     | DeleteParameter
+    | AddRecorder
+    | RemoveRecorder
     | Connect
     | Disconnect
 )
@@ -307,5 +338,7 @@ CN_ITEMS: dict[str, type[Command]] = {
     "removeInterfaces": RemoveInterface,
     "setParam": SetParameter,
     "deleteParam": DeleteParameter,
+    "addRecorders": AddRecorder,
+    "removeRecorders": RemoveRecorder,
 }
 CX_ITEMS: dict[str, type[Command]] = {"connect": Connect, "disconnect": Disconnect}

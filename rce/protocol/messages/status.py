@@ -59,6 +59,14 @@ class NodeEvent(Struct, frozen=True, tag_field="topic", tag="node"):
     lines: list[str] = []
 
 
+class RecorderEvent(Struct, frozen=True, tag_field="topic", tag="recorder"):
+    """A recorder ended by itself: a quota or a disk is full, for example. What it recorded is kept."""
+
+    containerTag: str
+    recorderTag: str
+    reason: str
+
+
 class DropEvent(Struct, frozen=True, tag_field="topic", tag="drops"):
     """Number of messages of an interface that were dropped since it was added, because a queue was full.
 
@@ -89,7 +97,17 @@ class LimitEvent(Struct, frozen=True, tag_field="topic", tag="limit"):
     reason: str
 
 
-StatusData = InterfaceStatus | Ack | Session | EnvironmentEvent | NodeEvent | DropEvent | ConnectionEvent | LimitEvent
+StatusData = (
+    InterfaceStatus
+    | Ack
+    | Session
+    | EnvironmentEvent
+    | NodeEvent
+    | RecorderEvent
+    | DropEvent
+    | ConnectionEvent
+    | LimitEvent
+)
 
 
 class Status(Struct, frozen=True, tag_field="type", tag="ST", omit_defaults=True):

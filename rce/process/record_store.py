@@ -1,4 +1,4 @@
-"""Records in files: each upload and each job is a directory with its record, and is removed with its directory.
+"""Records in files: each upload, job or recording is a directory with its record, and is removed with it.
 
 A record is replaced atomically, so it survives the death of the process. A power failure may truncate an upload, which
 its file size shows; the client then resumes it.
