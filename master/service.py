@@ -42,8 +42,8 @@ from rce.control.calls.endpoints import Report
 from rce.control.calls.environments import DownloadTicket, FetchPackage, ReportRelays
 from rce.control.calls.joining import Hello, InviteSibling, Welcome
 from rce.control.calls.recordings import BeginRecording, RecordingQuota
-from rce.control.calls.robots import Definitions, DescribeType, ReadGraphFor
-from rce.control.calls.watching import ReadGraph, ReadMetrics, RosGraph
+from rce.control.calls.robots import Definitions, DescribeType, ReadAssetFor, ReadGraphFor
+from rce.control.calls.watching import Asset, ReadAsset, ReadGraph, ReadMetrics, RosGraph
 from rce.control.connection import Control, Handlers
 from rce.errors import InvalidRequest, NotFound, RceError, Unauthorized, Unavailable, UnknownType, clipped
 from rce.net.tls import Tls
@@ -156,6 +156,7 @@ class Master:
                 handlers.on(InviteSibling, lambda call: self.join_tokens.invite_sibling(process.name, call.number))
                 handlers.on(DescribeType, self._describe_type)
                 handlers.on(ReadGraphFor, lambda call: self._read_graph(process, call))
+                handlers.on(ReadAssetFor, lambda call: self._read_asset(process, call))
             case "service":
                 self._service_calls.add_handlers(handlers, process)
             case "environment":
@@ -184,7 +185,16 @@ class Master:
         raise UnknownType(f"type {call.type} is known neither here nor in an environment of {call.user}")
 
     async def _read_graph(self, process: Process, call: ReadGraphFor) -> RosGraph:
-        """Ask an environment for its graph, within the rights of who opened the robot's session."""
+        """Ask an environment for its graph."""
+        return await self.ask(self._environment_of(process, call), ReadGraph())
+
+    async def _read_asset(self, process: Process, call: ReadAssetFor) -> Asset:
+        """Ask an environment for a piece of a package's file."""
+        question = ReadAsset(call.package, call.path, call.offset)
+        return await self.ask(self._environment_of(process, call), question)
+
+    def _environment_of(self, process: Process, call: ReadGraphFor | ReadAssetFor) -> Environment:
+        """Return the environment of a question, within the rights of who opened the robot's session."""
         robot = self.state.robots.get(call.robot)
         if robot is None or robot.endpoint != process.name:
             raise NotFound(f"robot {call.robot} has no session at {process.name}")
@@ -193,7 +203,7 @@ class Master:
         environment = self.state.environments.get(f"{owner}/{call.environment}")
         if environment is None:
             raise NotFound(f"there is no environment {call.environment[:80]!r}", field="containerTag")
-        return await self.ask(environment, ReadGraph())
+        return environment
 
     async def _report(self, process: Process, call: Report) -> Nothing:
         if call.error is not None:  # an environment reaches its own user only

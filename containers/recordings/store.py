@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from rce.control.calls.recordings import PIECE, RecordingInfo, RecordingQuota, RecordingState
 from rce.errors import DiskFull, InvalidRequest, LimitExceeded, NotFound
-from rce.process.record_store import RecordStore, check_file_name, new_id
+from rce.services.record_store import RecordStore, check_file_name, new_id
 
 MAGIC = b"\x89MCAP0\r\n"
 SUFFIX = ".mcap"

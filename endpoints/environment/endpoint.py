@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import time
 from collections.abc import Callable
 
@@ -46,9 +47,19 @@ from rce.control.calls.endpoints import (
     Sync,
 )
 from rce.control.calls.robots import Definitions, DescribeType
-from rce.control.calls.watching import Log, ReadGraph, ReadLog, ReadPackages, RosGraph, RosPackage, RosPackages
+from rce.control.calls.watching import (
+    Asset,
+    Log,
+    ReadAsset,
+    ReadGraph,
+    ReadLog,
+    ReadPackages,
+    RosGraph,
+    RosPackage,
+    RosPackages,
+)
 from rce.control.connection import Handlers
-from rce.errors import ErrorInfo, InvalidRequest, RceError
+from rce.errors import ErrorInfo, InvalidRequest, LimitExceeded, RceError
 from rce.process.metrics import Family, gauge_family
 
 KINDS: dict[str, type[RosInterface]] = {
@@ -60,6 +71,7 @@ KINDS: dict[str, type[RosInterface]] = {
     "ActionProviderInterface": ActionProviderInterface,
 }
 TICK = 1.0  # seconds
+MAX_ASSET, ASSET_PIECE = 64 * 1024 * 1024, 512 * 1024  # bytes of a file of a package, and of one answer
 
 log = Logger()
 ReportCall = Callable[[Call[Nothing]], None]
@@ -119,6 +131,7 @@ class Environment:
         handlers.on(DescribeType, self._describe)
         handlers.on(ReadGraph, self._read_graph)
         handlers.on(ReadPackages, self._read_packages)
+        handlers.on(ReadAsset, self._read_asset)
         handlers.serve_metrics("environment", board.families, self._families)
         return handlers
 
@@ -205,6 +218,17 @@ class Environment:
     async def _read_topics(self) -> dict[str, str]:
         found = await self._ros.run(self._ros.node.get_topic_names_and_types)
         return {name: types[0] for name, types in found}
+
+    async def _read_asset(self, call: ReadAsset) -> Asset:
+        return await asyncio.to_thread(self._asset, call)
+
+    def _asset(self, call: ReadAsset) -> Asset:
+        with self._packages.asset(call.package, call.path).open("rb") as file:
+            size = file.seek(0, os.SEEK_END)
+            if size > MAX_ASSET:
+                raise LimitExceeded(f"{call.path[:200]} has {size} bytes; files may have {MAX_ASSET}", limit=MAX_ASSET)
+            file.seek(call.offset)
+            return Asset(file.read(ASSET_PIECE), size)
 
     async def _read_packages(self, call: ReadPackages) -> RosPackages:
         found = await asyncio.to_thread(self._packages.executables)

@@ -70,6 +70,22 @@ class Packages:
         known = ", ".join(self._executables(package, share)) or "none"
         raise NotFound(f"package {package} has no executable {executable}; it has {known}", field="exe")
 
+    def asset(self, package: str, path: str) -> Path:
+        """Return a file in the directory of a package.
+
+        Raises:
+            InvalidName: The name of the package is not valid.
+            NotFound: There is no such package, or no such file within it.
+        """
+        share = self.share(package).resolve()
+        try:
+            found = (share / path).resolve()
+            if found.is_relative_to(share) and found.is_file():
+                return found
+        except (OSError, ValueError):  # a name that is too long, or has NUL in it
+            pass
+        raise NotFound(f"package {package} has no file {path[:200]!r}", field="path")
+
     def executables(self) -> dict[str, list[str]]:
         """Return the names of executables by package, both sorted; packages without any are left out."""
         found = {name: self._executables(name, share) for name, share in sorted(self._shares().items())}

@@ -13,6 +13,7 @@ import secrets
 from collections.abc import Callable, Coroutine, Sequence
 from contextlib import suppress
 from typing import Any, Literal
+from urllib.parse import unquote
 
 import msgspec
 from msgspec import UNSET, Raw
@@ -28,9 +29,9 @@ from endpoints.robot.handshake import LoginRequest, Request, parse_guest
 from endpoints.robot.intake import Conversions
 from endpoints.robot.interfaces import RobotInterface
 from endpoints.robot.session import CONTROL, Piece, RobotSession, Socket
-from rce.control.calls.robots import Sort
+from rce.control.calls.robots import ReadAssetFor, Sort
 from rce.control.calls.watching import RosGraph
-from rce.errors import RceError, TimedOut, Unavailable
+from rce.errors import InvalidRequest, RceError, TimedOut, Unavailable
 from rce.protocol import messages as m
 from rce.protocol.blobs import PART, BinaryFrame, Buffer
 
@@ -329,6 +330,25 @@ class Guest:
     async def graph(self, age: float = 1.0) -> RosGraph:
         """Return the ROS graph of the environment, at most `age` seconds old; raises RceError."""
         return await self._graphs.read(self.endpoint.master, self._session.name, self.environment, age)
+
+    async def asset(self, uri: str) -> bytes:
+        """Return a file of a package of the environment, `package://PACKAGE/PATH`.
+
+        Raises:
+            InvalidRequest: The URI has another form.
+            RceError: There is no such file, or it cannot be read.
+        """
+        scheme, _, rest = uri.partition("://")
+        package, _, path = rest.partition("/")
+        if scheme != "package" or not package or not path:
+            raise InvalidRequest(f"{uri[:200]}: only files of packages can be fetched, package://PACKAGE/PATH")
+        data = bytearray()
+        while True:
+            call = ReadAssetFor(self._session.name, self.environment, package, unquote(path), len(data))
+            piece = await self.endpoint.master.call(call)
+            data += piece.data
+            if len(data) >= piece.size or not piece.data:
+                return bytes(data)
 
     async def definitions(self, type: str, sort: Sort) -> dict[str, Definition]:
         """Return the definition of a type, its parts and the types in it, by name; raises UnknownType."""

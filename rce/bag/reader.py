@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import IO, NamedTuple
 
 from mcap.exceptions import InvalidMagic, McapError
+from mcap.reader import make_reader
 from mcap.records import Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
@@ -56,11 +57,36 @@ class Summary(Struct):
 
 
 def summarize(path: Path) -> Summary:
-    """Read a whole recording and return what is in it.
+    """Return what is in a recording, from the statistics at its end; one without an end is read whole.
 
     Raises:
         InvalidRequest: It cannot be read, or is no MCAP file.
     """
+    return _from_statistics(path) or _from_messages(path)
+
+
+def _from_statistics(path: Path) -> Summary | None:
+    with _open(path) as file:
+        try:
+            reader = make_reader(file)
+            found = reader.get_summary()
+            if found is None or found.statistics is None:
+                return None
+            statistics = found.statistics
+            summary = Summary(_size(path), True, statistics.message_start_time, statistics.message_end_time)
+            for id, count in statistics.channel_message_counts.items():
+                channel = _checked(found.channels[id], path)
+                summary.types[channel.topic] = found.schemas[channel.schema_id].name
+                summary.counts[channel.topic] = summary.counts.get(channel.topic, 0) + count
+            for record in reader.iter_metadata():
+                if record.name == METADATA:
+                    summary.dropped = _dropped(record)
+        except (*CUT_OFF, KeyError):
+            return None
+    return summary
+
+
+def _from_messages(path: Path) -> Summary:
     summary = Summary(_size(path))
     for each in read(path, summary):
         summary.types[each.topic] = each.type
@@ -93,12 +119,30 @@ def read(path: Path, summary: Summary | None = None) -> Iterator[Recorded]:
                     channel = channels[record.channel_id]
                     yield Recorded(channel.topic, schemas[channel.schema_id].name, record.log_time, record.data)
                 elif isinstance(record, Metadata) and record.name == METADATA and summary is not None:
-                    summary.dropped = {key.partition(" ")[2]: int(count) for key, count in record.metadata.items()}
+                    summary.dropped = _dropped(record)
         except CUT_OFF as error:
             if isinstance(error, InvalidMagic) or file.tell() < len(MCAP0_MAGIC):
                 raise InvalidRequest(f"{path} is no MCAP file") from None
             if summary is not None:
                 summary.complete = False
+
+
+def read_since(path: Path, time: int) -> Iterator[Recorded]:
+    """Yield the messages of a recording from a time (ns since 1970) on; by its index, if it has an end.
+
+    Raises:
+        InvalidRequest: As `read`.
+    """
+    if not time or _from_statistics(path) is None:
+        yield from (each for each in read(path) if each.time >= time)
+        return
+    with _open(path) as file:
+        for schema, channel, message in make_reader(file).iter_messages(starting_at=time):
+            yield Recorded(channel.topic, schema.name if schema else "", message.log_time, message.data)
+
+
+def _dropped(record: Metadata) -> dict[str, int]:
+    return {key.partition(" ")[2]: int(count) for key, count in record.metadata.items()}
 
 
 def _checked(channel: Channel, path: Path) -> Channel:

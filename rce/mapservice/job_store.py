@@ -16,7 +16,7 @@ from twisted.logger import Logger
 
 from rce.api.map_jobs import FINAL_STATES, Job
 from rce.errors import NotFound
-from rce.process.record_store import RecordStore
+from rce.services.record_store import RecordStore
 
 RECORDING, RESULTS = "recording", "results"  # in the directory of a job
 

@@ -29,8 +29,8 @@ from rce.mapservice.job_program import Platform, Report, Task
 from rce.mapservice.job_store import JobStore, StoredJob
 from rce.mapservice.uploads import Uploads
 from rce.process.metrics import Family, Timing, gauge_family
-from rce.process.record_store import new_id
 from rce.services.disk import service_disk_full
+from rce.services.record_store import new_id
 
 RETRY_MIN, RETRY_MAX = 2.0, 60.0  # seconds
 KEY_MARGIN = 600.0  # seconds that a key is valid beyond the maximum time of a job

@@ -16,7 +16,7 @@ from rce.api.map_jobs import Upload
 from rce.errors import InvalidRequest, LimitExceeded, NotFound
 from rce.mapservice.file_types import HEAD_SIZE, check_head, suffix_of
 from rce.process.metrics import Counter
-from rce.process.record_store import RecordStore, check_file_name, new_id
+from rce.services.record_store import RecordStore, check_file_name, new_id
 
 CHUNK = 4 * 1024 * 1024  # bytes that are written at once
 DAY = 86_400.0

@@ -226,8 +226,8 @@ class FakePlatform:
                 await self._connection(name, item["tagA"], item["tagB"])
                 self._makers[frozenset((item["tagA"], item["tagB"]))] = peer.name
             else:
-                key = (item["containerTag"], item.get("nodeTag", ""), item.get("name", ""))
-                (self._remove if name in ("removeNodes", "deleteParam") else self._add)(*key)
+                key = (item["containerTag"], item.get("nodeTag", ""), item.get("recorderTag", ""), item.get("name", ""))
+                (self._remove if name in ("removeNodes", "deleteParam", "removeRecorders") else self._add)(*key)
         except RceError as error:
             raise error.with_item(f"{name}[{index}]") from None
 

@@ -8,9 +8,10 @@ from twisted.logger import Logger
 
 from endpoints.gateways.foxglove import messages, offers
 from endpoints.gateways.foxglove.channels import Publications, Subscriptions
-from endpoints.gateways.foxglove.messages import ClientMessage
+from endpoints.gateways.foxglove.messages import ClientMessage, PlaybackCommand
 from endpoints.gateways.foxglove.offers import Connections, Offers
 from endpoints.gateways.foxglove.parameters import ClientParameters
+from endpoints.gateways.foxglove.playback import Playback
 from endpoints.gateways.foxglove.services import Calls
 from endpoints.gateways.graphs import Graphs
 from endpoints.gateways.guest import FEATURES, Guest
@@ -19,12 +20,13 @@ from endpoints.robot.endpoint import RobotEndpoint
 from endpoints.robot.handshake import Request
 from endpoints.robot.intake import BadMessages
 from endpoints.robot.session import Socket
+from rce.bag.playback import PlaybackState
 from rce.control.calls.watching import RosGraph
-from rce.errors import InvalidRequest, NotFound, RceError
+from rce.errors import InvalidRequest, RceError
 from rce.process.metrics import errors
 
 SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
-CAPABILITIES = ["clientPublish", "parameters", "parametersSubscribe", "services", "connectionGraph"]
+CAPABILITIES = ["clientPublish", "parameters", "parametersSubscribe", "services", "connectionGraph", "assets", "time"]
 INTERVAL = 1.0  # seconds between two looks at the graph
 ERROR = 2  # level of a status
 
@@ -50,6 +52,7 @@ class FoxgloveClient:
         self._publications = Publications(guest, self.report)
         self._calls = Calls(guest)
         self._parameters = ClientParameters(guest, self.report)
+        self._playback = Playback(guest, self._greeting, self.report)
         self._looking = asyncio.Lock()
         self._connections: Connections | None = None  # as the client knows them, if it asked
 
@@ -82,10 +85,18 @@ class FoxgloveClient:
         """Greet the client, and begin to tell it of what there is."""
         self._bad = BadMessages(self._limits.bad_messages, socket.end)
         self._guest.opened(socket)
-        greeting = {"name": self._guest.environment, "capabilities": CAPABILITIES, "sessionId": self._guest.name}
-        encodings, metadata = ["cdr", "json"], {"ROS_DISTRO": "kilted"}
-        self._guest.send(messages.text(op="serverInfo", **greeting, supportedEncodings=encodings, metadata=metadata))
+        self._guest.send(self._greeting(None))
         self._guest.run(self._watch())
+
+    def _greeting(self, playback: PlaybackState | None) -> bytes:
+        """Return the message that says what the client can do, again when a playback comes or goes."""
+        greeting: dict[str, object] = {"name": self._guest.environment, "capabilities": CAPABILITIES}
+        if playback is not None:
+            greeting["capabilities"] = [*CAPABILITIES, "playbackControl"]
+            greeting |= {"dataStartTime": playback.start, "dataEndTime": playback.end}
+        encodings, metadata = ["cdr", "json"], {"ROS_DISTRO": "kilted"}
+        greeting |= {"sessionId": self._guest.name, "supportedEncodings": encodings, "metadata": metadata}
+        return messages.text(op="serverInfo", **greeting)
 
     def closed(self, normal: bool, reason: str) -> None:
         """End the session."""
@@ -104,6 +115,8 @@ class FoxgloveClient:
             message = messages.decode_binary(payload)
             if isinstance(message, ClientMessage):
                 self._publications.publish(message)
+            elif isinstance(message, PlaybackCommand):
+                self._playback.control(message)
             else:
                 self._calls.call(message, self._services.by_number.get(message.service))
         except RceError as error:
@@ -150,8 +163,14 @@ class FoxgloveClient:
             case messages.UnsubscribeGraph():
                 self._connections = None
             case messages.FetchAsset(uri, number):
-                error = NotFound(f"{uri[:200]}: files of packages are not served")
-                self._guest.send(messages.asset_error(number, str(error)))
+                self._guest.run(self._fetch(uri, number))
+
+    async def _fetch(self, uri: str, number: int) -> None:
+        try:
+            frame = messages.asset(number, await self._guest.asset(uri))
+        except RceError as error:
+            frame = messages.asset_error(number, str(error))
+        self._guest.send(frame)
 
     def report(self, error: RceError) -> None:
         """Count an error of the client and send it."""
@@ -178,6 +197,7 @@ class FoxgloveClient:
     async def _compare(self, graph: RosGraph) -> None:
         topics = await self._topics.update(graph)
         services = await self._services.update(graph)
+        self._playback.update(graph)
         for number in topics.removed:
             self._subscriptions.remove_channel(number)
         records = [offers.channel(*each) for each in topics.added.items()]

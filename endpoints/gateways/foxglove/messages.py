@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import struct
-import time
+from time import time_ns
 from typing import Any, NamedTuple
 
 import msgspec
 from msgspec import Struct
 
+from rce.bag.playback import PlaybackState, Status
 from rce.errors import InvalidRequest
 from rce.protocol.blobs import BinaryFrame, Buffer
 
 Id = int
-MESSAGE, SERVICE = 1, 2  # opcodes of clients
-MESSAGE_DATA, SERVICE_RESPONSE, ASSET = 1, 3, 4  # opcodes of the server
+MESSAGE, SERVICE, PLAYBACK = 1, 2, 3  # opcodes of clients
+MESSAGE_DATA, TIME, SERVICE_RESPONSE, ASSET, PLAYBACK_STATE = 1, 2, 3, 4, 5  # opcodes of the server
+STATUSES: dict[Status, int] = {"playing": 0, "paused": 1, "buffering": 2, "ended": 3}
+_COMMAND, _STATE = struct.Struct("<BfBQI"), struct.Struct("<BBQfBI")
 _MESSAGE, _CALL, _DATA = struct.Struct("<I"), struct.Struct("<III"), struct.Struct("<BIQ")
 
 
@@ -123,6 +127,15 @@ class ServiceRequest(NamedTuple):
     payload: memoryview
 
 
+class PlaybackCommand(NamedTuple):
+    """Command to play or pause, at a speed, and from a time (ns since 1970) on if it is given."""
+
+    play: bool
+    speed: float
+    seek: int | None
+    request: str
+
+
 AnyMessage = (
     Subscribe
     | Unsubscribe
@@ -147,7 +160,7 @@ def decode(payload: bytes) -> AnyMessage:
         raise InvalidRequest(f"the message is not one of the Foxglove protocol: {str(error)[:300]}") from None
 
 
-def decode_binary(payload: bytes) -> ClientMessage | ServiceRequest:
+def decode_binary(payload: bytes) -> ClientMessage | ServiceRequest | PlaybackCommand:
     """Decode a binary message; raises InvalidRequest."""
     view = memoryview(payload)
     try:
@@ -159,14 +172,22 @@ def decode_binary(payload: bytes) -> ClientMessage | ServiceRequest:
             if end > len(view):
                 raise InvalidRequest("the name of the encoding ends after the message")
             return ServiceRequest(service, call, str(view[13:end], "utf-8"), view[end:])
+        if view[0] == PLAYBACK:
+            command, speed, seeks, time_, length = _COMMAND.unpack_from(view, 1)
+            end = 1 + _COMMAND.size + length
+            if command > 1 or not 0 < speed < math.inf or end > len(view):
+                raise InvalidRequest(
+                    "the command is to play (0) or to pause (1), at a speed above 0, with a request id"
+                )
+            return PlaybackCommand(not command, speed, time_ if seeks else None, str(view[end - length : end], "utf-8"))
     except (struct.error, IndexError, UnicodeDecodeError):
         raise InvalidRequest(f"the binary message of {len(view)} bytes is cut off or malformed") from None
-    raise InvalidRequest(f"a binary message with opcode {view[0]} is not understood: it must be 1 or 2")
+    raise InvalidRequest(f"a binary message with opcode {view[0]} is not understood: it must be 1, 2 or 3")
 
 
 def message_data(subscription: int, payload: Buffer) -> BinaryFrame:
     """Return the frame of a message, with the present time as its log time."""
-    return BinaryFrame(_DATA.pack(MESSAGE_DATA, subscription, time.time_ns()), memoryview(payload))
+    return BinaryFrame(_DATA.pack(MESSAGE_DATA, subscription, time_ns()), memoryview(payload))
 
 
 def service_response(request: ServiceRequest, payload: Buffer) -> BinaryFrame:
@@ -174,6 +195,23 @@ def service_response(request: ServiceRequest, payload: Buffer) -> BinaryFrame:
     encoding = request.encoding.encode()
     head = bytes([SERVICE_RESPONSE]) + _CALL.pack(request.service, request.call, len(encoding)) + encoding
     return BinaryFrame(head, memoryview(payload))
+
+
+def time(nanoseconds: int) -> BinaryFrame:
+    """Return the frame of a time in ns since 1970."""
+    return BinaryFrame(struct.pack("<BQ", TIME, max(0, nanoseconds)), memoryview(b""))
+
+
+def playback_state(state: PlaybackState) -> BinaryFrame:
+    """Return the frame of a playback's state."""
+    request = state.request.encode()
+    fields = (STATUSES[state.status], state.time, state.speed, state.seeked, len(request))
+    return BinaryFrame(_STATE.pack(PLAYBACK_STATE, *fields), memoryview(request))
+
+
+def asset(request: int, data: bytes) -> BinaryFrame:
+    """Return the frame of an asset."""
+    return BinaryFrame(struct.pack("<BIBI", ASSET, request, 0, 0), memoryview(data))
 
 
 def asset_error(request: int, error: str) -> BinaryFrame:

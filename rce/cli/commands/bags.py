@@ -12,7 +12,7 @@ MODULE = "rce.cli.lazy.bag"
 
 GROUP = Group(
     "bag",
-    "Record and play topics of environments, and list, download and upload the platform's recordings.",
+    "Record and play topics; list, download and upload the platform's recordings.",
     "Recordings are MCAP files with the definitions of their types, as rosbag2, Foxglove and Lichtblick read them.",
 )
 
@@ -42,6 +42,9 @@ COMMANDS = (
             argument("-r", "--rate", type=float, default=1.0, metavar="R", help="speed (default: %(default)s)"),
             argument("-l", "--loop", action="store_true", help="again and again, until Ctrl-C"),
             argument("--clock", action="store_true", help="publish the recording's time on /clock"),
+            argument(
+                "--stay", action="store_true", help="wait at the end for viewers that play it again, until Ctrl-C"
+            ),
             OF_USER,
         ),
         ("bag play drive.mcap brain", "bag play drive.mcap brain --rate 0.5 --clock --loop"),

@@ -7,16 +7,20 @@ import asyncio
 import signal
 import struct
 import time
+from collections.abc import Coroutine
 from contextlib import suppress
-from itertools import count
 
-from rce.bag.reader import Summary, read, summarize
+import msgspec
+
+from rce.bag import playback
+from rce.bag.player import Player
+from rce.bag.reader import Recorded, Summary, summarize
 from rce.bag.writer import MEGABYTE, BagWriter, Limits, Topic, join_definitions
 from rce.cli import output
 from rce.cli.lazy.guest import Guest
 from rce.cli.session import ConsoleSession
 from rce.client import Publisher
-from rce.errors import InvalidRequest, NotFound
+from rce.errors import MALFORMED, InvalidRequest, NotFound
 from rce.protocol.messages import DropEvent, Qos
 from rce.protocol.names import parse_type
 from rce.spelling import did_you_mean
@@ -114,7 +118,7 @@ def _report(writer: BagWriter) -> None:
 
 
 async def play(guest: Guest, args: argparse.Namespace) -> int:
-    """Publish the messages of a recording at the intervals of their arrival."""
+    """Publish the messages of a recording at the intervals of their arrival, as viewers at a gateway control it."""
     if not args.rate > 0:
         raise InvalidRequest("--rate: it is above 0, as 0.5 for half the speed")
     summary = await asyncio.to_thread(summarize, args.file)
@@ -123,24 +127,46 @@ async def play(guest: Guest, args: argparse.Namespace) -> int:
         for number, (topic, type_name) in enumerate(summary.types.items())
     }
     clock = await _publisher(guest, "clock", CLOCK, "rosgraph_msgs/msg/Clock") if args.clock else None
+
+    async def publish(each: Recorded) -> None:
+        await publishers[each.topic].publish(each.cdr)
+
+    player = Player(args.file, summary, publish, args.rate, args.loop)
+    beside = [asyncio.create_task(each) for each in await _tell_and_obey(guest, player)]
     await asyncio.sleep(SETTLING)
-    for _ in count() if args.loop else range(1):
-        print(f"playing {sum(summary.counts.values())} messages, {summary.seconds / args.rate:.1f} s", flush=True)
-        began = time.monotonic()
-        ticking = asyncio.create_task(_tick(clock, summary, args.rate, began)) if clock is not None else None
-        try:
-            for each in read(args.file):
-                at = began + (each.time - summary.start) / 1e9 / args.rate
-                if (pause := at - time.monotonic()) > 0:
-                    await asyncio.sleep(pause)
-                await publishers[each.topic].publish(each.cdr)
-        finally:
-            if ticking is not None:
-                ticking.cancel()
-    await asyncio.sleep(SETTLING)
+    print(f"playing {sum(summary.counts.values())} messages, {summary.seconds / args.rate:.1f} s", flush=True)
+    if clock is not None:
+        beside.append(asyncio.create_task(_tick(clock, player)))
+    try:
+        await player.run(until_end=not args.stay)
+        await asyncio.sleep(SETTLING)
+    finally:
+        for task in beside:
+            task.cancel()
     for publisher in publishers.values():
         await publisher.close()
     return 0
+
+
+async def _tell_and_obey(guest: Guest, player: Player) -> list[Coroutine[None, None, None]]:
+    """Return what publishes the state of a playback, and what carries out requests."""
+    inside = await guest.add_interface("state", "PublisherInterface", playback.TYPE, playback.STATE, QOS)
+    states = await guest.robot.publisher("state", playback.TYPE, to=inside, qos=QOS)
+    inside = await guest.add_interface("control", "SubscriberInterface", playback.TYPE, playback.CONTROL, QOS)
+    requests = await guest.robot.subscriber("control", playback.TYPE, to=inside, qos=QOS)
+
+    async def tell() -> None:
+        while True:
+            await states.publish({"data": playback.encode(player.take_state())})
+            with suppress(TimeoutError):
+                await asyncio.wait_for(player.changed.wait(), playback.STATE_PERIOD)
+
+    async def obey() -> None:
+        async for message in requests:
+            with suppress(*MALFORMED):  # anybody may publish there
+                player.control(msgspec.json.decode(message["data"], type=playback.PlaybackRequest))
+
+    return [tell(), obey()]
 
 
 async def _publisher(guest: Guest, tag: str, topic: str, type_name: str) -> Publisher:
@@ -148,11 +174,10 @@ async def _publisher(guest: Guest, tag: str, topic: str, type_name: str) -> Publ
     return await guest.robot.publisher(tag, type_name, to=inside, raw=True, qos=QOS)
 
 
-async def _tick(clock: Publisher, summary: Summary, rate: float, began: float) -> None:
+async def _tick(clock: Publisher, player: Player) -> None:
     """Publish the time of the recording."""
     while True:
-        now = summary.start + int((time.monotonic() - began) * rate * 1e9)
-        await clock.publish(clock_message(now))
+        await clock.publish(clock_message(player.time))
         await asyncio.sleep(CLOCK_PERIOD)
 
 

@@ -8,7 +8,7 @@ import msgspec
 from msgspec import Raw, Struct
 
 from rce.control.calls.call import Call, Nothing
-from rce.control.calls.watching import RosGraph
+from rce.control.calls.watching import Asset, RosGraph
 from rce.errors import MALFORMED, ErrorInfo, InvalidRequest, RceError
 from rce.protocol.messages import Command, StatusData
 
@@ -137,6 +137,16 @@ class ReadGraphFor(Call[RosGraph], frozen=True):
 
     robot: str
     environment: str
+
+
+class ReadAssetFor(Call[Asset], frozen=True):
+    """Read a piece of a package's file in an environment, with the rights of ReadGraphFor."""
+
+    robot: str
+    environment: str
+    package: str
+    path: str
+    offset: int = 0
 
 
 class SendStatus(Call[Nothing], frozen=True):

@@ -89,6 +89,21 @@ class ReadPackages(Call[RosPackages], frozen=True):
     """Read the ROS packages of an environment that have executables."""
 
 
+class Asset(Struct, frozen=True):
+    """Piece of a file of a package, and the size of the whole."""
+
+    data: bytes
+    size: int
+
+
+class ReadAsset(Call[Asset], frozen=True):
+    """Read a piece of a file in the share directory of a package. Raises NotFound, InvalidName, LimitExceeded."""
+
+    package: str
+    path: str
+    offset: int = 0
+
+
 class Counts(Struct, frozen=True):
     """Messages and payload bytes since the interface, or the route between two interfaces, was created."""
 

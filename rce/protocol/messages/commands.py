@@ -255,7 +255,7 @@ class DeleteParameter(Struct, frozen=True):
 
 
 TopicName = Annotated[str, Meta(min_length=1, max_length=255, pattern=r"^[^\x00]*$")]
-Topics = Annotated[list[TopicName], Meta(max_length=1000)]
+Topics = Annotated[list[TopicName], Meta(max_length=100)]
 Seconds = Annotated[float, Meta(ge=0, le=1e9)]
 
 

@@ -126,3 +126,18 @@ def test_paths_out_of_package_are_rejected(sources: Path, package: str, executab
 
 def test_shipped_packages_are_always_available() -> None:
     assert SHIPPED in Packages([], []).sources
+
+
+def test_asset_is_a_file_within_its_package(sources: Path) -> None:
+    packages = Packages([], [sources])
+    (sources / "talk" / "meshes").mkdir()
+    (sources / "talk" / "meshes" / "arm.stl").write_text("mesh")
+    (sources / "secret").write_text("secret")
+    (sources / "talk" / "link").symlink_to(sources / "secret")
+    assert packages.asset("talk", "meshes/arm.stl").read_text() == "mesh"
+    assert packages.asset("talk", "meshes/../meshes/arm.stl").read_text() == "mesh"
+    for path in ("../secret", "link", str(sources / "secret"), "meshes", "none", "", "\0", 5000 * "x"):
+        with pytest.raises(NotFound, match="no file"):
+            packages.asset("talk", path)
+    with pytest.raises(InvalidName):
+        packages.asset("../talk", "package.xml")

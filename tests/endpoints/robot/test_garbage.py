@@ -57,7 +57,8 @@ def _typed(rng: random.Random) -> object:
 
 def _command(rng: random.Random) -> str:
     kind = rng.choice(["CC", "DC", "CN", "CX"])
-    lists = ["addNodes", "removeNodes", "addInterfaces", "removeInterfaces", "setParam", "deleteParam", "connect"]
+    lists = ["addNodes", "removeNodes", "addInterfaces", "removeInterfaces", "setParam", "deleteParam", "addRecorders"]
+    lists += ["removeRecorders", "connect"]
     data: dict[str, object] = {rng.choice(lists): rng.choice([_typed(rng) or 1, [_typed(rng)], [{"tagA": "a"}]])}
     if kind in ("CC", "DC"):
         data = {"containerTag": rng.choice([None, 5, [], {}]), "containerData": _typed(rng)}

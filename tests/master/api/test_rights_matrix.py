@@ -155,6 +155,8 @@ def commands(robot: str, environment: str, node: str = "talker") -> list[m.Comma
         m.RemoveNode(environment, node),
         m.SetParameter(environment, "rate", 2),
         m.DeleteParameter(environment, "rate"),
+        m.AddRecorder(environment, "fresh"),
+        m.RemoveRecorder(environment, "box"),
         m.AddInterface(robot, "fresh", "SubscriberConverter", STRING),
         m.AddInterface(environment, "fresh", "PublisherInterface", STRING),
         m.Connect(f"{robot}/spare", f"{environment}/spare"),

@@ -44,6 +44,8 @@ commands = st.one_of(
     st.builds(m.RemoveInterface, owners, tags),
     st.builds(m.SetParameter, environments, tags, st.integers(0, 2)),
     st.builds(m.DeleteParameter, environments, tags),
+    st.builds(m.AddRecorder, environments, tags, existOk=st.booleans()),
+    st.builds(m.RemoveRecorder, environments, tags),
     st.builds(m.Connect, sides, sides),
     st.builds(m.Disconnect, sides, sides),
 )

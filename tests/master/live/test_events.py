@@ -67,6 +67,7 @@ def story(hand: HandTurnedLoop) -> Story:
         (m.EnvironmentEvent("brain", "lost", "killed"), "environment.lost", "ann/brain", "killed"),
         (m.EnvironmentEvent("brain", "gone", "ended"), "environment.lost", "ann/brain", "ended"),
         (m.NodeEvent("brain", "n", -9, ["last words"]), "node.died", "ann/brain/n", "ended with status -9"),
+        (m.RecorderEvent("brain", "box", "quota"), "recorder.ended", "ann/brain/box", "quota"),
         (m.LimitEvent("environment brain: memory"), "limit.reached", "ann", "environment brain: memory"),
     ],
 )

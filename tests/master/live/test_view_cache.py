@@ -56,6 +56,7 @@ def test_open_makes_all_views(cache: Cache) -> None:
         "environments": ["ann/brain", "ann/second"],
         "nodes": ["ann/brain/there"],
         "parameters": ["ann/brain/:rate"],
+        "recorders": [],
         "interfaces": [f"ann/{tag}" for tag in INTERFACES],
         "connections": ["ann/r1/pose ann/brain/pose", "ann/r1/ask ann/brain/answer"],
         "groups": ["ann/g"],

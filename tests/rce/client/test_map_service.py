@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from rce.api.map_jobs import MAPPERS, Job, MapOptions
-from rce.client.map_service import MapServiceClient, fingerprint
+from rce.client.map_service import MapServiceClient
+from rce.client.tus import fingerprint
 from rce.errors import InvalidRequest, NotFound, Unauthorized, Unavailable
 from rce.mapping import mappers
 from rce.mapservice.job_program import Report

@@ -60,6 +60,11 @@ def operations(session: FakeSession, declarations: Declarations) -> Operations:
         ),
         (lambda a: a.delete_parameter("brain", "rate", node="echo"), m.DeleteParameter("brain", "rate", "echo")),
         (
+            lambda a: a.add_recorder("brain", "box", "/a", max_size=5, max_duration=2.0, exist_ok=True),
+            m.AddRecorder("brain", "box", ["/a"], 5, 2.0, True),
+        ),
+        (lambda a: a.remove_recorder("brain", "box"), m.RemoveRecorder("brain", "box")),
+        (
             lambda a: a.add_interface("brain", "in", "PublisherInterface", STRING, addr="/in", qos=m.Qos(depth=3)),
             m.AddInterface("brain", "in", "PublisherInterface", STRING, "/in", m.Qos(depth=3)),
         ),

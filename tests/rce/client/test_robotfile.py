@@ -17,7 +17,7 @@ from rce.client import Robot
 from rce.client.events import Disconnected, Event, Reconnected
 from rce.client.robotfile import event_text, run_file
 from rce.errors import NotFound
-from rce.protocol.messages import ConnectionEvent, DropEvent, EnvironmentEvent, LimitEvent, NodeEvent
+from rce.protocol.messages import ConnectionEvent, DropEvent, EnvironmentEvent, LimitEvent, NodeEvent, RecorderEvent
 from tests.support.client_contract import SET_BOOL, STRING
 from tests.support.fake_platform import FakePlatform
 from tests.support.robot_files import robot_file
@@ -135,6 +135,7 @@ async def test_process_can_exit_while_standard_input_is_read() -> None:
         (EnvironmentEvent("brain", "ready"), "environment brain is ready"),
         (EnvironmentEvent("brain", "lost", "it died"), "environment brain is lost: it died"),
         (NodeEvent("brain", "echo", 1, ["oh"]), "node brain/echo ended with status 1\n  oh"),
+        (RecorderEvent("brain", "box", "quota"), "recorder brain/box ended: quota"),
         (DropEvent("camera", 3, "to the robot"), "interface camera: 3 messages were dropped (to the robot)"),
         (ConnectionEvent("r1/a", "brain/b", "waiting", "away"), "connection r1/a brain/b is waiting: away"),
         (LimitEvent("too much"), "too much"),

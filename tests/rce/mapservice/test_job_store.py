@@ -14,7 +14,7 @@ from twisted.internet.task import Clock
 from rce.api.map_jobs import File, Job, MapOptions
 from rce.errors import NotFound
 from rce.mapservice.job_store import JobStore, StoredJob
-from rce.process.record_store import RecordStore
+from rce.services.record_store import RecordStore
 
 
 def job(name: str, user: str = "ann", **fields: Any) -> StoredJob:

@@ -9,7 +9,7 @@ import errno
 import pytest
 
 from rce.mapservice import uploads
-from rce.process.record_store import RecordStore
+from rce.services.record_store import RecordStore
 from tests.support.map_service import LOG, Service
 
 CHUNK = {"Content-Type": "application/offset+octet-stream"}

@@ -8,7 +8,7 @@ import errno
 import pytest
 
 from rce.control.calls.services import RecordAction
-from rce.process.record_store import RecordStore
+from rce.services.record_store import RecordStore
 from tests.support.map_service import Service
 from tests.support.soap import envelope
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from master.graph.records import Package, Version
 from rce.api.roles import Scopes, UserRole
+from rce.control.calls.recordings import ListRecordings, Piece, ReadRecording, RecordingInfo, Recordings
 from rce.control.calls.robots import Login
 from rce.protocol import messages as m
 from tests.support.master.served import Served
@@ -65,6 +66,16 @@ CASES: dict[str, Case | None] = {
     "POST /environments/{environment}/parameters": Case("parameter.set", body={"name": "rate", "value": 2}),
     "GET /environments/{environment}/parameters/{name}": Case("parameter.read"),
     "DELETE /environments/{environment}/parameters/{name}": Case("parameter.remove"),
+    "GET /environments/{environment}/recorders": Case("recorder.read"),
+    "POST /environments/{environment}/recorders": Case("recorder.create", body={"recorderTag": "fresh"}),
+    "GET /environments/{environment}/recorders/{recorder}": Case("recorder.read"),
+    "DELETE /environments/{environment}/recorders/{recorder}": Case("recorder.remove"),
+    "GET /recordings": Case("recording.read"),
+    "POST /recordings": Case("recording.upload", also_accepted=(400,)),  # without the headers of tus
+    "GET /recordings/{machine}/{recording}": Case("recording.read"),
+    "PATCH /recordings/{machine}/{recording}": Case("recording.upload", also_accepted=(415,)),  # with JSON
+    "DELETE /recordings/{machine}/{recording}": Case("recording.remove"),
+    "GET /recordings/{machine}/{recording}/file": Case("recording.read"),
     "GET /environments/{environment}/topics": Case("interface.read"),
     "GET /environments/{environment}/packages": Case("interface.read"),
     "GET /environments/{environment}/services": Case("interface.read"),
@@ -112,6 +123,9 @@ CASES: dict[str, Case | None] = {
 EXISTING = {
     "environment": "brain",
     "node": "talker",
+    "recorder": "box",
+    "machine": "m1",
+    "recording": "0f3c",
     "owner": "brain",
     "interface": "out",
     "robot": "r1",
@@ -156,6 +170,8 @@ class World:
         self.served = served
         self.keys: dict[str, str] = {}  # id of a key of each user, made with the actor's and within its role
         self.secret = ""
+        kept = RecordingInfo("0f3c", "a.mcap", "complete", 0, 0.0)
+        served.peers["m1"].answers |= {ListRecordings: Recordings([kept]), ReadRecording: Piece(b"")}
         self._actor = ACTORS["user"]
         self._own_key = ""
 
@@ -194,6 +210,10 @@ class World:
                 wanted.append(m.CreateContainer(environment, m.ContainerData(group="team")))
             if f"{user}/{environment}/talker" not in state.nodes:
                 wanted.append(m.AddNode(environment, "talker", "p", "x"))
+            if f"{user}/{environment}/box" not in state.recorders:
+                wanted.append(m.AddRecorder(environment, "box"))
+            if f"{user}/{environment}/fresh" in state.recorders:
+                wanted.append(m.RemoveRecorder(environment, "fresh"))
             if f"{user}/{environment}/:rate" not in state.parameters:
                 wanted.append(m.SetParameter(environment, "rate", 1))
             for owner, tag, kind in (

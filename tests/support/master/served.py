@@ -29,6 +29,7 @@ from rce.control.calls.call import BatchResult, Call, Nothing
 from rce.control.calls.endpoints import Sync
 from rce.control.calls.environments import StartEnvironment, StopEnvironment
 from rce.control.calls.joining import Hello
+from rce.control.calls.recordings import AnnounceRecording, ListRecordings, RecordingInfo, Recordings
 from rce.control.calls.robots import Definitions, DescribeType, Execute, Executed, Login
 from rce.control.calls.watching import (
     CountTraffic,
@@ -73,6 +74,8 @@ class Peer:
             ReadPackages: RosPackages([]),
             ReadLog: Log([]),
             MeasureUsage: Usage({}),
+            ListRecordings: Recordings([]),
+            AnnounceRecording: RecordingInfo("0f3c", "a.mcap", "uploading", 0, 0.0, length=1),
         }
         self._served = served
         self._hello = hello

@@ -19,9 +19,12 @@ from rce.control.calls.endpoints import (
     OpenLink,
     ParameterSpec,
     PutParameter,
+    RecorderSpec,
     RemoveRoute,
     StartNode,
+    StartRecorder,
     StopNode,
+    StopRecorder,
     Sync,
     Unbind,
 )
@@ -45,6 +48,7 @@ class Endpoint:
     routes: dict[tuple[str, str], str] = field(default_factory=dict)
     nodes: dict[str, NodeSpec] = field(default_factory=dict)
     parameters: dict[str, ParameterSpec] = field(default_factory=dict)
+    recorders: dict[str, RecorderSpec] = field(default_factory=dict)
 
     def take(self, call: Call[Any]) -> None:
         match call:
@@ -72,6 +76,10 @@ class Endpoint:
                 self.parameters[parameter.key] = parameter
             case DropParameter(key):
                 self.parameters.pop(key, None)
+            case StartRecorder(recorder):
+                self.recorders[recorder.tag] = recorder
+            case StopRecorder(tag):
+                self.recorders.pop(tag, None)
             case DropRobot(robot):
                 self.drop_robot(robot)
             case SendStatus():
@@ -87,6 +95,7 @@ class Endpoint:
         assert {interface for interface, _ in self.routes} <= set(self.interfaces)
         self.nodes = {node.tag: node for node in sync.nodes}
         self.parameters = {parameter.key: parameter for parameter in sync.parameters}
+        self.recorders = {recorder.tag: recorder for recorder in sync.recorders}
         self.robots &= set(sync.robots)
 
     def _unbind(self, id: str) -> None:

@@ -21,6 +21,8 @@ from tests.support.control import execute_round_trip
     m.RemoveInterface("a", "i"),
     m.SetParameter("a", "n", [1, 2.5, "x", True]),
     m.DeleteParameter("a", "n"),
+    m.AddRecorder("a", "b", ["/scan"], 1, 2.5),
+    m.RemoveRecorder("a", "b"),
     m.Connect("a/b", "c/d"),
     m.Disconnect("a/b", "c/d"),
 ], ids=lambda command: type(command).__name__)  # fmt: skip

@@ -9,7 +9,7 @@ import pytest
 from msgspec import Struct
 
 from rce.errors import InvalidRequest
-from rce.process.record_store import RECORD, RecordStore, check_file_name, new_id
+from rce.services.record_store import RECORD, RecordStore, check_file_name, new_id
 
 
 class Note(Struct, frozen=True):
