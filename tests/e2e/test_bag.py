@@ -10,9 +10,10 @@ from pathlib import Path
 
 from rce.bag.reader import read, summarize
 from rce.client import Publisher
+from rce.client.recordings import RecordingsClient
 from rce.errors import InvalidRequest
 from tests.support.e2e.consoles import rce, running, user_environ
-from tests.support.e2e.real_platform import RealPlatform, until
+from tests.support.e2e.real_platform import USER, RealPlatform, until
 
 STRING, POSE = "std_msgs/String", "geometry_msgs/PoseStamped"
 COUNT = 50
@@ -68,3 +69,29 @@ async def test_topic_that_does_not_exist_is_named(platform: RealPlatform, tmp_pa
     async with platform.robot("bagged") as robot, robot.environment("bag_empty"):
         words = ("bag", "record", "bag_empty", "/nuber", "--out", str(tmp_path / "b.mcap"))
         assert "there is no topic /nuber in bag_empty" in await rce(*words, env=env, status=1)
+
+
+async def test_cloud_records_what_nodes_and_robots_publish(platform: RealPlatform, tmp_path: Path) -> None:
+    client = RecordingsClient(platform.url, user=USER, password=USER)
+    copy, env = tmp_path / "copy.mcap", user_environ(tmp_path, platform.url)
+    async with platform.robot("bagged") as robot, robot.environment("bag_cloud") as cloud:
+        await cloud.add_node("echo", "rce_demo", "echo")
+        say = await cloud.publisher("/say", STRING)
+        heard = await cloud.subscriber("/heard", STRING)
+        await cloud.add_recorder("box", "/say", "/heard")
+        await until(lambda: client.pages("", "bag_cloud").items, what="a recording")
+        for number in range(COUNT):
+            await say.publish({"data": str(number)})
+            await heard.get(60)
+        await cloud.remove_recorder("box")
+        (found,) = (await asyncio.to_thread(client.pages, "", "bag_cloud")).items
+        assert (found.state, found.recorderTag) == ("complete", "box")
+        name = f"{found.machine}/{found.recording}"
+        await rce("bag", "get", name, "--out", str(copy), env=env)
+        counted = summarize(copy).counts
+        assert set(counted) == {"/say", "/heard"}
+        assert counted["/say"] > COUNT / 2  # the recorder finds a topic within a second
+        uploaded = await robot.upload_recording(copy)
+        await rce("bag", "remove", name, env=env)
+    kept = (await asyncio.to_thread(client.pages)).items
+    assert [f"{each.machine}/{each.recording}" for each in kept] == [uploaded]

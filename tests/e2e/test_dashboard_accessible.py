@@ -25,7 +25,15 @@ OWN = (
         "#/map/{user}/ward",
         "#/image/{user}/ward",
     ),
-    *("#/space/{user}/ward", "#/panels", "#/recordings", "#/knowledge", "#/packages", "#/parameters/{user}/ward"),
+    *(
+        "#/space/{user}/ward",
+        "#/panels",
+        "#/recordings",
+        "#/bags",
+        "#/knowledge",
+        "#/packages",
+        "#/parameters/{user}/ward",
+    ),
     *("#/trace/{user}/ward/heard", "#/events", "#/keys", "#/audit"),
     *("examples/joystick.html", "terminal.html#{user}/ward"),
 )

@@ -37,9 +37,14 @@ export class Api {
   }
 
   /** Return the bytes of a file. */
-  async file(path) {
-    const answer = await ask("GET", this.base + path, `Bearer ${this.key}`, { accept: "*/*" });
+  async file(path, query) {
+    const answer = await ask("GET", this.base + path, `Bearer ${this.key}`, { query, accept: "*/*" });
     return answer.blob();
+  }
+
+  /** Return a stream of the bytes of a file. */
+  async stream(path, query) {
+    return (await ask("GET", this.base + path, `Bearer ${this.key}`, { query, accept: "*/*" })).body;
   }
 
   /** Send bytes to the path of a ticket. */

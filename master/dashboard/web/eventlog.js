@@ -7,9 +7,9 @@ import { tell } from "./forms.js";
 const KEPT = 2000;
 const SHOWN = 300;
 const TYPES = ["", "robot", "robot.came", "robot.left", "environment", "environment.ready", "environment.failed", "environment.lost",
-  "environment.gone", "node.died", "connection", "connection.made", "connection.gone", "interface.gone", "limit.reached", "machine", "machine.joined",
-  "machine.left"];
-const BAD = new Set(["environment.failed", "environment.lost", "node.died", "limit.reached", "machine.left"]);
+  "environment.gone", "node.died", "recorder.ended", "connection", "connection.made", "connection.gone", "interface.gone", "limit.reached",
+  "machine", "machine.joined", "machine.left"];
+const BAD = new Set(["environment.failed", "environment.lost", "node.died", "recorder.ended", "limit.reached", "machine.left"]);
 
 export function eventsPage(main, app, query) {
   const type = h("select", { name: "type" }, TYPES.map((each) => h("option", { value: each, selected: each === query.get("type") }, each || "all")));

@@ -6,6 +6,7 @@ import { tell } from "./forms.js";
 const RETRY = 5000; // milliseconds until the stream is opened again
 const WORDS = {
   "node.died": (event, what) => `Node ${what} ended${event.status === null ? "" : ` with status ${event.status}`}.`,
+  "recorder.ended": (event, what) => `Recorder ${what} ended: ${event.text}`,
   "environment.failed": (event, what) => `Environment ${what} did not start: ${event.text}`,
   "environment.lost": (event, what) => `Environment ${what} is lost: ${event.text}`,
   "limit.reached": (event) => event.text,

@@ -1,6 +1,6 @@
 // State of the platform, kept up to date by the live feed: one WebSocket with a snapshot, then changes.
 
-const KINDS = ["robots", "environments", "nodes", "parameters", "interfaces", "connections", "groups", "machines"];
+const KINDS = ["robots", "environments", "nodes", "parameters", "recorders", "interfaces", "connections", "groups", "machines"];
 const [MIN_RETRY, MAX_RETRY] = [500, 15_000]; // milliseconds between attempts to connect
 const DENIED = 4401; // close code for a key that is wrong or revoked
 

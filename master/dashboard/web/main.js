@@ -3,6 +3,7 @@
 import { Api, withPassword } from "./api.js";
 import { remember } from "./address.js";
 import { auditPage } from "./audit.js";
+import { bagsPage } from "./bags.js";
 import { attempt, h, show } from "./dom.js";
 import { environmentPage } from "./environment.js";
 import { eventsPage } from "./eventlog.js";
@@ -34,6 +35,7 @@ const PAGES = [ // path, page, label in the bar, and the operation that it needs
   [/^\/space(?:\/(\w+)\/(\w+))?$/, viewPage("space", "space", "Choose an environment with laser scans or point clouds."), "3D", "data.read"],
   [/^\/panels$/, panelsPage, "Panels", "data.read"],
   [/^\/recordings$/, jobsPage, "Recordings", "job.read"],
+  [/^\/bags$/, bagsPage, "Bags", "recording.read"],
   [/^\/knowledge(?:\/(\w+)\/([\w.%-]+))?$/, knowledgePage, "Knowledge", "knowledge.read"],
   [/^\/packages$/, packagesPage, "Packages", "package.read"],
   [/^\/parameters\/(\w+)\/(\w+)$/, parametersPage],

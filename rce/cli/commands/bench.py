@@ -100,6 +100,19 @@ COMMANDS = (
         section=Section.LOCAL,
     ),
     Command(
+        "bench bag",
+        "Measure the rate and memory of a recording, and the intervals at which one is played in the cloud.",
+        Lazy(MODULE, "measure_bags"),
+        (
+            argument("--rate", type=float, default=200, metavar="MB/S", help="recorded (default: %(default)s)"),
+            argument("--seconds", type=float, default=60, help="of both (default: %(default)s)"),
+            argument("--directory", type=Path, help="where to record (default: that of temporary files)"),
+            SAMPLES_JSON,
+        ),
+        platform=RUNNING_OR_OWN,
+        section=Section.LOCAL,
+    ),
+    Command(
         "bench start",
         "Measure the time from the command to a ready environment, beside a bare container.",
         Lazy(MODULE, "measure_start"),

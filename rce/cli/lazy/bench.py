@@ -345,6 +345,19 @@ def measure_planners(session: ConsoleSession, args: argparse.Namespace) -> None:
 
 
 @_command
+async def measure_bags(args: argparse.Namespace) -> None:
+    """Measure recording, and then playing in an environment."""
+    from rce.bench import bags  # needs the extras `bag` and `bench`
+
+    with tempfile.TemporaryDirectory(dir=args.directory) as name:
+        directory = Path(name)
+        recorded = await bags.record(directory / "bench.mcap", args.rate * 1e6, args.seconds)
+        async with _bench_place(args) as place:
+            played = await bags.replay(place, directory, args.seconds)
+    print(json.dumps(bags.as_data(recorded, played)) if args.json else bags.as_text(recorded, played))
+
+
+@_command
 async def measure_endless(args: argparse.Namespace) -> None:
     """Measure each mapper over a long drive made of one recording."""
     mappers = _parse_names("mapper", args.mappers, MAPPERS)
