@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from contextlib import AbstractContextManager, nullcontext
 
 from aiohttp import web
 from twisted.logger import Logger
@@ -19,17 +20,25 @@ PARTIAL, WRONG_RANGE = 206, 416
 class Download:
     """One answer with a file; the next piece is read while one is sent, and no more are held."""
 
-    def __init__(self, name: str, size: int, read: ReadPiece) -> None:
+    def __init__(
+        self,
+        name: str,
+        size: int,
+        read: ReadPiece,
+        held: Callable[[], AbstractContextManager[None]] = nullcontext,
+    ) -> None:
         """Prepare an answer.
 
         Args:
             name: Name for the client's file.
             size: Bytes of the file.
             read: Reads a piece of it.
+            held: Context in which it is sent.
         """
         self._name = name
         self._size = size
         self._read = read
+        self._held = held
 
     async def send(self, request: web.BaseRequest, headers: dict[str, str]) -> web.StreamResponse:
         """Send the file, or the range of it that the request asks for.
@@ -38,6 +47,10 @@ class Download:
             InvalidRequest: The header Range is malformed.
             RceError: The first piece cannot be read.
         """
+        with self._held():
+            return await self._answer(request, headers)
+
+    async def _answer(self, request: web.BaseRequest, headers: dict[str, str]) -> web.StreamResponse:
         headers |= {
             "Accept-Ranges": "bytes",
             "Content-Type": "application/octet-stream",

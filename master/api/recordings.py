@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
+from contextlib import contextmanager
 from typing import Annotated, TypeVar
 
 from aiohttp import web
@@ -110,7 +111,18 @@ class RecordingsApi:
             piece = ReadRecording(user, view.recording, offset, min(length, PIECE))
             return (await self._ask(view.machine, piece, PIECE_TIMEOUT)).data
 
-        return Answer(Download(view.name, view.size, read))
+        return Answer(Download(view.name, view.size, read, lambda: self._transfer(user)))
+
+    @contextmanager
+    def _transfer(self, user: str) -> Iterator[None]:
+        """Count a transfer of a user's recording while it lasts; raise LimitExceeded if there are too many."""
+        if self._transfers[user] >= TRANSFERS:
+            raise LimitExceeded(f"{user} has {TRANSFERS} transfers under way: wait for one to end", limit=TRANSFERS)
+        self._transfers[user] += 1
+        try:
+            yield
+        finally:
+            self._transfers[user] -= 1
 
     # --- uploads ------------------------------------------------------------------------------------------------------
 
@@ -145,17 +157,12 @@ class RecordingsApi:
         tus.check_chunk(call.request.content_type)
         offset = tus.number(call.request.headers.get("Upload-Offset"), "Upload-Offset")
         view = await self._find(call, user)
-        if self._transfers[user] >= TRANSFERS:
-            raise LimitExceeded(f"{user} has {TRANSFERS} uploads under way: wait for one to end", limit=TRANSFERS)
-        self._transfers[user] += 1
-        try:
+        with self._transfer(user):
             await accept_body(call.request)
             async for data in _pieces(call.request):
                 change = AppendRecording(user, view.recording, offset, data)
                 view = _view(user, view.machine, await self._ask(view.machine, change, PIECE_TIMEOUT))
                 offset = view.size
-        finally:
-            self._transfers[user] -= 1
         return _upload_answer(view, 204)
 
     # ------------------------------------------------------------------------------------------------------------------
