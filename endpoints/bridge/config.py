@@ -69,10 +69,11 @@ class Node(Struct, frozen=True, forbid_unknown_fields=True):
 
     tag: Name
     pkg: Name
-    exe: Name
+    exe: str = ""
     args: str = ""
     name: str = ""
     namespace: str = ""
+    launch: str = ""
 
 
 class EnvironmentConfig(Struct, frozen=True, forbid_unknown_fields=True):

@@ -113,7 +113,14 @@ class Offloading:
         for node in wanted.nodes:
             with contextlib.suppress(AlreadyExists):
                 await robot.add_node(
-                    wanted.tag, node.tag, node.pkg, node.exe, args=node.args, name=node.name, namespace=node.namespace
+                    wanted.tag,
+                    node.tag,
+                    node.pkg,
+                    node.exe,
+                    args=node.args,
+                    name=node.name,
+                    namespace=node.namespace,
+                    launch=node.launch,
                 )
 
     async def _watch_events(self, robot: Robot) -> None:

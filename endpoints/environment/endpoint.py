@@ -34,6 +34,7 @@ from rce.control.calls.endpoints import (
     MAX_TEXT,
     DropParameter,
     InterfaceSpec,
+    Launched,
     LinkLost,
     NodeDied,
     NodeSpec,
@@ -109,7 +110,7 @@ class Environment:
         self._definitions = InstalledTypes(installed + packages.prefixes, packages.sources)
         self._parameters = Parameters()
         self._live_parameters = LiveParameters(ros)
-        self._nodes = Nodes(settings.data_dir, packages, self._parameters, node_variables(settings), self._node_died)
+        self._nodes = Nodes(settings.data_dir, packages, self._parameters, node_variables(settings), self._of_nodes)
         self._switchboard = Switchboard(port, lambda link, reason: report(LinkLost(link, reason[:MAX_TEXT])))
         self._context = RosContext(ros, self._switchboard.hops, self._definitions, self._report_error)
         self._recorders = Recorders(self._context, settings.recordings, self._read_topics, report)
@@ -235,12 +236,13 @@ class Environment:
         return RosPackages([RosPackage(name, executables) for name, executables in found.items()])
 
     def _families(self) -> list[Family]:
-        return [gauge_family("rce_nodes", "Nodes that run", [], {(): len(self._nodes.specs)})]
+        return [gauge_family("rce_nodes", "Nodes that run", [], {(): len(self._nodes.processes)})]
 
     # reports
 
-    def _node_died(self, report: NodeDied) -> None:
-        self._ros.post(self._tell_of_dead)
+    def _of_nodes(self, report: NodeDied | Launched) -> None:
+        if isinstance(report, NodeDied):
+            self._ros.post(self._tell_of_dead)
         self._send_report(report)
 
     def _tell_of_dead(self) -> None:

@@ -46,7 +46,7 @@ class Packages:
             if (path / "package.xml").is_file():
                 return path
         places = ", ".join(str(path) for path in (*self.prefixes, *self.sources))
-        hint = did_you_mean(package, self._shares()) or "check its name."
+        hint = did_you_mean(package, self.shares()) or "check its name."
         raise NotFound(
             f"this environment has no package {package} in {places}: {hint} A pushed package is available only if the "
             "environment was created with it (`packages` in containerData, `--package` of `rce env create`)",
@@ -86,20 +86,35 @@ class Packages:
             pass
         raise NotFound(f"package {package} has no file {path[:200]!r}", field="path")
 
+    def launch_file(self, package: str, name: str) -> Path:
+        """Return a launch file of a package, by its name or its path in the package.
+
+        Raises:
+            InvalidName: The name of the package is not valid.
+            NotFound: There is no such package or file.
+        """
+        share = self.share(package)
+        for path in (share / "launch" / name, share / name):
+            if path.is_file() and path.resolve().is_relative_to(share.resolve()):
+                return path
+        known = sorted(path.name for path in (share / "launch").glob("*") if path.is_file())
+        hint = did_you_mean(name, known) or f"it has {', '.join(known) or 'none'}"
+        raise NotFound(f"package {package} has no launch file {name[:200]}: {hint}", field="launch")
+
+    def shares(self) -> dict[str, Path]:
+        """Return the directory of each package; of several with one name, that of the first place."""
+        files = [file for prefix in self.prefixes for file in (prefix / "share").glob("*/package.xml")]
+        files += [file for root in self.sources for file in root.glob("*/package.xml")]
+        return {file.parent.name: file.parent for file in reversed(files)}
+
     def executables(self) -> dict[str, list[str]]:
         """Return the names of executables by package, both sorted; packages without any are left out."""
-        found = {name: self._executables(name, share) for name, share in sorted(self._shares().items())}
+        found = {name: self._executables(name, share) for name, share in sorted(self.shares().items())}
         return {name: executables for name, executables in found.items() if executables}
 
     def is_shipped(self, package: str) -> bool:
         """Return True if the package comes with RCE."""
         return self.share(package).is_relative_to(SHIPPED)
-
-    def _shares(self) -> dict[str, Path]:
-        """Return the directory of each package; of several with one name, that of the first place."""
-        files = [file for prefix in self.prefixes for file in (prefix / "share").glob("*/package.xml")]
-        files += [file for root in self.sources for file in root.glob("*/package.xml")]
-        return {file.parent.name: file.parent for file in reversed(files)}
 
     def _executables(self, package: str, share: Path) -> list[str]:
         return sorted({path.name for directory in self._directories(package, share) for path in _programs(directory)})

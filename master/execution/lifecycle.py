@@ -15,7 +15,7 @@ from master.graph.effects import Plan
 from master.graph.records import Environment, Process, Ref, ref, user_of
 from master.graph.translation import node_spec, parameter_spec, recorder_spec
 from rce.control.calls.call import BatchResult, Nothing
-from rce.control.calls.endpoints import NodeDied, RecorderEnded, Sync
+from rce.control.calls.endpoints import Launched, NodeDied, RecorderEnded, Sync
 from rce.control.calls.environments import EnvironmentDied, LimitReached, StartEnvironment
 from rce.control.connection import Handlers
 from rce.errors import ErrorInfo, RceError, StartFailed, clipped
@@ -49,6 +49,7 @@ class Lifecycle:
         """Answer the reports of an Environment endpoint."""
         handlers.on(NodeDied, lambda call: self._node_ends.node_died(process, call))
         handlers.do(RecorderEnded, lambda call: self._recorder_ended(process, call))
+        handlers.on(Launched, lambda call: self._node_ends.launched(process, call))
 
     # --- plans --------------------------------------------------------------------------------------------------------
 

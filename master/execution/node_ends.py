@@ -9,12 +9,12 @@ from msgspec.structs import replace
 
 from master.execution.backoff import Backoff
 from master.execution.effect_runner import EffectRunner, raise_first_error
-from master.graph.changes import call_host
+from master.graph.changes import call_host, drop_launched, launched_by
 from master.graph.effects import Plan
 from master.graph.records import Environment, Node, NodeEnd, Process, ref, user_of
-from master.graph.translation import node_spec
+from master.graph.translation import launched_node, node_spec
 from rce.control.calls.call import Nothing
-from rce.control.calls.endpoints import NodeDied, StartNode
+from rce.control.calls.endpoints import Launched, NodeDied, StartNode
 from rce.errors import RceError
 from rce.protocol.messages import NodeEvent
 
@@ -46,13 +46,33 @@ class NodeEnds:
         tag = process.name.partition("/")[2]
         self._runner.tell(user_of(process.name), NodeEvent(tag, call.node, call.status, call.lines))
         self._keep(node, call.status, call.lines)
-        if is_restarted(node, environment, call):
+        drop_launched(self._state, node)
+        if node.part_of and call.again:
+            self._runner.readiness.forget(ref(node))
+        elif is_restarted(node, environment, call):
             self._waiting.add(node.key)
             self._runner.readiness.forget(ref(node))
             pause = max(PAUSE, self._backoff.after_failure(node.key))
             self._runner.later(pause, lambda: self._restart(node))
         else:
             self._state.nodes.drop(node.key)  # its tag is free
+        self._apply([])
+        return Nothing()
+
+    async def launched(self, process: Process, call: Launched) -> Nothing:
+        """Note the nodes that run of a launch."""
+        launch = self._state.nodes.get(f"{process.name}/{call.node}")
+        environment = self._state.environments.get(process.name)
+        if launch is None or environment is None or process.incarnation != environment.run:
+            return Nothing()
+        running = [launched_node(launch, spec) for spec in call.nodes]
+        kept = {node.key for node in running}
+        for node in launched_by(self._state, launch):
+            if node.key not in kept and node.key not in self._state.ends:  # one that ended may start again
+                self._state.nodes.drop(node.key)
+        for node in running:
+            self._state.nodes.put(node)
+            self._runner.readiness.mark_ready(ref(node))
         self._apply([])
         return Nothing()
 
@@ -87,6 +107,8 @@ def is_restarted(node: Node, environment: Environment, call: NodeDied) -> bool:
 
     Unless the node says when, it is if it failed after it had run for a while.
     """
+    if node.part_of:
+        return False
     match node.restart:
         case "always":
             return True

@@ -60,6 +60,7 @@ def remove_environment(state: State, environment: Environment, away: bool = Fals
 def remove_node(state: State, node: Node) -> Plan:
     """Remove a node from the graph and stop it."""
     state.nodes.drop(node.key)
+    drop_launched(state, node)
     return call_host(state, node, StopNode(node.tag))
 
 
@@ -67,6 +68,17 @@ def remove_recorder(state: State, recorder: Recorder) -> Plan:
     """Remove a recorder from the graph and stop it."""
     state.recorders.drop(recorder.key)
     return call_host(state, recorder, StopRecorder(recorder.tag))
+
+
+def drop_launched(state: State, launch: Node) -> None:
+    """Remove the nodes of a launch from the graph, which ends or starts anew."""
+    for node in launched_by(state, launch):
+        state.nodes.drop(node.key)
+
+
+def launched_by(state: State, launch: Node) -> list[Node]:
+    """Return the nodes of a launch."""
+    return [each for each in state.nodes.by(launch.owner) if each.part_of == launch.tag] if launch.launch else []
 
 
 def remove_interface(state: State, interface: Interface, away: bool = False) -> Plan:

@@ -126,6 +126,7 @@ def add_node(context: CommandContext, command: m.AddNode) -> Outcome:
     state = context.state
     owner = context.environment(command.containerTag).name
     check_new_name(command.nodeTag, "nodeTag", context.guest)
+    _check_program(command)
     node = node_from(owner, command)
     present = state.nodes.get(node.key)
     if present == node and (context.repeated or command.existOk):
@@ -135,8 +136,20 @@ def add_node(context: CommandContext, command: m.AddNode) -> Outcome:
     if present is None:
         hard_limits.check_count(state.nodes, owner, hard_limits.NODES, "nodeTag")
     state.nodes.put(node)
-    state.ends.drop(node.key)
+    for end in (node.key, *(each.key for each in state.ends.by(owner) if each.node.part_of == node.tag)):
+        state.ends.drop(end)
+    changes.drop_launched(state, node)
     return Outcome(call_host(state, node, StartNode(node_spec(node))), [ref(node)])
+
+
+def _check_program(command: m.AddNode) -> None:
+    if not command.exe and not command.launch:
+        raise InvalidRequest("a node needs `exe`, an executable, or `launch`, a launch file", field="exe")
+    if command.exe and command.launch:
+        raise InvalidRequest("a node has either `exe` or `launch`, not both", field="launch")
+    if command.launch and (command.name or command.namespace):
+        field = "name" if command.name else "namespace"
+        raise InvalidRequest(f"`{field}` is of single nodes: a launch file names its nodes itself", field=field)
 
 
 def remove_node(context: CommandContext, command: m.RemoveNode) -> Outcome:
@@ -147,6 +160,11 @@ def remove_node(context: CommandContext, command: m.RemoveNode) -> Outcome:
         if context.repeated:
             return Outcome([])
         raise NotFound(f"{command.containerTag} has no node {command.nodeTag}", field="nodeTag")
+    if node.part_of:
+        raise InvalidRequest(
+            f"node {node.tag} is part of launch {node.part_of}, which ends as a whole: remove {node.part_of}",
+            field="nodeTag",
+        )
     return Outcome(changes.remove_node(context.state, node))
 
 

@@ -124,7 +124,7 @@ def _sync(state: State, process: Process, owners: list[str]) -> Sync:
         interfaces=[interface_spec(interface) for interface in interfaces],
         links=[link_spec(state, link, process.name) for link in state.links.by(process.name)],
         routes=[route for interface in interfaces for route in routes_of(state, interface)],
-        nodes=[node_spec(node) for owner in owners for node in state.nodes.by(owner)],
+        nodes=[node_spec(node) for owner in owners for node in state.nodes.by(owner) if not node.part_of],
         parameters=[parameter_spec(parameter) for owner in owners for parameter in state.parameters.by(owner)],
         recorders=[recorder_spec(recorder) for owner in owners for recorder in state.recorders.by(owner)],
         robots=owners if process.role == "robot" else [],
@@ -326,7 +326,7 @@ def _remove_guest_items(state: State, name: str) -> Plan:
             if interface.tag.startswith(f"{robot}."):
                 plan += remove_interface(state, interface, away=True)
         for node in state.nodes.by(environment.name):
-            if node.tag.startswith(f"{robot}."):
+            if node.tag.startswith(f"{robot}.") and not node.part_of:
                 plan += remove_node(state, node)
     return plan
 

@@ -117,7 +117,11 @@ class Robot(Struct, frozen=True):
 
 
 class Node(Struct, frozen=True):
-    """A ROS 2 node that a user wants to run in an environment."""
+    """A ROS 2 node that a user wants to run in an environment.
+
+    With `launch` it is a launch, whose nodes are records with its tag as `part_of`. These come and go as the
+    environment reports.
+    """
 
     owner: str  # the environment
     tag: str
@@ -127,6 +131,8 @@ class Node(Struct, frozen=True):
     name: str = ""
     namespace: str = ""
     restart: NodeRestart = ""
+    launch: str = ""  # launch file, in place of an executable
+    part_of: str = ""  # tag of the launch
 
     @property
     def key(self) -> str:

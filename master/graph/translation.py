@@ -35,12 +35,19 @@ def container_data(options: EnvironmentOptions) -> m.ContainerData:
 def node_from(owner: str, command: m.AddNode) -> Node:
     """Return the record of a node that a command adds to environment `owner`."""
     program, names = (command.pkg, command.exe, command.args), (command.name, command.namespace)
-    return Node(owner, command.nodeTag, *program, *names, command.restart)
+    return Node(owner, command.nodeTag, *program, *names, command.restart, command.launch)
 
 
 def node_spec(node: Node) -> NodeSpec:
     """Return a node as its environment starts it."""
-    return NodeSpec(node.tag, node.package, node.executable, node.arguments, node.name, node.namespace)
+    names = node.name, node.namespace
+    return NodeSpec(node.tag, node.package, node.executable, node.arguments, *names, node.launch)
+
+
+def launched_node(launch: Node, spec: NodeSpec) -> Node:
+    """Return the record of a node that a launch has started."""
+    program = spec.pkg, spec.exe, spec.args
+    return Node(launch.owner, spec.tag, *program, spec.name, spec.namespace, part_of=launch.tag)
 
 
 def parameter_spec(parameter: Parameter) -> ParameterSpec:

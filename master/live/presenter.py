@@ -226,6 +226,8 @@ def _node_view(
         record.namespace,
         record.restart,
         None if end is None else NodeEndView(end.time, end.status, signal_name(end.status), end.count, end.lines),
+        record.launch,
+        record.part_of,
     )
 
 

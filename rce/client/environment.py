@@ -74,12 +74,13 @@ class Environment:
         self,
         tag: str,
         pkg: str,
-        exe: str,
+        exe: str = "",
         *,
         args: str = "",
         name: str = "",
         namespace: str = "",
         restart: NodeRestart = "",
+        launch: str = "",
     ) -> None:
         """Start a ROS 2 node in the environment.
 
@@ -92,6 +93,8 @@ class Environment:
             namespace: ROS namespace of the node.
             restart: When to start it again after it ended by itself: `on-failure`, `always` or `no`, with pauses that
                 grow to 30 s. Empty: after a failure, if it ran for 5 s and the environment has not `restart="no"`.
+            launch: Launch file of the package, in place of `exe`; its arguments are `args`, as `NAME:=VALUE`. Its nodes
+                get the tags `TAG.NAME`, and start and end together.
 
         Raises:
             AlreadyExists: The environment has a node with this tag, and its `exist_ok` is false.
@@ -109,6 +112,7 @@ class Environment:
             namespace=namespace,
             exist_ok=self._exist_ok,
             restart=restart,
+            launch=launch,
         )
 
     async def remove_node(self, tag: str) -> None:

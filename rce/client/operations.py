@@ -142,13 +142,14 @@ class Operations:
         environment: str,
         tag: str,
         pkg: str,
-        exe: str,
+        exe: str = "",
         *,
         args: str = "",
         name: str = "",
         namespace: str = "",
         exist_ok: bool = False,
         restart: NodeRestart = "",
+        launch: str = "",
     ) -> None:
         """Start a ROS 2 node in an environment.
 
@@ -163,6 +164,8 @@ class Operations:
             exist_ok: Keep a node with this tag that was started in the same way, and replace one that was not.
             restart: When to start it again after it ended by itself: `on-failure`, `always` or `no`, with pauses that
                 grow to 30 s. Empty: after a failure, if it ran for 5 s and the environment has not `restart="no"`.
+            launch: Launch file of the package, in place of `exe`; its arguments are `args`, as `NAME:=VALUE`. Its nodes
+                get the tags `TAG.NAME`, and start and end together.
 
         Raises:
             NotFound: The environment does not exist.
@@ -171,7 +174,7 @@ class Operations:
             TimedOut: The platform did not answer within the robot's `timeout`.
             RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
         """
-        await self.configure(AddNode(environment, tag, pkg, exe, args, name, namespace, exist_ok, restart))
+        await self.configure(AddNode(environment, tag, pkg, exe, args, name, namespace, exist_ok, restart, launch))
 
     async def remove_node(self, environment: str, tag: str) -> None:
         """Stop a node.

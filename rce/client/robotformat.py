@@ -65,17 +65,18 @@ class NodeEntry(Struct, frozen=True, forbid_unknown_fields=True):
     cTag: str
     nTag: str
     pkg: str
-    exe: str
+    exe: str = ""
     args: str = ""
     name: str = ""
     namespace: str = ""
     restart: NodeRestart = ""
+    launch: str = ""
 
     @property
     def command(self) -> AddNode:
         """Command that creates it."""
-        where = self.name, self.namespace
-        return AddNode(self.cTag, self.nTag, self.pkg, self.exe, self.args, *where, restart=self.restart)
+        what = self.pkg, self.exe, self.args, self.name, self.namespace
+        return AddNode(self.cTag, self.nTag, *what, restart=self.restart, launch=self.launch)
 
 
 class InterfaceEntry(Struct, frozen=True, forbid_unknown_fields=True):

@@ -340,6 +340,8 @@ export interface NodeOptions {
   existOk?: boolean;
   /** When to start it again after it ended by itself; without it, after a failure, if it ran for 5 s. */
   restart?: "on-failure" | "always" | "no";
+  /** Launch file of the package, in place of `exe` (""); `args` are then `NAME:=VALUE`. */
+  launch?: string;
 }
 
 /** `[list, item]` with the names of the protocol, such as `["addNodes", {containerTag: …}]` and `["CC", {…}]`. */

@@ -91,8 +91,8 @@ export class Robot {
     return this.configure(["DC", { containerTag: tag }]);
   }
 
-  addNode(environment, tag, pkg, exe, { args, name, namespace, existOk, restart } = {}) {
-    const node = { containerTag: environment, nodeTag: tag, pkg, exe, args, name, namespace, existOk, restart };
+  addNode(environment, tag, pkg, exe, { args, name, namespace, existOk, restart, launch } = {}) {
+    const node = { containerTag: environment, nodeTag: tag, pkg, exe, args, name, namespace, existOk, restart, launch };
     return this.configure(["addNodes", node]);
   }
 

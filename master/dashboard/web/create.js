@@ -57,7 +57,8 @@ export async function newNode(app, environment) {
   ask(`New node in ${environment.containerTag}`, [
     { name: "nodeTag", label: "Name", ...TAG },
     { name: "pkg", label: "ROS package", required: true, list: packages.map((each) => each.name) },
-    { name: "exe", label: "Executable", required: true, list: distinct(packages.flatMap((each) => each.executables)) },
+    { name: "exe", label: "Executable", list: distinct(packages.flatMap((each) => each.executables)) },
+    { name: "launch", label: "or launch file", help: "its arguments are NAME:=VALUE" },
     { name: "args", label: "Arguments", help: "may use $(find PKG) and $(env VAR)" },
     { name: "namespace", label: "Namespace", help: "optional" },
     { name: "restart", label: "When it ends", options: ["", "no", "on-failure", "always"], value: "", help: "start again?" },

@@ -99,8 +99,8 @@ function nodesOf(app, user, nodes) {
   return h("div", title("Nodes", app.me.may("node.create", user) && button("add", "", "Start node")), table({
     Name: (each) => each.nodeTag,
     State: (each) => state(each.state),
-    Program: (each) => h("span.mono", `${each.pkg} ${each.exe}`),
-    " ": (each) => [button("log", each.nodeTag, "Log"), app.me.may("node.remove", user) && button("stop", each.nodeTag, "Stop", ".danger")],
+    Program: (each) => h("span.mono", `${each.pkg} ${each.launch || each.exe}`),
+    " ": (each) => [button("log", each.nodeTag, "Log"), !each.partOf && app.me.may("node.remove", user) && button("stop", each.nodeTag, "Stop", ".danger")],
   }, nodes, "No nodes run here."));
 }
 

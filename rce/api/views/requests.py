@@ -27,16 +27,17 @@ class NewEnvironment(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class NewNode(Struct, frozen=True, forbid_unknown_fields=True):
-    """ROS 2 node to start in the environment of the path."""
+    """ROS 2 node, or nodes of a launch file, to start in the environment of the path."""
 
     nodeTag: Tag
     pkg: Text
-    exe: Text
+    exe: str = ""
     args: str = ""
     name: str = ""
     namespace: str = ""
     existOk: bool = False
     restart: NodeRestart = ""
+    launch: str = ""
 
 
 class NewParameter(Struct, frozen=True, forbid_unknown_fields=True):

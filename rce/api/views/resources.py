@@ -78,7 +78,10 @@ class NodeEndView(Struct, frozen=True):
 
 
 class NodeView(Struct, frozen=True):
-    """ROS 2 node of an environment. One that `waits` ended and is started again after a pause."""
+    """ROS 2 node of an environment. One that `waits` ended and is started again after a pause.
+
+    With `launch` it is a launch, whose nodes have its tag as `partOf`.
+    """
 
     user: str
     containerTag: str
@@ -91,6 +94,8 @@ class NodeView(Struct, frozen=True):
     namespace: str
     restart: NodeRestart = ""
     end: NodeEndView | None = None
+    launch: str = ""
+    partOf: str = ""
 
 
 class ParameterView(Struct, frozen=True):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from collections.abc import Iterator
 from typing import Any
@@ -24,6 +25,12 @@ FOLLOW = (
     argument("-n", "--lines", type=int, default=100, metavar="N", help="print the last N lines (default: %(default)s)"),
 )
 NODE = argument("node", metavar="NODE", help="its nodeTag")
+RESTART = argument(
+    "--restart",
+    choices=("on-failure", "always", "no"),
+    default="",
+    help="start it again when it ends, after growing pauses (default: after a failure, if it ran for 5 s)",
+)
 
 ENVIRONMENTS: output.Columns[views.EnvironmentView] = {
     "environment": lambda each: each.containerTag,
@@ -40,7 +47,7 @@ ENVIRONMENTS: output.Columns[views.EnvironmentView] = {
 NODES: output.Columns[views.NodeView] = {
     "node": lambda each: each.nodeTag,
     "state": lambda each: each.state,
-    "program": lambda each: f"{each.pkg}/{each.exe}",
+    "program": lambda each: f"{each.pkg}/{each.launch or each.exe}",
     "arguments": lambda each: each.args,
     "name": lambda each: f"{each.namespace.rstrip('/')}/{each.name}".lstrip("/"),
     "restart": lambda each: each.restart,
@@ -128,6 +135,12 @@ def _node_show(session: ConsoleSession, args: argparse.Namespace) -> None:
 
 def _node_start(session: ConsoleSession, args: argparse.Namespace) -> None:
     body = views.NewNode(args.node, args.pkg, args.exe, args.args, args.name, args.namespace, restart=args.restart)
+    session.api.post(views.NodeView, "environments", args.environment, "nodes", body=body, user=args.of)
+
+
+def _node_launch(session: ConsoleSession, args: argparse.Namespace) -> None:
+    given = shlex.join(args.arguments)
+    body = views.NewNode(args.node, args.pkg, args=given, restart=args.restart, launch=args.launch)
     session.api.post(views.NodeView, "environments", args.environment, "nodes", body=body, user=args.of)
 
 
@@ -286,15 +299,25 @@ COMMANDS = (
             argument("--args", default="", help="one word; $(find PKG) and $(env VAR) are replaced"),
             argument("--name", default="", help="ROS name"),
             argument("--namespace", default=""),
-            argument(
-                "--restart",
-                choices=("on-failure", "always", "no"),
-                default="",
-                help="start it again when it ends, after growing pauses (default: after a failure, if it ran for 5 s)",
-            ),
+            RESTART,
             OF_USER,
         ),
         ("node start brain echo rce_demo echo", "node start brain rec demo rec.py --args='--rate 10' --namespace log"),
+    ),
+    Command(
+        "node launch",
+        "Start the nodes of a launch file.",
+        _node_launch,
+        (
+            ENVIRONMENT,
+            argument("node", metavar="TAG", help="a new nodeTag, with which the tags of its nodes begin: TAG.NAME"),
+            argument("pkg", completion="package", metavar="PKG"),
+            argument("launch", metavar="FILE", help="launch file of the package, in Python, XML or YAML"),
+            argument("arguments", nargs="*", metavar="NAME:=VALUE", help="its arguments"),
+            RESTART,
+            OF_USER,
+        ),
+        ("node launch brain patrol demo patrol.launch.py rate:=5",),
     ),
     Command(
         "node executables",
@@ -308,7 +331,13 @@ COMMANDS = (
         ),
         ("node executables brain", "node executables brain rce_demo"),
     ),
-    Command("node stop", "Stop a node.", _node_stop, (ENVIRONMENT, NODE, OF_USER), ("node stop brain mapper",)),
+    Command(
+        "node stop",
+        "Stop a node, or a launch with its nodes.",
+        _node_stop,
+        (ENVIRONMENT, NODE, OF_USER),
+        ("node stop brain mapper",),
+    ),
     Command(
         "node logs",
         "Print the output of a node.",

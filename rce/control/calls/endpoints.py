@@ -55,7 +55,7 @@ class LinkSpec(Struct, frozen=True):
 
 
 class NodeSpec(Struct, frozen=True):
-    """ROS 2 node to run in an environment."""
+    """ROS 2 node to run in an environment; with `launch`, a launch file of the package in place of an executable."""
 
     tag: str
     pkg: str
@@ -63,6 +63,7 @@ class NodeSpec(Struct, frozen=True):
     args: str = ""
     name: str = ""
     namespace: str = ""
+    launch: str = ""
 
 
 class ParameterSpec(Struct, frozen=True):
@@ -185,12 +186,23 @@ class RecorderEnded(Call[Nothing], frozen=True):
 
 
 class NodeDied(Call[Nothing], frozen=True):
-    """Report that a node of this environment ended by itself, `seconds` after its start."""
+    """Report that a node of this environment ended by itself, `seconds` after its start.
+
+    `again`: the launch file that it belongs to starts it again.
+    """
 
     node: ShortText
     status: int
     lines: Annotated[list[ShortText], Meta(max_length=50)]
     seconds: float = 0
+    again: bool = False
+
+
+class Launched(Call[Nothing], frozen=True):
+    """Report the nodes that run of the launch with the tag `node`."""
+
+    node: ShortText
+    nodes: Annotated[list[NodeSpec], Meta(max_length=1000)]
 
 
 class LinkLost(Call[Nothing], frozen=True):

@@ -75,7 +75,7 @@ NodeRestart = Literal["", "on-failure", "always", "no"]
 
 
 class AddNode(Struct, frozen=True):
-    """Start a ROS 2 node in an environment.
+    """Start a ROS 2 node in an environment, or with `launch` the nodes of a launch file of the package.
 
     `restart` says when it is started again after it ended by itself; empty: after a failure, if it ran for 5 s and the
     environment has not `restart: no`. With `existOk` a node of this tag that is as described is kept, and one that is
@@ -85,12 +85,13 @@ class AddNode(Struct, frozen=True):
     containerTag: str
     nodeTag: str
     pkg: Name
-    exe: Name
+    exe: Short = ""
     args: VariableValue = ""
     name: Short = ""
     namespace: Short = ""
     existOk: bool = False
     restart: NodeRestart = ""
+    launch: Short = ""
 
 
 class RemoveNode(Struct, frozen=True):

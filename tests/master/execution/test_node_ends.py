@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from rce.control.calls.endpoints import NodeDied, StartNode
+from rce.control.calls.endpoints import Launched, NodeDied, NodeSpec, StartNode, StopNode
 from rce.errors import StartFailed
 from rce.protocol import messages as m
 from tests.support.master.desk import Desk
@@ -93,3 +93,73 @@ def test_reason_of_a_failed_restart_is_kept(desk: Desk) -> None:
     desk.turn(5.0)
     assert "ann/brain/n" not in desk.state.nodes
     assert desk.state.ends["ann/brain/n"].lines == ["last words", "not started again: its file is gone"]
+
+
+LAUNCH = m.AddNode("brain", "up", "p", launch="up.launch.py", args="rate:=5")
+
+
+def launched(desk: Desk, *tags: str) -> None:
+    """Report the nodes that run of the launch `up`."""
+    process = desk.state.processes["ann/brain"]
+    call = Launched("up", [NodeSpec(f"up.{tag}", "p", "e", "-x", tag) for tag in tags])
+    desk.hand.begin(desk.master._lifecycle._node_ends.launched(process, call))
+    desk.turn(0.0)
+
+
+def ended(desk: Desk, tag: str, again: bool = False) -> None:
+    process = desk.state.processes["ann/brain"]
+    call = NodeDied(tag, 3, ["last words"], 60.0, again)
+    desk.hand.begin(desk.master._lifecycle._node_ends.node_died(process, call))
+    desk.turn(0.0)
+
+
+def views(desk: Desk) -> dict[str, str]:
+    """Return the states of the nodes by tag."""
+    return {each.tag: desk.master.presenter.node(each).state for each in desk.state.nodes.by("ann/brain")}
+
+
+def test_nodes_of_launch_are_shown_one_by_one(desk: Desk) -> None:
+    _, brain = desk.wired()
+    desk.do(LAUNCH)
+    assert brain.got(StartNode)[-1].node == NodeSpec("up", "p", "", "rate:=5", launch="up.launch.py")
+    launched(desk, "a", "b")
+    assert views(desk) == {"up": "running", "up.a": "running", "up.b": "running"}
+    view = desk.master.presenter.node(desk.state.nodes["ann/brain/up.a"])
+    assert (view.pkg, view.exe, view.args, view.partOf) == ("p", "e", "-x", "up")
+    launched(desk, "b")
+    assert views(desk) == {"up": "running", "up.b": "running"}
+
+
+def test_node_of_launch_that_ends_leaves_its_end_alone(desk: Desk) -> None:
+    _, brain = desk.wired()
+    desk.do(LAUNCH)
+    launched(desk, "a", "b")
+    ended(desk, "up.a")
+    ended(desk, "up.b", again=True)
+    assert views(desk) == {"up": "running", "up.b": "waiting"}
+    assert desk.state.ends["ann/brain/up.a"].lines == ["last words"]
+    launched(desk, "b")
+    assert views(desk) == {"up": "running", "up.b": "running"}
+    assert len(brain.got(StartNode)) == 1
+
+
+def test_launch_ends_with_all_of_its_nodes(desk: Desk) -> None:
+    _, brain = desk.wired()
+    desk.do(LAUNCH)
+    launched(desk, "a", "b")
+    desk.do(m.RemoveNode("brain", "up"))
+    assert views(desk) == {}
+    assert [call.node for call in brain.got(StopNode)] == ["up"]
+    launched(desk, "a")  # late
+    assert views(desk) == {}
+
+
+def test_launch_that_failed_is_started_again_without_its_old_nodes(desk: Desk) -> None:
+    _, brain = desk.wired()
+    desk.do(LAUNCH)
+    launched(desk, "a")
+    ended(desk, "up")
+    assert views(desk) == {"up": "waiting"}
+    desk.turn(5.0)
+    assert views(desk) == {"up": "running"}
+    assert len(brain.got(StartNode)) == 2

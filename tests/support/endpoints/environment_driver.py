@@ -25,6 +25,7 @@ from rce.control.calls.endpoints import (
     AddRoute,
     Bind,
     InterfaceSpec,
+    Launched,
     LinkLost,
     LinkSpec,
     NodeDied,
@@ -95,7 +96,7 @@ class FakeMaster:
             raise Unauthorized("replaced")
         self.hello = hello
         handlers = Handlers()
-        for kind in (NodeDied, LinkLost, Report):
+        for kind in (NodeDied, Launched, LinkLost, Report):
             handlers.on(kind, self._add_report)
         if self.joined.done():
             self.joined = asyncio.get_running_loop().create_future()
@@ -154,6 +155,13 @@ class FakeMaster:
         """Return the next report of a node that ended by itself."""
         async with asyncio.timeout(LIMIT):
             while not isinstance(found := await self.reports.get(), NodeDied):
+                pass
+            return found
+
+    async def launched(self) -> Launched:
+        """Return the next report of the nodes of a launch."""
+        async with asyncio.timeout(LIMIT):
+            while not isinstance(found := await self.reports.get(), Launched):
                 pass
             return found
 

@@ -134,7 +134,15 @@ def test_node_is_started_with_its_arguments() -> None:
         "node start brain rec demo rec.py --args='--rate 10' --namespace log --name r --restart on-failure"
     )
     fields = {"nodeTag": "rec", "pkg": "demo", "exe": "rec.py", "args": "--rate 10", "name": "r", "namespace": "log"}
-    assert made == Request("POST environments/brain/nodes", {}, fields | {"existOk": False, "restart": "on-failure"})
+    more = {"existOk": False, "restart": "on-failure", "launch": ""}
+    assert made == Request("POST environments/brain/nodes", {}, fields | more)
+
+
+def test_launch_file_is_started_with_its_arguments() -> None:
+    made = Console(node()).request("node launch brain up demo up.launch.py rate:=5 'text:=a b'")
+    fields = {"nodeTag": "up", "pkg": "demo", "exe": "", "args": "rate:=5 'text:=a b'", "name": "", "namespace": ""}
+    more = {"existOk": False, "restart": "", "launch": "up.launch.py"}
+    assert made == Request("POST environments/brain/nodes", {}, fields | more)
 
 
 PACKAGES = [RosPackage("demo", ["listen", "talk"]), RosPackage("nav", ["plan"])]
