@@ -26,7 +26,7 @@ from master.execution.removals import Removals
 from master.execution.robot_sessions import RobotSessions
 from master.graph import packages, reconcile
 from master.graph.limits import UNLIMITED, Policy
-from master.graph.records import Environment, Process, ref, user_of
+from master.graph.records import Environment, Process, Robot, ref, user_of
 from master.graph.state import State, at
 from master.live import inventory
 from master.live.events import Events
@@ -42,13 +42,22 @@ from rce.control.calls.endpoints import Report
 from rce.control.calls.environments import DownloadTicket, FetchPackage, ReportRelays
 from rce.control.calls.joining import Hello, InviteSibling, Welcome
 from rce.control.calls.recordings import BeginRecording, RecordingQuota
-from rce.control.calls.robots import Definitions, DescribeType, ReadAssetFor, ReadGraphFor
+from rce.control.calls.robots import (
+    Definitions,
+    DescribeType,
+    ReadAssetFor,
+    ReadGraphFor,
+    ReadRobotsFor,
+    RobotInterfaceName,
+    RobotInterfaces,
+)
 from rce.control.calls.watching import Asset, ReadAsset, ReadGraph, ReadMetrics, RosGraph
 from rce.control.connection import Control, Handlers
 from rce.errors import InvalidRequest, NotFound, RceError, Unauthorized, Unavailable, UnknownType, clipped
 from rce.net.tls import Tls
 from rce.process import metrics
 from rce.protocol.messages import DropEvent
+from rce.protocol.names import is_guest
 
 ASK_TIMEOUT = 5.0  # seconds
 
@@ -157,6 +166,7 @@ class Master:
                 handlers.on(DescribeType, self._describe_type)
                 handlers.on(ReadGraphFor, lambda call: self._read_graph(process, call))
                 handlers.on(ReadAssetFor, lambda call: self._read_asset(process, call))
+                handlers.on(ReadRobotsFor, lambda call: self._read_robots(process, call))
             case "service":
                 self._service_calls.add_handlers(handlers, process)
             case "environment":
@@ -195,15 +205,32 @@ class Master:
 
     def _environment_of(self, process: Process, call: ReadGraphFor | ReadAssetFor) -> Environment:
         """Return the environment of a question, within the rights of who opened the robot's session."""
-        robot = self.state.robots.get(call.robot)
-        if robot is None or robot.endpoint != process.name:
-            raise NotFound(f"robot {call.robot} has no session at {process.name}")
+        robot = self._robot_at(process, call.robot)
         owner = user_of(robot.name)
         rights.check(robot.by, "interface.read", owner, environment=call.environment)
         environment = self.state.environments.get(f"{owner}/{call.environment}")
         if environment is None:
             raise NotFound(f"there is no environment {call.environment[:80]!r}", field="containerTag")
         return environment
+
+    async def _read_robots(self, process: Process, call: ReadRobotsFor) -> RobotInterfaces:
+        """List the interfaces of robots, within the rights of who opened the robot's session."""
+        asking = self._robot_at(process, call.robot)
+        owner = user_of(asking.name)
+        tags = (each.name.partition("/")[2] for each in self.state.robots.by(owner))
+        seen = [tag for tag in tags if not is_guest(tag) and rights.may(asking.by, "interface.read", owner, robot=tag)]
+        found = [
+            RobotInterfaceName(tag, each.tag, each.kind, each.type)
+            for tag in seen
+            for each in self.state.interfaces.by(f"{owner}/{tag}")
+        ]
+        return RobotInterfaces(sorted(found, key=lambda each: (each.robot, each.tag)))
+
+    def _robot_at(self, process: Process, name: str) -> Robot:
+        robot = self.state.robots.get(name)
+        if robot is None or robot.endpoint != process.name:
+            raise NotFound(f"robot {name} has no session at {process.name}")
+        return robot
 
     async def _report(self, process: Process, call: Report) -> Nothing:
         if call.error is not None:  # an environment reaches its own user only

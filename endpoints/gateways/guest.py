@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import math
 import re
 import secrets
 from collections.abc import Callable, Coroutine, Sequence
@@ -20,6 +21,7 @@ from msgspec import UNSET, Raw
 from twisted.logger import Logger
 
 from converters.definition import Definition
+from endpoints.gateways import robots
 from endpoints.gateways.graphs import Graphs
 from endpoints.gateways.uses import Arrived, Frame, Kind, Sealed, Use
 from endpoints.gateways.work import Work
@@ -29,9 +31,9 @@ from endpoints.robot.handshake import LoginRequest, Request, parse_guest
 from endpoints.robot.intake import Conversions
 from endpoints.robot.interfaces import RobotInterface
 from endpoints.robot.session import CONTROL, Piece, RobotSession, Socket
-from rce.control.calls.robots import ReadAssetFor, Sort
+from rce.control.calls.robots import ReadAssetFor, ReadRobotsFor, RobotInterfaceName, Sort
 from rce.control.calls.watching import RosGraph
-from rce.errors import InvalidRequest, RceError, TimedOut, Unavailable
+from rce.errors import InvalidRequest, NotFound, RceError, TimedOut, Unavailable
 from rce.protocol import messages as m
 from rce.protocol.blobs import PART, BinaryFrame, Buffer
 
@@ -73,6 +75,7 @@ class Guest:
         self._work = Work(self.pause_reading)
         self._making = asyncio.Semaphore(MAX_MAKING)
         self._removals: set[asyncio.Task[None]] = set()
+        self._robots: tuple[float, list[RobotInterfaceName]] = (-math.inf, [])  # when they were read
 
     # --- login --------------------------------------------------------------------------------------------------------
 
@@ -198,9 +201,12 @@ class Guest:
 
     def _connection_gone(self, event: m.ConnectionEvent) -> None:
         """Close the client's socket if one of its uses was removed, so that the client connects again."""
-        lost = {event.tagA.rpartition("/")[2], event.tagB.rpartition("/")[2]}.intersection(self._uses)
-        for tag in lost:
-            self.end(f"{self._uses[tag].address}: environment {self.environment}, or its interface, was removed")
+        own = {side.rpartition("/")[2] for side in (event.tagA, event.tagB) if side.startswith(f"{self._tag}/")}
+        for use in [self._uses[tag] for tag in own.intersection(self._uses)]:
+            if use.robot:  # the robot removed it: the rest of what the client uses goes on
+                use.failed("", NotFound(f"{use.address}: the robot removed its interface {use.robot}"))
+            else:
+                self.end(f"{use.address}: environment {self.environment}, or its interface, was removed")
 
     # --- uses ---------------------------------------------------------------------------------------------------------
 
@@ -236,18 +242,23 @@ class Guest:
         self._work.check_room()
         use = Use(f"u{next(self._tags)}", address, type, receive, failed)
         self._uses[use.tag] = use
-        robot = self._session.name.partition("/")[2]
-        inner = f"{robot}.{use.tag}"
-        interfaces = [
-            m.AddInterface(self.environment, inner, kind.environment, type, address, qos),
-            m.AddInterface(robot, use.tag, kind.own + form, type, "", m.Qos(depth=qos.depth), format, delivery),
-        ]
-        connection = m.Connect(f"{self.environment}/{inner}", f"{robot}/{use.tag}")
-        self.run(self._make(use, interfaces, connection))
+        inner = m.AddInterface(self.environment, f"{self._tag}.{use.tag}", kind.environment, type, address, qos)
+        depth = m.Qos(depth=qos.depth)
+        own = m.AddInterface(self._tag, use.tag, kind.own + form, type, "", depth, format, delivery)
+        self.run(self._make(use, inner, own))
         return use
 
-    async def _make(self, use: Use, interfaces: list[m.AddInterface], connection: m.Connect) -> None:
+    @property
+    def _tag(self) -> str:
+        return self._session.name.partition("/")[2]
+
+    async def _make(self, use: Use, inner: m.AddInterface, own: m.AddInterface) -> None:
+        """Make the interface of a use and connect it with that of a robot, or with one of the environment."""
         try:
+            use.robot = await self._robot_interface(use.address, inner.interfaceType)
+            interfaces = [own] if use.robot else [inner, own]
+            other = use.robot or f"{self.environment}/{inner.interfaceTag}"
+            connection = m.Connect(other, f"{self._tag}/{use.tag}")
             async with self._making:
                 steps = [self._command("CN", {"addInterfaces": [each]}) for each in interfaces]
                 steps.append(self._command("CX", {"connect": [connection]}))
@@ -272,10 +283,11 @@ class Guest:
 
     async def _remove(self, use: Use) -> None:
         await asyncio.wait([use.ready])
-        robot = self._session.name.partition("/")[2]
-        both = [m.RemoveInterface(robot, use.tag), m.RemoveInterface(self.environment, f"{robot}.{use.tag}")]
+        added = [m.RemoveInterface(self._tag, use.tag)]
+        if not use.robot:
+            added.append(m.RemoveInterface(self.environment, f"{self._tag}.{use.tag}"))
         async with self._making:
-            for done in [self._command("CN", {"removeInterfaces": [each]}) for each in both]:
+            for done in [self._command("CN", {"removeInterfaces": [each]}) for each in added]:
                 with suppress(RceError):  # apart, because one may not exist
                     await done
 
@@ -328,8 +340,25 @@ class Guest:
     # --- the environment ----------------------------------------------------------------------------------------------
 
     async def graph(self, age: float = 1.0) -> RosGraph:
-        """Return the ROS graph of the environment, at most `age` seconds old; raises RceError."""
-        return await self._graphs.read(self.endpoint.master, self._session.name, self.environment, age)
+        """Return the ROS graph of the environment with the robots, at most `age` seconds old; raises RceError."""
+        graph = await self._graphs.read(self.endpoint.master, self._session.name, self.environment, age)
+        return robots.with_robots(graph, await self._robot_interfaces(age))
+
+    async def _robot_interfaces(self, age: float = 1.0) -> list[RobotInterfaceName]:
+        now = asyncio.get_running_loop().time()
+        if now - self._robots[0] >= age:
+            found = await self.endpoint.master.call(ReadRobotsFor(self._session.name))
+            self._robots = now, found.interfaces
+        return self._robots[1]
+
+    async def _robot_interface(self, address: str, kind: str) -> str:
+        """Return the interface of a robot that an address means, or an empty string: it is the environment's."""
+        found = robots.find(await self._robot_interfaces(), address, kind)
+        if found:
+            with suppress(RceError):  # the environment is away
+                graph = await self._graphs.read(self.endpoint.master, self._session.name, self.environment)
+                return "" if robots.has(graph, address) else found
+        return found
 
     async def asset(self, uri: str) -> bytes:
         """Return a file of a package of the environment, `package://PACKAGE/PATH`.

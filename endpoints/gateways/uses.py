@@ -52,6 +52,7 @@ class Use:
     Attributes:
         tag: Tag of the guest's interface.
         type: Type, as it was asked for.
+        robot: The interface of a robot that is used, as `ROBOT/TAG`; empty for what the environment has.
         ready: Done when it is connected; has the error if it could not be made.
     """
 
@@ -66,6 +67,7 @@ class Use:
         self.tag = tag
         self.address = address
         self.type = type
+        self.robot = ""
         self.receive = receive
         self.failed = failed
         self.ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()

@@ -59,6 +59,11 @@ def check_command(principal: Principal, state: State, user: str, robot: str, com
         NotFound: It is about something that is not visible.
     """
     wanted = operation(robot, command)
+    if is_guest(robot) and isinstance(command, m.Connect | m.Disconnect) and wanted not in ("data.read", "data.write"):
+        found = _with_robot(state, user, robot, command)
+        if found is not None:
+            rights.check(principal, found[0], user, robot=found[1])
+            return
     if wanted not in ("data.read", "data.write"):
         rights.check_command(principal, state, user, command)
     elif isinstance(command, m.AddInterface) and command.endpointTag != robot:
@@ -78,6 +83,16 @@ def is_exempt_from_audit(robot: str, command: m.Command) -> bool:
     """Return whether a guest's command is not worth an audit entry: the topics that it reads and writes are."""
     own = operation(robot, command) in ("data.read", "data.write")
     return own and not (isinstance(command, m.AddInterface) and _is_made(robot, command))
+
+
+def _with_robot(state: State, user: str, guest: str, command: m.Connect | m.Disconnect) -> tuple[str, str] | None:
+    """Return the operation and the robot, if a command joins an interface of this guest with one of a robot."""
+    sides = sorted(map(_sides, (command.tagA, command.tagB)), key=lambda side: side[0] != guest)
+    (first, tag), (robot, _) = sides
+    own = state.interfaces.get(f"{user}/{first}/{tag}")
+    if first != guest or own is None or f"{user}/{robot}" not in state.robots:
+        return None
+    return "data.read" if own.kind in LISTENING else "data.write", robot
 
 
 def _kind(command: m.AddInterface) -> str:

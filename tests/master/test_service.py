@@ -28,7 +28,7 @@ from rce.control.calls.environments import (
     StartEnvironment,
 )
 from rce.control.calls.joining import Hello
-from rce.control.calls.robots import DescribeType, Login, ReadGraphFor, SendStatus
+from rce.control.calls.robots import DescribeType, Login, ReadGraphFor, ReadRobotsFor, SendStatus
 from rce.control.calls.watching import RosNode
 from rce.errors import AlreadyExists, ErrorInfo, InvalidRequest, NotFound, Unauthorized, Unavailable, UnknownType
 from rce.protocol import messages as m
@@ -103,7 +103,7 @@ async def test_environment_waits_until_its_host_is_known(platform: Platform) -> 
 
 
 CALLS_OF_ROLES: dict[str, set[str]] = {
-    "robot": {"Login", "SessionExpired", "SocketStatus", "Execute", "DescribeType", "ReadGraphFor"},
+    "robot": {"Login", "SessionExpired", "SocketStatus", "Execute", "DescribeType", "ReadGraphFor", "ReadRobotsFor"},
     "container": {"EnvironmentDied", "LimitReached", "FetchPackage", "ReportRelays"},
     "environment": {"NodeDied", "Report"},
     "service": {"Authenticate", "RecordAction", "CreateGrant", "IssueKey", "RevokeGrant"},
@@ -148,6 +148,18 @@ async def test_graph_is_read_for_who_may_see_the_environment(furnished: Furnishe
         await furnished.west.call(ReadGraphFor("ann/r1", "brain"))
     furnished.platform.master.state.robots.put(robot)
     assert (await furnished.west.call(ReadGraphFor("ann/r1", "brain"))).nodes == [RosNode("/ann/brain")]
+
+
+async def test_robots_are_listed_for_who_may_see_them(furnished: Furnished) -> None:
+    with pytest.raises(NotFound, match="no session"):
+        await furnished.west.call(ReadRobotsFor("ann/r9"))
+    found = (await furnished.west.call(ReadRobotsFor("ann/r1"))).interfaces
+    assert {each.robot for each in found} == {"r1"}
+    robot = furnished.platform.master.state.robots.get("ann/r1")
+    assert robot is not None
+    tied = replace(robot.by, role="robot", scopes=Scopes(robot="r9"))
+    furnished.platform.master.state.robots.put(replace(robot, principal=tied))
+    assert (await furnished.west.call(ReadRobotsFor("ann/r1"))).interfaces == [], "its key is tied to another robot"
 
 
 async def test_error_of_an_environment_reaches_the_robots_of_its_user(furnished: Furnished) -> None:

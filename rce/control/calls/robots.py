@@ -149,6 +149,30 @@ class ReadAssetFor(Call[Asset], frozen=True):
     offset: int = 0
 
 
+class RobotInterfaceName(Struct, frozen=True):
+    """Interface of a robot with a session: robotID, tag, kind as `SubscriberConverter`, and type."""
+
+    robot: str
+    tag: str
+    kind: str
+    type: str
+
+
+class RobotInterfaces(Struct, frozen=True):
+    """Interfaces of robots, sorted by their names."""
+
+    interfaces: list[RobotInterfaceName]
+
+
+class ReadRobotsFor(Call[RobotInterfaces], frozen=True):
+    """Read the interfaces of the robots of the robot's owner that who opened the robot's session may see.
+
+    Raises NotFound.
+    """
+
+    robot: str
+
+
 class SendStatus(Call[Nothing], frozen=True):
     """Send a status (ST) or an error (ER) to robots of this Robot endpoint."""
 

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import InvalidStatus
+from websockets.typing import Subprotocol
 
 from endpoints.gateways.guest import Guest
 from endpoints.gateways.uses import SUBSCRIBE
@@ -17,7 +18,7 @@ from rce.control.calls.robots import ReadGraphFor
 from rce.control.calls.watching import RosGraph
 from rce.protocol.messages import ConnectionEvent
 from tests.support.endpoints.platforms import Platform
-from tests.support.endpoints.raw_robot import PASSWORD, USER, eventually
+from tests.support.endpoints.raw_robot import PASSWORD, USER, dm, eventually, status
 
 
 def url(platform: Platform, path: str = "rosbridge/brain", query: str = f"userID={USER}&password={PASSWORD}") -> str:
@@ -119,3 +120,50 @@ async def test_client_whose_environment_is_removed_is_closed(platform: Platform)
         session.status(ConnectionEvent(f"brain/{robot}.{use.tag}", f"{robot}/{use.tag}", "gone"))
         await socket.wait_closed()
         assert socket.close_reason == "/scan: environment brain, or its interface, was removed"
+
+
+@pytest.mark.usefixtures("brain")
+async def test_what_a_robot_sends_is_a_topic(platform: Platform) -> None:
+    robot = await platform.robot("r2")
+    await robot.add("pose", "SubscriberConverter")
+    async with connect(url(platform)) as socket:
+        listed = await ask(socket, op="call_service", service="/rosapi/topics", id="t")
+        assert listed["values"] == {"topics": ["/r2/pose"], "types": ["std_msgs/msg/String"]}
+        await socket.send(json.dumps({"op": "subscribe", "topic": "/r2/pose"}))
+        await robot.until(lambda message: message == status("pose", True))
+        await robot.send(dm("pose", {"data": "here"}))
+        assert json.loads(await socket.recv()) == {"op": "publish", "topic": "/r2/pose", "msg": {"data": "here"}}
+        await socket.send(json.dumps({"op": "unsubscribe", "topic": "/r2/pose"}))
+        await robot.until(lambda message: message == status("pose", False))
+        assert not platform.master.state.interfaces.by(f"{USER}/brain"), "nothing was added to the environment"
+
+
+@pytest.mark.usefixtures("brain")
+async def test_robot_gets_what_a_client_publishes(platform: Platform) -> None:
+    robot = await platform.robot("r2")
+    await robot.add("cmd", "PublisherConverter")
+    async with connect(url(platform)) as socket:
+        await socket.send(json.dumps({"op": "publish", "topic": "/r2/cmd", "msg": {"data": "go"}}))
+        got = await robot.until(lambda message: message["type"] == "DM")
+        assert got[-1]["data"]["msg"] == {"data": "go"}
+
+
+@pytest.mark.usefixtures("brain")
+async def test_robots_come_and_go_as_channels_of_a_viewer(platform: Platform) -> None:
+    robot = await platform.robot("r2")
+    await robot.add("pose", "SubscriberConverter")
+    async with connect(url(platform, "foxglove/brain"), subprotocols=[Subprotocol("foxglove.sdk.v1")]) as socket:
+        assert json.loads(await socket.recv())["op"] == "serverInfo"
+        (channel,) = json.loads(await socket.recv())["channels"]
+        assert (channel["topic"], channel["schemaName"]) == ("/r2/pose", "std_msgs/msg/String")
+        subscription = {"id": 7, "channelId": channel["id"]}
+        await socket.send(json.dumps({"op": "subscribe", "subscriptions": [subscription]}))
+        await robot.until(lambda message: message == status("pose", True))
+        await robot.send(dm("pose", {"data": "here"}))
+        frame = await socket.recv()
+        assert frame[:5] == b"\x01\x07\x00\x00\x00"
+        assert b"here" in bytes(frame)
+        await robot.send({"type": "CN", "data": {"removeInterfaces": [{"endpointTag": "r2", "interfaceTag": "pose"}]}})
+        gone = [json.loads(await socket.recv()) for _ in range(2)]
+        assert {"op": "unadvertise", "channelIds": [channel["id"]]} in gone
+        assert any("the robot removed its interface r2/pose" in each.get("message", "") for each in gone)

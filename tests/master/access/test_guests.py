@@ -142,3 +142,17 @@ def test_only_own_guests_count_in_limits() -> None:
         come("@mine", ann)
     with pytest.raises(AlreadyExists):
         come("@desk", root)
+
+
+async def test_guest_who_may_only_read_listens_to_a_robot_and_sends_it_nothing(served: Served) -> None:
+    await served.robot("ann", "r2")
+    ears = m.AddInterface("r2", "ears", "PublisherConverter", STRING)
+    await told(served, m.AddInterface("r2", "said", "SubscriberConverter", STRING), ears, robot="ann/r2")
+    secret, _ = await served.master.users.keys.add("ann", "viewer")
+    await served.call_master("west", Login("ann", "@desk", secret, owner="ann"))
+    await told(served, LISTENING[0], m.Connect("r2/said", "@desk/ear"))
+    assert len(served.master.state.connections) == 1
+    for command in (m.AddInterface("@desk", "mouth", "SubscriberConverter", STRING), m.Connect("@desk/u", "r2/ears")):
+        with pytest.raises(AssertionError, match="viewer may not"):
+            await told(served, command)
+    assert len(served.master.state.connections) == 1
