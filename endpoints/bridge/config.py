@@ -49,6 +49,18 @@ class Service(Struct, frozen=True, forbid_unknown_fields=True):
     to: str = ""
 
 
+class RosAction(Struct, frozen=True, forbid_unknown_fields=True):
+    """An action that nodes at the other end may use; `to` is its name there, empty for the same name.
+
+    `cancel_if_lost`: goals are canceled when the bridge's session ends; without it they go on.
+    """
+
+    action: Name
+    type: Name
+    to: str = ""
+    cancel_if_lost: bool = False
+
+
 class Transforms(Struct, frozen=True, forbid_unknown_fields=True):
     """Transforms to forward, by child frame; `rate` is the maximum rate of each in Hz, 0 for all messages."""
 
@@ -57,10 +69,11 @@ class Transforms(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Direction(Struct, frozen=True, forbid_unknown_fields=True):
-    """Topics, services and transforms to forward in one direction; services are called by the other end."""
+    """What to forward in one direction: topics and transforms; services and actions, which the other end uses."""
 
     topics: list[Topic] = []
     services: list[Service] = []
+    actions: list[RosAction] = []
     tf: Transforms | None = None
 
 

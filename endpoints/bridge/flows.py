@@ -1,10 +1,9 @@
-"""Flows of a bridge, each of which connects an interface in the robot's ROS with one in the environment."""
+"""Flows of topics and services of a bridge, and the flows that a configuration asks for."""
 
 from __future__ import annotations
 
 import asyncio
 import uuid
-from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from typing import Any, Literal
 
@@ -13,10 +12,11 @@ from twisted.logger import Logger
 
 from endpoints.bridge.config import BridgeConfig, Service, Topic, Transforms
 from endpoints.bridge.filters import Filter, RateLimit, image_decoder, image_encoder, transform_filter
-from endpoints.bridge.local_ros import CLOUD, CloudLink, LocalRos, MakeInterface
+from endpoints.bridge.flow import Flow
+from endpoints.bridge.goals import CalledAction, OfferedAction
+from endpoints.bridge.local_ros import CLOUD, LocalRos
 from endpoints.data.frames import Message
 from endpoints.data.interface import error_of
-from endpoints.environment.interfaces import RosInterface
 from endpoints.environment.service_calls import TIMEOUT
 from endpoints.environment.services import ServiceClientInterface, ServiceProviderInterface
 from endpoints.environment.topics import PublisherInterface, SubscriberInterface
@@ -31,37 +31,6 @@ STATIC = Qos(reliability="reliable", durability="transient_local", depth=100)
 TF = Qos(depth=100)
 
 log = Logger()
-
-
-class Flow(CloudLink, ABC):
-    """A topic or service that is forwarded; it is the link of its interface in the robot's ROS."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._local: LocalRos | None = None
-        self._interface: RosInterface | None = None
-
-    @abstractmethod
-    async def open(self, local: LocalRos, environment: Environment) -> None:
-        """Create the interfaces at both ends; raise RceError if one of them is rejected."""
-
-    async def add_local_interface(
-        self, local: LocalRos, make: MakeInterface, type_name: str, address: str, qos: Qos | None = None
-    ) -> None:
-        """Create the interface in the robot's ROS."""
-        self._local, self._interface = local, await local.add_interface(make, type_name, address, self, qos)
-
-    def deliver(self, message: Message) -> None:
-        """Pass a message of the environment to the robot's ROS."""
-        if self._interface is not None:
-            self._interface.traffic.of(CLOUD).count(len(message.payload))
-            self._interface.receive(message, self)
-
-    def end(self) -> None:
-        """Remove the interface in the robot's ROS; that in the environment ends with the robot's session."""
-        if self._local is not None and self._interface is not None:
-            self._local.remove_interface(self._interface)
-        self._interface = None
 
 
 class _ErrorLog:
@@ -236,6 +205,10 @@ def make_flows(config: BridgeConfig) -> Iterator[Flow]:
         yield OfferedService(service)
     for service in config.receive.services:
         yield CalledService(service)
+    for action in config.send.actions:
+        yield OfferedAction(action)
+    for action in config.receive.actions:
+        yield CalledAction(action)
     for kind, transforms in ((SentTopic, config.send.tf), (ReceivedTopic, config.receive.tf)):
         if transforms is not None:
             yield kind(Topic("/tf", TF_TYPE, qos=TF), _tf_filter(transforms))

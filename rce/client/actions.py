@@ -258,7 +258,7 @@ class ServerGoal:
         self.request = request
         self.canceled = False
         self._server = server
-        self._in_handler = False
+        self._interruptible = False  # it is being decided upon, or its handler runs
 
     def publish_feedback(self, value: Any) -> bool:
         """Send feedback; returns False if it was dropped because the robot is offline or sends too slowly.
@@ -274,6 +274,7 @@ class ServerGoal:
 
 
 Handler = Callable[[ServerGoal], Awaitable[Any] | Any]
+Accept = Callable[[Any], bool | Awaitable[bool]]
 
 
 class ActionServer(_ActionInterface):
@@ -281,17 +282,15 @@ class ActionServer(_ActionInterface):
 
     Each goal runs the handler. What it returns is the result. When the goal is to be canceled, the handler gets an
     `asyncio.CancelledError`, as a task that is cancelled: what it returns then is the result of a canceled goal. If it
-    raises another exception, the goal is aborted, and the asker gets the message. Goals go on while the robot is
-    offline, and their results are sent when it is back.
+    raises another exception, the goal is aborted, and the asker gets the message. It may also return a `GoalResult`,
+    which says how the goal ended. Goals go on while the robot is offline, and their results are sent when it is back.
 
     Attributes:
         tag: Name of the interface, unique within the robot.
         type_name: ROS action type.
     """
 
-    def __init__(
-        self, owner: Owner, tag: str, type_name: str, handler: Handler, accept: Callable[[Any], bool] | None = None
-    ) -> None:
+    def __init__(self, owner: Owner, tag: str, type_name: str, handler: Handler, accept: Accept | None = None) -> None:
         super().__init__(owner, tag, type_name)
         self._handler = handler
         self._accept = accept
@@ -303,20 +302,43 @@ class ActionServer(_ActionInterface):
             self._cancel(id)
         elif message.data.phase == "goal":
             goal = ServerGoal(self, id, decode_message(message.data, message.blobs))
-            if not self._accepts(goal.request):
-                self._send(id, "rejected")
-                return
-            self._send(id, "accepted")
-            task = asyncio.create_task(self._run(goal), name=f"rce goal of {self.tag}")
+            decision = self._decide(goal.request)
+            if isinstance(decision, bool):
+                self._send(id, "accepted" if decision else "rejected")
+                if not decision:
+                    return
+                work = self._run(goal)
+            else:
+                goal._interruptible = True
+                work = self._run_if(goal, decision)
+            task = asyncio.create_task(work, name=f"rce goal of {self.tag}")
             self._running[id] = goal, task
             task.add_done_callback(lambda _: self._running.pop(id, None))
 
-    def _accepts(self, request: Any) -> bool:
+    def _decide(self, request: Any) -> bool | Awaitable[bool]:
         try:
             return self._accept is None or self._accept(request)
         except Exception:
             log.exception("the function that accepts goals of %s failed", self.tag)
             return False
+
+    async def _run_if(self, goal: ServerGoal, decision: Awaitable[bool]) -> None:
+        try:
+            accepted = await decision
+        except asyncio.CancelledError:
+            if not goal.canceled:
+                raise  # the robot is being closed
+            accepted = False
+        except RceError as error:
+            log.warning("a goal of %s is rejected: %s", self.tag, error)
+            accepted = False
+        except Exception:
+            log.exception("the function that accepts goals of %s failed", self.tag)
+            accepted = False
+        goal._interruptible = False
+        self._send(goal.id, "accepted" if accepted else "rejected")
+        if accepted:
+            await self._run(goal)
 
     def _cancel(self, id: str) -> None:
         goal, task = self._running.get(id, (None, None))
@@ -325,7 +347,9 @@ class ActionServer(_ActionInterface):
             return
         self._send(id, "cancel")
         goal.canceled = True
-        if goal._in_handler:  # a task that has not begun would end without a word, and one that ends must not lose it
+        if (
+            goal._interruptible
+        ):  # a task that has not begun would end without a word, and one that ends must not lose it
             task.cancel()
 
     async def _run(self, goal: ServerGoal) -> None:
@@ -333,10 +357,12 @@ class ActionServer(_ActionInterface):
         try:
             if goal.canceled:
                 raise asyncio.CancelledError
-            goal._in_handler = True
+            goal._interruptible = True
             result = self._handler(goal)
             value = await result if inspect.isawaitable(result) else result
-            end = {"status": "canceled" if goal.canceled else "succeeded", "msg": value}
+            if not isinstance(value, GoalResult):
+                value = GoalResult("canceled" if goal.canceled else "succeeded", value)
+            end = {"status": value.status, "msg": value.value}
         except asyncio.CancelledError:
             if not goal.canceled:
                 raise  # the robot is being closed
@@ -347,7 +373,7 @@ class ActionServer(_ActionInterface):
             log.exception("the handler of action %s failed", self.tag)
             end = {"status": "aborted", "error": f"{type(error).__name__}: {error}"}
         finally:
-            goal._in_handler = False
+            goal._interruptible = False
         await self._finish(goal, end)
 
     async def _finish(self, goal: ServerGoal, end: dict[str, Any]) -> None:

@@ -13,7 +13,7 @@ from rce.protocol.messages import CodecName, Delivery, InterfaceType, NodeRestar
 from rce.protocol.names import is_guest
 
 if TYPE_CHECKING:  # Robot imports this module
-    from rce.client.actions import ActionClient, ActionServer, Handler
+    from rce.client.actions import Accept, ActionClient, ActionServer, Handler
     from rce.client.backlog import Offline
     from rce.client.operations import EnvironmentOptions, Format
     from rce.client.robot import Robot
@@ -335,7 +335,7 @@ class Environment:
         type_name: str,
         handler: Handler,
         *,
-        accept: Callable[[Any], bool] | None = None,
+        accept: Accept | None = None,
         raw: bool = False,
     ) -> ActionServer:
         """Offer an action to the nodes of the environment.
@@ -344,7 +344,7 @@ class Environment:
             action: ROS action.
             type_name: ROS action type.
             handler: Coroutine function that carries out a goal; see `Robot.action_server`.
-            accept: Function that gets the value of a goal and returns False to reject it.
+            accept: Function or coroutine function that gets the value of a goal and returns False to reject it.
             raw: Exchange serialized ROS messages (CDR) as bytes instead of dicts.
 
         Raises:

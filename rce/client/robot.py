@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar, Unpack
 
-from rce.client.actions import ActionClient, ActionServer, Handler
+from rce.client.actions import Accept, ActionClient, ActionServer, Handler
 from rce.client.address import Address
 from rce.client.backlog import Offline
 from rce.client.connection import Connection
@@ -385,7 +385,7 @@ class Robot(Operations):
         type_name: str,
         handler: Handler,
         *,
-        accept: Callable[[Any], bool] | None = None,
+        accept: Accept | None = None,
         to: str = "",
         raw: bool = False,
     ) -> ActionServer:
@@ -396,7 +396,8 @@ class Robot(Operations):
             type_name: ROS action type.
             handler: Coroutine function that gets a `ServerGoal`, carries it out and returns the result; see
                 `ActionServer`. Goals run concurrently.
-            accept: Function that gets the value of a goal and returns False to reject it; without it all are accepted.
+            accept: Function or coroutine function that gets the value of a goal and returns False to reject it; without
+                it all are accepted.
             to: Interface to connect it to, as `endpoint/interface`: one of an environment that offers a ROS action, or
                 an action client of another robot.
             raw: Exchange serialized ROS messages (CDR) as bytes instead of dicts.

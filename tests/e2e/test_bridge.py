@@ -13,8 +13,9 @@ import threading
 from array import array
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, suppress
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.request import urlopen
 
 import msgspec
@@ -23,6 +24,7 @@ import rclpy
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import OccupancyGrid
 from prometheus_client.parser import text_string_to_metric_families as parsed
+from rclpy.action import ActionClient
 from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -30,16 +32,20 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Image, LaserScan
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
+from test_msgs.action import Fibonacci
 
 from provisioning.typesupport import build, shipped
+from rce.errors import Forbidden
 from rce.mapping.evaluation.simulation import simulate
 from rce.mapping.files.recordings.bags import Bag
 from rce.mapping.scans import Scan
 from tests.support.domains import domain
 from tests.support.e2e.real_platform import USER, RealPlatform, until
+from tests.support.paths import TESTS
 
 ROBOTS = ("rover", "lander")
 START_TIMEOUT, STOP_TIMEOUT = 120.0, 60.0  # seconds
+SUCCEEDED, CANCELED, ABORTED = 4, 5, 6  # of action_msgs/GoalStatus
 TriggerClient = Client[Trigger.Request, Trigger.Response]
 
 
@@ -121,6 +127,61 @@ async def bridge(platform: RealPlatform, robot: str, directory: Path, **config: 
     assert status == 0, log.read_text()
 
 
+@asynccontextmanager
+async def fibonacci_server(robot: str) -> AsyncIterator[asyncio.subprocess.Process]:
+    """Run the action server /fibonacci in the ROS domain of a robot."""
+    program = TESTS / "e2e" / "ros" / "Relay" / "scripts" / "fibonacci.py"
+    variables = {"ROS_DOMAIN_ID": str(domain(robot)), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    process = await asyncio.create_subprocess_exec(sys.executable, str(program), env=os.environ | variables)
+    try:
+        yield process
+    finally:
+        if process.returncode is None:
+            process.kill()
+        await process.wait()
+
+
+class SentGoal(NamedTuple):
+    """A goal that a node has sent, its feedback so far, and its result, if it was waited for."""
+
+    handle: Any
+    feedback: list[Any]
+    result: Any = None
+
+
+async def future_of(future: Any) -> Any:
+    """Return the result of a future of rclpy."""
+    await until(future.done)
+    return future.result()
+
+
+def add_to(feedback: list[Any], message: Any) -> None:
+    feedback.append(message.feedback.sequence)
+
+
+async def accepted_goal(client: ActionClient[Any, Any, Any], order: int, whole: bool = True) -> SentGoal:
+    """Send a goal until it gets feedback, as this is lost until DDS discovery has finished.
+
+    Raises:
+        Forbidden: It was rejected.
+    """
+    await until(client.server_is_ready)
+    async with asyncio.timeout(START_TIMEOUT):
+        while True:
+            feedback: list[Any] = []
+            handle = await future_of(client.send_goal_async(Fibonacci.Goal(order=order), partial(add_to, feedback)))
+            if not handle.accepted and order >= 0:
+                await asyncio.sleep(0.1)  # the server of the robot is not there yet
+                continue
+            if not handle.accepted:
+                raise Forbidden("the goal was rejected")
+            if not whole:
+                return SentGoal(handle, feedback)
+            result = await future_of(handle.get_result_async())
+            if feedback:
+                return SentGoal(handle, feedback, result)
+
+
 async def answer_of(client: TriggerClient) -> Trigger.Response:
     """Call a service until it answers: answers are lost until DDS discovery has finished."""
     await until(client.service_is_ready)
@@ -198,6 +259,41 @@ async def test_topics_services_and_transforms_between_two_robots(
     async with platform.robot("later") as robot:
         await robot.create_environment("sky")  # the bridge has destroyed it at its end
         await robot.destroy_environment("sky")
+
+
+async def test_actions_in_both_directions(platform: RealPlatform, robots: dict[str, RobotRos], tmp_path: Path) -> None:
+    """A node of the lander uses the rover's action through the environment: it passes both kinds of flows."""
+    lander = robots["lander"]
+    robots["rover"].spin()
+    goals = ActionClient(lander.node, Fibonacci, "/count")
+    lander.spin()
+    action = {"action": "/fibonacci", "type": "test_msgs/Fibonacci", "to": "/rover/fibonacci", "cancel_if_lost": True}
+    count = {"action": "/rover/fibonacci", "type": "test_msgs/Fibonacci", "to": "/count"}
+    environment = {"tag": "counting", "create": {}}
+    sends, gets = {"actions": [action]}, {"actions": [count]}
+    async with (
+        fibonacci_server("rover") as server,
+        bridge(platform, "rover", tmp_path, environment=environment, send=sends) as log,
+    ):
+        await until(lambda: "are open" in log.read_text(), START_TIMEOUT)
+        async with bridge(platform, "lander", tmp_path, environment={"tag": "counting"}, receive=gets) as its_log:
+            await until(lambda: "are open" in its_log.read_text(), START_TIMEOUT)
+            first = await accepted_goal(goals, 8)
+            assert (first.result.status, list(first.result.result.sequence)) == (SUCCEEDED, [0, 1, 1, 2, 3, 5, 8, 13])
+            assert list(first.feedback[-1]) == [0, 1, 1, 2, 3, 5, 8, 13]
+            with pytest.raises(Forbidden):
+                await accepted_goal(goals, -1)
+
+            endless = await accepted_goal(goals, 0, whole=False)
+            await until(lambda: endless.feedback)
+            canceled = await future_of(endless.handle.cancel_goal_async())
+            assert len(canceled.goals_canceling) == 1
+            assert (await future_of(endless.handle.get_result_async())).status == CANCELED
+
+            lost = await accepted_goal(goals, 0, whole=False)
+            await until(lambda: lost.feedback)
+            server.kill()
+            assert (await future_of(lost.handle.get_result_async())).status == ABORTED
 
 
 async def test_nodes_request_actions(platform: RealPlatform, robots: dict[str, RobotRos], tmp_path: Path) -> None:

@@ -103,6 +103,54 @@ async def test_rejected_goal_raises(world: World) -> None:
     assert world.begun == []
 
 
+@pytest.mark.parametrize("decision", [True, False])
+async def test_goal_is_decided_upon_by_a_coroutine(world: World, decision: bool) -> None:
+    async def decide(_: Any) -> bool:
+        await asyncio.sleep(0)
+        return decision
+
+    world.server._accept = decide
+    if decision:
+        assert (await (await world.client.send_goal({"order": 3})).result()).status == "succeeded"
+    else:
+        with pytest.raises(Forbidden, match="rejected the goal"):
+            await world.client.send_goal({"order": 3})
+
+
+@pytest.mark.parametrize("error", [NotFound("no server"), ValueError("wrong")])
+async def test_goal_is_rejected_if_its_decision_fails(world: World, error: Exception) -> None:
+    async def fail(_: Any) -> bool:
+        raise error
+
+    world.server._accept = fail
+    with pytest.raises(Forbidden):
+        await world.client.send_goal({"order": 3})
+
+
+async def test_goal_that_is_canceled_while_it_is_decided_upon_is_rejected(world: World) -> None:
+    async def never(_: Any) -> bool:
+        await asyncio.Event().wait()
+        return True
+
+    world.server._accept = never
+    sending = asyncio.ensure_future(world.client.send_goal({"order": 3}))
+    await settled()
+    world.client._send(world.asker.sent[0].msgID, "cancel")
+    with pytest.raises(Forbidden):
+        await sending
+    assert world.worker.phases() == ["cancel", "rejected"]
+    assert world.begun == []
+
+
+async def test_handler_may_say_how_the_goal_ended(world: World) -> None:
+    async def abort(_: ServerGoal) -> GoalResult:
+        return GoalResult("aborted", {"sequence": [7]})
+
+    world.server._handler = abort
+    goal = await world.client.send_goal({"order": 3})
+    assert await goal.result() == GoalResult("aborted", {"sequence": [7]})
+
+
 @pytest.mark.parametrize(("order", "value"), [(0, {"sequence": [9]}), (1, {})])
 async def test_canceled_goal_ends_with_what_the_handler_returns(world: World, order: int, value: Any) -> None:
     goal = await world.client.send_goal({"order": order})
