@@ -292,7 +292,7 @@ async def test_actions_in_both_directions(platform: RealPlatform, robots: dict[s
 
             lost = await accepted_goal(goals, 0, whole=False)
             await until(lambda: lost.feedback)
-            server.kill()
+            server.terminate()
             assert (await future_of(lost.handle.get_result_async())).status == ABORTED
 
 
