@@ -19,7 +19,8 @@ from tests.support.domains import domain
 from tests.support.paths import ROOT
 
 NODES = ROOT / "containers" / "nodes"
-sys.path[:0] = [str(NODES / "rce_mapping"), str(NODES / "rce_mapping3d"), str(NODES / "rce_planning")]
+LIBRARIES = ("rce_mapping", "rce_mapping3d", "rce_planning", "rce_localisation")
+sys.path[:0] = [str(NODES / name) for name in LIBRARIES]
 
 
 @pytest.fixture(scope="session")

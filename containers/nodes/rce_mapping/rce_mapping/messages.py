@@ -17,12 +17,14 @@ from nav_msgs.msg import Odometry, Path
 from numpy.typing import NDArray
 from sensor_msgs.msg import LaserScan
 
+from rce.errors import InvalidRequest
 from rce.mapping.geometry import Pose
 from rce.mapping.grid import OccupancyGrid
 from rce.mapping.mapper import Estimate
 from rce.mapping.scans import Scan
 
 PLANAR = (0, 1, 5)  # x, y and yaw among the six dimensions of a ROS covariance
+NO_TURN = 1e-3  # radians; a map that is turned by less is not turned
 
 
 def seconds(stamp: Time) -> float:
@@ -81,6 +83,22 @@ def grid_message(grid: OccupancyGrid, stamp: Time, frame: str) -> GridMessage:
     fill_pose(message.info.origin, grid.x, grid.y, 0.0)
     message.data = array("b", grid.cells.tobytes())
     return message
+
+
+def grid_from(message: GridMessage) -> OccupancyGrid:
+    """Convert a map.
+
+    Raises:
+        InvalidRequest: It is empty, turned, or its data do not fit its size.
+    """
+    info = message.info
+    cells = np.frombuffer(message.data, np.int8)
+    if cells.size == 0 or cells.size != info.width * info.height or not info.resolution > 0:
+        raise InvalidRequest(f"a map of {info.width} x {info.height} cells has {cells.size} values")
+    if abs(yaw_of(info.origin.orientation)) > NO_TURN:
+        raise InvalidRequest("the map is turned in its frame; only maps without rotation are supported")
+    origin = info.origin.position
+    return OccupancyGrid(cells.reshape(info.height, info.width).copy(), info.resolution, origin.x, origin.y)
 
 
 def path_message(trajectory: NDArray[np.float64], stamps: list[Time], frame: str) -> Path:

@@ -13,28 +13,8 @@ from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from rce_mapping.messages import fill_pose, yaw_of
 
-from rce.errors import InvalidRequest
 from rce.mapping.geometry import Pose
-from rce.mapping.grid import OccupancyGrid
 from rce.planning.costmap import BLOCKED, BORDER, LETHAL, Costmap
-
-NO_TURN = 1e-3  # radians; a map that is turned by less is not turned
-
-
-def grid_from(message: GridMessage) -> OccupancyGrid:
-    """Convert a map.
-
-    Raises:
-        InvalidRequest: It is empty, turned, or its data do not fit its size.
-    """
-    info = message.info
-    cells = np.frombuffer(message.data, np.int8)
-    if cells.size == 0 or cells.size != info.width * info.height or not info.resolution > 0:
-        raise InvalidRequest(f"a map of {info.width} x {info.height} cells has {cells.size} values")
-    if abs(yaw_of(info.origin.orientation)) > NO_TURN:
-        raise InvalidRequest("the map is turned in its frame; only maps without rotation are supported")
-    origin = info.origin.position
-    return OccupancyGrid(cells.reshape(info.height, info.width).copy(), info.resolution, origin.x, origin.y)
 
 
 def costmap_message(costmap: Costmap, map_message: GridMessage) -> GridMessage:

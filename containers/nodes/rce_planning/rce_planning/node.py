@@ -16,6 +16,7 @@ from nav2_msgs.action import ComputePathToPose
 from nav_msgs.msg import OccupancyGrid, Path
 from nav_msgs.srv import GetPlan
 from rce_mapping.map_output import LATCHED
+from rce_mapping.messages import grid_from
 from rce_mapping.parameters import text
 from rclpy.action.server import ActionServer
 from rclpy.node import Node
@@ -27,7 +28,7 @@ from rce.planning.costmap import Costmap
 from rce.planning.failures import NoPath, Reason
 from rce.planning.planner import PlannedPath, PlannerSettings, plan
 
-from .messages import costmap_message, grid_from, path_message, pose_from
+from .messages import costmap_message, path_message, pose_from
 from .parameters import declare, settings_of
 from .transforms import RobotPose
 

@@ -53,8 +53,8 @@ def test_pose_of_laser_on_robot_is_read_from_static_transforms(robot: Robot, sim
             ]
         )
     )
-    robot.until(lambda: robot.mapper.track.transforms.lookup("laser") == pytest.approx((0.5, 0.0, -math.pi)))
-    assert robot.mapper.track.transforms.lookup("unknown") == (0.0, 0.0, 0.0)
+    robot.until(lambda: robot.mapper.track._scans._transforms.lookup("laser") == pytest.approx((0.5, 0.0, -math.pi)))
+    assert robot.mapper.track._scans._transforms.lookup("unknown") == (0.0, 0.0, 0.0)
     for scan in simulation.records[:3]:
         robot.send_scan(scan, frame="laser")
     robot.until_poses(3)
@@ -74,7 +74,7 @@ def test_odometry_is_read_from_transforms(robot: Robot, simulation: Simulation) 
         out.publish(TFMessage(transforms=[transform("odom", "base_link", x, theta, stamp_of(scan.stamp))]))
         robot.send_scan(scan)
     robot.until_poses(5)
-    assert robot.mapper.track._odometry_expected, "no scan has timed out waiting for its odometry"
+    assert robot.mapper.track._scans._odometry_expected, "no scan has timed out waiting for its odometry"
 
 
 def test_scans_are_received_without_loss_unless_the_publisher_refuses(interfaces: None) -> None:

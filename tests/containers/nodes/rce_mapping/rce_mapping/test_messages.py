@@ -8,6 +8,7 @@ from array import array
 import numpy as np
 import pytest
 
+from rce.errors import InvalidRequest
 from rce.mapping.geometry import Pose
 from rce.mapping.grid import OccupancyGrid
 from rce.mapping.mapper import Estimate
@@ -19,6 +20,8 @@ from geometry_msgs.msg import Quaternion
 from nav_msgs.msg import Odometry
 from rce_mapping import messages
 from sensor_msgs.msg import LaserScan
+
+GRID = OccupancyGrid(np.arange(12, dtype=np.int8).reshape(3, 4), 0.05, -1.0, 2.0)
 
 
 def test_stamps() -> None:
@@ -94,3 +97,15 @@ def test_path_has_the_stamps_as_received() -> None:
 def test_path_needs_a_stamp_for_each_pose() -> None:
     with pytest.raises(ValueError, match="zip"):
         messages.path_message(np.zeros((2, 4)), [Time()], "map")
+
+
+def test_map_is_that_of_the_message() -> None:
+    message = messages.grid_message(GRID, Time(), "map")
+    assert np.array_equal(messages.grid_from(message).cells, GRID.cells)
+    message.info.width += 1
+    with pytest.raises(InvalidRequest, match="values"):
+        messages.grid_from(message)
+    message.info.width -= 1
+    message.info.origin.orientation.z = message.info.origin.orientation.w = math.sqrt(0.5)
+    with pytest.raises(InvalidRequest, match="turned"):
+        messages.grid_from(message)

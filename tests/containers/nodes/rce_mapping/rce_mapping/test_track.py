@@ -31,11 +31,11 @@ class Bench:
     """A track on a node that records; its mapper moves one metre with each scan, and refuses old ones."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, prefix: str = "", **options: object) -> None:
-        from rce_mapping import track
+        from rce_mapping import paired_scans, track
 
         self.now = 100.0
         self.mapped: list[Scan] = []
-        monkeypatch.setattr(track, "time", SimpleNamespace(monotonic=lambda: self.now))
+        monkeypatch.setattr(paired_scans, "time", SimpleNamespace(monotonic=lambda: self.now))
         self.node = RecordingNode(**FRAMES, **OPTIONS | options)
         self.track: Any = track.Track(self.node, self._add, prefix)
 
