@@ -58,6 +58,7 @@ WITH_EXTRA: dict[str, set[str]] = {
     },
     "rce/cli/lazy/bag.py": {"mcap"},
     "rce/cli/lazy/bench.py": {"numpy"},
+    "rce/cli/lazy/localise.py": {"numpy"},
     "rce/cli/lazy/map.py": {"numpy"},
     "rce/cli/lazy/map3d.py": {"numpy"},
     "rce/cli/lazy/plan.py": {"numpy"},

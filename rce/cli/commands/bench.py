@@ -259,6 +259,19 @@ COMMANDS = (
         section=Section.LOCAL,
     ),
     Command(
+        "bench localise",
+        "Measure whether and how exactly a robot is found in the map of the first half of a recording.",
+        Lazy(MODULE, "measure_localisation"),
+        (
+            argument("recording", type=Path, metavar="FILE", help="CARMEN log, ROS 1 or ROS 2 bag"),
+            argument("--parts", type=int, default=10, help="starts in its second half (default: %(default)s)"),
+            argument("--scans", type=int, default=150, help="of each part (default: %(default)s)"),
+            FIGURES_JSON,
+        ),
+        platform=None,
+        section=Section.LOCAL,
+    ),
+    Command(
         "bench video",
         "Measure size, time and delay of the video formats on recorded images with depth.",
         Lazy(MODULE, "measure_video"),

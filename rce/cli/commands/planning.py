@@ -1,4 +1,4 @@
-"""`plan`: paths on maps."""
+"""`plan` and `localise`: paths and poses on maps."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from rce.api.map_jobs import MOTION_MODELS, PLANNERS
 from rce.cli.arguments import RUNNING, argument
 from rce.cli.command import Command, Lazy, Section
+from rce.cli.commands.maps import ODOMETRY_TOPIC, SCAN_TOPIC
 
 COMMANDS = (
     Command(
@@ -57,5 +58,22 @@ COMMANDS = (
         platform=RUNNING,
         section=Section.LOCAL,
         description="Writes path.csv and path.png. A platform is needed for --map-job, --environment and --env only.",
+    ),
+    Command(
+        "localise",
+        "Localise a recording in a map, without or with an initial pose.",
+        Lazy("rce.cli.lazy.localise", "run"),
+        (
+            argument("map", type=Path, metavar="MAP.yaml", help="map as `rce map` and map_server write it"),
+            argument("recording", type=Path, metavar="FILE", help="CARMEN log, ROS 1 or ROS 2 bag"),
+            argument("--start", default="", metavar="X,Y[,YAW]", help="initial pose; else the whole map is searched"),
+            argument("--out", type=Path, default=Path("localised"), metavar="DIR", help="(default: %(default)s)"),
+            SCAN_TOPIC,
+            ODOMETRY_TOPIC,
+        ),
+        ("localise map/map.yaml monday.bag",),
+        platform=None,
+        section=Section.LOCAL,
+        description="Writes trajectory.txt and map.png.",
     ),
 )

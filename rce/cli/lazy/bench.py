@@ -344,6 +344,16 @@ def measure_planners(session: ConsoleSession, args: argparse.Namespace) -> None:
     print(json.dumps(msgspec.to_builtins(figures)) if args.json else planning.table(figures))
 
 
+def measure_localisation(session: ConsoleSession, args: argparse.Namespace) -> None:
+    """Measure global localisation."""
+    from rce.bench import localisation  # compiles kernels
+
+    if min(args.parts, args.scans) < 1:
+        raise InvalidRequest("rce bench: --parts and --scans must be at least 1")
+    figures = localisation.measure(args.recording, args.parts, args.scans)
+    print(json.dumps(msgspec.to_builtins(figures)) if args.json else localisation.table(figures))
+
+
 @_command
 async def measure_bags(args: argparse.Namespace) -> None:
     """Measure recording, and then playing in an environment."""
