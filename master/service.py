@@ -14,6 +14,7 @@ from master.access import rights
 from master.access.audit import Audit
 from master.access.guard import Guard
 from master.access.join_tokens import JoinTokens
+from master.access.knowledge_calls import KnowledgeCalls
 from master.access.service_calls import ServiceCalls
 from master.access.user_limits import UserLimits
 from master.access.users import Users
@@ -41,6 +42,7 @@ from rce.control.calls.call import Call, Nothing
 from rce.control.calls.endpoints import Report
 from rce.control.calls.environments import DownloadTicket, FetchPackage, ReportRelays
 from rce.control.calls.joining import Hello, InviteSibling, Welcome
+from rce.control.calls.knowledge import AskKnowledge
 from rce.control.calls.recordings import BeginRecording, RecordingQuota
 from rce.control.calls.robots import (
     Definitions,
@@ -95,6 +97,7 @@ class Master:
         self._links = Links(self._runner, self._lifecycle)
         self._service_calls = ServiceCalls(self.users, self.audit)
         dispatcher, readiness = self._runner.dispatcher, self._runner.readiness
+        self._knowledge_calls = KnowledgeCalls(self.users, self.audit, dispatcher)
         self.presenter = Presenter(self.state, readiness)
         self.guard = Guard(self.users, self.state, self._lifecycle.apply)
         self.gauges = Gauges(self.state, dispatcher, self.presenter)
@@ -172,6 +175,7 @@ class Master:
             case "environment":
                 self._lifecycle.add_environment_handlers(handlers, process)
                 handlers.on(Report, lambda call: self._report(process, call))
+                handlers.on(AskKnowledge, lambda call: self._knowledge_calls.answer(process, call))
             case "container":
                 self._lifecycle.add_machine_handlers(handlers)
                 handlers.do(ReportRelays, lambda call: self._relays_changed(process, call))

@@ -15,11 +15,13 @@ from twisted.logger import Logger
 
 from endpoints.data.port import DataPort
 from endpoints.environment import process_environment
+from endpoints.environment.knowledge_socket import KnowledgeSocket
 from endpoints.environment.output_log import OutputLog
 from endpoints.environment.settings import Settings
 from rce import __version__
 from rce.control.calls.call import Call, Nothing
 from rce.control.calls.joining import Hello, Welcome
+from rce.control.calls.knowledge import AskKnowledge
 from rce.control.client import ControlClient
 from rce.errors import RceError
 from rce.net.tls import load_tls
@@ -63,6 +65,8 @@ class Endpoint:
         self._master = ControlClient(
             reactor, self._settings.master, self._hello, environment.handlers(), self._welcomed, tls
         )
+        knowledge = KnowledgeSocket(lambda request: self._master.call(AskKnowledge(request)))
+        await knowledge.listen(self._settings.data_dir.absolute() / process_environment.KNOWLEDGE)
         master = asyncio.create_task(self._master.run())
         running = asyncio.create_task(environment.run())
         try:
@@ -71,6 +75,7 @@ class Endpoint:
             master.cancel()
             running.cancel()
             await asyncio.wait([running, master])
+            await knowledge.close()
             await port.close()
         for task in (running, master):
             if not task.cancelled():

@@ -14,8 +14,10 @@ from endpoints import memory
 from endpoints.environment.lazy_import import import_lazily
 from endpoints.environment.settings import Settings
 from endpoints.memory import MB
+from rce.api.knowledge_requests import SOCKET
 
 ADDRESS = "RCE_GROUP_IP"  # address of the environment in its network group
+KNOWLEDGE = "knowledge.sock"  # in the directory of the environment
 MARKER = "RCE_RUN"  # variable by which engines find processes that a killed endpoint has left behind
 NODE_PATH = Path(__file__).with_name("nodepath")
 # A subscription misses the first messages of a publisher that it has just discovered, and large ones while the shared
@@ -153,6 +155,7 @@ def node_variables(settings: Settings, environment: Mapping[str, str] = os.envir
         **{key: value for key, value in environment.items() if not key.startswith("RCE_")},
         **msgspec.json.decode(settings.env, type=dict[str, str]),
         MARKER: settings.run,
+        SOCKET: str(settings.data_dir.absolute() / KNOWLEDGE),
         **({ADDRESS: settings.address} if settings.address else {}),
         "PATH": _joined([str(Path(sys.executable).parent)], environment.get("PATH", os.defpath)),
         "PYTHONPATH": _joined(python_paths(settings), environment.get("PYTHONPATH", "")),

@@ -10,6 +10,7 @@ from typing import Annotated
 from msgspec import Meta, Struct
 from twisted.internet.base import ReactorBase
 
+from rce.control.calls.knowledge import SERVICE
 from rce.control.credential import Credential, stay_joined
 from rce.knowledge.queries import QueryLimits
 from rce.knowledge.repository import RepositoryLimits
@@ -19,7 +20,6 @@ from rce.process import loop, settings
 from rce.services.link import link_to_master
 
 MEGABYTE, GIGABYTE = 1024**2, 1024**3
-NAME = "knowledge-service"  # the Master finds the service by this name
 
 
 class Settings(Struct):
@@ -69,7 +69,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
     port = await service.start(options.host, options.port, public_tls_context(options.certificate, options.private_key))
     url = options.public_url or f"{scheme}://:{port}/"
     tls = load_tls(options.tls)
-    link = link_to_master(reactor, options.master, NAME, url, credential, service.handlers(), tls)
+    link = link_to_master(reactor, options.master, SERVICE, url, credential, service.handlers(), tls)
     try:
         await stay_joined(link, credential)
     finally:

@@ -11,10 +11,12 @@ from msgspec import Struct
 from twisted.logger import Logger
 
 from rce.api.knowledge import PREFIX
+from rce.control.calls.knowledge import AnswerKnowledge
 from rce.control.calls.services import InvalidateAuthentication
 from rce.control.connection import Handlers
 from rce.knowledge import openapi
 from rce.knowledge.archive import Archive
+from rce.knowledge.environments import Environments
 from rce.knowledge.original import Original
 from rce.knowledge.queries import Queries, QueryLimits
 from rce.knowledge.repository import Repository, RepositoryLimits
@@ -67,6 +69,7 @@ class KnowledgeService:
         self.authenticator = Authenticator(master)
         self.repository = Repository(directory, limits.repository, Texts())
         self.queries = Queries(self.repository, limits.queries)
+        self.environments = Environments(self.repository, self.queries)
         application = web.Application(
             middlewares=[audit_middleware(self.authenticator, PREFIX, ACTIONS), problems], client_max_size=MAX_BODY
         )
@@ -92,11 +95,13 @@ class KnowledgeService:
         """Return the handlers for the Master's calls."""
         handlers = Handlers()
         handlers.do(InvalidateAuthentication, lambda call: self.authenticator.invalidate(call.user))
+        handlers.on(AnswerKnowledge, self.environments.answer)
         handlers.serve_metrics("knowledge-service")
         return handlers
 
     async def stop(self) -> None:
         """Stop the HTTP server, then the workers and the database."""
         await self._runner.cleanup()
+        await self.environments.stop()
         await self.queries.stop()
         await self.repository.stop()

@@ -165,6 +165,15 @@ async def find(robot: Robot, tag: str, type_name: str, to: str) -> Subscriber:
                 await asyncio.sleep(0.05)
 
 
+async def test_serve_drink(platform: RealPlatform) -> None:
+    recipe, *lines = await output_of("serve_drink.py", platform.url)
+    assert recipe == "recipe serve_drink.apartment: take the drink, then put it on the table"
+    assert lines[0] == "the robot knows where it is"
+    errors = [float(re.split(r": | m ", line)[1]) for line in lines[1:]]
+    assert len(errors) == 2
+    assert max(errors) < 0.3  # metres from the places, by the simulation's truth
+
+
 async def test_group(platform: RealPlatform) -> None:
     assert await output_of("group.py", platform.url) == ["hello from the other environment"]
 

@@ -19,7 +19,7 @@ from tests.support.domains import domain
 from tests.support.paths import ROOT
 
 NODES = ROOT / "containers" / "nodes"
-LIBRARIES = ("rce_mapping", "rce_mapping3d", "rce_planning", "rce_localisation")
+LIBRARIES = ("rce_mapping", "rce_mapping3d", "rce_planning", "rce_localisation", "rce_knowledge")
 sys.path[:0] = [str(NODES / name) for name in LIBRARIES]
 
 

@@ -14,11 +14,13 @@ import rce
 from master.access.users import digest
 from master.service import Master
 from master.storage.store import Store
+from rce.api.knowledge_requests import KnowledgeAnswer
 from rce.bench.hollow import DONE
 from rce.control.calls.call import BatchResult, Call, Nothing
 from rce.control.calls.endpoints import AddRoute, Bind, Sync
 from rce.control.calls.environments import KeepEnvironments, SetRelays, StartEnvironment, StopEnvironment
 from rce.control.calls.joining import Hello, SetRemovedMachines
+from rce.control.calls.knowledge import AnswerKnowledge
 from rce.control.calls.robots import Definitions, DescribeType, Execute, Executed, LoggedIn, Login, SendStatus
 from rce.control.calls.watching import ReadGraph, RosGraph, RosNode
 from rce.control.client import connect
@@ -43,6 +45,8 @@ class Peer:
         self.arrived: list[Call[Any]] = []
         self.refuse: dict[type[Call[Any]], Exception] = {}
         self.failed: dict[str, ErrorInfo] = {}  # failures in the answer to Sync
+        self.answering = asyncio.Event()  # clear it to let requests to the knowledge service wait
+        self.answering.set()
         self._changed = asyncio.Event()
         self._taken = 0
 
@@ -56,6 +60,7 @@ class Peer:
         handlers.on(Sync, self._sync)
         handlers.on(DescribeType, self._describe)
         handlers.on(ReadGraph, self._read_graph)
+        handlers.on(AnswerKnowledge, self._answer_knowledge)
         self.control, welcome = await connect(self.platform.reactor, self.platform.address, self.hello, handlers)
         self.platform.controls.append(self.control)
         self.credential = welcome.credential
@@ -77,6 +82,11 @@ class Peer:
 
     async def _read_graph(self, call: ReadGraph) -> RosGraph:
         return RosGraph([], [], [], [RosNode(f"/{self.hello.name}")])
+
+    async def _answer_knowledge(self, call: AnswerKnowledge) -> KnowledgeAnswer:
+        await self._take(call)
+        await self.answering.wait()
+        return KnowledgeAnswer(data=b"known")
 
     async def next(self, kind: type[T]) -> T:
         """Return the next call of this kind, skipping others."""
