@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.paths import TEST_PACKAGE
+from tests.support.paths import INTERFACE_PACKAGES
 
 pytest.importorskip("rosidl_adapter", reason="needs ROS 2: pip install '.[ros]'")
 
@@ -38,8 +38,8 @@ def compiler() -> None:
 
 @pytest.fixture(scope="session")
 def typesupport(compiler: None) -> TypeSupport:
-    """Type support of RCE's interface packages and of `Test`, in the cache that `provision test` fills."""
-    return build([*shipped(), TEST_PACKAGE])
+    """Type support of the interface packages of RCE and of the tests, in the cache that `provision test` fills."""
+    return build([*shipped(), *INTERFACE_PACKAGES])
 
 
 @pytest.fixture
