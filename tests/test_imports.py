@@ -23,7 +23,14 @@ MAY_IMPORT: dict[str, set[str]] = {
 ONLY_IN: dict[str, tuple[str, ...]] = {
     "docker": ("containers/docker/", "containers/swarm/", "provisioning/image.py", "provisioning/user_image.py"),
     "rclpy": ("endpoints/environment/", "containers/nodes/"),
-    "cv2": ("converters/", "endpoints/robot/worker.py", "rce/mapping/", "rce/mapping3d/", "rce/planning/"),
+    "cv2": (
+        "converters/",
+        "endpoints/robot/worker.py",
+        "rce/mapping/",
+        "rce/mapping3d/",
+        "rce/planning/",
+        "rce/recognition/",
+    ),
 }
 BASE = {"rce", "msgspec", "websockets", "yaml"} | set(sys.stdlib_module_names)
 # Modules of `rce` that need an extra, and what they may import for it. Modules of the base must not import them.
@@ -50,6 +57,7 @@ WITH_EXTRA: dict[str, set[str]] = {
     "rce/mapping/": {"numpy", "numba", "scipy", "cv2", "rosbags"},
     "rce/mapping3d/": {"numpy", "numba", "scipy", "cv2", "rosbags", "gtsam"},
     "rce/planning/": {"numpy", "numba", "scipy", "cv2"},
+    "rce/recognition/": {"numpy", "cv2"},
     "rce/video/": {"av", "numpy"},
     "rce/cli/interactive.py": {"prompt_toolkit"},
     "rce/bench": {

@@ -19,7 +19,7 @@ from tests.support.domains import domain
 from tests.support.paths import INTERFACE_PACKAGES, ROOT
 
 NODES = ROOT / "containers" / "nodes"
-LIBRARIES = ("rce_mapping", "rce_mapping3d", "rce_planning", "rce_localisation", "rce_knowledge")
+LIBRARIES = ("rce_mapping", "rce_mapping3d", "rce_planning", "rce_localisation", "rce_knowledge", "rce_recognition")
 sys.path[:0] = [str(NODES / name) for name in LIBRARIES]
 
 

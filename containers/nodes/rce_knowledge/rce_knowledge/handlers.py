@@ -36,7 +36,7 @@ def handlers(repository: Repository, file: Make, map_file: Make, names: Make) ->
     for kind, (noun, field) in NOUNS.items():
         found |= _of_entries(repository, kind, noun, field, names)
     for kind, noun, uid in (("object", "Object", "objectUID"), ("environment", "Environment", "envUID")):
-        found |= _of_files(repository, kind, noun, uid, file)  # type: ignore[arg-type]  # mypy takes kind for a str
+        found |= _of_files(repository, kind, noun, uid, file)
     return found
 
 
