@@ -42,7 +42,7 @@ from rce.control.calls.call import Call, Nothing
 from rce.control.calls.endpoints import Report
 from rce.control.calls.environments import DownloadTicket, FetchPackage, ReportRelays
 from rce.control.calls.joining import Hello, InviteSibling, Welcome
-from rce.control.calls.knowledge import AskKnowledge
+from rce.control.calls.knowledge import SERVICE, AskKnowledge, ReportChanges
 from rce.control.calls.recordings import BeginRecording, RecordingQuota
 from rce.control.calls.robots import (
     Definitions,
@@ -172,6 +172,8 @@ class Master:
                 handlers.on(ReadRobotsFor, lambda call: self._read_robots(process, call))
             case "service":
                 self._service_calls.add_handlers(handlers, process)
+                if process.name == SERVICE:
+                    handlers.do(ReportChanges, lambda call: self.events.knowledge_changed(call.changes))
             case "environment":
                 self._lifecycle.add_environment_handlers(handlers, process)
                 handlers.on(Report, lambda call: self._report(process, call))

@@ -57,6 +57,8 @@ class EventsApi:
 def _sees(who: Principal, state: State, user: str, event: Event) -> bool:
     if event.type == "missed":
         return True
+    if event.public:
+        return rights.may(who, "knowledge.read", who.user)
     if not event.user:
         return user == EVERYBODY and rights.may(who, "machine.read", NOBODY)
     if user not in (EVERYBODY, event.user):

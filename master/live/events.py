@@ -9,17 +9,26 @@ from __future__ import annotations
 import asyncio
 import secrets
 import time
-from collections.abc import AsyncIterator
+from collections import Counter
+from collections.abc import AsyncIterator, Sequence
 from typing import Any
 
 from master.graph.records import Connection, Environment, Interface, Process, Record, Robot, user_of
 from master.graph.state import State
+from rce.api.knowledge import Action
 from rce.api.views import Event
 from rce.api.views.live import EventType
+from rce.control.calls.knowledge import NotedChange
 from rce.protocol import messages as m
 
 MAX_EVENTS = 10_000
 MAX_SIZE = 16 * 1024 * 1024  # characters of the texts of all kept events
+MANY_CHANGES = 50  # of the knowledge repository that are told one by one, if they come at once
+KNOWLEDGE: dict[Action, EventType] = {
+    "added": "knowledge.added",
+    "changed": "knowledge.changed",
+    "removed": "knowledge.removed",
+}
 MAX_LINES = 4000  # characters of the output of a node in one event
 
 
@@ -76,6 +85,18 @@ class Events:
                 self._add("recorder.ended", user, f"{user}/{tag}/{recorder}", reason)
             case m.LimitEvent(reason):
                 self._add("limit.reached", user, user, reason)
+
+    def knowledge_changed(self, changes: Sequence[NotedChange]) -> None:
+        """Add the events for changes of entries of the knowledge repository."""
+        if len(changes) > MANY_CHANGES:
+            counts = Counter((change.author, change.public) for change in changes)
+            for (author, public), count in counts.items():
+                self._add("knowledge.changed", author, author, f"{count} changes of entries", public=public)
+            return
+        for change in changes:
+            text = f"by {change.user}" if change.user != change.author else ""
+            object = f"{change.author}/{change.kind}/{change.uid}"
+            self._add(KNOWLEDGE[change.action], change.author, object, text, public=change.public)
 
     def process_moved(self, process: Process, here: bool) -> None:
         """Add the event for a process that joined or left."""

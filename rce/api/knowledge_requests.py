@@ -11,7 +11,7 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from rce.api.knowledge import EntryChange, Kind, NewEntry, QueryResult
+from rce.api.knowledge import Change, EntryChange, Kind, NewEntry, QueryResult
 from rce.errors import ErrorInfo
 
 SOCKET = "RCE_KNOWLEDGE"  # variable of nodes
@@ -46,6 +46,16 @@ class RunQuery(Struct, frozen=True, tag=True):
     """Answer a query in the SeRQL of RoboEarth's clients."""
 
     query: Annotated[str, Meta(min_length=1, max_length=20_000)]
+
+
+class WaitForChanges(Struct, frozen=True, tag=True):
+    """Return the changes after a number, once there are some, or none after `seconds`.
+
+    Without `after` only the number of the newest change is returned, at once.
+    """
+
+    after: Annotated[int, Meta(ge=0, lt=2**53)] | None = None
+    seconds: Annotated[float, Meta(ge=0, le=30)] = 20.0
 
 
 class AddEntry(Struct, frozen=True, tag=True):
@@ -92,7 +102,7 @@ class RemoveFile(Struct, frozen=True, tag=True):
     file: FileName
 
 
-Reading = FindEntries | ReadContent | RunQuery
+Reading = FindEntries | ReadContent | RunQuery | WaitForChanges
 Writing = AddEntry | ChangeEntry | RemoveEntry | PutPiece | RemoveFile
 KnowledgeRequest = Reading | Writing
 
@@ -106,12 +116,17 @@ class Found(Struct, frozen=True):
 
 
 class KnowledgeAnswer(Struct, frozen=True):
-    """Answer to a request: entries, or a piece of a content of `size` bytes, or the result of a query."""
+    """Answer to a request: entries, a piece of a content of `size` bytes, the result of a query, or changes.
+
+    `newest` is the number up to which the changes are all.
+    """
 
     entries: list[Found] = []
     data: bytes = b""
     size: int = 0
     result: QueryResult | None = None
+    changes: list[Change] = []
+    newest: int = 0
 
 
 class Reply(Struct, frozen=True):

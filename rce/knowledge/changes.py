@@ -9,6 +9,7 @@ from typing import Annotated
 from msgspec import Meta, Struct, field
 
 from rce.api.knowledge import Change, Kind
+from rce.control.calls.knowledge import NotedChange
 from rce.knowledge.names import local_name
 from rce.knowledge.records import Reader
 
@@ -44,6 +45,17 @@ def read_changes(
     rows = connection.execute(query, {"after": after, **reader.parameters}).fetchall()
     found = [_change(row) for row in rows if _fits(row, wanted)]
     return found, rows[-1]["number"] if len(rows) == AT_ONCE else newest
+
+
+def read_noted(connection: Connection, after: int) -> tuple[list[NotedChange], int]:
+    """Return all changes after a number, AT_ONCE at most, and the number of the last one."""
+    query = f"SELECT * FROM changes WHERE number > ? ORDER BY number LIMIT {AT_ONCE}"
+    rows = connection.execute(query, (after,)).fetchall()
+    found = [
+        NotedChange(row["action"], row["kind"], row["uid"], row["author"], row["user"], bool(row["public"]))
+        for row in rows
+    ]
+    return found, rows[-1]["number"] if rows else after
 
 
 def _fits(row: Row, wanted: Subscription) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import AsyncIterator
 from functools import partial
 from pathlib import Path
@@ -23,9 +24,11 @@ from rce.api.knowledge_requests import (
     RemoveEntry,
     RemoveFile,
     RunQuery,
+    WaitForChanges,
 )
 from rce.control.calls.knowledge import AnswerKnowledge
 from rce.errors import InvalidRequest, LimitExceeded, NotFound, TimedOut
+from rce.knowledge.changes import Subscription
 from rce.knowledge.queries import Queries
 from rce.knowledge.records import Reader
 from rce.knowledge.repository import Repository
@@ -57,6 +60,8 @@ class Environments:
                 return await self._read(reader, wanted)
             case RunQuery(query):
                 return KnowledgeAnswer(result=await self._queries.run(reader, translate(query)))
+            case WaitForChanges() as wanted:
+                return await self._changes(reader, wanted)
             case AddEntry(new):
                 return KnowledgeAnswer([_found(await repository.add(reader.user, new))])
             case ChangeEntry(kind, uid, change):
@@ -92,6 +97,18 @@ class Environments:
             return KnowledgeAnswer(data=text[wanted.offset : wanted.offset + PIECE], size=len(text))
         path = await self._repository.file(reader, *name, wanted.file, wanted.version)
         return await asyncio.to_thread(_read_piece, path, wanted.offset)
+
+    async def _changes(self, reader: Reader, wanted: WaitForChanges) -> KnowledgeAnswer:
+        """Return changes; wait for the first one if there is none."""
+        found, after = await self._repository.changes(reader, Subscription(), wanted.after)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(wanted.seconds):
+                while wanted.after is not None and not found:
+                    changed = self._repository.next_change()
+                    found, after = await self._repository.changes(reader, Subscription(), after)
+                    if not found:
+                        await changed.wait()
+        return KnowledgeAnswer(changes=found, newest=after)
 
     async def _put(self, environment: str, reader: Reader, piece: PutPiece) -> None:
         """Pass a piece on to its upload, which begins with the first one; the last one waits for its end."""

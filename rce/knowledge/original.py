@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import msgspec
 from aiohttp import BodyPartReader, web
+from aiohttp.http_exceptions import HttpProcessingError
 from msgspec import UNSET, Meta, Struct, UnsetType
 
 from rce.api.knowledge import Description, Entry, EntryChange, Kind, Latitude, Location, Longitude, NewEntry, Owl
@@ -33,6 +34,8 @@ LISTS: dict[Kind, str] = {"recipe": "recipes", "object": "object_description", "
 GONE = 410
 MAX_FOUND = 100  # entries in an answer
 PIECE = 64 * 1024
+# What aiohttp raises for bodies that are no forms.
+MALFORMED_FORM = (ValueError, AssertionError, LookupError, HttpProcessingError)
 
 
 class Body(Struct, frozen=True):
@@ -137,11 +140,9 @@ class Original:
     async def _file(self, request: web.Request) -> web.Response:
         """Add a file: a form with `api_key`, optionally `type`, and then `file`."""
         key = ""
-        async for part in await request.multipart():
-            if not isinstance(part, BodyPartReader):
-                break
+        async for part in _parts(request):
             if part.name == "api_key":
-                key = (await part.read_chunk(200)).decode("ascii", "replace")
+                key = (await _chunk(part, 200)).decode("ascii", "replace")
             if part.name == "file":
                 reader = await self._writer(request, key, "knowledge.put_file")
                 uid, name = request.match_info["uid"].lower(), part.filename or ""
@@ -190,6 +191,31 @@ async def _body(request: web.Request) -> Body:
     return decode(await read_accepted_body(request), Body)
 
 
+async def _parts(request: web.Request) -> AsyncIterator[BodyPartReader]:
+    """Yield the fields of a form.
+
+    Raises:
+        InvalidRequest: The body is not a form.
+    """
+    try:
+        parts = await request.multipart()
+        while isinstance(part := await parts.next(), BodyPartReader):
+            yield part
+    except MALFORMED_FORM as error:
+        raise _no_form(error) from None
+
+
 async def _pieces(part: BodyPartReader) -> AsyncIterator[bytes]:
-    while piece := await part.read_chunk(PIECE):
-        yield bytes(piece)
+    while piece := await _chunk(part, PIECE):
+        yield piece
+
+
+async def _chunk(part: BodyPartReader, size: int) -> bytes:
+    try:
+        return bytes(await part.read_chunk(size))
+    except MALFORMED_FORM as error:
+        raise _no_form(error) from None
+
+
+def _no_form(error: Exception) -> InvalidRequest:
+    return InvalidRequest(f"the body is not a form (multipart/form-data): {error}", field="file")

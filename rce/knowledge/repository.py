@@ -12,9 +12,10 @@ from msgspec import UNSET, Struct
 from msgspec.structs import replace
 
 from rce.api.knowledge import Change, Entry, EntryChange, EntryPage, Kind, NewEntry, StoredFile, Usage, Version
+from rce.control.calls.knowledge import NotedChange
 from rce.errors import NotFound
 from rce.knowledge import records, writing
-from rce.knowledge.changes import Subscription, read_changes
+from rce.knowledge.changes import Subscription, read_changes, read_noted
 from rce.knowledge.contents import Contents
 from rce.knowledge.database import Database
 from rce.knowledge.names import check_file_name, graph_of, make_uid
@@ -307,6 +308,10 @@ class Repository:
     async def changes(self, reader: Reader, wanted: Subscription, after: int | None) -> tuple[list[Change], int]:
         """Return changes after a number, and the number up to which that are all; without one, only that number."""
         return await self.database.run(lambda connection: read_changes(connection, reader, wanted, after))
+
+    async def noted(self, after: int) -> tuple[list[NotedChange], int]:
+        """Return all changes after a number, some hundred at most, and the number of the last one."""
+        return await self.database.run(lambda connection: read_noted(connection, after))
 
     async def stop(self) -> None:
         """Close everything."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import ssl
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +20,7 @@ from rce.knowledge.archive import Archive
 from rce.knowledge.environments import Environments
 from rce.knowledge.original import Original
 from rce.knowledge.queries import Queries, QueryLimits
+from rce.knowledge.reports import report_changes
 from rce.knowledge.repository import Repository, RepositoryLimits
 from rce.knowledge.rest import Rest
 from rce.knowledge.texts import Texts
@@ -66,6 +68,8 @@ class KnowledgeService:
         Raises:
             Unavailable: A newer version of RCE has written the repository.
         """
+        self._master = master
+        self._reporting: asyncio.Task[None] | None = None
         self.authenticator = Authenticator(master)
         self.repository = Repository(directory, limits.repository, Texts())
         self.queries = Queries(self.repository, limits.queries)
@@ -87,6 +91,7 @@ class KnowledgeService:
             Unavailable: The port cannot be listened on.
         """
         await self.repository.start()
+        self._reporting = asyncio.create_task(report_changes(self.repository, self._master))
         _, actual_port = await listen(self._runner, Endpoint(host, port, tls))
         log.info("listening at {host}:{port}{prefix}/", host=host, port=actual_port, prefix=PREFIX)
         return actual_port
@@ -102,6 +107,9 @@ class KnowledgeService:
     async def stop(self) -> None:
         """Stop the HTTP server, then the workers and the database."""
         await self._runner.cleanup()
+        if self._reporting is not None:
+            self._reporting.cancel()
+            await asyncio.gather(self._reporting, return_exceptions=True)
         await self.environments.stop()
         await self.queries.stop()
         await self.repository.stop()

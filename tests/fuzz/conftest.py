@@ -36,7 +36,7 @@ def cases(request: pytest.FixtureRequest) -> int:
 
 @pytest.fixture(scope="session")
 async def target(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Target]:
-    """Master, Robot endpoint, map service and a bystander, each a process."""
+    """Master, Robot endpoint, map service, knowledge service and a bystander, each a process."""
     made = Target(tmp_path_factory.mktemp("fuzz"))
     try:
         await made.start()

@@ -1,4 +1,4 @@
-"""HTTP requests: robots' entry and API of the Master, handshake of the Robot endpoint, map service."""
+"""HTTP requests: robots' entry and API of the Master, handshake of the Robot endpoint, map and knowledge service."""
 
 from __future__ import annotations
 
@@ -36,6 +36,12 @@ REQUESTS = {
         f"PATCH /map-service/v1/uploads/abc HTTP/1.1\r\nHost: x\r\n{TUS}Content-Length: 2\r\n\r\nab",
         "POST /map-service/soap HTTP/1.1\r\nHost: x\r\nContent-Type: text/xml\r\nContent-Length: 4\r\n\r\n<a/>",
     ),
+    "knowledge": (
+        "GET /knowledge-service/entries?kind=object&class=Cup HTTP/1.1\r\nHost: x\r\n\r\n",
+        "GET /knowledge-service/entries/object/cup.blue/files/a?version=1 HTTP/1.1\r\nHost: x\r\n\r\n",
+        f'POST /knowledge-service/query HTTP/1.1\r\nHost: x\r\n{JSON}Content-Length: 13\r\n\r\n{{"query":"A"}}',
+        "PUT /api/0.1/object/cup.blue/rce_x/5 HTTP/1.1\r\nHost: x\r\nContent-Length: 0\r\n\r\n",
+    ),
 }
 
 
@@ -61,4 +67,5 @@ async def _ask(port: int, pieces: list[bytes]) -> bytes:
 
 
 def _port(target: Target, name: str) -> int:
-    return port_of({"master": target.processes.url, "maps": target.maps}.get(name, f":{target.processes.port}"))
+    urls = {"master": target.processes.url, "maps": target.maps, "knowledge": target.knowledge}
+    return port_of(urls.get(name, f":{target.processes.port}"))

@@ -7,13 +7,11 @@ import base64
 import os
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from tests.support.endpoints.raw_robot import USER
 from tests.support.fuzz.mutation import Mutator
-from tests.support.fuzz.sockets import RawConnection
+from tests.support.fuzz.requests import Parts, ask, mutated
 from tests.support.fuzz.target import Target, port_of
 from tests.support.paths import TESTS
 from tests.support.soap import envelope
@@ -22,7 +20,6 @@ pytestmark = pytest.mark.slow
 
 AT_ONCE = 10
 SEEDS = 5  # of schemathesis in a run of a million cases
-LOGIN = base64.b64encode(f"{USER}:{USER}".encode()).decode()
 UPLOAD = "a" * 32
 LOG = b"FLASER 3 1.0 1.0 1.0 0 0 0 0 0 0 1.0 host 1.0\n" * 5
 TUS = {"Tus-Resumable": "1.0.0"}
@@ -38,7 +35,6 @@ OPERATIONS = (
     f"<r:GetResult><r:job>{UPLOAD}</r:job><r:file>map.png</r:file></r:GetResult>",
     f"<r:CancelMap><r:job>{UPLOAD}</r:job></r:CancelMap>",
 )
-Parts = tuple[str, str, dict[str, str], Any]
 REQUESTS: tuple[Parts, ...] = (
     (
         "POST",
@@ -62,8 +58,10 @@ async def test_each_request_of_a_user_is_answered(target: Target, cases: int, se
     mutator = Mutator(f"{seed} maps")
     port = port_of(target.maps)
     for start in range(0, cases, AT_ONCE):
-        requests = [_request(mutator) for _ in range(min(AT_ONCE, cases - start))]
-        answers = await asyncio.gather(*(_ask(port, each) for each in requests))
+        requests = [
+            mutated(mutator, "/map-service", REQUESTS, _starts_a_process) for _ in range(min(AT_ONCE, cases - start))
+        ]
+        answers = await asyncio.gather(*(ask(port, each) for each in requests))
         for request, answer in zip(requests, answers, strict=True):
             status = answer[9:12]
             assert status.isdigit(), (request, answer)
@@ -72,33 +70,9 @@ async def test_each_request_of_a_user_is_answered(target: Target, cases: int, se
     await target.check("requests of a user at the map service")
 
 
-def _request(mutator: Mutator) -> bytes:
-    """Return a request with a mutated header, path or body; its length is right."""
-    method, path, headers, body = mutator.choose(REQUESTS)
-    if not isinstance(body, bytes):
-        body = mutator.json(body)
-    elif mutator.chance(0.6) or b"SubmitMap" in body:  # each good one would start a process that looks at it
-        body = mutator.damage(body)
-    headers = dict(headers)
-    if headers and mutator.chance(0.4):
-        name = mutator.choose(tuple(headers))
-        headers[name] = _printable(mutator, headers[name])
-    path = "/" + _printable(mutator, path[1:]).replace(" ", "") if mutator.chance(0.2) else path
-    lines = [f"{method} /map-service{path} HTTP/1.1", "Host: x", f"Authorization: Basic {LOGIN}", "Connection: close"]
-    lines += [f"{name}: {value}" for name, value in headers.items()] + [f"Content-Length: {len(body)}", "", ""]
-    return "\r\n".join(lines).encode() + body
-
-
-def _printable(mutator: Mutator, text: str) -> str:
-    return "".join(letter for letter in mutator.damage(text.encode()).decode("latin-1") if " " <= letter <= "~")
-
-
-async def _ask(port: int, request: bytes) -> bytes:
-    connection = await RawConnection.open(port, "127.0.0.1")
-    await connection.send(request)
-    while await connection.receive():
-        pass
-    return bytes(connection.received)
+def _starts_a_process(body: bytes) -> bool:
+    """Return True for bodies of which each good one would start a process that looks at it."""
+    return b"SubmitMap" in body
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

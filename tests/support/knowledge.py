@@ -10,6 +10,7 @@ import pytest
 
 from rce.api.knowledge import PREFIX, NewEntry
 from rce.control.calls.call import Call, Nothing
+from rce.control.calls.knowledge import ReportChanges
 from rce.control.calls.services import Authenticate, Identity, RecordAction
 from rce.errors import Forbidden, RceError, Unauthorized
 from rce.knowledge.queries import QueryLimits
@@ -57,7 +58,7 @@ class FakeMaster:
         self.calls.append(call)
         if self.failure is not None:
             raise self.failure
-        if isinstance(call, RecordAction):
+        if isinstance(call, RecordAction | ReportChanges):
             return Nothing()
         if isinstance(call, Authenticate) and call.secret in KEYS:
             name = KEYS[call.secret]

@@ -8,7 +8,7 @@ const KEPT = 2000;
 const SHOWN = 300;
 const TYPES = ["", "robot", "robot.came", "robot.left", "environment", "environment.ready", "environment.failed", "environment.lost",
   "environment.gone", "node.died", "recorder.ended", "connection", "connection.made", "connection.gone", "interface.gone", "limit.reached",
-  "machine", "machine.joined", "machine.left"];
+  "knowledge", "knowledge.added", "knowledge.changed", "knowledge.removed", "machine", "machine.joined", "machine.left"];
 const BAD = new Set(["environment.failed", "environment.lost", "node.died", "recorder.ended", "limit.reached", "machine.left"]);
 
 export function eventsPage(main, app, query) {

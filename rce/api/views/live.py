@@ -62,6 +62,9 @@ EventType = Literal[
     "connection.gone",
     "interface.gone",
     "limit.reached",
+    "knowledge.added",
+    "knowledge.changed",
+    "knowledge.removed",
     "machine.joined",
     "machine.left",
 ]
@@ -69,7 +72,9 @@ EventType = Literal[
 
 `missed`: earlier events are no longer stored. An environment that did not start is `failed`, one that ended by itself
 is `lost`, and one that was destroyed is `gone`. A recorder that `ended` did so by itself. An interface of an
-environment is `gone` after the robot that added it has left and nobody else uses it.
+environment is `gone` after the robot that added it has left and nobody else uses it. Of an entry of the knowledge
+repository its author is told, and if it is public everybody; of many changes at once one event for each author tells
+the number.
 """
 
 
@@ -87,3 +92,4 @@ class Event(Struct, frozen=True, omit_defaults=True):
     text: str = ""  # human-readable reason
     status: int | None = None  # exit status of a node; negative for the signal that ended it
     lines: list[str] = []  # last lines of a node's output
+    public: bool = False  # it concerns all users

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from msgspec import Struct
+
+from rce.api.knowledge import Action, Kind
 from rce.api.knowledge_requests import KnowledgeAnswer, KnowledgeRequest
-from rce.control.calls.call import Call
+from rce.control.calls.call import Call, Nothing
 
 SERVICE = "knowledge-service"  # the Master finds the service by this name
 
@@ -22,3 +25,20 @@ class AnswerKnowledge(Call[KnowledgeAnswer], frozen=True):
 
     environment: str
     request: KnowledgeRequest
+
+
+class NotedChange(Struct, frozen=True):
+    """Change of an entry, for the feed of the Master. `user` made it; `public` entries concern everybody."""
+
+    action: Action
+    kind: Kind
+    uid: str
+    author: str
+    user: str
+    public: bool
+
+
+class ReportChanges(Call[Nothing], frozen=True):
+    """Report changes of entries to the Master, in their order."""
+
+    changes: list[NotedChange]

@@ -10,7 +10,7 @@ import pytest
 from master.access.audit import AuditFilter
 from rce.api.knowledge import NewEntry
 from rce.api.knowledge_requests import AddEntry, FindEntries, PutPiece
-from rce.control.calls.knowledge import SERVICE, AnswerKnowledge, AskKnowledge
+from rce.control.calls.knowledge import SERVICE, AnswerKnowledge, AskKnowledge, NotedChange, ReportChanges
 from rce.errors import Forbidden, InvalidRequest, LimitExceeded, NotFound, Unavailable
 from tests.support.master.peers import Furnished
 
@@ -82,3 +82,18 @@ async def test_only_environments_ask(furnished: Furnished) -> None:
     for process in others:
         with pytest.raises(InvalidRequest, match="does not answer"):
             await process.call(FIND)
+
+
+async def test_only_the_knowledge_service_reports_changes(furnished: Furnished) -> None:
+    service = await furnished.platform.process("service", SERVICE)
+    other = await furnished.platform.process("service", "map-service")
+    report = ReportChanges([NotedChange("added", "object", "cup.blue", "ann", "ann", True)])
+    await service.call(report)
+    events = furnished.platform.master.events
+    follower = events.follow(0)
+    objects = []
+    while "ann/object/cup.blue" not in objects:
+        objects.append((await anext(follower)).object)
+    for process in (other, furnished.brain):
+        with pytest.raises(InvalidRequest, match="does not answer"):
+            await process.call(report)

@@ -8,6 +8,7 @@ from master.live import events
 from rce.api.roles import Scopes
 from rce.control.calls.endpoints import NodeDied
 from rce.control.calls.environments import EnvironmentDied, LimitReached
+from rce.control.calls.knowledge import NotedChange
 from rce.protocol import messages as m
 from tests.support.master.served import Served
 from tests.support.master.sse import follow
@@ -84,3 +85,15 @@ async def test_users_get_events_of_what_they_may_see(served: Served) -> None:
     assert [(await olga.next())["object"] for _ in range(4)] == ["ann/a", "ann/b", "bob/c", "m2"]
     for follower in (bob, olga, key):
         await follower.close()
+
+
+async def test_public_changes_of_knowledge_are_told_to_everybody(served: Served) -> None:
+    bob = await follow(served, "/events?type=knowledge", "bob")
+    ann = await follow(served, "/events?type=knowledge", "ann")
+    private = NotedChange("added", "object", "cup.red", "ann", "ann", False)
+    public = NotedChange("added", "object", "cup.blue", "ann", "ann", True)
+    served.master.events.knowledge_changed([private, public])
+    assert (await bob.next())["object"] == "ann/object/cup.blue"
+    assert [(await ann.next())["object"] for _ in range(2)] == ["ann/object/cup.red", "ann/object/cup.blue"]
+    await bob.close()
+    await ann.close()

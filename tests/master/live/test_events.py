@@ -13,6 +13,7 @@ from master.graph.state import State, Table
 from master.live import events as events_module
 from master.live.events import Events
 from rce.api.views import Event
+from rce.control.calls.knowledge import NotedChange
 from rce.protocol import messages as m
 from tests.support.hand_turned import HandTurnedLoop
 
@@ -190,3 +191,19 @@ def test_text_of_kept_events_is_bounded(story: Story, monkeypatch: pytest.Monkey
     kept = story.seen()
     assert [event.lines for event in kept] == [lines[-4:]] * 2
     assert story.next(story.follow(kept[0].id)).result() == kept[1]
+
+
+def test_changes_of_knowledge_are_told_one_by_one_or_as_a_number(story: Story) -> None:
+    change = NotedChange("added", "object", "cup.blue", "ann", "ann", False)
+    others = NotedChange("removed", "recipe", "serve.tea", "ann", "root", True)
+    story.hand.do(lambda: story.events.knowledge_changed([change, others]))
+    found = [(each.type, each.user, each.object, each.text, each.public) for each in story.seen()]
+    assert found == [
+        ("knowledge.added", "ann", "ann/object/cup.blue", "", False),
+        ("knowledge.removed", "ann", "ann/recipe/serve.tea", "by root", True),
+    ]
+    story.hand.do(lambda: story.events.knowledge_changed([change] * 60 + [others]))
+    assert [(each.type, each.text) for each in story.seen()[2:]] == [
+        ("knowledge.changed", "60 changes of entries"),
+        ("knowledge.changed", "1 changes of entries"),
+    ]

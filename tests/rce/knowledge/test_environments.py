@@ -20,6 +20,7 @@ from rce.api.knowledge_requests import (
     RemoveEntry,
     RemoveFile,
     RunQuery,
+    WaitForChanges,
 )
 from rce.control.calls.knowledge import AnswerKnowledge
 from rce.errors import Forbidden, InvalidRequest, LimitExceeded, NotFound, TimedOut
@@ -115,3 +116,14 @@ async def test_uploads_of_an_environment_are_bounded_and_end_when_nothing_comes(
     (upload,) = uploads.values()
     with pytest.raises(TimedOut, match="send it again"):
         await upload.storing
+
+
+async def test_changes_are_waited_for(service: Service) -> None:
+    before = (await ask(service, WaitForChanges(), BOB)).newest
+    waiting = asyncio.create_task(ask(service, WaitForChanges(before, 30), BOB))
+    await ask(service, AddEntry(NewEntry("object", "cup", "secret")))
+    await ask(service, AddEntry(new_entry(public=True)))
+    answer = await waiting
+    assert [(each.action, each.uid, each.user) for each in answer.changes] == [("added", "cup.blue", "ann")]
+    assert answer.newest == before + 2
+    assert (await ask(service, WaitForChanges(answer.newest, 0), BOB)).changes == []

@@ -115,3 +115,20 @@ async def test_key_in_a_path_is_not_logged_with_a_defect(
     (event,) = failures
     assert event["where"].startswith("DELETE /api/0.1/")
     assert KEY not in event["where"]
+
+
+@pytest.mark.parametrize(
+    ("headers", "body"),
+    [
+        ({"Content-Type": "multipart/form-data; boundary=x"}, b"no boundary"),
+        ({"Content-Type": "multipart/form-data; boundary=x"}, b"--x\r\nContent-Disposition: form-data; name=api_key"),
+        ({"Content-Type": "multipart/form-data; boundary=x"}, b"--x\r\n\xe8ontent: a\r\n\r\na\r\n--x--\r\n"),
+        ({"Content-Type": "multipart/form-data"}, b"--x"),
+        ({"Content-Type": "text/plain"}, b"--x"),
+        ({}, b""),
+    ],
+)
+async def test_body_that_is_no_form_is_refused(service: Service, headers: dict[str, str], body: bytes) -> None:
+    url = f"{service.root}/api/0.1/binary/objects/cup.blue"
+    answer = await service.request("POST", url, headers=headers, data=body)
+    assert answer.status in (400, 415), await answer.text()

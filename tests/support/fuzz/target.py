@@ -1,4 +1,4 @@
-"""The attacked processes: Master, Robot endpoint and map service, and what must hold of them."""
+"""The attacked processes: Master, Robot endpoint, map service and knowledge service, and what must hold of them."""
 
 from __future__ import annotations
 
@@ -14,12 +14,14 @@ import psutil
 
 from rce.api.client import ApiClient
 from rce.api.views import CreatedKey, NewKey, NewUser
+from rce.control.calls.knowledge import SERVICE
 from tests.support.endpoints.platforms import Processes
 from tests.support.endpoints.raw_robot import USER as ATTACKER
 from tests.support.fuzz.bystander import PASSWORD, USER, Figures
 from tests.support.paths import ROOT
 
 TOKENS = {role: f"{role}-token" for role in ("robot", "container", "service")}
+KNOWLEDGE_TOKEN = "knowledge-token"
 NAMES = {"robot": "fuzz-robot", "container": "fuzz-machine", "service": "map-service"}
 MAX_MEMORY = 1024**3  # bytes of each process; a quiet Robot endpoint takes 70 MB
 SETTLE = 3.0  # seconds in which the bystander is measured without an attack
@@ -30,9 +32,10 @@ class Target:
     """Processes with a bystander. Each test calls `check` at its end.
 
     Attributes:
-        processes: Master, Robot endpoint and map service.
+        processes: All of them.
         control: Address of the Master's control port.
         maps: URL of the map service.
+        knowledge: URL of the knowledge service.
         figures: What the bystander saw, by name of the attack.
     """
 
@@ -46,11 +49,13 @@ class Target:
 
     async def start(self) -> None:
         allowed = ",".join(f"{role}:{NAMES[role]}:{token}" for role, token in TOKENS.items())
+        allowed += f",service:{SERVICE}:{KNOWLEDGE_TOKEN}"
         processes = self.processes
         self.control = await processes.start_master(tokens=allowed)
         # Frames are counted as bad, but no limit closes the socket, so that more of them are handled.
         await processes.start_robot(self.control, "--bad-messages", "0", "--grace", "1")
         self.maps = await self._start_maps()
+        self.knowledge = await self._start_knowledge()
         admin = ApiClient(processes.url, user="admin", password="admin")
         await asyncio.to_thread(lambda: admin.post(Any, "users", body=NewUser(USER, PASSWORD)))
         words = [sys.executable, "-m", "tests.support.fuzz.bystander", processes.url]
@@ -65,6 +70,11 @@ class Target:
         announced = await self.processes._run(
             "rce.mapservice", *words, "--entry", self.processes.url, RCE_TOKEN=TOKENS["service"]
         )
+        return f"http://127.0.0.1:{port_of(announced.url)}"
+
+    async def _start_knowledge(self) -> str:
+        words = ("--data-dir", str(self.directory / "knowledge"), "--master", self.control, "--port", "0")
+        announced = await self.processes._run("rce.knowledge", *words, "--query-time", "2", RCE_TOKEN=KNOWLEDGE_TOKEN)
         return f"http://127.0.0.1:{port_of(announced.url)}"
 
     async def stop(self) -> None:

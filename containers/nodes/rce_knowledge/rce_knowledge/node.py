@@ -1,7 +1,8 @@
 """ROS 2 node `rce_knowledge`: the services of re_srvs under `/re_comm`, for programs that were written for RoboEarth.
 
 The knowledge service answers, over the platform, with the rights of the owner of the environment. A request that fails
-is answered with `success` false, or an empty result, and the reason is logged.
+is answered with `success` false, or an empty result, and the reason is logged. The topic `/re_comm/changes`
+(std_msgs/String) has a JSON object for each change of an entry that the owner may read, while somebody listens.
 """
 
 from __future__ import annotations
@@ -11,15 +12,19 @@ import re
 from functools import partial
 from typing import Any
 
+import msgspec
 import rclpy
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from re_msgs.msg import File, RosFile, StringArray
+from std_msgs.msg import String
 
+from rce.api.knowledge import Change
 from rce.client.environment_knowledge import EnvironmentKnowledge
 from rce.errors import RceError
 
+from .follower import Follower
 from .handlers import Handler, handlers
 from .repository import Repository
 
@@ -37,12 +42,24 @@ class KnowledgeNode(Node):
             Unavailable: This is no program in an environment.
         """
         super().__init__("rce_knowledge")
-        repository = Repository(knowledge or EnvironmentKnowledge())
+        client = knowledge or EnvironmentKnowledge()
+        repository = Repository(client)
         types = importlib.import_module("re_srvs.srv")
         group = ReentrantCallbackGroup()
         for name, handler in handlers(repository, File, RosFile, StringArray).items():
             answer = partial(self._answer, handler)
             self.create_service(getattr(types, name), service_name(name), answer, callback_group=group)
+
+        self._changes = self.create_publisher(String, f"{PREFIX}/changes", 100)
+        self._follower = Follower(client, self._changes.get_subscription_count, self._publish)
+
+    def destroy_node(self) -> None:
+        """Stop following changes, then destroy the node."""
+        self._follower.stop()
+        super().destroy_node()
+
+    def _publish(self, change: Change) -> None:
+        self._changes.publish(String(data=msgspec.json.encode(change).decode()))
 
     def _answer(self, handler: Handler, request: Any, response: Any) -> Any:
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ def test_client_of_roboearth_is_answered(start_ros: Callable[..., None], tmp_pat
     from rclpy.executors import SingleThreadedExecutor
     from re_msgs.msg import File
     from re_srvs.srv import GetObject, QueryObjects, SetObject
+    from std_msgs.msg import String
 
     start_ros()
     with direct_knowledge(tmp_path) as knowledge:
@@ -40,6 +42,9 @@ def test_client_of_roboearth_is_answered(start_ros: Callable[..., None], tmp_pat
             spin_until(executor, answer.done)
             return answer.result()
 
+        changes: list[str] = []
+        client.create_subscription(String, "/re_comm/changes", lambda message: changes.append(message.data), 100)
+        spin_until(executor, lambda: node._follower._after is not None)
         new = {"cls": "cup", "id": "blue", "object": CUP, "files": [File(name="a", data=[1, -1])]}
         assert not call(SetObject, "set_object", **new).success
         assert call(SetObject, "set_object", **new, apiKey="key").success
@@ -48,6 +53,9 @@ def test_client_of_roboearth_is_answered(start_ros: Callable[..., None], tmp_pat
         assert not call(GetObject, "get_object", objectUID="cup.red").success
         assert call(QueryObjects, "query_objects", query="rubbish").result == ""
         assert len([name for name, _ in node.get_service_names_and_types_by_node("rce_knowledge", "/")]) > 26
+        spin_until(executor, lambda: len(changes) == 2)
+        told = [(each["action"], each["uid"]) for each in map(json.loads, changes)]
+        assert told == [("added", "cup.blue"), ("changed", "cup.blue")]
         executor.shutdown()
         client.destroy_node()
         node.destroy_node()
