@@ -272,6 +272,18 @@ COMMANDS = (
         section=Section.LOCAL,
     ),
     Command(
+        "bench knowledge",
+        "Measure searches of the knowledge repository with many entries.",
+        Lazy(MODULE, "measure_knowledge"),
+        (
+            argument("--entries", type=int, default=10_000, help="(default: %(default)s)"),
+            argument("--samples", type=int, default=50, help="of each search (default: %(default)s)"),
+            FIGURES_JSON,
+        ),
+        platform=None,
+        section=Section.LOCAL,
+    ),
+    Command(
         "bench video",
         "Measure size, time and delay of the video formats on recorded images with depth.",
         Lazy(MODULE, "measure_video"),

@@ -368,6 +368,17 @@ async def measure_bags(args: argparse.Namespace) -> None:
 
 
 @_command
+async def measure_knowledge(args: argparse.Namespace) -> None:
+    """Measure searches of the knowledge repository."""
+    if min(args.entries, args.samples) < 1:
+        raise InvalidRequest("rce bench: --entries and --samples must be at least 1")
+    from rce.bench import knowledge  # needs the extra `knowledge`
+
+    figures = await knowledge.measure(args.entries, args.samples)
+    print(json.dumps(msgspec.to_builtins(figures)) if args.json else knowledge.table(figures, args.entries))
+
+
+@_command
 async def measure_endless(args: argparse.Namespace) -> None:
     """Measure each mapper over a long drive made of one recording."""
     mappers = _parse_names("mapper", args.mappers, MAPPERS)
