@@ -12,10 +12,11 @@ from docker.errors import APIError, ImageNotFound, NotFound
 from msgspec import Struct
 
 from containers.docker.api import AsyncDocker, explanation
+from containers.docker.block_io import Machine
 from containers.docker.disks import underlying_disk
 from containers.docker.events import ENDS, Event, Events
 from containers.docker.networks import ENVIRONMENT, Attachment
-from containers.docker.options import ContainerOptions, Machine
+from containers.docker.options import ContainerOptions
 from containers.docker.usage import used
 from containers.process.tree import describe_end
 from rce import __version__

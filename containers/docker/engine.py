@@ -25,19 +25,13 @@ from containers.control_relay import ControlRelay
 from containers.data_relay import GATE, DataRelay
 from containers.data_socket import DataSocket
 from containers.docker import disks, shaping
+from containers.docker.block_io import Machine
 from containers.docker.daemon import RUN, Daemon, Found, describe
 from containers.docker.events import Event
 from containers.docker.networks import Networks
-from containers.docker.options import (
-    CONTROL,
-    EndpointPaths,
-    Machine,
-    container_options,
-    environment_user,
-    reference,
-    variables,
-)
+from containers.docker.options import container_options
 from containers.docker.setup import Setup
+from containers.endpoint import CONTROL, EndpointPaths, environment_user, reference, variables
 from containers.engine import LAST_LINES, Engine, EnvironmentEnded, RunningEnvironment
 from containers.limits import Size, limits
 from containers.logfile import LONGEST_LINE
@@ -180,7 +174,7 @@ class DockerEngine(Engine):
         return await asyncio.to_thread(disks.make, file, spec.options.disk, self._user(spec.name))
 
     def _user(self, name: str) -> int:
-        return environment_user(name, self._machine)
+        return environment_user(name, mapped=self._machine.maps_users)
 
     async def remove(self, name: str) -> None:
         """Remove the container, networks, sockets and directories of an environment."""

@@ -21,8 +21,8 @@ from containers.data_relay import GATE
 from containers.docker.daemon import RUN, SIZE
 from containers.docker.events import Event
 from containers.docker.networks import ENVIRONMENT, GROUP, group_network
-from containers.docker.options import CONTROL, reference
 from containers.docker.setup import Setup
+from containers.endpoint import CONTROL, reference
 from containers.engine import Engine, EnvironmentEnded, RunningEnvironment
 from containers.limits import limits
 from containers.swarm.fleet import Fleet

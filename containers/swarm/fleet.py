@@ -11,12 +11,12 @@ from twisted.internet.base import ReactorBase
 from twisted.internet.error import CannotListenError
 from twisted.logger import Logger
 
+from containers.agents.connections import AgentAccess, Agents
 from containers.docker.api import docker_host
-from containers.docker.options import reference
+from containers.endpoint import reference
 from containers.limits import Size
 from containers.ports import listen_again
 from containers.settings import is_local
-from containers.swarm.agents import AgentAccess, Agents
 from containers.swarm.images import NAME, USER, ImageRegistry
 from containers.swarm.manager import Manager, Node
 from containers.swarm.spec import AGENT, FEATURE, AgentService, Names, agent_socket, agent_task

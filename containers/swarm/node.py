@@ -11,11 +11,12 @@ from docker.errors import APIError, NotFound
 from docker.types import Mount
 from msgspec import Struct
 
+from containers.agents.outside_limits import LimitRequest
 from containers.docker.api import DOCKER_SOCKET, explanation
 from containers.docker.daemon import CONFLICT, RUN, VERSION, Daemon
 from containers.docker.events import Event, Events
 from containers.docker.networks import ENVIRONMENT
-from containers.swarm.privileged import COMMAND, REQUEST_VARIABLE, LimitRequest
+from containers.swarm.privileged import COMMAND, REQUEST_VARIABLE
 from containers.swarm.spec import AGENT, SPEC
 from rce import __version__
 from rce.control.calls.agents import PullImage

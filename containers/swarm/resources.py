@@ -7,18 +7,18 @@ the agent reports that and the environment is removed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from ipaddress import ip_address, ip_network
+from collections.abc import Mapping
 from pathlib import Path
 
 from msgspec.structs import replace
 
+from containers.agents.hosts import hosts
+from containers.agents.outside_limits import LimitRequest
 from containers.docker.networks import Networks, group_network
-from containers.docker.options import environment_user
+from containers.endpoint import environment_user
 from containers.fetching import Fetcher
 from containers.packages import PackageCache
 from containers.swarm.node import NodeDaemon, Task
-from containers.swarm.privileged import LimitRequest
 from containers.swarm.spec import Names
 from rce.control.calls.environments import Group
 
@@ -96,18 +96,3 @@ class ResourceProvider:
                 owner=environment_user(task.name),
             )
         )
-
-
-def hosts(text: str, subnet: str, members: Mapping[str, str]) -> str:
-    """Return a hosts file with the members of a group first, and no other addresses of its subnet."""
-    network = ip_network(subnet)
-    lines = [line for line in text.splitlines() if not _is_within(line, network.__contains__)]
-    return "".join(f"{line}\n" for line in [*(f"{members[tag]}\t{tag}" for tag in sorted(members)), *lines])
-
-
-def _is_within(line: str, contains: Callable[[object], bool]) -> bool:
-    address = line.split(maxsplit=1)[:1]
-    try:
-        return bool(address) and contains(ip_address(address[0]))
-    except ValueError:
-        return False

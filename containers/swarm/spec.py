@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from containers.docker import disks, seccomp
 from containers.docker.api import DOCKER_SOCKET
 from containers.docker.networks import EGRESS, NO_NAMESERVER
-from containers.docker.options import (
+from containers.endpoint import (
     CONTROL,
     HOME,
     HOME_SIZE,

@@ -21,7 +21,7 @@ from containers.docker import seccomp
 from containers.docker.daemon import Found
 from containers.docker.engine import DockerEngine
 from containers.docker.events import Event
-from containers.docker.options import environment_user
+from containers.endpoint import environment_user
 from containers.engine import RunningEnvironment
 from rce.errors import InvalidRequest, LimitExceeded, StartFailed, Unavailable
 from rce.protocol.slots import MB, PIDS

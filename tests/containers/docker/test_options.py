@@ -15,7 +15,6 @@ from tests.support.containers.engine_contract import Endings, opened, spec
 docker = pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
 from containers.docker import disks
-from containers.docker.options import FIRST_USER, Machine, environment_user, reference
 from rce import __version__
 from rce.errors import NoCapacity, StartFailed
 from rce.protocol.messages import Rates
@@ -130,23 +129,3 @@ async def test_image_of_another_version_is_refused(
             assert world.remains() == set()
     finally:
         world.api.remove_image(f"{name}:1")
-
-
-def test_image_without_tag_gets_the_tag_of_this_version() -> None:
-    assert reference("rce/base") == f"rce/base:{__version__}"
-    assert reference("registry:5000/mine") == f"registry:5000/mine:{__version__}"
-    assert reference("rce/base:7") == "rce/base:7"
-    assert reference("mine@sha256:0") == "mine@sha256:0"
-
-
-def test_each_user_has_a_user_of_the_host() -> None:
-    """It is the same for all environments of a user, and after a restart."""
-    ann = environment_user("ann/map")
-    assert ann == environment_user("ann/plan")
-    assert ann != environment_user("bob/map")
-    assert FIRST_USER <= ann < 2**31  # Docker refuses larger ones
-
-
-def test_mapped_users_are_among_those_that_a_user_namespace_has() -> None:
-    ids = {environment_user(f"user{number}/map", Machine(maps_users=True)) for number in range(1000)}
-    assert all(10_000 <= each < 65_536 for each in ids)

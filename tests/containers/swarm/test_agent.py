@@ -45,17 +45,19 @@ def make_agent(docker: Docker, reports: list[Any], served: asyncio.Event) -> Any
 
     async def prepare(task: Any) -> None:
         await served.wait()
-        agent._served[task.run] = task
+        agent._services.served.add(task.run)
         del agent._preparing[task.run]
 
     async def notify(report: NodeReport | ContainerEnded) -> None:
         reports.append(report)
 
-    agent._docker, agent._prepare, agent._notify = docker, prepare, notify
+    agent._docker, agent._prepare = docker, prepare
     agent._dead, agent._end_reported, agent._present = set(), set(), set()
-    agent._served, agent._preparing, agent._adopted = {}, {}, None
+    agent._preparing, agent._adopted = {}, None
     agent._restore_rules, agent._report = False, None
-    agent._link, agent._data_relay = SimpleNamespace(connected=True), SimpleNamespace(address="relay:10.0.0.1:1")
+    agent._services = SimpleNamespace(
+        served=set[str](), relay="10.0.0.1:1", link=SimpleNamespace(connected=True), notify=notify
+    )
     return agent
 
 
@@ -79,10 +81,10 @@ async def test_ends_are_reported_before_the_report_that_lacks_them() -> None:
     docker, reports = Docker(RUN), list[Any]()
     docker.ended.add(RUN)
     agent = make_agent(docker, reports, asyncio.Event())
-    agent._link.connected = False
+    agent._services.link.connected = False
 
     async def join(runs: set[str]) -> None:
-        agent._link.connected = True
+        agent._services.link.connected = True
 
     docker.sweep = join  # type: ignore[method-assign]
     await agent._check()

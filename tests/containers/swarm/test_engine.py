@@ -9,8 +9,8 @@ import pytest
 
 docker = pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
-from containers.docker.options import environment_user
-from containers.swarm.agents import AgentAccess
+from containers.agents.connections import AgentAccess
+from containers.endpoint import environment_user
 from containers.swarm.engine import SwarmEngine
 from rce.errors import LimitExceeded, NoCapacity, StartFailed
 from tests.support.containers.container_contract import ContainerEngineContract, start_confined

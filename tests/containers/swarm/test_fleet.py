@@ -11,7 +11,7 @@ from twisted.internet.base import ReactorBase
 
 pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
-from containers.swarm.agents import AgentAccess
+from containers.agents.connections import AgentAccess
 from containers.swarm.fleet import Fleet
 from containers.swarm.spec import AgentService
 from rce.errors import Unavailable

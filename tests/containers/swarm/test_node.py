@@ -13,9 +13,10 @@ pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
 from docker.errors import APIError, NotFound
 
+from containers.agents.outside_limits import LimitRequest
 from containers.docker.api import DOCKER_SOCKET
 from containers.swarm.node import NodeDaemon, Task
-from containers.swarm.privileged import COMMAND, LimitRequest
+from containers.swarm.privileged import COMMAND
 from rce.control.calls.agents import PullImage
 from rce.control.calls.environments import EnvironmentSpec
 from rce.errors import InvalidRequest, StartFailed, Unavailable

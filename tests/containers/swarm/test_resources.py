@@ -19,9 +19,8 @@ from msgspec.structs import replace
 
 docker = pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
 
-from containers.docker.options import environment_user
+from containers.endpoint import environment_user
 from containers.swarm.engine import SwarmEngine
-from containers.swarm.resources import hosts
 from rce.control.calls.environments import DownloadTicket, EnvironmentSpec, Group
 from rce.errors import InvalidRequest, NotFound, StartFailed
 from rce.packages import archive
@@ -89,13 +88,6 @@ def limits_of(process: int) -> dict[str, tuple[int, int]]:
 
 def disks() -> str:
     return "".join(file.read_text() for file in Path("/sys/block").glob("loop*/loop/backing_file"))
-
-
-def test_group_members_precede_other_hosts_entries() -> None:
-    text = "127.0.0.1\tlocalhost\n::1\tip6-localhost\n10.128.0.200\tabc\n10.127.0.2\tabc\n"
-    assert hosts(text, NET, {"plan": "10.128.0.3", "map": "10.128.0.2"}) == (
-        "10.128.0.2\tmap\n10.128.0.3\tplan\n127.0.0.1\tlocalhost\n::1\tip6-localhost\n10.127.0.2\tabc\n"
-    )
 
 
 async def test_disk_rates_and_bandwidth_are_limited(world: SwarmWorld, engine: SwarmEngine) -> None:

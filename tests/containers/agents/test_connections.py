@@ -1,4 +1,4 @@
-"""Connections of the task set to the agents of a swarm, without a swarm."""
+"""Connections of the task set to the agents, without a swarm."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from collections.abc import AsyncIterator
 import pytest
 from twisted.internet.base import ReactorBase
 
-from containers.swarm import agents as module
-from containers.swarm.agents import ROLE, Agents
+from containers.agents import connections as module
+from containers.agents.connections import ROLE, Agents
 from rce import __version__
 from rce.control.calls.agents import NodeReport, SetMaster
 from rce.control.calls.joining import Hello, SetRemovedMachines

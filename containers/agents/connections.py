@@ -1,4 +1,4 @@
-"""Connections of the task set to its agents, one on each node of the swarm."""
+"""Connections of the task set to its agents, one on each node."""
 
 from __future__ import annotations
 
