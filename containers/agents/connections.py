@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 from msgspec import Struct
@@ -32,6 +33,7 @@ from rce.process.metrics import Family
 
 log = Logger()
 ROLE = "agent"
+R = TypeVar("R")
 METRICS_TIMEOUT = 3.0  # seconds for an agent to answer; less than the Master waits for the task set
 
 
@@ -203,10 +205,19 @@ class Agents:
             StartFailed: The node's Docker did not pull the image.
             Lost: The node has no agent.
         """
+        await self.call(node, call)
+
+    async def call(self, node: str, call: Call[R]) -> R:
+        """Make a call to the agent of a node; return its result.
+
+        Raises:
+            Lost: The node has no agent.
+            RceError: What the agent has raised.
+        """
         agent = self._agents.get(node)
         if agent is None or agent.control is None:
             raise Lost(f"node {node} has no agent")
-        await agent.control.call(call)
+        return await agent.control.call(call)
 
     async def set_group_members(self, group: Group) -> None:
         """Send all agents the members of a group."""

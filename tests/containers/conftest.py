@@ -36,13 +36,14 @@ def stand_in(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return archive.getvalue()
 
 
-def load(host: str, layer: bytes) -> None:
+def load(host: str, layer: bytes, tag: str = STAND_IN, *changes: str) -> None:
     """Import the image into a daemon."""
     import docker
 
     api = docker.APIClient(base_url=host, version="auto")
-    name, _, tag = STAND_IN.partition(":")
-    api.import_image_from_data(layer, repository=name, tag=tag, changes=[f"LABEL rce.version={__version__}"])
+    name, _, version = tag.partition(":")
+    changes = (f"LABEL rce.version={__version__}", *changes)
+    api.import_image_from_data(layer, repository=name, tag=version, changes=list(changes))
     api.close()
 
 
@@ -67,6 +68,22 @@ def one_machine(stand_in: bytes) -> Iterator[Any]:
     with swarm_of(1) as made:
         load(made.nodes[0].host, stand_in)
         load_host_image(made.nodes[0])
+        yield made
+
+
+@pytest.fixture(scope="session")
+def cluster(stand_in: bytes) -> Iterator[Any]:
+    """A Kubernetes cluster of one node with the images; its agent runs on from one test to the next."""
+    pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
+    from tests.support.kubernetes.cluster import PAUSE, cluster_of
+    from tests.support.swarm_nodes import load_host_image
+
+    def prepare(node: Any) -> None:
+        load(node.host, stand_in)
+        load(node.host, stand_in, PAUSE, 'CMD ["/stand-in"]')
+        load_host_image(node)
+
+    with cluster_of(1, prepare) as made:
         yield made
 
 

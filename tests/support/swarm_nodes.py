@@ -30,14 +30,13 @@ from tests.support.paths import ROOT
 NUMBERS = range(20, 120)
 START_TIMEOUT = 120.0
 STOP_TIMEOUT = 120.0
-HOST_IMAGE = "rce-test/host:1"  # an empty image; containers see the Python of this machine by mounts
+HOST_IMAGE = "rce-test/host:1"  # an almost empty image; containers see the Python of this machine by mounts
 NEEDED = ("dockerd", "containerd", "runc", "iptables", "ip", "nsenter", "unshare")
 # Each machine has its own /run, with Docker's usual socket, and its own Docker directory at a path common to all.
 SCRIPT = """
 mount -t tmpfs none /run && mkdir -p /run/docker && mount --bind {own} {common} && mount --make-rshared / || exit 1
 exec dockerd --data-root={common}/data --exec-root={common}/exec -H unix:///run/docker.sock \
-    -H unix://{common}/docker.sock --pidfile={common}/pid --bridge=none --no-new-privileges \
-    --insecure-registry={registry}
+    -H unix://{common}/docker.sock --pidfile={common}/pid --no-new-privileges {options}
 """
 
 
@@ -83,35 +82,36 @@ class Swarm:
     def __init__(self, directory: Path) -> None:
         self.nodes: list[Node] = []
         self.address = ""
-        self._directory = directory
+        self.directory = directory
+        self.net = ""  # the first two bytes of all addresses
         self._bridge = ""
-        self._net = ""
 
     def open(self) -> None:
         """Create the bridge, with a number that no other test run uses."""
-        (self._directory / "docker").mkdir()
+        (self.directory / "docker").mkdir()
         for number in random.sample(NUMBERS, len(NUMBERS)):
-            self._bridge, self._net = f"rce{number}", f"10.{number}.87"
-            self.address = f"{self._net}.1"
-            if not routed(f"{self._net}.0/24") and created("ip", "link", "add", self._bridge, "type", "bridge"):
+            self._bridge, self.net = f"rce{number}", f"10.{number}"
+            self.address = f"{self.net}.87.1"
+            if not routed(f"{self.net}.87.0/24") and created("ip", "link", "add", self._bridge, "type", "bridge"):
                 break
         else:
             pytest.skip(f"all {len(NUMBERS)} bridges for swarms of tests are in use: delete those that are left")
         run("ip", "address", "add", f"{self.address}/24", "dev", self._bridge)
         run("ip", "link", "set", self._bridge, "up")
 
-    def add(self) -> Node:
-        """Start a machine; it may not answer yet."""
+    def add(self, *options: str) -> Node:
+        """Start a machine, whose Docker has these options, by default those for a swarm; it may not answer yet."""
         number = len(self.nodes) + 1
-        name, address = f"{self._bridge}n{number}", f"{self._net}.{number + 10}"
-        own = self._directory / name
+        name, address = f"{self._bridge}n{number}", f"{self.net}.87.{number + 10}"
+        own = self.directory / name
         own.mkdir()
         run("ip", "netns", "add", name)
         run("ip", "link", "add", name, "type", "veth", "peer", "name", "eth0", "netns", name)
         run("ip", "link", "set", name, "master", self._bridge, "up")
         for words in (f"address add {address}/24 dev eth0", "link set eth0 up", "link set lo up"):
             run("ip", "-n", name, *words.split())
-        script = SCRIPT.format(own=own, common=self._directory / "docker", registry=f"{self.address}/32")
+        words = " ".join(options or ("--bridge=none", f"--insecure-registry={self.address}/32"))
+        script = SCRIPT.format(own=own, common=self.directory / "docker", options=words)
         with (own / "log").open("w") as log:
             process = subprocess.Popen(
                 ["nsenter", f"--net=/run/netns/{name}", "unshare", "-m", "sh", "-c", script],
@@ -192,6 +192,9 @@ def load_host_image(node: Node, *, mapping: bool = False) -> None:
     """
     layer = io.BytesIO()
     with tarfile.open(fileobj=layer, mode="w") as archive:
+        note = tarfile.TarInfo("README")  # kubelet takes an image without any bytes for broken
+        note.size = 3
+        archive.addfile(note, io.BytesIO(b"RCE"))
         if mapping:
             subprocess.run([sys.executable, "-P", "-c", "import rce.mapping.mappers"], check=True)
             for file in (ROOT / "rce" / "mapping").rglob("__pycache__/*.nb?"):

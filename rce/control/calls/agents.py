@@ -1,10 +1,11 @@
-"""Calls between a task set and its agents, one on each node of a swarm."""
+"""Calls between a task set and its agents, one on each node of a swarm or cluster."""
 
 from __future__ import annotations
 
 from msgspec import Struct
 
 from rce.control.calls.call import Call, Nothing
+from rce.control.calls.environments import EnvironmentSpec
 from rce.errors import ErrorInfo
 
 
@@ -70,3 +71,23 @@ class RemoveRun(Call[RemovedRun], frozen=True):
 
     timeout = 120.0
     run: str
+
+
+class Furnish(Call[Nothing], frozen=True):
+    """Confine an environment whose container runs on the agent's node, and open its sockets; answered when it is done.
+
+    Its endpoint waits until then. Raises InvalidRequest, StartFailed and NotFound.
+    """
+
+    timeout = 170.0  # users' packages are fetched
+    environment: EnvironmentSpec  # without its token
+    container: str  # id in the node's runtime
+    memory: int  # its limit in bytes
+
+
+class ConnectGroup(Call[Nothing], frozen=True):
+    """Connect an environment to the others of its network group, and to no others."""
+
+    run: str
+    members: dict[str, str]  # addresses in the group by containerTag, for its hosts file
+    peers: list[str]  # addresses of the other members' pods

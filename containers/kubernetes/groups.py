@@ -1,0 +1,47 @@
+"""Network groups: each member's agent is told the pods of the other members."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Sequence
+
+from twisted.logger import Logger
+
+from containers.kubernetes.objects import Pod
+from rce.control.calls.agents import ConnectGroup
+from rce.errors import RceError
+
+log = Logger()
+
+
+class Groups:
+    """Tells agents of the members of groups, each only what is new; `call` makes a call to the agent of a node."""
+
+    def __init__(self, call: Callable[[str, ConnectGroup], Awaitable[None]]) -> None:
+        self._call = call
+
+    async def update(self, members: Sequence[Pod]) -> None:
+        """Connect all running members of one group with each other."""
+        for pod, call in connections(members):
+            try:
+                await self._call(pod.node, call)
+            except RceError as error:  # its agent serves it again later, or it has ended
+                log.info("{name} was not connected to its group: {error}", name=pod.spec.name, error=str(error))
+
+
+def connections(members: Sequence[Pod]) -> list[tuple[Pod, ConnectGroup]]:
+    """Return for each member of a group what its agent must know."""
+    named: dict[str, str] = {}
+    for pod in members:
+        assert pod.spec.group is not None
+        named |= pod.spec.group.members
+    own = {pod.spec.name.partition("/")[2]: pod.spec.group.address for pod in members if pod.spec.group is not None}
+    named |= own
+    return [
+        (
+            pod,
+            ConnectGroup(
+                pod.spec.run, named, sorted(other.address for other in members if other is not pod and other.address)
+            ),
+        )
+        for pod in members
+    ]
