@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import nox
 
-from provisioning.development import IN_TWO_PROCESSES, PYTHON, QUICK, REST
+from provisioning.development import IN_TWO_PROCESSES, KUBERNETES, PYTHON, QUICK, REST
 
 nox.options.sessions = ["lint", "types", "unit"]
 nox.options.default_venv_backend = "none"
@@ -59,6 +59,13 @@ def e2e(session: nox.Session) -> None:
 def rest(session: nox.Session) -> None:
     """Run what `unit` leaves out, the second stage of CI."""
     session.run(*MODULE, "pytest", *IN_TWO_PROCESSES, *REST, *session.posargs)
+
+
+@nox.session
+def kubernetes(session: nox.Session) -> None:
+    """Build a Kubernetes cluster, unless it is cached, and run the tests of the engine `kubernetes` on it, as root."""
+    session.run(*MODULE, "tests.support.kubernetes.build")
+    session.run(*MODULE, "pytest", *KUBERNETES, *session.posargs)
 
 
 @nox.session(venv_backend="virtualenv")

@@ -10,6 +10,7 @@ from pathlib import Path
 from twisted.internet.base import ReactorBase
 
 from containers.data_relay import DataRelay
+from containers.docker.setup import Setup
 from containers.engine import Engine, EnvironmentEnded
 from containers.process.engine import ProcessEngine
 from containers.recordings.receiver import RecordingReceiver
@@ -60,7 +61,7 @@ async def serve(reactor: ReactorBase, settings: Settings) -> None:
             (store, receiver),
         )
         try:
-            if settings.data_host and settings.engine != "swarm":
+            if settings.data_host and settings.engine in ("process", "docker"):
                 await relay.listen(settings.data_host, settings.data_port, settings.data_address)
             await task_set.run(stop_environments=settings.stop_environments)
         finally:
@@ -98,15 +99,6 @@ def make_engine(
             recordings=recordings,
             packages=directory / "packages",
         )
-    try:
-        from containers.docker.engine import DockerEngine
-        from containers.docker.setup import Setup
-        from containers.swarm.engine import SwarmEngine
-        from containers.swarm.spec import AgentService
-    except ModuleNotFoundError as error:
-        raise StartFailed(
-            f"the {settings.engine} engine needs docker-py ({error}): pip install '.[docker]' in a checkout of RCE"
-        ) from None
     setup = Setup(
         reactor=reactor,
         platform=settings.own_name,
@@ -117,6 +109,16 @@ def make_engine(
         tls=tls,
         read_only=[path for path in (*packages, settings.typesupport, *settings.mounts) if path],
     )
+    if settings.engine == "kubernetes":
+        return make_kubernetes_engine(settings, setup, ended)
+    try:
+        from containers.docker.engine import DockerEngine
+        from containers.swarm.engine import SwarmEngine
+        from containers.swarm.spec import AgentService
+    except ModuleNotFoundError as error:
+        raise StartFailed(
+            f"the {settings.engine} engine needs docker-py ({error}): pip install '.[docker]' in a checkout of RCE"
+        ) from None
     if settings.engine == "swarm":
         return SwarmEngine(
             settings.size,
@@ -145,6 +147,42 @@ def make_engine(
         host=settings.host,
         egress_pool=settings.egress_pool,
         nameservers=settings.nameservers or NAMESERVERS,
+    )
+
+
+def make_kubernetes_engine(settings: Settings, setup: Setup, ended: Callable[[EnvironmentEnded], None]) -> Engine:
+    """Make the engine `kubernetes`.
+
+    Raises:
+        StartFailed: It needs kubernetes_asyncio, which is not installed.
+    """
+    try:
+        from containers.kubernetes.engine import KubernetesEngine
+        from containers.kubernetes.setup import AgentSetup, ClusterSetup
+    except ModuleNotFoundError as error:
+        raise StartFailed(
+            f"the kubernetes engine needs its library ({error}): pip install '.[kubernetes]' in a checkout of RCE"
+        ) from None
+    agent = AgentSetup(
+        image=settings.agent_image,
+        address=settings.agent_address,
+        port=settings.agent_port,
+        data_port=settings.data_port,
+        entry=settings.entry,
+        mounts=settings.mounts,
+    )
+    cluster = ClusterSetup(
+        agent=agent,
+        namespace=settings.namespace,
+        per_user=settings.namespace_per_user,
+        pull_secrets=settings.pull_secrets,
+        priority_class=settings.priority_class,
+        nameservers=settings.nameservers or NAMESERVERS,
+        directory=settings.node_directory,
+        seccomp=settings.seccomp_directory,
+    )
+    return KubernetesEngine(
+        settings.size, settings.features, ended, setup, cluster=cluster, keep_agents=not settings.stop_environments
     )
 
 

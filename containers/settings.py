@@ -33,27 +33,48 @@ class Settings(Struct, frozen=True):
         str, Meta(description="one-time join token; set RCE_TOKEN rather than the command line, which others can see")
     ] = ""
     engine: Annotated[
-        Literal["process", "docker", "swarm"],
-        Meta(description="engine of the environments: process, docker or swarm (DOCKER_HOST must be a manager of it)"),
+        Literal["process", "docker", "swarm", "kubernetes"],
+        Meta(
+            description="engine of the environments: process, docker, swarm (DOCKER_HOST must be a manager of it) or "
+            "kubernetes (the cluster that this program runs in, or that of KUBECONFIG)"
+        ),
     ] = "process"
-    image: Annotated[str, Meta(description="docker and swarm: image of the environments")] = (
-        f"rce/mapping:{__version__}"
-    )
-    agent_image: Annotated[str, Meta(description="swarm engine: image of the agent on each node")] = (
+    image: Annotated[str, Meta(description="all but process: image of the environments")] = f"rce/mapping:{__version__}"
+    agent_image: Annotated[str, Meta(description="swarm and kubernetes: image of the agent on each node")] = (
         f"rce/agent:{__version__}"
     )
     agent_address: Annotated[
-        str, Meta(description="swarm engine: address at which agents reach this task set; empty: the manager's")
+        str,
+        Meta(description="address at which agents of a swarm or cluster reach this task set; empty: a swarm manager's"),
     ] = ""
+    agent_port: Annotated[
+        int, Meta(ge=0, le=65535, description="kubernetes: port for agents; 0: a free one, which stays the same")
+    ] = 0
+    namespace: Annotated[str, Meta(description="kubernetes: namespace of agents and environments")] = "rce"
+    namespace_per_user: Annotated[
+        bool, Meta(description="kubernetes: environments of each user in a namespace of their own")
+    ] = False
+    pull_secrets: Annotated[
+        list[str], Meta(description="kubernetes: secrets of the namespace with which nodes pull images")
+    ] = []
+    priority_class: Annotated[
+        str, Meta(description="kubernetes: priority class of environments; empty: the default")
+    ] = ""
+    node_directory: Annotated[
+        str, Meta(description="kubernetes: directory on each node for the sockets of environments")
+    ] = "/var/lib/rce"
+    seccomp_directory: Annotated[
+        str, Meta(description="kubernetes: kubelet's directory of seccomp profiles on each node")
+    ] = "/var/lib/kubelet/seccomp"
     egress_pool: Annotated[
         str, Meta(description="docker and swarm: network of which each environment with egress gets a /30")
     ] = EGRESS_POOL
     nameservers: Annotated[
         list[str],
-        Meta(description="docker and swarm: nameservers of such environments; empty: 1.1.1.1 and 9.9.9.9"),
+        Meta(description="all but process: nameservers of such environments; empty: 1.1.1.1 and 9.9.9.9"),
     ] = []
     mounts: Annotated[
-        list[str], Meta(description="docker and swarm: directories that every environment sees read-only")
+        list[str], Meta(description="all but process: directories that every environment sees read-only")
     ] = []
     data_host: Annotated[
         str, Meta(description="address on which data links from other machines are accepted; empty: none")

@@ -42,7 +42,10 @@ PYTHON = VENV / "bin" / "python"
 STAMP = VENV / "provisioned.json"
 DEMO_EXTRAS = ("server", "knowledge", "bag", "mapping", "mapping3d", "ros", "images")  # the last for the examples
 IMAGE_EXTRAS = ("server", "docker")
-TEST_EXTRAS = (*DEMO_EXTRAS, "onnx", "video", "draco", "docker", "bench", "postgresql", "docs", "dev")
+TEST_EXTRAS = (
+    *(*DEMO_EXTRAS, "onnx", "video", "draco", "docker", "kubernetes", "bench", "postgresql"),
+    *("docs", "dev"),
+)
 TEST_PACKAGE = ROOT / "tests" / "ros" / "Test"
 EXAMPLE_PACKAGE = ROOT / "tests" / "ros" / "example_interfaces"
 DOCKER_PROGRAMS = {  # a private daemon, what makes images without a registry, and disks and networks of environments
@@ -75,8 +78,9 @@ CPP_HEADERS = {  # of the C++ client
 IN_TWO_PROCESSES = ("-n", "2", "--dist", "loadgroup", "--no-loadscope-reorder", "--max-worker-restart=1")
 """Options of pytest. tests/conftest.py makes the groups and their order. A process that ends is replaced once, because
 pytest-xdist starts the test that ended it again."""
-QUICK = ("-m", "not (e2e or docker or ros or slow)")
-REST = ("-m", "e2e or docker or ros or slow")
+QUICK = ("-m", "not (e2e or docker or kubernetes or ros or slow)")
+REST = ("-m", "((e2e or docker or ros or slow) and not kubernetes) or sample")
+KUBERNETES = ("-m", "kubernetes")
 UV_CONSTRAINTS = ("--constraints", CONSTRAINTS, "--build-constraints", CONSTRAINTS)
 KEEP_BYTECODE = {"PYTHONDONTWRITEBYTECODE": ""}
 """Variables for the tests. They start hundreds of processes, each of which would compile the sources again."""

@@ -39,9 +39,10 @@ settings.register_profile("tests", deadline=None, suppress_health_check=[HealthC
 settings.load_profile("tests")
 
 TESTS = Path(__file__).parent
+KUBERNETES_FIXTURES = {"cluster", "two_nodes"}
 DOCKER_FIXTURES = {"docker_host", "images", "island", "swarm", "one_machine", "stand_in_image"}
 ROS_FOLDERS = ("e2e", "endpoints/environment", "containers/nodes", "provisioning")
-TIMEOUTS = {"docker": 2400, "e2e": 600}  # seconds; the first test with Docker builds the images
+TIMEOUTS = {"docker": 2400, "kubernetes": 900, "e2e": 600}  # seconds; the first with Docker builds the images
 
 
 @pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
@@ -57,12 +58,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         conditions = {
             "docker": _needs_docker(item),
             "e2e": path.is_relative_to("e2e"),
+            "kubernetes": _needs_cluster(item),
             "ros": any(path.is_relative_to(folder) for folder in ROS_FOLDERS),
         }
         for marker, applies in conditions.items():
             if applies:
                 item.add_marker(marker)
-        item.add_marker(pytest.mark.xdist_group("docker" if conditions["docker"] else path.as_posix()))
+        machine = next((each for each in ("docker", "kubernetes") if conditions[each]), "")
+        item.add_marker(pytest.mark.xdist_group(machine or path.as_posix()))
         _limit_time(item)
 
 
@@ -93,6 +96,10 @@ def _limit_time(item: pytest.Item) -> None:
 def _needs_docker(item: pytest.Item) -> bool:
     fixtures = getattr(item, "fixturenames", ())
     return not DOCKER_FIXTURES.isdisjoint(fixtures) or "[docker" in item.name
+
+
+def _needs_cluster(item: pytest.Item) -> bool:
+    return not KUBERNETES_FIXTURES.isdisjoint(getattr(item, "fixturenames", ()))
 
 
 @pytest.fixture

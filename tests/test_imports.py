@@ -22,6 +22,7 @@ MAY_IMPORT: dict[str, set[str]] = {
 }
 ONLY_IN: dict[str, tuple[str, ...]] = {
     "docker": ("containers/docker/", "containers/swarm/", "provisioning/image.py", "provisioning/user_image.py"),
+    "kubernetes_asyncio": ("containers/kubernetes/",),
     "rclpy": ("endpoints/environment/", "containers/nodes/"),
     "cv2": (
         "converters/",

@@ -1,4 +1,4 @@
-"""Settings that all containers of a task set share, under Docker and Swarm alike."""
+"""Settings that all containers of a task set share, whatever engine runs them."""
 
 from __future__ import annotations
 

@@ -238,7 +238,10 @@ class KubernetesEngine(Engine):
                     await self._api.delete(pod.path, 0 if lost or not pod.node else None, pod.uid)
                     while await self._exists(pod):
                         change.clear()
-                        if pod.uid in self._pods.objects:
+                        known = self._pods.objects.get(pod.uid)
+                        if known is not None and read_pod(known).end is not None:
+                            await self._api.delete(pod.path, 0, pod.uid)  # old kubelets let the object stay for 10 s
+                        elif known is not None:
                             await change.wait()
                         else:  # the watch is behind, or has not begun
                             await asyncio.sleep(0.1)

@@ -94,9 +94,8 @@ def _set_rules(process: int, egress: Egress, group: Group | None, peers: Collect
 def _make_tunnel(process: int, group: Group) -> None:
     if GROUP_DEVICE in devices(process):  # this agent's predecessor made it
         return
-    (underlay, *_) = devices(process)
     number = str(int(identity(group.name), 16) % 2**24)
-    words = ["link", "add", GROUP_DEVICE, "type", "vxlan", "id", number, "dstport", str(GROUP_PORT), "dev", underlay]
+    words = ["link", "add", GROUP_DEVICE, "type", "vxlan", "id", number, "dstport", str(GROUP_PORT)]
     _inside(process, "ip", *words)
     prefix = group.subnet.partition("/")[2]
     address = str(ip_interface(f"{group.address}/{prefix}"))

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import shutil
-import subprocess
-import tarfile
 from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,7 +13,7 @@ from containers.engine import Engine
 from rce import __version__
 from tests.support.containers.engine_contract import Endings, World, opened
 from tests.support.containers.fake_master import FakeMaster
-from tests.support.paths import TESTS
+from tests.support.containers.stand_in_image import stand_in_layer
 
 STAND_IN = "rce-test/stand-in:latest"
 
@@ -25,25 +21,16 @@ STAND_IN = "rce-test/stand-in:latest"
 @pytest.fixture(scope="session")
 def stand_in(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """The only layer of the image."""
-    if shutil.which("gcc") is None:
-        pytest.skip("no C compiler for the stand-in's program: install g++ to run this")
-    program = tmp_path_factory.mktemp("stand-in") / "stand-in"
-    source = TESTS / "support" / "containers" / "stand_in.c"
-    subprocess.run(["gcc", "-static", "-Os", "-s", "-o", str(program), str(source)], check=True)
-    archive = io.BytesIO()
-    with tarfile.open(fileobj=archive, mode="w") as tar:
-        tar.add(program, "stand-in")
-    return archive.getvalue()
+    return stand_in_layer(tmp_path_factory.mktemp("stand-in"))
 
 
-def load(host: str, layer: bytes, tag: str = STAND_IN, *changes: str) -> None:
+def load(host: str, layer: bytes) -> None:
     """Import the image into a daemon."""
     import docker
 
     api = docker.APIClient(base_url=host, version="auto")
-    name, _, version = tag.partition(":")
-    changes = (f"LABEL rce.version={__version__}", *changes)
-    api.import_image_from_data(layer, repository=name, tag=version, changes=list(changes))
+    name, _, tag = STAND_IN.partition(":")
+    api.import_image_from_data(layer, repository=name, tag=tag, changes=[f"LABEL rce.version={__version__}"])
     api.close()
 
 
@@ -75,15 +62,10 @@ def one_machine(stand_in: bytes) -> Iterator[Any]:
 def cluster(stand_in: bytes) -> Iterator[Any]:
     """A Kubernetes cluster of one node with the images; its agent runs on from one test to the next."""
     pytest.importorskip("docker", reason="needs docker-py: pip install '.[docker]'")
-    from tests.support.kubernetes.cluster import PAUSE, cluster_of
-    from tests.support.swarm_nodes import load_host_image
+    from tests.support.kubernetes.cluster import cluster_of
+    from tests.support.kubernetes.images import load_images
 
-    def prepare(node: Any) -> None:
-        load(node.host, stand_in)
-        load(node.host, stand_in, PAUSE, 'CMD ["/stand-in"]')
-        load_host_image(node)
-
-    with cluster_of(1, prepare) as made:
+    with cluster_of(1, lambda node: load_images(node, stand_in)) as made:
         yield made
 
 

@@ -1,0 +1,46 @@
+"""What the agents of a group's members are told."""
+
+from __future__ import annotations
+
+import msgspec
+
+from containers.kubernetes.groups import Groups, connections
+from containers.kubernetes.objects import Pod
+from rce.control.calls.agents import ConnectGroup
+from rce.control.calls.environments import EnvironmentSpec, Group
+from rce.errors import Lost
+from rce.protocol.messages import ContainerData
+
+
+def member(tag: str, address: str, pod_address: str, node: str = "n1") -> Pod:
+    group = Group("ann/pair", "10.128.0.0/24", address, {tag: address})
+    spec = EnvironmentSpec(f"ann/{tag}", tag[0] * 32, "", ContainerData(), group)
+    return Pod(f"rce-{tag}", "rce", tag, spec, node, pod_address, "c", True, False, None, "", "", 0)
+
+
+LEFT, RIGHT = member("left", "10.128.0.2", "10.1.0.5"), member("right", "10.128.0.3", "10.1.1.6", "n2")
+NAMED = {"left": "10.128.0.2", "right": "10.128.0.3"}
+
+
+def test_each_member_is_told_all_names_and_the_pods_of_the_others() -> None:
+    assert connections([LEFT, RIGHT]) == [
+        (LEFT, ConnectGroup("l" * 32, NAMED, ["10.1.1.6"])),
+        (RIGHT, ConnectGroup("r" * 32, NAMED, ["10.1.0.5"])),
+    ]
+
+
+def test_pod_without_an_address_is_nobodys_peer() -> None:
+    early = msgspec.structs.replace(RIGHT, address="")
+    assert connections([LEFT, early])[0][1].peers == []
+
+
+async def test_agent_that_is_away_does_not_keep_the_others_from_being_told() -> None:
+    told: list[str] = []
+
+    async def call(node: str, call: ConnectGroup) -> None:
+        if node == "n1":
+            raise Lost("node n1 has no agent")
+        told.append(call.run)
+
+    await Groups(call).update([LEFT, RIGHT])
+    assert told == ["r" * 32]
