@@ -109,6 +109,7 @@ class Cluster:
                 f"--bip={self.machines.net}.{100 + number}.1/24",
                 f"--add-runtime=clamp={clamp}",
                 "--default-runtime=clamp",
+                "--ip-masq=false",  # pods see the addresses of each other, as Kubernetes demands
             )
         self._start_servers()
         self.machines.wait()
