@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from twisted.logger import Logger
+
 from containers.kubernetes.api import Api
 from containers.kubernetes.objects import TASK_SET, Object, identity
 from containers.kubernetes.policies import group_policy, policies
 from containers.kubernetes.setup import ClusterSetup
 from rce.control.calls.environments import Group
+from rce.errors import NotFound
+
+log = Logger()
 
 
 class Namespaces:
@@ -28,7 +33,7 @@ class Namespaces:
 
         Raises:
             Unavailable: Kubernetes does not answer, or refuses.
-            NotFound: The namespace or a pull secret does not exist.
+            NotFound: The namespace does not exist.
         """
         if namespace not in self._prepared:
             if namespace != self._cluster.namespace:
@@ -47,7 +52,11 @@ class Namespaces:
         await self._api.apply(f"{place}/{metadata['name']}", policy)
 
     async def _copy_secret(self, name: str, namespace: str) -> None:
-        found = await self._api.get(f"/api/v1/namespaces/{self._cluster.namespace}/secrets/{name}")
+        try:
+            found = await self._api.get(f"/api/v1/namespaces/{self._cluster.namespace}/secrets/{name}")
+        except NotFound:  # Kubernetes passes over a missing one too, as an image may need none
+            log.warn("{namespace} has no pull secret {name}", namespace=self._cluster.namespace, name=name)
+            return
         copy = {
             "apiVersion": "v1",
             "kind": "Secret",

@@ -14,6 +14,7 @@ pytest.importorskip("kubernetes_asyncio", reason="needs kubernetes_asyncio: pip 
 pytest.importorskip("docker", reason="nodes of the tests need docker-py: pip install '.[docker]'")
 
 from containers.kubernetes.objects import RUN, SPEC
+from provisioning.kubernetes import Values, manifests, rights_per_user
 from tests.support.containers.stand_in_image import stand_in_layer
 from tests.support.e2e import hostile_programs as programs
 from tests.support.e2e.machines import Host, Machines
@@ -227,3 +228,26 @@ async def test_environment_moves_from_a_lost_node(two_nodes: Cluster, platform: 
 def environments_on(node: Any) -> list[str]:
     """Return the containers of environments on a node, which its Docker knows."""
     return [each["Id"] for each in node.api().containers(filters={"name": "k8s_environment"})]
+
+
+def test_manifests_are_applied_and_their_programs_are_started(two_nodes: Cluster) -> None:
+    """Kubernetes admits all objects and makes their pods, which wait for images that no registry here has."""
+    values = Values(
+        namespace="rce-applied", databasePassword="a", robotToken="b", containerToken="c", namespacePerUser="true"
+    )
+    items = [*manifests(values), *rights_per_user(values)]
+    text = json.dumps({"apiVersion": "v1", "kind": "List", "items": items})
+    try:
+        two_nodes.kubectl("apply", "--filename=-", given=text)
+        two_nodes.kubectl("apply", "--filename=-", given=text)
+        made = {each["metadata"]["name"] for each in two_nodes.get("deployments", namespace="rce-applied")}
+        assert made == {"rce-database", "rce-master", "rce-robot", "rce-tasks"}
+        for verb, kind, answer in (
+            ("create", "namespaces", "yes"),
+            ("create", "pods", "yes"),
+            ("delete", "nodes", "no"),
+        ):
+            account = "--as=system:serviceaccount:rce-applied:rce-tasks"
+            assert two_nodes.kubectl("auth", "can-i", verb, kind, account, check=False).strip() == answer
+    finally:
+        two_nodes.kubectl("delete", "--filename=-", "--wait=false", given=text)

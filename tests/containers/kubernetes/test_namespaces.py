@@ -9,7 +9,6 @@ pytest.importorskip("kubernetes_asyncio", reason="needs kubernetes_asyncio: pip 
 from containers.kubernetes.namespaces import Namespaces
 from containers.kubernetes.setup import AgentSetup, ClusterSetup
 from rce.control.calls.environments import Group
-from rce.errors import NotFound
 from tests.support.kubernetes.fake_api import FakeApi
 
 AGENT = AgentSetup(image="rce/agent:1", address="task-set")
@@ -43,7 +42,8 @@ async def test_namespace_of_a_user_is_created_with_the_pull_secrets() -> None:
     assert api.objects["/api/v1/namespaces/rce-ann/secrets/registry"]["data"] == api.objects[SECRET]["data"]
 
 
-async def test_missing_pull_secret_is_an_error() -> None:
-    namespaces = Namespaces(FakeApi(), ClusterSetup(agent=AGENT, per_user=True, pull_secrets=["registry"]), "t")
-    with pytest.raises(NotFound, match="registry"):
-        await namespaces.prepare("rce-ann", None)
+async def test_missing_pull_secret_is_passed_over() -> None:
+    api = FakeApi()
+    namespaces = Namespaces(api, ClusterSetup(agent=AGENT, per_user=True, pull_secrets=["registry"]), "t")
+    await namespaces.prepare("rce-ann", None)
+    assert not any("secrets" in step for step in api.steps)
