@@ -1,12 +1,13 @@
 """Builder of the images of environments from this checkout: `python -P -m provisioning.image`.
 
 `rce/system` is Debian, from a registry or, if there is none, by debootstrap. The Dockerfiles in `containers/images`
-build `rce/base`, `rce/mapping`, `rce/mapping3d` and `rce/agent` on it. In most of them our code comes last, because it
-changes most often.
+build `rce/base`, `rce/mapping`, `rce/mapping3d`, `rce/agent` and, if asked for, `rce/server` on it. In most of them our
+code comes last, because it changes most often.
 """
 
 from __future__ import annotations
 
+import argparse
 import io
 import os
 import shutil
@@ -29,6 +30,7 @@ from rce.errors import RceError, StartFailed, Unavailable
 IMAGES = ROOT / "containers" / "images"
 SYSTEM, GROUND, BASE, AGENT = "rce/system", "rce/ground", "rce/base", "rce/agent"
 MAPPING, MAPPING3D = "rce/mapping", "rce/mapping3d"
+SERVER = "rce/server"  # of Master, Robot endpoint and task set on Kubernetes
 RELEASE = "bookworm"
 REGISTRY_IMAGE = f"debian:{RELEASE}-slim"
 REGISTRY_TIMEOUT = 10.0  # seconds until a registry begins to answer
@@ -43,11 +45,13 @@ REMOVED_CONTENT = (  # directories of Debian that are emptied
 )
 CODE = ("rce", "endpoints", "converters", "containers/__init__.py", "containers/nodes")
 AGENT_CODE = ("rce", "containers")
+SERVER_CODE = ("rce", "master", "endpoints", "containers", "converters")
 EXTRAS = {
     "base.txt": ("environment", "ros"),
     "mapping.txt": ("mapping",),
     "mapping3d.txt": ("mapping3d",),
     "agent.txt": ("environment", "docker"),
+    "server.txt": ("server", "postgresql", "kubernetes"),
 }
 PIP_SETTINGS = ("PIP_INDEX_URL", "PIP_EXTRA_INDEX_URL", "PIP_TRUSTED_HOST", "PIP_DEFAULT_TIMEOUT")
 PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "NO_PROXY", "http_proxy", "https_proxy", "no_proxy")
@@ -78,9 +82,19 @@ class Builder:
         self.make(context, "images/mapping3d/Dockerfile", f"{MAPPING3D}{version}", {"MAPPING": f"{MAPPING}{version}"})
         self.make(context, "images/agent/Dockerfile", f"{AGENT}{version}", {"GROUND": f"{GROUND}{version}"})
 
+    def build_server(self) -> None:
+        """Build the image of the programs on Kubernetes, after the others.
+
+        Raises:
+            StartFailed: The build failed. The message has its last lines.
+        """
+        version = f":{__version__}"
+        self.make(make_context(), "images/server/Dockerfile", f"{SERVER}{version}", {"GROUND": f"{GROUND}{version}"})
+
     def sizes(self) -> dict[str, int]:
         """Return the sizes of the built images in bytes."""
-        tags = [f"{name}:{__version__}" for name in (BASE, MAPPING, MAPPING3D, AGENT)]
+        names = (BASE, MAPPING, MAPPING3D, AGENT, SERVER)
+        tags = [tag for name in names if self._has(tag := f"{name}:{__version__}")]
         return {tag: self._api.inspect_image(tag)["Size"] for tag in tags}
 
     def _has(self, tag: str) -> bool:
@@ -190,6 +204,8 @@ def make_context() -> bytes:
             add_file(archive, ROOT / name, f"code/{name}")
         for name in AGENT_CODE:
             add_file(archive, ROOT / name, f"agent/{name}")
+        for name in SERVER_CODE:
+            add_file(archive, ROOT / name, f"server/{name}")
     return buffer.getvalue()
 
 
@@ -241,9 +257,14 @@ def _debootstrap(directory: Path) -> bytes:
 
 def main() -> int:
     """Run the program and return its exit status."""
+    parser = argparse.ArgumentParser(prog="provision image")
+    parser.add_argument("--server", action="store_true", help="also build that of the programs on Kubernetes")
+    options = parser.parse_args()
     try:
         builder = Builder(docker.APIClient(**docker.utils.kwargs_from_env(), version="auto", timeout=600))
         builder.build()
+        if options.server:
+            builder.build_server()
     except (RceError, APIError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -175,13 +175,21 @@ def _master(values: Values) -> Object:
         {"name": "RCE_DATABASE", "value": f"postgresql+psycopg://rce:$(DATABASE_PASSWORD)@rce-database:{DATABASE}/rce"},
         {"name": "RCE_TOKENS", "value": "robot:robot-1:$(ROBOT_TOKEN),container:tasks-1:$(CONTAINER_TOKEN)"},
     ]
-    words = ["rce", "master", "--data-dir=/data", f"--http=tcp:{HTTP}", f"--control=tcp:{CONTROL}"]
+    words = ["python3", "-P", "-m", "master", "--data-dir=/data", f"--http=tcp:{HTTP}", f"--control=tcp:{CONTROL}"]
     return _deployment(values, "master", values.serverImage, words, settings, USER, HTTP)
 
 
 def _robot(values: Values) -> Object:
     settings = [_from_secret("RCE_TOKEN", "robotToken"), {"name": "RCE_PUBLIC_URL", "value": values.publicUrl}]
-    words = ["rce", "robot", "--data-dir=/data", "--name=robot-1", f"--master=tcp:rce-master:{CONTROL}"]
+    words = [
+        "python3",
+        "-P",
+        "-m",
+        "endpoints.robot",
+        "--data-dir=/data",
+        "--name=robot-1",
+        f"--master=tcp:rce-master:{CONTROL}",
+    ]
     words += ["--ws-host=0.0.0.0", f"--ws-port={ROBOTS}", "--data-host=0.0.0.0", f"--data-port={DATA}"]
     words += ["--data-address=rce-robot"]
     return _deployment(values, "robot", values.serverImage, words, settings, USER, ROBOTS)
@@ -204,7 +212,7 @@ def _tasks(values: Values) -> Object:
         _from_secret("RCE_TOKEN", "containerToken"),
         *({"name": name, "value": value} for name, value in given.items()),
     ]
-    words = ["rce", "container", "--data-dir=/data", "--name=tasks-1", "--engine=kubernetes"]
+    words = ["python3", "-P", "-m", "containers", "--data-dir=/data", "--name=tasks-1", "--engine=kubernetes"]
     words += [f"--master=tcp:rce-master.{values.namespace}.svc:{CONTROL}"]
     words += [f"--agent-address=rce-tasks.{values.namespace}.svc", f"--agent-port={AGENTS}"]
     words += [f"--entry=http://rce-master.{values.namespace}.svc:{HTTP}/"]

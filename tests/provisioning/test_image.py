@@ -41,6 +41,12 @@ def test_context_contains_code_of_environments_only() -> None:
     assert not [name for name in names if name.startswith("code/containers/") and "/nodes/" not in name][1:]
 
 
+def test_context_has_the_programs_of_a_platform_on_kubernetes() -> None:
+    names = set(context())
+    assert {"server/master/__main__.py", "server/endpoints/robot/__main__.py", "server/containers/__main__.py"} <= names
+    assert "kubernetes_asyncio" in context()["server.txt"].decode()
+
+
 def test_context_is_reproducible() -> None:
     assert image.make_context() == image.make_context()
 

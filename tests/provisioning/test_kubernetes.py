@@ -87,7 +87,7 @@ def test_settings_of_the_task_set_are_understood() -> None:
     ]
     (container,) = tasks["spec"]["template"]["spec"]["containers"]
     environment = {each["name"]: each.get("value", "token") for each in container["env"]}
-    settings = load(Settings, "rce container", container["args"][2:], environment)
+    settings = load(Settings, "rce container", container["args"][4:], environment)
     assert (settings.engine, settings.namespace, settings.namespace_per_user) == ("kubernetes", "rce", False)
     assert (settings.size, settings.features, settings.pull_secrets) == (100, [], ["rce-registry"])
     assert (settings.agent_address, settings.agent_port) == ("rce-tasks.rce.svc", 8082)

@@ -79,7 +79,18 @@ def test_interfaces_are_down_without_egress() -> None:
 
 
 @needs_namespaces
-def test_group_is_a_tunnel_to_its_peers(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_egress_leaves_the_interface_up_behind_a_filter() -> None:
+    with pod() as process:
+        confine(process, "internet", None)
+        shown = inside(process, "iptables", "-S")
+        assert "-P INPUT DROP" in shown
+        assert "-d 169.254.0.0/16" in shown
+        assert "state DOWN" not in inside(process, "ip", "link", "show", "eth0")
+        assert inside(process, "sh", "-c", "cat /proc/sys/net/ipv6/conf/eth0/disable_ipv6").strip() == "1"
+
+
+@needs_namespaces
+def test_group_is_a_tunnel_to_its_peers() -> None:
     with pod() as process:
         confine(process, "none", GROUP)
         assert GROUP_DEVICE in devices(process)
@@ -95,6 +106,6 @@ def test_group_is_a_tunnel_to_its_peers(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 @needs_namespaces
-def test_failure_is_an_error_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failure_is_an_error_with_the_reason() -> None:
     with pod() as process, pytest.raises(StartFailed, match="cannot be set up: ip: "):
         network._inside(process, "ip", "link", "set", "dev", "missing", "down")
