@@ -10,6 +10,7 @@ from typing import TypeVar
 from twisted.logger import Logger
 
 import rce
+from master import shipped_services
 from master.access import rights
 from master.access.audit import Audit
 from master.access.guard import Guard
@@ -20,12 +21,14 @@ from master.access.user_limits import UserLimits
 from master.access.users import Users
 from master.execution.command_executor import START_TIMEOUT, CommandExecutor
 from master.execution.effect_runner import EffectRunner
+from master.execution.instance_keeper import InstanceKeeper
 from master.execution.lifecycle import Lifecycle
 from master.execution.links import Links
 from master.execution.process_tracker import ProcessTracker
 from master.execution.removals import Removals
 from master.execution.robot_sessions import RobotSessions
-from master.graph import packages, reconcile
+from master.graph import catalogue, packages, reconcile
+from master.graph.effects import Plan
 from master.graph.limits import UNLIMITED, Policy
 from master.graph.records import Environment, Process, Robot, ref, user_of
 from master.graph.state import State, at
@@ -112,6 +115,7 @@ class Master:
         self.process_tracker = ProcessTracker(
             self._runner, self._lifecycle, self.events, self.feed.view_cache, grace, machine_grace
         )
+        self.instance_keeper = InstanceKeeper(self._runner, self._lifecycle, self.limits.of)
         self.removals = Removals(self.state, self.join_tokens, self.process_tracker, self._lifecycle, tls)
 
     async def start(self) -> None:
@@ -123,9 +127,13 @@ class Master:
         self._runner.keep(asyncio.create_task(self.limits.follow()))
         self._runner.keep(asyncio.create_task(self.guard.follow()))
         self._runner.keep(asyncio.create_task(self.removals.follow()))
-        packages.drop_strays(self.state, set(await self.users.names()))
+        self._runner.keep(asyncio.create_task(self.instance_keeper.follow()))
+        users = set(await self.users.names())
+        packages.drop_strays(self.state, users)
+        catalogue.drop_strays(self.state, users)
         if self._depot is not None:
             await self._depot.adopt(packages.named(self.state))
+        shipped_services.add_to(self.state)
         self._runner.remove_unused_archives()
         self.process_tracker.begin()
 
@@ -137,6 +145,11 @@ class Master:
     async def save(self) -> None:
         """Return when all changes are stored."""
         await self._runner.save()
+
+    async def apply(self, plan: Plan) -> None:
+        """Run a plan in the background; return when what changed is stored."""
+        self._lifecycle.apply(plan)
+        await self.save()
 
     # --- processes ----------------------------------------------------------------------------------------------------
 

@@ -269,14 +269,15 @@ class RobotSession:
             task.add_done_callback(self._commands.pop)
 
     async def _run(self, frame: m.Frame, items: list[tuple[str, m.Command]], good: bool) -> None:
+        services: list[m.UsedService] | None = []
         if items:
             logs.set_request_id(f"{self.connection}.{next(self._count)}")
-            good &= await self._execute(frame, items)
-        if good and frame.id is not UNSET and "ack" in self.features:
-            self.status(m.Ack(), frame.id)
+            services = await self._execute(frame, items)
+        if good and services is not None and frame.id is not UNSET and "ack" in self.features:
+            self.status(m.Ack(services), frame.id)
 
-    async def _execute(self, frame: m.Frame, items: list[tuple[str, m.Command]]) -> bool:
-        """Execute the commands of a frame, and send their errors; return whether all were executed."""
+    async def _execute(self, frame: m.Frame, items: list[tuple[str, m.Command]]) -> list[m.UsedService] | None:
+        """Execute the commands of a frame, and send their errors; return the services used, or None after errors."""
         commands = [command for _, command in items]
         kinds = Counter(type(command).__name__ for command in commands)
         listed = ", ".join(f"{kind} x {count}" if count > 1 else kind for kind, count in kinds.items())
@@ -285,10 +286,10 @@ class RobotSession:
             executed = await self._call_master(commands)
         except RceError as error:  # no command has an answer
             self._failed(error, frame)
-            return False
+            return None
         for position, info in sorted(executed.failed.items()):
             self._failed(RceError.from_info(info).with_item(items[position][0]), frame)
-        return not executed.failed
+        return None if executed.failed else [service for _, service in sorted(executed.services.items())]
 
     async def _call_master(self, commands: list[m.Command]) -> Executed:
         """Pass commands to the Master; after a lost connection, repeat them at the Master that joins next.

@@ -37,6 +37,7 @@ NAMES = (
     "interfaceTag",
     "tagA",
     "tagB",
+    "service",
     "name",
     "role",
     "label",

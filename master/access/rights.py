@@ -71,6 +71,10 @@ package.read        own    own    own    own    all      all
 package.push        -      -      -      own    own      all
 package.remove      -      -      -      own    own      all
 package.share       -      -      -      own    own      all
+catalogue.read      own    own    own    own    all      all
+catalogue.publish   -      -      -      own    own      all
+service.use         own    own    -      own    all      all
+service.leave       own    own    -      own    all      all
 job.read            -      own    own    own    own      own
 job.submit          -      own    -      own    own      -
 knowledge.read      own    own    own    own    own      all
@@ -175,6 +179,8 @@ COMMANDS: dict[type[m.Command], str] = {
     m.RemoveRecorder: "recorder.remove",
     m.AddInterface: "interface.create",
     m.RemoveInterface: "interface.remove",
+    m.UseService: "service.use",
+    m.LeaveService: "service.leave",
     m.Connect: "connection.create",
     m.Disconnect: "connection.remove",
 }
@@ -207,6 +213,8 @@ def check_command(principal: Principal, state: State, user: str, command: m.Comm
             check(principal, operation, user, environment=endpoint)
         case m.AddInterface(endpoint):
             check(principal, operation, user, robot=endpoint)
+        case m.UseService():
+            check(principal, operation, user, environment=command.containerTag or command.service.rpartition("/")[2])
         case _:
             check(principal, operation, user, environment=command.containerTag)
 

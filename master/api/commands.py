@@ -22,8 +22,10 @@ class Commands:
         self._master = master
         self._tasks: set[asyncio.Task[Any]] = set()
 
-    async def execute(self, call: Call, user: str, command: Command) -> str:
+    async def execute(self, call: Call, user: str, command: Command, robot: str = "") -> str:
         """Execute a command for a user, by default the caller, and return that user's name once it is done.
+
+        `robot` is the robotID of the user's robot that the command is about, as if it had given it.
 
         Raises:
             Forbidden: The caller may not do this, or not for that user.
@@ -34,7 +36,7 @@ class Commands:
         rights.check_command(principal_of(call), self._master.state, owner, command)
         if owner != call.user and owner not in await self._master.users.names():
             raise NotFound(f"there is no user {owner[:80]}", field="user")
-        task = asyncio.ensure_future(self._master.commands.execute(owner, command))
+        task = asyncio.ensure_future(self._master.commands.execute(owner, command, robot=robot))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
         await asyncio.shield(task)

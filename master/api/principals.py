@@ -9,7 +9,7 @@ from typing import TypeVar
 from master.access import rights
 from master.access.rights import EVERYBODY, Principal
 from master.api.request import Answer, Call, PageQuery
-from master.graph.records import Environment, Record, user_of
+from master.graph.records import Connection, Environment, Record, user_of
 from master.graph.state import State
 from rce.api.views import Page
 from rce.errors import NotFound, Unauthorized
@@ -84,8 +84,12 @@ def page_of_records(
     records: Iterable[R], user: str, page: PageQuery, view: Callable[[R], V], keep: Callable[[V], bool] = lambda _: True
 ) -> Answer:
     """Return a page of the views of the user's records that `keep` accepts, in the order of their keys."""
-    wanted = (each for each in records if each.key > page.after and user in (EVERYBODY, user_of(each.key)))
+    wanted = (each for each in records if each.key > page.after and user in (EVERYBODY, _owner(each)))
     return page_of_views(((each.key, view(each)) for each in wanted), page, keep)
+
+
+def _owner(record: Record) -> str:
+    return record.user if isinstance(record, Connection) else user_of(record.key)
 
 
 def page_of_views(

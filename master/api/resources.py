@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from master.access.enrolment import Inviter
 from master.api.audit import AuditApi
+from master.api.catalogue import CatalogueApi
 from master.api.environments import EnvironmentsApi
 from master.api.events import EventsApi
 from master.api.interfaces import InterfacesApi
@@ -39,6 +40,7 @@ def make_api(master: Master, depot: Depot, inviter: Inviter | None = None) -> Ap
         family(master).add_to(api)
     MachinesApi(master, inviter).add_to(api)
     PackagesApi(master, depot).add_to(api)
+    CatalogueApi(master).add_to(api)
     streams = EventStreams(master.guard)
     EventsApi(master, streams).add_to(api)
     LogsApi(master, streams).add_to(api)

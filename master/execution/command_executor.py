@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import Counter
+from typing import TypeGuard
 from weakref import WeakValueDictionary
 
 from twisted.logger import Logger
@@ -23,7 +24,7 @@ from rce.control.calls.robots import Execute, Executed, PackedCommand
 from rce.control.connection import Handlers
 from rce.errors import ErrorInfo, InternalError, LimitExceeded, NotFound, RceError, TimedOut
 from rce.process import metrics
-from rce.protocol.messages import Command, DestroyContainer
+from rce.protocol.messages import Command, DestroyContainer, UsedService
 
 START_TIMEOUT = 60.0  # seconds until everything that a command asked for must be ready
 COMMAND_TIMEOUT = 240.0  # seconds for a command as a whole: one that starts an environment may wait for both
@@ -57,7 +58,7 @@ class CommandExecutor:
         if len(call.commands) > MAX_COMMANDS:
             raise LimitExceeded(f"a frame has {len(call.commands)} commands, more than {MAX_COMMANDS}: divide it")
         self._robot_at(process, call.robot)
-        tasks: list[asyncio.Task[None]] = []
+        tasks: list[asyncio.Task[UsedService | None]] = []
         order = self._orders.setdefault(call.robot, asyncio.Lock())
         async with order:
             for packed in call.commands:
@@ -65,17 +66,20 @@ class CommandExecutor:
                 if len(tasks) % START_TOGETHER == 0:
                     await asyncio.sleep(0)  # they begin
             await asyncio.sleep(0)
-        errors = await asyncio.gather(*tasks, return_exceptions=True)
-        return Executed({position: info for position, error in enumerate(errors) if (info := _info(error)) is not None})
+        results = await asyncio.gather(*tasks, return_exceptions=True)
+        failed = {position: info for position, error in enumerate(results) if (info := _info(error)) is not None}
+        return Executed(failed, {position: each for position, each in enumerate(results) if _is_service(each)})
 
-    async def _one_by_robot(self, process: Process, user: str, tag: str, packed: PackedCommand, repeated: bool) -> None:
+    async def _one_by_robot(
+        self, process: Process, user: str, tag: str, packed: PackedCommand, repeated: bool
+    ) -> UsedService | None:
         robot = self._robot_at(process, f"{user}/{tag}")
         command, origin = packed.unpack(), Origin("websocket", robot.address)
         about = guests.object_of(user, tag, command)
         with self._audit.auditing(guests.operation(tag, command), user, about, origin) as action:
             action.who, action.quiet = robot.by, guests.is_exempt_from_audit(tag, command)
             guests.check_command(robot.by, self._state, user, tag, command)
-            await self.execute(user, command, repeated, tag)
+            return await self.execute(user, command, repeated, tag)
 
     def _robot_at(self, process: Process, name: str) -> Robot:
         """Return a robot with a session at this Robot endpoint.
@@ -88,8 +92,8 @@ class CommandExecutor:
             raise NotFound(f"robot {name} has no session at {process.name}")
         return robot
 
-    async def execute(self, user: str, command: Command, repeated: bool = False, robot: str = "") -> None:
-        """Execute a command of `user`; return when it is complete and stored.
+    async def execute(self, user: str, command: Command, repeated: bool = False, robot: str = "") -> UsedService | None:
+        """Execute a command of `user`; return when it is complete and stored, with the service of `UseService`.
 
         A command that does not become ready or cannot be stored is taken back, except a removal. `robot` is the robotID
         of the robot that gave it.
@@ -101,15 +105,15 @@ class CommandExecutor:
             raise LimitExceeded(f"{MAX_COMMANDS} commands of {user} are in progress: wait until some complete")
         self._in_progress[user] += 1
         try:
-            await self._execute(user, command, repeated, robot)
+            return await self._execute(user, command, repeated, robot)
         finally:
             self._in_progress[user] -= 1
             if not self._in_progress[user]:
                 del self._in_progress[user]
 
-    async def _execute(self, user: str, command: Command, repeated: bool, robot: str) -> None:
+    async def _execute(self, user: str, command: Command, repeated: bool, robot: str) -> UsedService | None:
         began = time.perf_counter()
-        context = CommandContext(self._state, user, new_id, self._limits.of(user), repeated, robot)
+        context = CommandContext(self._state, user, new_id, self._limits.of(user), repeated, robot, self._limits.of)
         outcome = execute(context, command)
         saved = self._runner.save(by_command=True)
         await self._complete(outcome)
@@ -121,10 +125,11 @@ class CommandExecutor:
         _commands.labels(type(command).__name__).observe_since(began)
         if isinstance(command, DestroyContainer):
             self._lifecycle.resettle()
+        return outcome.service
 
     async def _complete(self, outcome: Outcome) -> None:
         waiting: dict[Ref, asyncio.Future[None]] = {
-            awaited: self._readiness.when_ready(awaited) for awaited in outcome.awaits
+            awaited: self._readiness.when_ready(awaited) for awaited in (*outcome.awaits, *outcome.needs)
         }
         pending = [future for future in waiting.values() if not future.done()]  # the others were ready before
         try:
@@ -150,6 +155,10 @@ class CommandExecutor:
 
 def _is_resolved(future: asyncio.Future[None]) -> bool:
     return future.done() and not future.cancelled() and future.exception() is None
+
+
+def _is_service(result: object) -> TypeGuard[UsedService]:
+    return isinstance(result, UsedService)
 
 
 def _info(error: object) -> ErrorInfo | None:

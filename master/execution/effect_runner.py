@@ -145,7 +145,11 @@ class EffectRunner:
         Who waits for something that was removed is woken: without an error if a command removed it on purpose.
         """
         state = self.state
-        if state.packages.changed or any(key not in state.environments for key in state.environments.changed):
+        if (
+            state.packages.changed
+            or state.offers.changed
+            or any(key not in state.environments for key in state.environments.changed)
+        ):
             self.remove_unused_archives()
         for table in state.tables():
             for gone in table.removed():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from master.graph import connections, groups
 from master.graph.effects import MarkReady, Outcome, Plan, Send
-from master.graph.records import Connection, Environment, Interface, Node, Parameter, Recorder, Ref, ref
+from master.graph.records import Connection, Environment, Interface, Node, Parameter, Recorder, Ref, Use, ref
 from master.graph.state import State
 from master.graph.translation import container_data, parameter_spec
 from master.graph.wiring import deactivate, interface_ref
@@ -41,7 +41,9 @@ def remove_environment(state: State, environment: Environment, away: bool = Fals
     `away`: it was not removed on purpose. Connections of others wait until its interfaces are added again.
     """
     name = environment.name
-    plan = remove_interfaces(state, name, away)
+    plan = [sequence for use in state.uses.by(name) for sequence in end_use(state, use, lost=True)]
+    state.instances.drop(name)
+    plan += remove_interfaces(state, name, away)
     for node in state.nodes.by(name):
         state.nodes.drop(node.key)
     for end in state.ends.by(name):
@@ -54,6 +56,32 @@ def remove_environment(state: State, environment: Environment, away: bool = Fals
     state.forget(name)  # no further calls go to its process, and a later environment of this name gets a process anew
     if environment.machine in state.joined:  # else KeepEnvironments tells it when it joins again
         plan.append([Send(environment.machine, StopEnvironment(name), ref(environment))])
+    return plan
+
+
+def end_use(state: State, use: Use, lost: bool = False) -> Plan:
+    """End the part of a robot in an instance: remove its interfaces and nodes there, and its own interfaces.
+
+    The robot is told that its connections are gone if the instance is `lost`.
+    """
+    plan: Plan = []
+    for key in use.interfaces if lost else reversed(use.interfaces):
+        if (interface := state.interfaces.get(key)) is not None:
+            plan += remove_interface(state, interface)
+    for key in use.nodes:
+        if (node := state.nodes.get(key)) is not None:
+            plan += remove_node(state, node)
+            plan += _remove_parameters_of(state, node)
+    state.uses.drop(use.key)
+    return plan
+
+
+def _remove_parameters_of(state: State, node: Node) -> Plan:
+    plan: Plan = []
+    for parameter in state.parameters.by(node.owner):
+        if parameter.node == node.tag:
+            state.parameters.drop(parameter.key)
+            plan += call_host(state, parameter, DropParameter(parameter_spec(parameter).key))
     return plan
 
 
@@ -127,7 +155,10 @@ def undo(state: State, outcome: Outcome) -> Plan:
     """Take back what a command made, because it did not become ready."""
     if outcome.parameter is not None:
         return _undo_parameter(state, outcome.parameter, outcome.replaced)
-    return [sequence for awaited in outcome.awaits for sequence in _undo_one(state, awaited)]
+    plan: Plan = []
+    if outcome.use is not None and state.uses.get(outcome.use.key) is outcome.use:
+        plan += end_use(state, outcome.use)
+    return plan + [sequence for awaited in outcome.awaits for sequence in _undo_one(state, awaited)]
 
 
 def _undo_parameter(state: State, parameter: Parameter, before: Parameter | None) -> Plan:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, get_args
 
 from msgspec.structs import replace
 
-from master.graph import changes, connections, groups, hard_limits
+from master.graph import catalogue, changes, connections, groups, hard_limits, instances
 from master.graph.changes import call_host, start
 from master.graph.connections import split_kind
 from master.graph.effects import MarkReady, Outcome, Plan, Send
@@ -46,7 +46,7 @@ class CommandContext(NamedTuple):
     """User and state of a command.
 
     `ids` makes identifiers, `policy` has the user's limits. `repeated`: the command was given before and its answer was
-    lost. `robot` is the robotID by which it comes, empty for one by HTTP.
+    lost. `robot` is the robotID by which it comes, empty for one by HTTP. `limits_of` returns the policy of any user.
     """
 
     state: State
@@ -55,6 +55,7 @@ class CommandContext(NamedTuple):
     policy: Policy = UNLIMITED
     repeated: bool = False
     robot: str = ""
+    limits_of: Callable[[str], Policy] = lambda _: UNLIMITED
 
     @property
     def guest(self) -> str:
@@ -359,6 +360,48 @@ def _pair(context: CommandContext, tag_a: str, tag_b: str) -> tuple[Interface, I
     return found[0], found[1]
 
 
+# --- services of the catalogue ----------------------------------------------------------------------------------------
+
+
+def use_service(context: CommandContext, command: m.UseService) -> Outcome:
+    """CN: let the robot take part in an instance of a service; without a robot, start an instance of the user's own.
+
+    A robot that takes part already gets the answer again: it may not have received the first one.
+    """
+    state, user = context.state, context.user
+    if context.guest:
+        raise InvalidRequest("a guest cannot use services of the catalogue: connect as a robot", field="service")
+    offer = catalogue.resolve(state, user, command.service)
+    tag = check_tag(command.containerTag or catalogue.name_of(offer), "containerTag")
+    robot = f"{user}/{context.robot}" if context.robot else ""
+    present = state.uses.get(f"{robot}/{tag}") if robot else None
+    if present is not None:
+        if present.offer == offer.name:
+            return instances.joined(state, present)
+        raise AlreadyExists(
+            f"{context.robot} uses {present.offer} as {tag}: give another containerTag", field="service"
+        )
+    if robot:
+        instances.check_robot(state, offer, robot, tag, context.policy)
+    if offer.is_shared:
+        chosen = instances.shared(state, user, robot, offer, context.limits_of, context.ids)
+    else:
+        chosen = instances.own(state, user, tag, offer, context.policy, context.ids)
+    if not robot:
+        return chosen.outcome
+    return instances.join(state, chosen, offer, robot, tag, context.ids, raw=command.raw)
+
+
+def leave_service(context: CommandContext, command: m.LeaveService) -> Outcome:
+    """CN: end the robot's part in a service."""
+    use = context.state.uses.get(f"{context.user}/{context.robot}/{command.containerTag}")
+    if use is None:
+        if context.repeated:
+            return Outcome([])
+        raise NotFound(f"the robot uses no service as {command.containerTag[:80]!r}", field="containerTag")
+    return Outcome(changes.end_use(context.state, use))
+
+
 HANDLERS: dict[type[m.Command], Callable[[CommandContext, Any], Outcome]] = {
     m.CreateContainer: create_container,
     m.DestroyContainer: destroy_container,
@@ -370,6 +413,8 @@ HANDLERS: dict[type[m.Command], Callable[[CommandContext, Any], Outcome]] = {
     m.RemoveRecorder: remove_recorder,
     m.AddInterface: add_interface,
     m.RemoveInterface: remove_interface,
+    m.UseService: use_service,
+    m.LeaveService: leave_service,
     m.Connect: connect,
     m.Disconnect: disconnect,
 }

@@ -68,7 +68,7 @@ def check_new(state: State, connection: Connection, policy: Policy) -> None:
         raise NotConnectable(f"{_tag(sender.key)} is {with_article(sender.kind)}: it takes one connection only")
     check_keep_all(state, connection)
     if not any(state.visits(interface.owner) for interface in (sender, receiver)):
-        check_connections(state, user_of(sender.owner), policy)
+        check_connections(state, connection.user, policy)
 
 
 # --- connections that wait --------------------------------------------------------------------------------------------

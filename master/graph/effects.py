@@ -6,8 +6,9 @@ from typing import Any
 
 from msgspec import Struct
 
-from master.graph.records import Parameter, Ref
+from master.graph.records import Parameter, Ref, Use
 from rce.control.calls.call import Call
+from rce.protocol.messages import UsedService
 
 
 class Send(Struct, frozen=True):
@@ -38,9 +39,10 @@ Plan = list[Sequence]
 
 
 class Outcome(Struct, frozen=True):
-    """Result of a command: it is complete when `plan` has run and everything in `awaits` is ready.
+    """Result of a command: it is complete when `plan` has run and everything in `awaits` and `needs` is ready.
 
-    `follows` runs as well, but the command neither waits for it nor fails with it.
+    If the command fails, what is in `awaits` is taken back, and so is the `use` that it began; what is in `needs` is
+    not. `follows` runs as well, but the command neither waits for it nor fails with it. `service` is its answer.
     """
 
     plan: Plan
@@ -48,3 +50,6 @@ class Outcome(Struct, frozen=True):
     parameter: Parameter | None = None  # as the command set it
     replaced: Parameter | None = None  # the one before it; restored if the new value is refused
     follows: Plan = []
+    needs: list[Ref] = []
+    use: Use | None = None
+    service: UsedService | None = None

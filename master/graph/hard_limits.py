@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from master.graph.records import Connection, Parameter, ParameterValue, user_of
+from master.graph.records import Connection, Parameter, ParameterValue
 from master.graph.state import State, Table, all_of
 from rce.errors import LimitExceeded
 
@@ -60,10 +60,19 @@ def check_keep_all(state: State, connection: Connection) -> None:
     Raises:
         LimitExceeded: Its user has `KEEP_ALL` of them already.
     """
-    if not keeps_all(state, connection):
+    check_lossless(state, connection.user, int(keeps_all(state, connection)))
+
+
+def check_lossless(state: State, user: str, more: int) -> None:
+    """Check that a user may have `more` connections that must not drop messages.
+
+    Raises:
+        LimitExceeded: There would be more than `KEEP_ALL`.
+    """
+    if not more:
         return
-    others = state.connections.by(all_of(user_of(connection.sender)))
-    if sum(keeps_all(state, each) for each in others) >= KEEP_ALL:
+    others = state.connections.by(all_of(user))
+    if sum(keeps_all(state, each) for each in others) + more > KEEP_ALL:
         raise LimitExceeded(
             f"you have {KEEP_ALL} connections with history keep_all, each of which takes a data link of its own: "
             "use keep_last with a depth, or remove some",

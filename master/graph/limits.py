@@ -137,13 +137,13 @@ def check_robots(state: State, user: str, policy: Policy) -> None:
     _check_total("robots", state.robots_of_user(user) + 1, policy.robots, "you", "robotID")
 
 
-def check_connections(state: State, user: str, policy: Policy) -> None:
-    """Check that a user may have one more connection.
+def check_connections(state: State, user: str, policy: Policy, more: int = 1) -> None:
+    """Check that a user may have `more` connections.
 
     Raises:
         LimitExceeded: The user has all connections that the policy allows.
     """
-    _check_total("connections", state.connections_of_user(user) + 1, policy.connections, "you", "tagA")
+    _check_total("connections", state.connections_of_user(user) + more, policy.connections, "you", "tagA")
 
 
 def is_allowed(image: str, patterns: Iterable[str]) -> bool:

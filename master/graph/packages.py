@@ -157,6 +157,7 @@ def own(state: State, user: str, name: str) -> Package:
 def named(state: State) -> set[str]:
     """Return the digests to keep: those of all packages, and those that environments use."""
     kept = {version.digest for package in state.packages for version in package.versions}
+    kept.update(*(offer.packages for offer in state.offers))
     return kept.union(*(environment.packages for environment in state.environments))
 
 

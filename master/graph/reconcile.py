@@ -6,7 +6,15 @@ import math
 
 from msgspec.structs import replace
 
-from master.graph.changes import remove_environment, remove_interface, remove_interfaces, remove_node, start
+from master.graph import catalogue
+from master.graph.changes import (
+    end_use,
+    remove_environment,
+    remove_interface,
+    remove_interfaces,
+    remove_node,
+    start,
+)
 from master.graph.connections import drop_waiting
 from master.graph.effects import Outcome, Plan, Send
 from master.graph.limits import UNLIMITED, Policy, check_robots
@@ -296,8 +304,9 @@ def robot_left(state: State, name: str) -> Plan:
     """
     if name not in state.robots:
         return []
+    plan = [sequence for use in state.uses.by(name) for sequence in end_use(state, use)]
     counterparts = _counterparts(state, name)
-    plan = remove_interfaces(state, name, away=True) + _remove_guest_items(state, name)
+    plan += remove_interfaces(state, name, away=True) + _remove_guest_items(state, name)
     state.away.discard(name)
     state.robots.drop(name)
     plan += drop_waiting(state, name)
@@ -350,6 +359,7 @@ def user_gone(state: State, user: str) -> Plan:
     plan += drop_waiting(state, all_of(user))
     for package in state.packages.by(user):
         state.packages.drop(package.key)
+    plan += catalogue.user_gone(state, user)
     for package in state.packages.by(f">{user}"):  # a later user of this name must not inherit it
         state.packages.put(replace(package, shared=[each for each in package.shared if each != user]))
     return plan

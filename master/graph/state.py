@@ -11,10 +11,12 @@ from master.graph.records import (
     Connection,
     Environment,
     EnvironmentOptions,
+    Instance,
     Interface,
     Link,
     Node,
     NodeEnd,
+    Offer,
     Package,
     Parameter,
     Process,
@@ -22,6 +24,8 @@ from master.graph.records import (
     Recorder,
     Ref,
     Robot,
+    Tally,
+    Use,
     Waiting,
     user_of,
 )
@@ -211,7 +215,7 @@ class State:
         self.interfaces = Table(Interface, lambda record: (record.owner,))
         self.connections = Table(
             Connection,
-            lambda record: {record.sender, record.receiver, record.link, all_of(user_of(record.sender))} - {""},
+            lambda record: {record.sender, record.receiver, record.link, all_of(record.user)} - {""},
         )
         self.waiting = Table(
             Waiting, lambda record: {record.sender, record.receiver, record.by, all_of(user_of(record.sender))} - {""}
@@ -219,6 +223,10 @@ class State:
         self.processes = Table(Process, lambda record: (record.role,))
         self.links = Table(Link, _terms_of_link)
         self.packages = Table(Package, lambda record: {user_of(record.name), *(f">{user}" for user in record.shared)})
+        self.offers = Table(Offer, lambda record: {user_of(record.name), *(f">{user}" for user in record.shared)})
+        self.instances = Table(Instance, lambda record: (record.offer,))
+        self.uses = Table(Use, lambda record: {record.robot, record.environment, record.offer})
+        self.tallies = Table(Tally, lambda record: {record.offer, record.user})
         self.joined: set[str] = set()  # processes with a control connection
         self.expected: set[str] = set()  # processes that lost it, within their grace period
         self.away: set[str] = set()  # robots without a socket, within their grace period
@@ -239,6 +247,10 @@ class State:
             self.processes,
             self.links,
             self.packages,
+            self.offers,
+            self.instances,
+            self.uses,
+            self.tallies,
         ]
 
     def robots_of_user(self, user: str) -> int:

@@ -150,11 +150,10 @@ class Presenter:
 
     def connection(self, record: Connection) -> ConnectionView:
         """Return the view of a connection."""
-        user, sender = _parts(record.sender)
         return ConnectionView(
-            user,
-            sender,
-            _parts(record.receiver)[1],
+            record.user,
+            record.sender.removeprefix(f"{record.user}/"),
+            record.receiver.removeprefix(f"{record.user}/"),
             "up" if record.link else "down",
             self.state.interfaces[record.sender].type,
             self.rates.get(record.key),

@@ -14,6 +14,7 @@ This package holds what runs inside a robot's own program: the WebSocket session
 
 from rce.client.actions import ActionClient, ActionServer, Goal, GoalResult, ServerGoal
 from rce.client.blocking import BlockingRobot
+from rce.client.catalogue import Service
 from rce.client.environment import Environment
 from rce.client.events import Disconnected, Event, Reconnected
 from rce.client.robot import Robot
@@ -35,6 +36,7 @@ __all__ = [
     "Reconnected",
     "Robot",
     "ServerGoal",
+    "Service",
     "ServiceClient",
     "ServiceProvider",
     "Store",

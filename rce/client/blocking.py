@@ -25,6 +25,7 @@ from rce.client.blocking_interfaces import (
     goals_in_threads,
     in_thread,
 )
+from rce.client.catalogue import Service
 from rce.client.environment import Environment
 from rce.client.events import Event
 from rce.client.interface import Interface
@@ -52,6 +53,37 @@ def blocking_factory(
     signature = inspect.signature(method).replace(return_annotation=kind)
     call.__signature__ = signature  # type: ignore[attr-defined]  # what `help` shows; functions may have it
     return call
+
+
+class BlockingService(Blocking[Service]):
+    """Blocking `Service`: as a context manager it leaves the service at the end."""
+
+    leave = blocking(Service.leave)
+    """Use the service no longer; see `Service.leave`."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.leave()
+
+    def publisher(self, name: str) -> BlockingPublisher:
+        """Return the publisher for a topic that the service takes; see `Service.publisher`."""
+        return BlockingPublisher(self._thread, self.inner.publisher(name))
+
+    def subscriber(self, name: str) -> BlockingSubscriber:
+        """Return the subscriber of a topic that the service gives; see `Service.subscriber`."""
+        return BlockingSubscriber(self._thread, self.inner.subscriber(name))
+
+    def service_client(self, name: str) -> BlockingServiceClient:
+        """Return the client of a ROS service; see `Service.service_client`."""
+        return BlockingServiceClient(self._thread, self.inner.service_client(name))
+
+    def action_client(self, name: str) -> BlockingActionClient:
+        """Return the client of a ROS action; see `Service.action_client`."""
+        return BlockingActionClient(self._thread, self.inner.action_client(name))
 
 
 class BlockingEnvironment(Blocking[Environment]):
@@ -310,6 +342,10 @@ class BlockingRobot(Blocking[Robot]):
         `with robot.environment(...)` creates it and destroys it at the end.
         """
         return BlockingEnvironment(self._thread, self.inner.environment(tag, exist_ok=exist_ok, **options))
+
+    def service(self, name: str, *, tag: str = "", raw: bool = False) -> BlockingService:
+        """Use a service of the platform's catalogue; see `Robot.service`."""
+        return BlockingService(self._thread, self._thread.wait(self.inner.service(name, tag=tag, raw=raw)))
 
     def subscriber(
         self,

@@ -15,9 +15,11 @@ from rce.protocol.messages import (
     DeleteParameter,
     DestroyContainer,
     Disconnect,
+    LeaveService,
     RemoveInterface,
     RemoveNode,
     RemoveRecorder,
+    UseService,
 )
 
 LISTS = {kind: ("CN", name) for name, kind in CN_ITEMS.items()} | {
@@ -25,7 +27,7 @@ LISTS = {kind: ("CN", name) for name, kind in CN_ITEMS.items()} | {
 }
 """Frame type and the name of the list in it, by command."""
 
-REMOVALS = (DestroyContainer, RemoveNode, RemoveInterface, DeleteParameter, RemoveRecorder, Disconnect)
+REMOVALS = (DestroyContainer, RemoveNode, RemoveInterface, DeleteParameter, RemoveRecorder, LeaveService, Disconnect)
 
 
 def frame_of(command: Command) -> dict[str, Any]:
@@ -53,4 +55,6 @@ def _default(field: msgspec.structs.FieldInfo) -> Any:
 
 def already_done(command: Command, error: RceError) -> bool:
     """Return True if `error`, the answer to a repeated command, means that an earlier attempt was executed."""
+    if isinstance(command, UseService):  # the platform answers it again, with the interfaces
+        return False
     return isinstance(error, NotFound if isinstance(command, REMOVALS) else AlreadyExists)

@@ -5,7 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from rce.protocol.messages import AddInterface, Command, Connect, DestroyContainer, Disconnect, RemoveInterface
+from rce.protocol.messages import (
+    AddInterface,
+    Command,
+    Connect,
+    DestroyContainer,
+    Disconnect,
+    LeaveService,
+    RemoveInterface,
+    UseService,
+)
 from rce.protocol.names import is_guest
 
 
@@ -19,6 +28,7 @@ class Declarations:
     robot: str
     interfaces: dict[str, AddInterface] = field(default_factory=dict)
     connections: dict[frozenset[str], Connect] = field(default_factory=dict)
+    services: dict[str, UseService] = field(default_factory=dict)
 
     def record(self, command: Command) -> None:
         """Update the record after a command was executed."""
@@ -28,6 +38,10 @@ class Declarations:
             self._forget(lambda tag: tag == f"{command.endpointTag}/{command.interfaceTag}")
         elif isinstance(command, DestroyContainer):
             self._forget(lambda tag: tag.startswith(f"{command.containerTag}/"))
+        elif isinstance(command, UseService):
+            self.services[command.containerTag] = command
+        elif isinstance(command, LeaveService):
+            self.services.pop(command.containerTag, None)
         elif isinstance(command, Connect | Disconnect):
             self._record_connection(command)
 
@@ -37,7 +51,7 @@ class Declarations:
 
     def commands(self) -> list[Command]:
         """Return the commands that declare everything again, in a valid order."""
-        return [*self.interfaces.values(), *self.connections.values()]
+        return [*self.interfaces.values(), *self.connections.values(), *self.services.values()]
 
     def _is_own(self, endpoint: str, interface: str) -> bool:
         """Return True for interfaces that end with the robot: its own and, for a guest, its own in environments."""

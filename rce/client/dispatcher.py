@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Iterable, Mapping
 from weakref import WeakSet
 
@@ -15,6 +16,7 @@ from rce.errors import RceError
 from rce.protocol.messages import Command, ConnectionEvent, InterfaceStatus
 
 EVENT_BACKLOG = 1000  # unread events that one reader may have
+EARLY = 1000  # newest messages and statuses that are kept for the interfaces of a service
 
 log = logging.getLogger("rce.client")
 
@@ -30,6 +32,7 @@ class Dispatcher:
         self.interfaces: dict[str, Interface] = {}
         self._robot = robot
         self._declarations = declarations
+        self._early: dict[str, deque[Message | InterfaceStatus]] = {}  # for interfaces to come, by the prefix of tags
         self._readers: WeakSet[Stream[Event]] = WeakSet()  # a stream that nobody reads any more is forgotten
         self._ended = False
         self._error: RceError | None = None
@@ -45,6 +48,8 @@ class Dispatcher:
     def message_received(self, message: Message) -> None:
         """Give a data message to its interface."""
         interface = self.interfaces.get(message.data.iTag)
+        if interface is None and self._keep(message.data.iTag, message):
+            return
         if interface is None:
             log.debug("%s: dropped a message for the unknown interface %s", self._robot, message.data.iTag)
             return
@@ -58,6 +63,8 @@ class Dispatcher:
         if isinstance(status, InterfaceStatus):
             if status.iTag in self.interfaces:
                 self.interfaces[status.iTag]._set_status(status.status)
+            else:
+                self._keep(status.iTag, status)
             return
         if isinstance(status, ConnectionEvent) and status.state == "gone":
             self._declarations.connection_gone(status.tagA, status.tagB)
@@ -98,6 +105,27 @@ class Dispatcher:
             interface._end(error)
         for reader in self._readers:
             reader.end(error)
+
+    def expect(self, prefix: str) -> None:
+        """Keep what comes for interfaces whose tags begin with `prefix`, which the platform makes."""
+        self._early.setdefault(prefix, deque(maxlen=EARLY))
+
+    def adopt(self, prefix: str, interfaces: Iterable[Interface]) -> None:
+        """Add connected interfaces, give them what came before, and expect no more of this prefix."""
+        for interface in interfaces:
+            self.interfaces[interface.tag] = interface
+            interface._set_status(True)
+        for each in self._early.pop(prefix, ()):
+            if isinstance(each, InterfaceStatus):
+                self.status_received(each)
+            else:
+                self.message_received(each)
+
+    def _keep(self, tag: str, item: Message | InterfaceStatus) -> bool:
+        kept = next((kept for prefix, kept in self._early.items() if tag.startswith(prefix)), None)
+        if kept is not None:
+            kept.append(item)
+        return kept is not None
 
     def _publish(self, event: Event) -> None:
         for reader in self._readers:

@@ -369,7 +369,7 @@ class Operations:
         outcomes = await asyncio.gather(*map(self._session.execute, commands), return_exceptions=True)
         failed: list[BaseException] = []
         for index, (command, outcome) in enumerate(zip(commands, outcomes, strict=True)):
-            if outcome is None:
+            if not isinstance(outcome, BaseException):
                 self._declarations.record(command)
             else:
                 several = len(commands) > 1

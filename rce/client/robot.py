@@ -13,6 +13,7 @@ from typing import Any, Self, TypeVar, Unpack
 from rce.client.actions import Accept, ActionClient, ActionServer, Handler
 from rce.client.address import Address
 from rce.client.backlog import Offline
+from rce.client.catalogue import Service
 from rce.client.connection import Connection
 from rce.client.declarations import Declarations
 from rce.client.dispatcher import Dispatcher
@@ -211,6 +212,29 @@ class Robot(Operations):
             **options: See `EnvironmentOptions`.
         """
         return Environment(self, tag, options, exist_ok)
+
+    async def service(self, name: str, *, tag: str = "", raw: bool = False) -> Service:
+        """Use a service of the platform's catalogue: it is started if needed, and connected to this robot.
+
+        Args:
+            name: Name of the service, as `mapping2d`, or `user/name` for one that another user offers.
+            tag: Begins the names of the robot's interfaces, and names the environment if the service is not shared;
+                by default the name of the service.
+            raw: Exchange serialized ROS messages (CDR) as bytes instead of dicts.
+
+        Returns:
+            The service, with a connected interface for each topic, service and action that it declares.
+
+        Raises:
+            NotFound: There is no such service that this user may use.
+            AlreadyExists: A name is in use already; give a tag.
+            NoCapacity: All instances are full, or no machine has room.
+            LimitExceeded: The user, or the publisher of the service, may not have more.
+            StartFailed: The service did not start.
+            TimedOut: The platform did not answer within the robot's `timeout`.
+            RceError: Any other error of the platform, or `Unavailable` if the robot is not open.
+        """
+        return await Service.use(self, self._session, self._declarations, self._dispatcher, name, tag, raw)
 
     # --- interfaces
 

@@ -77,7 +77,7 @@ class Request:
     """Command without an answer yet; `restores` marks a declaration that the session itself repeats."""
 
     command: Command
-    done: asyncio.Future[None]
+    done: asyncio.Future[Ack]
     restores: bool
     attempts: int = 0
 
@@ -126,8 +126,8 @@ class ClientSession:
             await self.connection.close()
         self._end(None)
 
-    async def execute(self, command: Command) -> None:
-        """Send a command and wait until it has been executed.
+    async def execute(self, command: Command) -> Ack:
+        """Send a command, wait until it has been executed, and return the acknowledgement.
 
         Commands are sent and executed in the order of these calls. While offline, a command waits for the next
         connection.
@@ -139,7 +139,7 @@ class ClientSession:
         """
         if self._keeper is None:
             raise self._error
-        await self._outcome(*self._submit(command, restores=False))
+        return await self._outcome(*self._submit(command, restores=False))
 
     def _submit(self, command: Command, restores: bool) -> tuple[FrameId, Request]:
         number: FrameId = next(self._ids)
@@ -149,10 +149,10 @@ class ClientSession:
             self._send(self.connection, number, request)
         return number, request
 
-    async def _outcome(self, number: FrameId, request: Request) -> None:
+    async def _outcome(self, number: FrameId, request: Request) -> Ack:
         try:
             async with asyncio.timeout(self._timeout):
-                await request.done
+                return await request.done
         except TimeoutError:
             name = type(request.command).__name__
             raise TimedOut(f"{name} was not answered within {self._timeout:g} s") from None
@@ -166,7 +166,7 @@ class ClientSession:
 
         def on_sent() -> None:
             if not acknowledged and not request.done.done():
-                request.done.set_result(None)
+                request.done.set_result(Ack())
 
         connection.put_text(COMMANDS, encode(frame), on_sent)
 
@@ -252,7 +252,8 @@ class ClientSession:
         reported = False
         for delay in backoff_delays():
             try:
-                return await self._outcome(number, request)
+                await self._outcome(number, request)
+                return
             except Unavailable:
                 pass
             except RceError as error:
@@ -274,16 +275,16 @@ class ClientSession:
         elif isinstance(incoming, Failure):
             self._handle_failure(incoming)
         elif isinstance(incoming.data, Ack):
-            self._handle_ack(incoming.id)
+            self._handle_ack(incoming.id, incoming.data)
         elif not isinstance(incoming.data, Session):
             self._listener.status_received(incoming.data)
 
-    def _handle_ack(self, frame_id: FrameId | UnsetType) -> None:
+    def _handle_ack(self, frame_id: FrameId | UnsetType, ack: Ack) -> None:
         if frame_id is UNSET or self._answer_message(frame_id, None):
             return
         request = self._requests.get(frame_id)
         if request is not None and not request.done.done():
-            request.done.set_result(None)
+            request.done.set_result(ack)
 
     def _answer_message(self, frame_id: FrameId, error: RceError | None) -> bool:
         return self.connection is not None and self.connection.answer(frame_id, error)
@@ -298,7 +299,7 @@ class ClientSession:
         elif request.done.done():
             return
         elif (request.restores or request.attempts > 1) and already_done(request.command, error):
-            request.done.set_result(None)
+            request.done.set_result(Ack())
         else:
             request.done.set_exception(error)
 

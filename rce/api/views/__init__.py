@@ -14,6 +14,13 @@ from rce.api.views.accounts import UsageView as UsageView
 from rce.api.views.accounts import UserChanges as UserChanges
 from rce.api.views.accounts import UserView as UserView
 from rce.api.views.accounts import Whoami as Whoami
+from rce.api.views.catalogue import InstanceView as InstanceView
+from rce.api.views.catalogue import NewOffer as NewOffer
+from rce.api.views.catalogue import NewUse as NewUse
+from rce.api.views.catalogue import OfferedNode as OfferedNode
+from rce.api.views.catalogue import OfferedPort as OfferedPort
+from rce.api.views.catalogue import OfferView as OfferView
+from rce.api.views.catalogue import Scale as Scale
 from rce.api.views.live import Deltas as Deltas
 from rce.api.views.live import Event as Event
 from rce.api.views.live import Greeting as Greeting

@@ -10,7 +10,7 @@ from msgspec import Raw, Struct
 from rce.control.calls.call import Call, Nothing
 from rce.control.calls.watching import Asset, RosGraph
 from rce.errors import MALFORMED, ErrorInfo, InvalidRequest, RceError
-from rce.protocol.messages import Command, StatusData
+from rce.protocol.messages import Command, StatusData, UsedService
 
 _commands: dict[str, type[Command]] = {kind.__name__: kind for kind in get_args(Command)}
 
@@ -54,9 +54,10 @@ class SessionExpired(Call[Nothing], frozen=True):
 
 
 class Executed(Struct, frozen=True):
-    """Result of `Execute`: the errors of the commands that failed, by their positions."""
+    """Result of `Execute`: the errors of the commands that failed, and the services used, by their positions."""
 
     failed: dict[int, ErrorInfo] = {}
+    services: dict[int, UsedService] = {}
 
     def raise_first_error(self) -> None:
         """Raise the error of the first command that failed, if there is one.

@@ -25,6 +25,7 @@ from rce.protocol.messages.commands import DestroyContainer as DestroyContainer
 from rce.protocol.messages.commands import Disconnect as Disconnect
 from rce.protocol.messages.commands import Format as Format
 from rce.protocol.messages.commands import InterfaceType as InterfaceType
+from rce.protocol.messages.commands import LeaveService as LeaveService
 from rce.protocol.messages.commands import NodeRestart as NodeRestart
 from rce.protocol.messages.commands import ParameterName as ParameterName
 from rce.protocol.messages.commands import ParameterValue as ParameterValue
@@ -34,6 +35,7 @@ from rce.protocol.messages.commands import RemoveInterface as RemoveInterface
 from rce.protocol.messages.commands import RemoveNode as RemoveNode
 from rce.protocol.messages.commands import RemoveRecorder as RemoveRecorder
 from rce.protocol.messages.commands import SetParameter as SetParameter
+from rce.protocol.messages.commands import UseService as UseService
 from rce.protocol.messages.data import MAX_MSG_ID as MAX_MSG_ID
 from rce.protocol.messages.data import DataMessage as DataMessage
 from rce.protocol.messages.data import GoalStatus as GoalStatus
@@ -60,3 +62,5 @@ from rce.protocol.messages.status import RecorderEvent as RecorderEvent
 from rce.protocol.messages.status import Session as Session
 from rce.protocol.messages.status import Status as Status
 from rce.protocol.messages.status import StatusData as StatusData
+from rce.protocol.messages.status import UsedInterface as UsedInterface
+from rce.protocol.messages.status import UsedService as UsedService

@@ -282,6 +282,25 @@ class RemoveRecorder(Struct, frozen=True):
     recorderTag: str
 
 
+class UseService(Struct, frozen=True):
+    """Take part in a service of the catalogue: an instance is chosen or started, and its interfaces are connected.
+
+    `service` is its name, or `user/name` for one of another user. Names are made from `containerTag`, by default the
+    name of the service: that of the environment if the service is not shared, and those of the robot's interfaces,
+    `containerTag_NAME`. With `raw` these are Forwarders.
+    """
+
+    service: Name
+    containerTag: str = ""
+    raw: bool = False
+
+
+class LeaveService(Struct, frozen=True):
+    """Take part in a service no longer: its interfaces are removed."""
+
+    containerTag: str
+
+
 class ConfigureComponents(Struct, frozen=True):
     """CN: the lists are executed in this order, their items one after the other."""
 
@@ -293,6 +312,8 @@ class ConfigureComponents(Struct, frozen=True):
     deleteParam: list[Raw] = []
     addRecorders: list[Raw] = []
     removeRecorders: list[Raw] = []
+    useServices: list[Raw] = []
+    leaveServices: list[Raw] = []
 
 
 class Connect(Struct, frozen=True):
@@ -327,6 +348,8 @@ Command = (
     | DeleteParameter
     | AddRecorder
     | RemoveRecorder
+    | UseService
+    | LeaveService
     | Connect
     | Disconnect
 )
@@ -341,5 +364,7 @@ CN_ITEMS: dict[str, type[Command]] = {
     "deleteParam": DeleteParameter,
     "addRecorders": AddRecorder,
     "removeRecorders": RemoveRecorder,
+    "useServices": UseService,
+    "leaveServices": LeaveService,
 }
 CX_ITEMS: dict[str, type[Command]] = {"connect": Connect, "disconnect": Disconnect}

@@ -17,8 +17,31 @@ class InterfaceStatus(Struct, frozen=True, tag_field="topic", tag="iu"):
     status: bool
 
 
-class Ack(Struct, frozen=True, tag_field="topic", tag="ack"):
-    """The frame with the same `id` has been executed."""
+class UsedInterface(Struct, frozen=True):
+    """Interface of the robot that is connected to a service; `name` is that in the declaration of the service."""
+
+    name: str
+    iTag: str
+    interfaceType: str
+    className: str
+
+
+class UsedService(Struct, frozen=True):
+    """A service of the catalogue in which the robot takes part, and its interfaces for that.
+
+    `containerTag` names the robot's part; the instance of a service that is not shared is the environment of that name.
+    """
+
+    service: str  # user/name
+    containerTag: str
+    shared: bool
+    interfaces: list[UsedInterface]
+
+
+class Ack(Struct, frozen=True, tag_field="topic", tag="ack", omit_defaults=True):
+    """The frame with the same `id` has been executed; `services` answer its `useServices`."""
+
+    services: list[UsedService] = []
 
 
 class Session(Struct, frozen=True, tag_field="topic", tag="session"):

@@ -27,7 +27,7 @@ class TestKubernetesEngine(EngineContract):
 
 
 async def test_requests_that_no_node_fulfils_are_refused(world: KubernetesWorld, engine: KubernetesEngine) -> None:
-    with pytest.raises(NoCapacity, match="Insufficient nvidia.com/gpu"):
+    with pytest.raises(NoCapacity, match=r"Insufficient nvidia\.com/gpu"):
         await engine.start(with_options(gpus=1))
     with pytest.raises(LimitExceeded):
         await engine.start(with_options(memory=2**60))

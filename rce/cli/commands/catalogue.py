@@ -1,0 +1,149 @@
+"""`catalogue`: services that users offer to others, and their instances."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from rce.api import views
+from rce.cli import output
+from rce.cli.arguments import JSON, OF_USER, argument
+from rce.cli.command import Command, Group, Lazy
+from rce.cli.session import ConsoleSession
+
+GROUP = Group(
+    "catalogue",
+    "Publish services for other users' robots, list them, use and scale them.",
+    'A robot uses a service by its name: robot.service("mapping2d"). The commands `service` are for ROS services.',
+)
+SERVICE = argument("service", metavar="[USER/]NAME")
+NAME = argument("service", metavar="NAME", help="of your own")
+
+OFFERS: output.Columns[views.OfferView] = {
+    "service": lambda each: reference(each),
+    "takes": lambda each: sorted(each.service.takes),
+    "gives": lambda each: sorted(each.service.gives),
+    "calls": lambda each: sorted({*each.service.services, *each.service.actions}),
+    "robots": lambda each: each.service.robots,
+    "instances": lambda each: len(each.instances),
+    "description": lambda each: each.service.description,
+}
+INSTANCES: output.Columns[views.InstanceView] = {
+    "instance": lambda each: f"{each.user}/{each.containerTag}",
+    "state": lambda each: each.state if each.current else f"{each.state}, outdated",
+    "robots": lambda each: each.robots,
+}
+
+
+def reference(offer: views.OfferView) -> str:
+    """Return the name by which others refer to an offer."""
+    return f"{offer.user}/{offer.service.name}".removeprefix("@rce/")
+
+
+def find(session: ConsoleSession, name: str, of: str = "") -> tuple[str, str]:
+    """Return publisher and name of the service that `name` or `user/name` means to the user."""
+    publisher, _, short = name.rpartition("/")
+    if publisher:
+        return publisher, short
+    offers = {reference(each) for each in session.api.items(views.OfferView, "catalogue")}
+    own = of or session.user
+    return ("@rce" if name in offers and f"{own}/{name}" not in offers else own), name
+
+
+def _list(session: ConsoleSession, args: argparse.Namespace) -> None:
+    output.print_table(session.api.items(views.OfferView, "catalogue"), OFFERS, args.json)
+
+
+def _show(session: ConsoleSession, args: argparse.Namespace) -> None:
+    offer = session.api.get(views.OfferView, "catalogue", *find(session, args.service))
+    if args.json:
+        output.print_record(offer, as_json=True)
+        return
+    output.print_record(offer.service)
+    for user, uses in sorted(offer.uses.items()):
+        print(f"used by {user}: {uses} times")
+    if offer.instances:
+        print()
+        output.print_table(offer.instances, INSTANCES)
+
+
+def _use(session: ConsoleSession, args: argparse.Namespace) -> None:
+    publisher, name = find(session, args.service, args.of)
+    body = views.NewUse(args.robot, args.tag)
+    session.api.post(views.OfferView, "catalogue", publisher, name, "uses", body=body, user=args.of)
+    tag = args.tag or name
+    if args.robot:
+        print(f"robot {args.robot} uses {args.service} as {tag}")
+    else:
+        print(f"environment {tag} runs {args.service}")
+
+
+def _leave(session: ConsoleSession, args: argparse.Namespace) -> None:
+    publisher, name = find(session, args.service, args.of)
+    tag = args.tag or name
+    session.api.delete("catalogue", publisher, name, "uses", args.robot, tag, user=args.of)
+
+
+def _scale(session: ConsoleSession, args: argparse.Namespace) -> None:
+    body = views.Scale(args.least, args.most)
+    offer = session.api.patch(views.OfferView, "catalogue", session.user, args.service, body=body)
+    print(f"{args.service}: {offer.service.least} to {offer.service.most} instances")
+
+
+def _remove(session: ConsoleSession, args: argparse.Namespace) -> None:
+    session.api.delete("catalogue", session.user, args.service)
+
+
+TAG = argument("--as", dest="tag", default="", metavar="TAG", help="(default: the name of the service)")
+COMMANDS = (
+    Command(
+        "catalogue publish",
+        "Publish the services of a service.yaml, with the packages beside it.",
+        Lazy("rce.cli.lazy.publish", "publish"),
+        (
+            argument("path", type=Path, metavar="DIR|FILE", help="a service.yaml, or the package that has one"),
+            argument(
+                "--share", action="append", default=[], metavar="USER|all", help="(default: all, or as the file says)"
+            ),
+        ),
+        ("catalogue publish my_package", "catalogue publish service.yaml --share ada"),
+        description="Pushes DIR as `package push` does if it has a package.xml, and publishes the service that its "
+        "service.yaml declares, with that version of the package. It replaces what you published under this name.",
+    ),
+    Command("catalogue list", "List the services that you may use.", _list, (JSON,)),
+    Command(
+        "catalogue show",
+        "Print a service; to its publisher also its instances, their robots, and how often each user used it.",
+        _show,
+        (SERVICE, JSON),
+        ("catalogue show mapping2d", "catalogue show ann/detector"),
+    ),
+    Command(
+        "catalogue use",
+        "Let a connected robot use a service, or without --robot start an instance of your own.",
+        _use,
+        (SERVICE, argument("--robot", completion="robot", default="", metavar="ROBOT"), TAG, OF_USER),
+        ("catalogue use mapping2d", "catalogue use ann/detector --robot r2d2"),
+    ),
+    Command(
+        "catalogue leave",
+        "End the use of a service by a robot.",
+        _leave,
+        (SERVICE, argument("robot", completion="robot", metavar="ROBOT"), TAG, OF_USER),
+        ("catalogue leave ann/detector r2d2",),
+    ),
+    Command(
+        "catalogue scale",
+        "Set how many shared instances of a service run at least and at most.",
+        _scale,
+        (NAME, argument("least", type=int, metavar="LEAST"), argument("most", type=int, metavar="MOST")),
+        ("catalogue scale detector 1 4",),
+    ),
+    Command(
+        "catalogue remove",
+        "Remove a service of your own, with its shared instances.",
+        _remove,
+        (NAME,),
+        ("catalogue remove detector",),
+    ),
+)
