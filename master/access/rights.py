@@ -71,7 +71,7 @@ package.read        own    own    own    own    all      all
 package.push        -      -      -      own    own      all
 package.remove      -      -      -      own    own      all
 package.share       -      -      -      own    own      all
-catalogue.read      own    own    own    own    all      all
+catalogue.read      own    own    own    own    own      own
 catalogue.publish   -      -      -      own    own      all
 service.use         own    own    -      own    all      all
 service.leave       own    own    -      own    all      all
@@ -153,7 +153,7 @@ def _check_tie(scopes: Scopes, operation: str, robot: str, environment: str) -> 
             raise Forbidden(f"this key is tied to robotID {scopes.robot}", field="robotID")
         raise NotFound(f"there is no robot {robot[:80]!r}", field="robotID")
     if environment and scopes.environments and environment not in scopes.environments:
-        if operation == "environment.create":
+        if operation in ("environment.create", "service.use"):
             named = ", ".join(scopes.environments)
             raise Forbidden(f"this key is tied to the environments {named}", field="containerTag")
         raise NotFound(f"there is no environment {environment[:80]!r}", field="containerTag")

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from master.access import rights
 from master.api.commands import Commands
-from master.api.principals import authorize, page_of_views, principal_of
+from master.api.principals import authorize, page_of_views
 from master.api.request import Answer, Call, OwnerQuery, PageQuery
 from master.api.router import Api, Route
 from master.execution.effect_runner import new_id
@@ -39,14 +38,11 @@ class CatalogueApi:
                 "POST",
                 uses,
                 self._use,
-                "Let a connected robot use a service, or start an instance of your own; the answer comes when it is ready",
+                "Let a robot use a service, or start an instance of your own; the answer comes when it is ready",
                 OwnerQuery,
                 NewUse,
                 OfferView,
                 201,
-            ),
-            Route(
-                "DELETE", uses + "/{robot}/{tag}", self._leave, "End a robot's use of a service", OwnerQuery, status=204
             ),
         )
 
@@ -81,20 +77,11 @@ class CatalogueApi:
 
     async def _use(self, call: Call) -> Answer:
         wanted = call.body(NewUse)
-        owner = call.query(OwnerQuery).user or call.user
+        owner = authorize(call, "service.use", call.query(OwnerQuery).user, robot=wanted.robot)
         offer = self._find(call, owner)
         command = m.UseService(offer.name, wanted.containerTag or catalogue.name_of(offer))
-        if wanted.robot:
-            rights.check(principal_of(call), "service.use", owner, robot=wanted.robot)
         await self._commands.execute(call, owner, command, wanted.robot)
         return Answer(self._view(offer, owner), 201)
-
-    async def _leave(self, call: Call) -> Answer:
-        owner, robot = call.query(OwnerQuery).user or call.user, call.path["robot"]
-        rights.check(principal_of(call), "service.leave", owner, robot=robot)
-        self._find(call, owner)
-        await self._commands.execute(call, owner, m.LeaveService(call.path["tag"]), robot)
-        return Answer(status=204)
 
     async def _saved(self, offer: Offer, user: str, status: int = 200) -> Answer:
         await self._master.save()

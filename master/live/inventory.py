@@ -8,7 +8,7 @@ from typing import get_args
 from master.graph.state import State
 from master.live.presenter import Presenter
 from rce.api.views.resources import EnvironmentState
-from rce.process.metrics import Family, gauge_family
+from rce.process.metrics import Family, counter_family, gauge_family
 
 LACKS = {
     "robot": "no Robot endpoint has joined: robots cannot be served",
@@ -47,6 +47,32 @@ def families(presenter: Presenter) -> list[Family]:
             "Connections by state",
             ["state"],
             {("up",): up, ("down",): len(state.connections) - up},
+        ),
+        *_of_services(state),
+    ]
+
+
+def _of_services(state: State) -> list[Family]:
+    """Return the counts of services of the catalogue that are in use."""
+    instances = Counter(each.offer for each in state.instances)
+    robots = Counter(each.offer for each in state.uses)
+    of_service = [(each.name,) for each in state.offers]
+    uses = {(each.offer, each.user): float(each.uses) for each in state.tallies}
+    return [
+        gauge_family(
+            "rce_service_instances",
+            "Instances of a service of the catalogue",
+            ["service"],
+            {each: instances[each[0]] for each in of_service},
+        ),
+        gauge_family(
+            "rce_service_robots",
+            "Robots that use a service of the catalogue",
+            ["service"],
+            {each: robots[each[0]] for each in of_service},
+        ),
+        counter_family(
+            "rce_service_uses", "How often robots of a user began to use a service", ["service", "user"], uses
         ),
     ]
 

@@ -329,6 +329,27 @@ export interface RecorderOptions {
   existOk?: boolean;
 }
 
+/** Service of the catalogue that a robot uses; made by `Robot.service`. Asked for again after a lost session. */
+export class Service {
+  /** `user/name`, or the name alone of a service that comes with RCE. */
+  readonly name: string;
+  readonly tag: string;
+  /** The instance may serve other robots too, also those of other users. */
+  readonly shared: boolean;
+  /** The robot's interfaces by the names in the declaration of the service. */
+  readonly interfaces: Map<string, Publisher | Subscriber | ServiceClient | ActionClient>;
+  /** The publisher for a topic that the service takes; throws NotFound. */
+  publisher(name: string): Publisher;
+  /** The subscriber of a topic that the service gives; throws NotFound. */
+  subscriber(name: string): Subscriber;
+  /** The client of a ROS service; throws NotFound. */
+  serviceClient(name: string): ServiceClient;
+  /** The client of a ROS action; throws NotFound. */
+  actionClient(name: string): ActionClient;
+  /** Use the service no longer: its interfaces are removed; reads and calls that wait end at once. */
+  leave(): Promise<void>;
+}
+
 export interface NodeOptions {
   /** Command line arguments; `$(find PKG)` and `$(env VAR)` are substituted. */
   args?: string;
@@ -347,7 +368,7 @@ export interface NodeOptions {
 /** `[list, item]` with the names of the protocol, such as `["addNodes", {containerTag: …}]` and `["CC", {…}]`. */
 export type Command = [
   "CC" | "DC" | "addNodes" | "removeNodes" | "addInterfaces" | "removeInterfaces" | "setParam" | "deleteParam"
-    | "addRecorders" | "removeRecorders" | "connect" | "disconnect",
+    | "addRecorders" | "removeRecorders" | "useServices" | "leaveServices" | "connect" | "disconnect",
   Record<string, unknown>,
 ];
 
@@ -397,6 +418,13 @@ export class Robot {
   /** A handle of an environment, which may exist already; nothing is sent. */
   environment(tag: string, options?: EnvironmentOptions): Environment;
 
+  /**
+   * Use a service of the platform's catalogue: it is started if needed, and connected to this robot. `tag` begins the
+   * names of the robot's interfaces, and names the environment if the service is not shared; by default the service's.
+   */
+  service(name: string, options?: { tag?: string; raw?: boolean }): Promise<Service>;
+  /** Use a service no longer; see `Service.leave`. */
+  leaveService(service: Service): Promise<void>;
   /** Start an environment; with `existOk` an existing one of that name is accepted. */
   createEnvironment(tag: string, options?: EnvironmentOptions, how?: { existOk?: boolean }): Promise<void>;
   /** Stop an environment and remove everything in it. */

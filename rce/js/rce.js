@@ -2,23 +2,27 @@
 // docs/javascript.md.
 
 import { Environment } from "./environment.js";
-import { AlreadyExists, InvalidRequest } from "./errors.js";
+import { AlreadyExists, InvalidRequest, NotFound, Unavailable } from "./errors.js";
 import { ActionClient, ActionServer, Goal } from "./actions.js";
 import { Publisher, ServiceClient, ServiceProvider, Subscriber } from "./interfaces.js";
+import { Service } from "./service.js";
 import { ClientSession } from "./session.js";
 import { StoringPublisher } from "./stored.js";
 import { Stream } from "./stream.js";
 
 export * from "./errors.js";
-export { ActionClient, ActionServer, Environment, Goal, Publisher, ServiceClient, ServiceProvider, Stream, Subscriber };
+export { ActionClient, ActionServer, Environment, Goal, Publisher, Service, ServiceClient, ServiceProvider, Stream,
+  Subscriber };
 
+const EARLY = 1000; // newest messages and statuses that are kept for the interfaces of a service
 const EVENT_BACKLOG = 1000; // unread events that one reader may have
 
 /** Robot that is connected to a platform. */
 export class Robot {
   #session;
   #interfaces = new Map();
-  #declared = { interfaces: new Map(), connections: new Map() };
+  #declared = { interfaces: new Map(), connections: new Map(), services: new Map() };
+  #early = new Map(); // what came for interfaces that the platform makes, by the prefix of their tags
   #readers = new Set();
 
   /**
@@ -153,6 +157,40 @@ export class Robot {
     if (first) throw first;
   }
 
+  /** Use a service of the catalogue, which is started if needed; `tag` begins the names of the robot's interfaces. */
+  async service(name, { tag = name.slice(name.lastIndexOf("/") + 1), raw = false } = {}) {
+    if (this.#declared.services.has(tag)) throw new AlreadyExists(`this robot uses a service as ${tag}: give another tag`);
+    const [command, prefix] = [["useServices", { service: name, containerTag: tag, raw }], `${tag}_`];
+    const early = [];
+    this.#early.set(prefix, early);
+    try {
+      const { services } = await this.#session.execute(command);
+      if (!services) throw new Unavailable("this platform has no catalogue of services: it is older than this client");
+      this.#declared.services.set(tag, command);
+      const service = new Service(this, services[0]);
+      for (const each of service.interfaces.values()) {
+        this.#interfaces.set(each.tag, each);
+        each.setStatus(true);
+      }
+      return service;
+    } finally {
+      this.#early.delete(prefix);
+      for (const again of early) again();
+    }
+  }
+
+  /** Use a service no longer; see `Service.leave`. */
+  async leaveService(service) {
+    for (const { tag } of service.interfaces.values()) {
+      this.#interfaces.get(tag)?.end(null);
+      this.#interfaces.delete(tag);
+    }
+    this.#declared.services.delete(service.tag);
+    await this.#session.execute(["leaveServices", { containerTag: service.tag }]).catch((error) => {
+      if (!(error instanceof NotFound)) throw error;
+    });
+  }
+
   // --- interfaces; `to` is the `endpoint/interface` to connect to
 
   async publisher(tag, typeName, options = {}) {
@@ -212,11 +250,13 @@ export class Robot {
   // --- called by the session
 
   messageReceived(data, blobs) {
+    if (!this.#interfaces.has(data.iTag)) this.#keep(data.iTag, () => this.messageReceived(data, blobs));
     return this.#interfaces.get(data.iTag)?.receive(data, blobs);
   }
 
   statusReceived(status) {
     if (status.topic === "iu") {
+      if (!this.#interfaces.has(status.iTag)) this.#keep(status.iTag, () => this.statusReceived(status));
       this.#interfaces.get(status.iTag)?.setStatus(status.status);
       return;
     }
@@ -244,13 +284,20 @@ export class Robot {
   }
 
   declarations() {
-    const { interfaces, connections } = this.#declared;
-    return [...interfaces.values(), ...connections.values()];
+    const { interfaces, connections, services } = this.#declared;
+    return [...interfaces.values(), ...connections.values(), ...services.values()];
   }
 
   ended(error) {
     for (const each of this.#interfaces.values()) each.end(error);
     for (const reader of this.#readers) reader.end(error);
+  }
+
+  #keep(tag, again) {
+    for (const [prefix, early] of this.#early) {
+      if (tag.startsWith(prefix)) early.push(again);
+      if (early.length > EARLY) early.shift();
+    }
   }
 
   #publish(event) {

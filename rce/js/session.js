@@ -18,7 +18,8 @@ const [MIN_DELAY, MAX_DELAY] = [0.1, 10]; // seconds between attempts to reconne
 const ATTEMPT = 3; // seconds, and five round trips, of an attempt while the session may be resumed
 const RESUME_DELAY = 0.4; // seconds between these attempts at most
 const LISTS = { connect: "CX", disconnect: "CX" };
-const REMOVALS = new Set(["DC", "removeNodes", "removeInterfaces", "deleteParam", "removeRecorders", "disconnect"]);
+const REMOVALS = new Set([
+  "DC", "removeNodes", "removeInterfaces", "deleteParam", "removeRecorders", "leaveServices", "disconnect"]);
 
 /** Session that lasts from `open` until `close`, or until the platform refuses the robot. */
 export class ClientSession {
@@ -64,10 +65,13 @@ export class ClientSession {
     await connection?.close();
   }
 
-  /** Send a command, `[list, item]`, and wait until it has been executed. Commands are sent in the order of calls. */
+  /**
+   * Send a command, `[list, item]`, wait until it has been executed, and return the acknowledgement. Commands are sent in
+   * the order of calls.
+   */
   async execute(command) {
     if (this.#state !== "open") throw this.#error;
-    await this.#outcome(this.#submit(command, false));
+    return this.#outcome(this.#submit(command, false));
   }
 
   // --- called by the connection
@@ -78,7 +82,7 @@ export class ClientSession {
 
   statusReceived(data, id) {
     if (data.topic === "ack") {
-      if (!this.connection?.answer(id, null)) this.#requests.get(id)?.resolve();
+      if (!this.connection?.answer(id, null)) this.#requests.get(id)?.resolve(data);
     } else if (data.topic !== "session") this.#listener.statusReceived(data);
   }
 
@@ -125,7 +129,7 @@ export class ClientSession {
     const seconds = this.#options.timeout;
     const timeout = () => new TimedOut(`${request.command[0]} was not answered within ${seconds} s`);
     try {
-      await within(request.done, seconds, timeout);
+      return await within(request.done, seconds, timeout);
     } finally {
       this.#requests.delete(request.id);
     }
@@ -272,5 +276,6 @@ export class ClientSession {
 
 /** True if `error`, the answer to a repeated command, means that an earlier attempt was executed. */
 function alreadyDone([list], error) {
+  if (list === "useServices") return false; // the platform answers it again, with the interfaces
   return error instanceof (REMOVALS.has(list) ? NotFound : AlreadyExists);
 }

@@ -78,12 +78,6 @@ def _use(session: ConsoleSession, args: argparse.Namespace) -> None:
         print(f"environment {tag} runs {args.service}")
 
 
-def _leave(session: ConsoleSession, args: argparse.Namespace) -> None:
-    publisher, name = find(session, args.service, args.of)
-    tag = args.tag or name
-    session.api.delete("catalogue", publisher, name, "uses", args.robot, tag, user=args.of)
-
-
 def _scale(session: ConsoleSession, args: argparse.Namespace) -> None:
     body = views.Scale(args.least, args.most)
     offer = session.api.patch(views.OfferView, "catalogue", session.user, args.service, body=body)
@@ -124,13 +118,6 @@ COMMANDS = (
         _use,
         (SERVICE, argument("--robot", completion="robot", default="", metavar="ROBOT"), TAG, OF_USER),
         ("catalogue use mapping2d", "catalogue use ann/detector --robot r2d2"),
-    ),
-    Command(
-        "catalogue leave",
-        "End the use of a service by a robot.",
-        _leave,
-        (SERVICE, argument("robot", completion="robot", metavar="ROBOT"), TAG, OF_USER),
-        ("catalogue leave ann/detector r2d2",),
     ),
     Command(
         "catalogue scale",

@@ -74,7 +74,7 @@ async def test_failed_start_is_rolled_back(served: Served) -> None:
 async def test_command_goes_on_when_its_client_disconnects(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     begun, may_end, ended = asyncio.Event(), asyncio.Event(), asyncio.Event()
 
-    async def execute(user: str, command: m.Command) -> None:
+    async def execute(user: str, command: m.Command, robot: str) -> None:
         begun.set()
         await may_end.wait()
         ended.set()

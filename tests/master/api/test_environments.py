@@ -125,7 +125,7 @@ async def test_what_does_not_exist_is_not_found(populated: Served) -> None:
 async def test_what_is_removed_before_the_answer_is_not_found(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     execute = served.master.commands.execute
 
-    async def execute_and_remove(user: str, command: m.Command) -> None:
+    async def execute_and_remove(user: str, command: m.Command, robot: str) -> None:
         await execute(user, command)
         await execute(user, m.DestroyContainer("brain"))
 

@@ -164,6 +164,9 @@ def commands(robot: str, environment: str, node: str = "talker") -> list[m.Comma
         m.RemoveInterface(robot, "in"),
         m.RemoveInterface(environment, "out"),
         m.DestroyContainer(environment),
+        m.UseService("planning", environment),
+        m.LeaveService(environment),
+        m.DestroyContainer(environment),
         m.CreateContainer(environment),
     ]
 
@@ -279,7 +282,7 @@ async def test_commands_of_guests(world: World, name: str, owner: str) -> None:
     if user != actor.user:
         assert usage == (state.robots_of_user("bob"), state.connections_of_user("bob"))
     await world.served.call_master("west", SessionExpired(f"{user}/{GUEST}"))
-    left = [each.key for table in state.tables() for each in table if "@" in each.key]
+    left = [each.key for table in state.tables() for each in table if "/@" in each.key]
     assert left == []
 
 

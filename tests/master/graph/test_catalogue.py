@@ -43,7 +43,7 @@ def test_own_service_comes_before_one_that_comes_with_rce() -> None:
 
 
 def test_declaration_is_returned_as_it_was_given() -> None:
-    fleet, offer = offering(parameters={"speed": 2}, mostPerUser=1, environment=m.ContainerData(memory=5))
+    _, offer = offering(parameters={"speed": 2}, mostPerUser=1, environment=m.ContainerData(memory=5))
     given = catalogue.declaration(offer)
     again = catalogue.offer_of("ann", given, offer.revision)
     assert again == offer
@@ -96,7 +96,7 @@ def test_bounds_are_changed_for_shared_instances_only() -> None:
 
 
 def test_removed_publisher_takes_services_and_instances_along() -> None:
-    fleet, offer = offering()
+    fleet, _ = offering()
     fleet.do("bob", m.UseService("ann/parrot"), robot="r1")
     reconcile.user_gone(fleet.state, "ann")
     for table in (fleet.state.offers, fleet.state.instances, fleet.state.uses, fleet.state.tallies):

@@ -192,12 +192,10 @@ def test_instance_without_robot_is_taken_over_by_the_first() -> None:
     assert {type(call) for call in calls(outcome.plan, "west")} == {Bind}
 
 
-def test_shared_service_needs_a_robot_and_guests_are_refused() -> None:
+def test_shared_service_needs_a_robot() -> None:
     fleet, _ = offering()
     with pytest.raises(InvalidRequest):
         fleet.do("bob", USE)
-    with pytest.raises(InvalidRequest):
-        fleet.do("ann", USE, robot="@console")
     with pytest.raises(NotFound):
         fleet.do("bob", USE, robot="r9")
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from master.graph import packages
+from master.graph import catalogue, packages
 from master.graph.records import Connection, Environment, EnvironmentOptions, NodeEnd, Parameter, Version, Waiting
 from master.graph.state import State
 from master.storage import store as store_module
@@ -21,6 +21,7 @@ from master.storage.store import Store
 from rce.errors import DiskFull, InvalidRequest
 from rce.protocol import messages as m
 from tests.support.master.fleet import everything, wired
+from tests.support.master.offers import declared
 
 
 @pytest.fixture
@@ -59,6 +60,8 @@ def full() -> State:
     packages.share(fleet.state, "ann", "own", ["bob"])
     fleet.state.ends.put(NodeEnd(fleet.state.nodes["ann/brain/n"], -9, ["last words"], 1.5))
     fleet.state.waiting.put(Waiting("ann/r1/x", "ann/r2/x", "ann/r1"))
+    catalogue.publish(fleet.state, "ann", declared(), fleet.ids)
+    fleet.do("bob", m.UseService("ann/parrot"), robot="r1")
     return fleet.state
 
 
@@ -71,6 +74,7 @@ async def test_every_kind_of_record_is_stored_and_loaded(store: Store, url: str)
     assert not any(table.changed for table in (*back.tables(), *state.tables()))
     assert back.joined == set()
     assert [each.key for each in back.interfaces.by("ann/r1")] == ["ann/r1/pose"]
+    assert back.connections_of_user("bob") == state.connections_of_user("bob") == 3
 
 
 async def test_longest_names_are_stored(store: Store, url: str) -> None:

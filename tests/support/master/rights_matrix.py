@@ -8,8 +8,11 @@ import json
 import time
 from typing import Any, NamedTuple
 
+from master.execution.effect_runner import new_id
+from master.graph import catalogue
 from master.graph.records import Package, Version
 from rce.api.roles import Scopes, UserRole
+from rce.api.views import NewOffer
 from rce.control.calls.recordings import ListRecordings, Piece, ReadRecording, RecordingInfo, Recordings
 from rce.control.calls.robots import Login
 from rce.protocol import messages as m
@@ -111,6 +114,12 @@ CASES: dict[str, Case | None] = {
     "POST /packages/{name}/shares": Case("package.share", "own", SHARES),
     "DELETE /packages/{name}/shares": Case("package.share", "own", SHARES),
     "DELETE /packages/{name}/shares/{other}": Case("package.share", "own"),
+    "GET /catalogue": Case("catalogue.read", "own"),
+    "POST /catalogue": Case("catalogue.publish", "own", {"name": "parrot"}),
+    "GET /catalogue/{publisher}/{name}": Case("catalogue.read", "own"),
+    "PATCH /catalogue/{publisher}/{name}": Case("catalogue.publish", "path", {"least": 0, "most": 3}),
+    "DELETE /catalogue/{publisher}/{name}": Case("catalogue.publish", "path"),
+    "POST /catalogue/{publisher}/{name}/uses": Case("service.use", body={"containerTag": "fresh"}),
     "PUT /uploads": None,  # with a ticket
     "GET /archives": None,
     "GET /environments/{environment}/log": Case("environment.log"),
@@ -198,6 +207,7 @@ class World:
         for command in self._lacking(user):
             await master.commands.execute(user, command)
         state.packages.put(Package(f"{user}/tool", [Version(DIGEST, 1, [], 0.0)], ["vera"]))
+        catalogue.publish(state, user, NewOffer("parrot", robots=2, share=["vera"]), new_id)
 
     def _lacking(self, user: str) -> list[m.Command]:
         state = self.served.master.state
@@ -247,9 +257,12 @@ class World:
         elif path.startswith(("/packages", "/machines")):
             there = there and case.operation != "machine.remove"  # the others need the machine
             name = {True: {"p": "tool", "m": "m1"}[path[1]], False: "nothing"}[there]
+        elif path.startswith("/catalogue"):
+            name = ("planning" if path.endswith("/uses") else "parrot") if there else "nothing"
         else:
             name = "rate" if there else "norate"
-        names = tags | {"name": name, "key": self.keys.get(user, "0123") if there else "beef"}
+        publisher = "@rce" if path.endswith("/uses") else user
+        names = tags | {"name": name, "publisher": publisher, "key": self.keys.get(user, "0123") if there else "beef"}
         path = path.format(**names)
         queries = {"/trace": ["seconds=0"], "/types": [f"type={STRING}"]}
         query = next((words for end, words in queries.items() if path.endswith(end)), [])
