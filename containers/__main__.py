@@ -98,6 +98,7 @@ def make_engine(
             relay=relay,
             recordings=recordings,
             packages=directory / "packages",
+            warm=settings.warm,
         )
     setup = Setup(
         reactor=reactor,

@@ -91,6 +91,9 @@ class Settings(Struct, frozen=True):
         str, Meta(description="URLs of the Masters' HTTP entries, for users' packages; empty: on the hosts of `master`")
     ] = ""
     size: Annotated[int, Meta(ge=1, description="slots for environments on this machine")] = 10
+    warm: Annotated[
+        int, Meta(ge=0, le=100, description="process engine: endpoints that wait for environments, which start sooner")
+    ] = 0
     gpus: Annotated[int, Meta(ge=0, description="docker engine: number of GPUs for environments")] = 0
     features: Annotated[list[str], Meta(description="special features of this machine, comma-separated")] = []
     package_path: Annotated[list[str], Meta(description="directories with ROS 2 packages, comma-separated")] = []

@@ -30,6 +30,7 @@ from containers.process import shared_memory
 from containers.process.cgroups import ControlGroups
 from containers.process.domains import Domains
 from containers.process.options import NEVER_ENFORCED, check_options
+from containers.process.prepared import Pool, Prepared
 from containers.process.tree import KILL_TIMEOUT, MARKER, Watch, describe_end, has_marker, kill_marked
 from containers.process.usage import used_below
 from containers.recordings.receiver import RecordingReceiver
@@ -62,6 +63,7 @@ class _State(Struct, frozen=True):
     pid: int
     domain: int
     group: str = ""
+    marker: str = ""  # of a process that was prepared; empty: the run
 
 
 @dataclass
@@ -89,6 +91,7 @@ class ProcessEngine(Engine):
         domains: Domains | None = None,
         relay: DataRelay | None = None,
         recordings: RecordingReceiver | None = None,
+        warm: int = 0,
     ) -> None:
         """Prepare the engine.
 
@@ -103,6 +106,7 @@ class ProcessEngine(Engine):
             domains: ROS domains to allocate from.
             relay: Data relay that environments are added to.
             recordings: Receiver of the recordings of environments.
+            warm: Number of endpoints that are started before their environments are known.
         """
         super().__init__(capacity, features, ended)
         self._root = root
@@ -115,6 +119,7 @@ class ProcessEngine(Engine):
         self._domains = domains or Domains()
         self._relay = relay or DataRelay()
         self._recordings = recordings or RecordingReceiver()
+        self._pool = Pool(warm, self._domains, self._common_variables())
         self._environments: dict[str, _Environment] = {}
         self._groups = ControlGroups(f"rce-{hashlib.sha256(bytes(root)).hexdigest()[:16]}")
         self._killed: dict[str, int] = {}  # processes that exceeded the memory limit, by run
@@ -129,8 +134,7 @@ class ProcessEngine(Engine):
         """Start the process in a ROS domain that no other environment uses."""
         check_options(spec, self.not_enforced)
         try:
-            domain, lock = self._domain(spec)
-            state = self._start_process(spec, domain, lock)
+            state = self._start_process(spec, None if spec.group else self._pool.take())
             directory = self._environments[spec.name].directory
             _write(directory / "state.json", msgspec.json.encode(state))
             await self._connect(spec.name, directory)
@@ -185,6 +189,7 @@ class ProcessEngine(Engine):
         await asyncio.to_thread(self._groups.open, runs)
         await asyncio.to_thread(shared_memory.clean)  # of processes killed while no task set ran
         self._trimmer = asyncio.create_task(self._trim())
+        self._pool.fill()
         return {name: RunningEnvironment(each.state.run, each.state.size) for name, each in self._environments.items()}
 
     async def last_lines(self, name: str) -> list[str]:
@@ -202,6 +207,7 @@ class ProcessEngine(Engine):
         """Stop watching the processes."""
         if self._trimmer is not None:
             self._trimmer.cancel()
+        self._pool.close()
         while self._environments:
             name, environment = self._environments.popitem()
             self._relay.remove_environment(name)
@@ -228,36 +234,59 @@ class ProcessEngine(Engine):
                 return other.state.domain, None if other.lock is None else os.dup(other.lock)
         return self._domains.take()
 
-    def _start_process(self, spec: EnvironmentSpec, domain: int, lock: int | None) -> _State:
+    def _start_process(self, spec: EnvironmentSpec, prepared: Prepared | None) -> _State:
+        domain, lock = (prepared.domain, prepared.lock) if prepared else self._domain(spec)
         directory = self._root / spec.name / spec.run
         try:
             (directory / "home").mkdir(parents=True, mode=0o700)
             self._groups.create(spec.run, spec.options)  # after the directory, by which it is found and removed
-            with _log_file(directory).open("ab") as output:
-                child = subprocess.Popen(
-                    self._command,
-                    cwd=directory,
-                    env=self._environ(spec, directory, domain),
-                    stdin=subprocess.DEVNULL,
-                    stdout=output,
-                    stderr=subprocess.STDOUT,
-                    start_new_session=True,
-                    pass_fds=[] if lock is None else [lock],
-                )
+            variables = self._environ(spec, directory, domain)
+            if prepared is not None:
+                child = prepared.child
+                self._groups.add(spec.run, child.pid)
+                prepared.begin(variables, directory, _log_file(directory))
+            else:
+                child = self._start_anew(directory, variables, lock)
         except OSError:
+            if prepared is not None:
+                prepared.child.kill()
+                prepared.child.wait()
             if lock is not None:
                 os.close(lock)
             raise
-        state = _State(spec.name, spec.run, spec.options.size, child.pid, domain, spec.group.name if spec.group else "")
+        group, marker = spec.group.name if spec.group else "", prepared.marker if prepared else ""
+        state = _State(spec.name, spec.run, spec.options.size, child.pid, domain, group, marker)
         self._watch(state, directory, child, lock)
         self._groups.add(spec.run, child.pid)
         return state
 
+    def _start_anew(self, directory: Path, variables: Mapping[str, str], lock: int | None) -> subprocess.Popen[bytes]:
+        with _log_file(directory).open("ab") as output:
+            return subprocess.Popen(
+                self._command,
+                cwd=directory,
+                env=variables,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                pass_fds=[] if lock is None else [lock],
+            )
+
+    def _common_variables(self) -> dict[str, str]:
+        """Return the variables of every endpoint."""
+        return {
+            **{key: os.environ[key] for key in INHERITED_VARIABLES if key in os.environ},
+            **{f"RCE_{key.upper()}": value for key, value in self._settings.items()},
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+        }
+
     def _environ(self, spec: EnvironmentSpec, directory: Path, domain: int) -> dict[str, str]:
         packages = package_path(package_directories(self._packages, spec.packages), self._settings)
         return {
-            **{key: os.environ[key] for key in INHERITED_VARIABLES if key in os.environ},
-            **{f"RCE_{key.upper()}": value for key, value in (self._settings | packages).items()},
+            **self._common_variables(),
+            **{f"RCE_{key.upper()}": value for key, value in packages.items()},
             "HOME": str(directory / "home"),
             MARKER: spec.run,
             "RCE_NAME": spec.name,
@@ -268,8 +297,6 @@ class ProcessEngine(Engine):
             **({"RCE_RECORDINGS": str(directory / RECORDINGS)} if self._recordings.active else {}),
             "RCE_ENV": msgspec.json.encode(spec.options.env).decode(),
             "ROS_DOMAIN_ID": str(domain),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
         }
 
     def _watch(self, state: _State, directory: Path, child: subprocess.Popen[bytes] | None, lock: int | None) -> None:
@@ -286,7 +313,8 @@ class ProcessEngine(Engine):
             self._watch(state, directory, None, None)
         except ProcessLookupError:
             return False
-        if has_marker(state.pid, state.run):  # checked while the watch holds the pid, which may have been reused
+        # Checked while the watch holds the pid, which may have been reused.
+        if has_marker(state.pid, state.marker or state.run):
             await self._connect(state.name, directory)
             return True
         self._environments.pop(state.name).watch.close()

@@ -17,6 +17,7 @@ from endpoints.data.port import DataPort
 from endpoints.environment import process_environment
 from endpoints.environment.knowledge_socket import KnowledgeSocket
 from endpoints.environment.output_log import OutputLog
+from endpoints.environment.prepared_node import Spare
 from endpoints.environment.settings import Settings
 from rce import __version__
 from rce.control.calls.call import Call, Nothing
@@ -38,8 +39,9 @@ log = Logger()
 class Endpoint:
     """The program: an environment and its connection to the Master."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, spare: Spare | None = None) -> None:
         self._settings = settings
+        self._spare = spare or Spare()
         self._token = settings.token
         self._credential = secrets.token_hex(32)
         self._master: ControlClient
@@ -61,7 +63,7 @@ class Endpoint:
         whole = OutputLog(self._settings.data_dir / "internal.log")
         logs.add_text_observer(lambda line: of_user.write(line.encode()), "endpoints.environment.")
         logs.add_text_observer(lambda line: whole.write(line.encode()))
-        environment = Environment(self._settings, ros, port, self.report, of_user, whole)
+        environment = Environment(self._settings, ros, port, self.report, of_user, whole, self._spare)
         self._master = ControlClient(
             reactor, self._settings.master, self._hello, environment.handlers(), self._welcomed, tls
         )

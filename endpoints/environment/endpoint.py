@@ -22,6 +22,7 @@ from endpoints.environment.nodes import Nodes
 from endpoints.environment.output_log import OutputLog
 from endpoints.environment.packages import Packages
 from endpoints.environment.parameters import Parameters, validate
+from endpoints.environment.prepared_node import Spare
 from endpoints.environment.process_environment import LOOPBACK, install_prefixes, node_variables
 from endpoints.environment.recorders import Recorders
 from endpoints.environment.ros import RosThread
@@ -89,6 +90,7 @@ class Environment:
         report: ReportCall,
         log: OutputLog,
         internal_log: OutputLog,
+        spare: Spare | None = None,
     ) -> None:
         """Create an empty environment.
 
@@ -99,6 +101,7 @@ class Environment:
             report: Sends a call to the Master as soon as it can be reached.
             log: Log of what concerns users.
             internal_log: Log of everything in this process, as the Master's calls.
+            spare: Interpreter that may become the first node.
         """
         installed = install_prefixes(settings)
         packages = Packages(installed, settings.package_path)
@@ -110,7 +113,8 @@ class Environment:
         self._definitions = InstalledTypes(installed + packages.prefixes, packages.sources)
         self._parameters = Parameters()
         self._live_parameters = LiveParameters(ros)
-        self._nodes = Nodes(settings.data_dir, packages, self._parameters, node_variables(settings), self._of_nodes)
+        variables = node_variables(settings)
+        self._nodes = Nodes(settings.data_dir, packages, self._parameters, variables, self._of_nodes, spare)
         self._switchboard = Switchboard(port, lambda link, reason: report(LinkLost(link, reason[:MAX_TEXT])))
         self._context = RosContext(ros, self._switchboard.hops, self._definitions, self._report_error)
         self._recorders = Recorders(self._context, settings.recordings, self._read_topics, report)

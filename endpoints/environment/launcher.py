@@ -14,12 +14,17 @@ import sys
 PR_SET_PDEATHSIG = 1
 
 
-def main() -> None:
-    """Replace this process by the command."""
-    parent, report, command = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3:]
+def end_with(parent: int) -> None:
+    """Have this process killed when its parent dies."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:  # the parent died before prctl
         sys.exit(1)
+
+
+def main() -> None:
+    """Replace this process by the command."""
+    parent, report, command = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3:]
+    end_with(parent)
     os.set_inheritable(report, False)
     for number in (signal.SIGPIPE, signal.SIGXFSZ):  # Python ignores them, and the command would inherit that
         signal.signal(number, signal.SIG_DFL)

@@ -13,6 +13,7 @@ from pathlib import Path
 from twisted.logger import Logger
 
 from endpoints.environment.output_log import OutputLog
+from endpoints.environment.prepared_node import Spare
 from rce.control.calls.endpoints import NodeSpec
 from rce.errors import StartFailed
 
@@ -52,6 +53,7 @@ class NodeProcess:
         directory: Path,
         output: OutputLog,
         ended: Callable[[NodeProcess, int], None],
+        spare: Spare | None = None,
     ) -> NodeProcess:
         """Start a node; return when its command is executing.
 
@@ -62,10 +64,15 @@ class NodeProcess:
             directory: Working directory.
             output: Log of the output, closed at the end.
             ended: Called with the node and its exit status when it has ended, for whatever reason.
+            spare: Interpreter that may become the node.
 
         Raises:
             StartFailed: The command cannot be executed.
         """
+        if spare is not None and (waiting := spare.take(command, environment, directory)) is not None:
+            node = cls(spec, waiting, output)
+            node.over = asyncio.create_task(node._watch(ended))
+            return node
         read, write = os.pipe()
         try:
             process = await asyncio.create_subprocess_exec(

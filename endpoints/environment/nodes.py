@@ -16,6 +16,7 @@ from endpoints.environment.node import NodeProcess
 from endpoints.environment.output_log import OutputLog
 from endpoints.environment.packages import Packages
 from endpoints.environment.parameters import Parameters
+from endpoints.environment.prepared_node import Spare
 from endpoints.environment.process_environment import user_node_variables
 from rce.control.calls.endpoints import Launched, NodeDied, NodeSpec, ParameterSpec
 from rce.errors import NotFound, StartFailed, disk_full
@@ -27,7 +28,10 @@ START_TIMEOUT = 5.0  # seconds within which a ROS node appears in the ROS graph
 
 
 class Nodes:
-    """Starts and stops nodes and launches; `report` gets those that end by themselves, and the nodes of launches."""
+    """Starts and stops nodes and launches; `report` gets those that end by themselves, and the nodes of launches.
+
+    The first node that comes with RCE takes the process of `spare`.
+    """
 
     def __init__(
         self,
@@ -36,7 +40,9 @@ class Nodes:
         parameters: Parameters,
         variables: dict[str, str],
         report: Callable[[NodeDied | Launched], None],
+        spare: Spare | None = None,
     ) -> None:
+        self._spare = spare or Spare()
         self._directory = directory
         self._packages = packages
         self._parameters = parameters
@@ -87,7 +93,8 @@ class Nodes:
         variables = self._variables_of(spec)
         command = self._packages.command(spec.pkg, spec.exe)
         given = split(substitute(spec.args, self._packages, variables))
-        self._running[spec.tag] = await self._run(spec, command, given, variables, self._ended)
+        spare = self._spare if self._packages.is_shipped(spec.pkg) else None
+        self._running[spec.tag] = await self._run(spec, command, given, variables, self._ended, spare)
         log.info("node {node} started: {pkg} {exe}", node=spec.tag, pkg=spec.pkg, exe=spec.exe)
 
     async def _run(
@@ -97,13 +104,14 @@ class Nodes:
         given: list[str],
         variables: dict[str, str],
         ended: Callable[[NodeProcess, int], None],
+        spare: Spare | None = None,
     ) -> NodeProcess:
         directory = self._directory_of(spec.tag)
         parameters = directory / "parameters.yaml"
         command = command + given + ros_arguments(spec, given, parameters)
         self._parameters.write(spec.tag, parameters)
         output = self._logs[spec.tag] = OutputLog(directory / "output.log")
-        return await NodeProcess.start(spec, command, variables, self._directory / "home", output, ended)
+        return await NodeProcess.start(spec, command, variables, self._directory / "home", output, ended, spare)
 
     async def _launch(self, spec: NodeSpec) -> None:
         file = self._packages.launch_file(spec.pkg, spec.launch)

@@ -44,7 +44,9 @@ async def platform(args: argparse.Namespace) -> AsyncIterator[Access]:
 
 
 @contextlib.asynccontextmanager
-async def own_platform(directory: Path, engine: str, size: int = 10, robot_processes: int = 1) -> AsyncIterator[Ready]:
+async def own_platform(
+    directory: Path, engine: str, size: int = 10, robot_processes: int = 1, warm: int = 0
+) -> AsyncIterator[Ready]:
     """Run a new platform that ends with the context.
 
     Args:
@@ -52,6 +54,7 @@ async def own_platform(directory: Path, engine: str, size: int = 10, robot_proce
         engine: Engine of the environments.
         size: Slots for environments.
         robot_processes: Processes of the Robot endpoint; they may be ready a moment later than the platform.
+        warm: Number of prepared environments.
     """
     with programs_log() as log:
         settings = up.Settings(
@@ -61,6 +64,7 @@ async def own_platform(directory: Path, engine: str, size: int = 10, robot_proce
             engine=engine,  # type: ignore[arg-type]
             size=size,
             robot_processes=robot_processes,
+            warm=warm,
             allow_root=True,  # its only user is the one who runs the command
         )
         entry: asyncio.Future[Ready] = asyncio.get_running_loop().create_future()

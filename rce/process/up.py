@@ -68,6 +68,9 @@ class Settings(Struct):
     )
     size: Annotated[int, Meta(ge=1, description="slots for environments")] = 10
     robot_processes: Annotated[int, Meta(ge=1, le=64, description="processes that serve robots, a core each")] = 1
+    warm: Annotated[
+        int, Meta(ge=0, le=100, description="process engine: endpoints that wait for environments, which start sooner")
+    ] = 0
     dev: Annotated[bool, Meta(description="create the users admin/admin and testUser/testUser, loopback only")] = False
     allow_unisolated: Annotated[bool, Meta(description="accept other machines although nodes run as this user")] = False
     allow_root: Annotated[bool, Meta(description="run nodes as root with the process engine")] = False
@@ -221,6 +224,7 @@ def make_processes(
             "--name=machine-1",
             f"--engine={settings.engine}",
             f"--size={settings.size}",
+            f"--warm={settings.warm}",
             f"--package-path={','.join(settings.package_path)}",
             f"--typesupport={settings.typesupport}",
             "--allow-unisolated" if settings.allow_unisolated else "--no-allow-unisolated",

@@ -114,7 +114,7 @@ COMMANDS = (
     ),
     Command(
         "bench start",
-        "Measure the time from the command to a ready environment, beside a bare container.",
+        "Measure starts of environments and services, prepared and not, beside a bare container.",
         Lazy(MODULE, "measure_start"),
         (
             argument("--engines", default="process,docker", help="comma-separated list (default: %(default)s)"),

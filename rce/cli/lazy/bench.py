@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
+from rce.api.client import ApiClient
 from rce.api.map_jobs import MAPPERS
 from rce.bench import overtake, payloads, report, start, viewers
 from rce.bench.nodes import Place
@@ -127,12 +128,17 @@ async def measure_start(args: argparse.Namespace) -> None:
     """Measure how long environments take to start, with each engine."""
     engines = args.engines.split(",")
     _check_names("engine", engines, ENGINES)
+    kinds = {engine: (engine, 0) for engine in engines}
+    if "process" in engines:
+        kinds[start.WARM] = ("process", 2)
     async with AsyncExitStack() as stack:
         robots: dict[str, Robot] = {}
-        for engine in engines:
-            access = await stack.enter_async_context(platform(argparse.Namespace(url="", engine=engine)))
-            robot = Robot(access.url, user=access.user, robot="bench", password=access.password)
-            robots[engine] = await stack.enter_async_context(robot)
+        for name, (engine, warm) in kinds.items():
+            directory = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rce-")))
+            entry = await stack.enter_async_context(own_platform(directory, engine, warm=warm))
+            start.publish(ApiClient(entry.url, user=DEV_USER, password=DEV_USER))
+            robot = Robot(entry.url, user=DEV_USER, robot="bench", password=DEV_USER)
+            robots[name] = await stack.enter_async_context(robot)
         result = await start.measure(robots, args.image, args.samples)
     print(json.dumps(start.as_data(result)) if args.json else start.as_text(result))
 

@@ -34,6 +34,31 @@ class FakeRobot:
     async def destroy_environment(self, tag: str) -> None:
         self.destroyed.append(tag)
 
+    async def service(self, name: str) -> FakeService:
+        self.created.append(name)
+        return FakeService(name)
+
+
+class FakeService:
+    """Service that answers at once."""
+
+    def __init__(self, tag: str) -> None:
+        self.tag = tag
+
+    def publisher(self, name: str) -> FakeService:
+        assert name in start.SERVICE.takes
+        return self
+
+    def subscriber(self, name: str) -> FakeService:
+        assert name in start.SERVICE.gives
+        return self
+
+    async def publish(self, message: object) -> None: ...
+
+    async def get(self) -> None: ...
+
+    async def leave(self) -> None: ...
+
 
 @pytest.fixture
 def docker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
@@ -49,14 +74,22 @@ def docker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 async def test_first_start_of_each_engine_is_discarded() -> None:
     one, other = FakeRobot(), FakeRobot()
     robots = {"process": cast(Robot, one), "swarm": cast(Robot, other)}
-    taken = await start.measure(robots, "image", 2)
+    taken = await start.measure(robots, "image", 2, services=False, pause=0)
     assert {name: len(seconds) for name, seconds in taken.items()} == {"process": 2, "swarm": 2}
     assert len(one.created) == len(set(one.created)) == 3
     assert one.destroyed == one.created
 
 
+async def test_services_are_measured_to_their_first_answer() -> None:
+    robot = FakeRobot()
+    taken = await start.measure({"process": cast(Robot, robot)}, "image", 1, pause=0)
+    assert {name: len(seconds) for name, seconds in taken.items()} == {"process": 1, "service, process": 1}
+    assert robot.created.count(start.SERVICE.name) == 2
+    assert robot.destroyed == robot.created
+
+
 async def test_docker_is_compared_with_a_bare_container(docker: Path) -> None:
-    taken = await start.measure({"docker": cast(Robot, FakeRobot())}, "rce/mapping:1", 1)
+    taken = await start.measure({"docker": cast(Robot, FakeRobot())}, "rce/mapping:1", 1, services=False, pause=0)
     assert [len(taken[name]) for name in ("docker", start.BARE)] == [1, 1]
     log = await asyncio.to_thread(docker.read_text)
     run, remove, *_ = [line.split() for line in log.splitlines()]
@@ -68,12 +101,14 @@ async def test_docker_is_compared_with_a_bare_container(docker: Path) -> None:
 async def test_container_that_fails_ends_the_benchmark(docker: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FAILS", "run")
     with pytest.raises(StartFailed, match="docker run: no such image"):
-        await start.measure({"docker": cast(Robot, FakeRobot())}, "none", 1)
+        await start.measure({"docker": cast(Robot, FakeRobot())}, "none", 1, services=False, pause=0)
 
 
 async def test_without_docker_there_is_nothing_to_compare_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert list(await start.measure({"docker": cast(Robot, FakeRobot())}, "image", 1)) == ["docker"]
+    assert list(await start.measure({"docker": cast(Robot, FakeRobot())}, "image", 1, services=False, pause=0)) == [
+        "docker"
+    ]
 
 
 def test_table_of_starts_has_ratios() -> None:

@@ -1,0 +1,103 @@
+"""Interpreter that has loaded rclpy and waits for a node: `python -m endpoints.environment.prepared_node PARENT`.
+
+It becomes the node of a package that comes with RCE, whose program is a Python file; other nodes are started anew. The
+node is a line of JSON on standard input: command, variables and working directory.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from endpoints import memory
+
+LIBRARIES = "LD_LIBRARY_PATH"  # has an effect only when a process starts
+
+
+class Spare:
+    """A waiting interpreter; `take` gives it away once."""
+
+    def __init__(
+        self, process: asyncio.subprocess.Process | None = None, variables: Mapping[str, str] | None = None
+    ) -> None:
+        self._process = process
+        self._variables = variables or {}
+
+    def take(
+        self, command: Sequence[str], variables: Mapping[str, str], directory: Path
+    ) -> asyncio.subprocess.Process | None:
+        """Return the process, which becomes this node; None if there is none, or it cannot be this node."""
+        process = self._process
+        if process is None or process.returncode is not None or command[0] != sys.executable:
+            return None
+        if _libraries(variables) != _libraries(self._variables):
+            return None
+        self._process = None
+        assert process.stdin is not None
+        order = {"command": list(command[1:]), "variables": dict(variables), "directory": str(directory)}
+        process.stdin.write(json.dumps(order).encode() + b"\n")
+        process.stdin.close()
+        return process
+
+    def discard(self) -> None:
+        """End the process unless it was taken."""
+        if self._process is not None and self._process.returncode is None:
+            self._process.kill()
+        self._process = None
+
+
+def _libraries(variables: Mapping[str, str]) -> set[str]:
+    """Return the directories of libraries, without those of ROS 2 itself, whose modules load their own."""
+    return {each for each in variables.get(LIBRARIES, "").split(os.pathsep) if not each.startswith(sys.prefix)}
+
+
+async def start() -> Spare:
+    """Start an interpreter; it ends with this process."""
+    variables = {**os.environ, **memory.VARIABLES, "PYTHONUNBUFFERED": "1"}
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-P", "-m", "endpoints.environment.prepared_node", str(os.getpid())),
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.STDOUT,
+        env=variables,
+        start_new_session=True,
+    )
+    return Spare(process, variables)
+
+
+def main() -> None:
+    """Load rclpy, wait for the node, and become it."""
+    from endpoints.environment.launcher import end_with
+
+    end_with(int(sys.argv[1]))
+    typesupport = [each for each in os.environ.get("RCE_TYPESUPPORT", "").split(",") if each]
+    sys.path += [str(Path(each) / "python") for each in typesupport]
+    import std_msgs.msg  # noqa: F401
+
+    line = sys.stdin.buffer.readline()
+    if line:
+        become(json.loads(line))
+
+
+def become(order: dict[str, object]) -> None:
+    """Run the program of an order in this process, as the interpreter would."""
+    import runpy
+
+    command, variables = order["command"], order["variables"]
+    assert isinstance(command, list)
+    assert isinstance(variables, dict)
+    os.environ.clear()
+    os.environ.update(variables)
+    os.chdir(str(order["directory"]))
+    paths = [each for each in variables.get("PYTHONPATH", "").split(os.pathsep) if each]
+    sys.path[:] = [str(Path(command[0]).parent), *paths, *(each for each in sys.path if each not in paths)]
+    sys.argv = command
+    runpy.run_path(command[0], run_name="__main__")
+
+
+if __name__ == "__main__":
+    main()

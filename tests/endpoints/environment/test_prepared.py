@@ -1,0 +1,41 @@
+"""A prepared endpoint takes over the variables, directory and output of its environment."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+CODE = """
+from endpoints.environment.prepared import Order, accept
+import os
+accept(Order({variables!r}, {directory!r}, {output!r}))
+print(os.getcwd(), os.environ["FASTDDS_DEFAULT_PROFILES_FILE"], "RCE_TOKEN" in os.environ)
+"""
+
+
+def test_order_is_accepted(tmp_path: Path) -> None:
+    directory, output = tmp_path / "d", tmp_path / "log"
+    directory.mkdir()
+    variables = {
+        "RCE_NAME": "ann/brain",
+        "RCE_RUN": "0" * 32,
+        "RCE_TOKEN": "secret",
+        "RCE_MASTER": "tcp:127.0.0.1:1",
+        "RCE_DATA_DIR": str(directory),
+    }
+    code = CODE.format(variables=variables, directory=str(directory), output=str(output))
+    subprocess.run([sys.executable, "-c", code], check=True, env=os.environ, stdout=subprocess.DEVNULL)
+    assert output.read_text() == f"{directory} {directory}/fastdds.xml False\n"
+
+
+def test_process_ends_with_its_standard_input() -> None:
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "endpoints.environment.prepared"],
+        input=b"",
+        timeout=120,
+        check=False,
+        capture_output=True,
+    )
+    assert done.returncode == 0, done.stderr
