@@ -20,6 +20,7 @@ from twisted.logger import Logger
 
 from master.access.enrolment import EnrolmentServer, Inviter, Registrar, port_of
 from master.access.join_tokens import JoinTokens
+from master.access.sealing import KEY_FILE, Seal
 from master.access.users import Users, digest
 from master.api.resources import make_api
 from master.api.site import Site
@@ -187,7 +188,8 @@ async def _start_master(
     stack: contextlib.AsyncExitStack, options: Settings, store: Store, tls: Tls | None
 ) -> tuple[Master, Site]:
     depot = Depot(options.data_dir / "packages", Archives(store) if store.shared else None)
-    master = Master(store, options.grace, platform_policy(options), options.machine_grace, depot, tls)
+    seal = Seal(options.data_dir / KEY_FILE)
+    master = Master(store, options.grace, platform_policy(options), options.machine_grace, depot, tls, seal)
     master.state.group_pool = _pool(options.group_pool)
     for entry in options.tokens:
         role, process, token = _parse_token(entry)

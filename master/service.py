@@ -16,6 +16,7 @@ from master.access.audit import Audit
 from master.access.guard import Guard
 from master.access.join_tokens import JoinTokens
 from master.access.knowledge_calls import KnowledgeCalls
+from master.access.sealing import Seal
 from master.access.service_calls import ServiceCalls
 from master.access.user_limits import UserLimits
 from master.access.users import Users
@@ -27,7 +28,7 @@ from master.execution.links import Links
 from master.execution.process_tracker import ProcessTracker
 from master.execution.removals import Removals
 from master.execution.robot_sessions import RobotSessions
-from master.graph import catalogue, packages, reconcile
+from master.graph import catalogue, packages, reconcile, secrets
 from master.graph.effects import Plan
 from master.graph.limits import UNLIMITED, Policy
 from master.graph.records import Environment, Process, Robot, ref, user_of
@@ -76,6 +77,7 @@ class Master:
     `grace` is the grace period of robots that lost their socket, `machine_grace` that of machines before their
     environments are lost, in seconds. `policy` is that of users who have none of their own. Archives of the `depot` are
     fetched at the HTTP entry, whose scheme and port are in `entry`. `tls` are the certificates of the control port.
+    `seal` keeps users' secrets.
     """
 
     def __init__(
@@ -86,6 +88,7 @@ class Master:
         machine_grace: float = 30.0,
         depot: Depot | None = None,
         tls: Tls | None = None,
+        seal: Seal | None = None,
     ) -> None:
         self.state = State()
         self.users = Users(store)
@@ -93,9 +96,10 @@ class Master:
         self.limits = UserLimits(store, policy)
         self.join_tokens = JoinTokens(store)
         self.entry = ("http", 0)
+        self.seal = seal or Seal()
         self._depot = depot
         self._store = store
-        self._runner = EffectRunner(self.state, store, self.join_tokens, depot)
+        self._runner = EffectRunner(self.state, store, self.join_tokens, depot, self.seal)
         self._lifecycle = Lifecycle(self._runner)
         self._links = Links(self._runner, self._lifecycle)
         self._service_calls = ServiceCalls(self.users, self.audit)
@@ -131,6 +135,7 @@ class Master:
         users = set(await self.users.names())
         packages.drop_strays(self.state, users)
         catalogue.drop_strays(self.state, users)
+        secrets.drop_strays(self.state, users)
         if self._depot is not None:
             await self._depot.adopt(packages.named(self.state))
         shipped_services.add_to(self.state)

@@ -156,6 +156,7 @@ class ProcessEngine(Engine):
             await kill_marked(directory.name)
             await asyncio.to_thread(self._groups.remove, directory.name)
             self._killed.pop(directory.name, None)
+            await asyncio.to_thread(shared_memory.remove_secrets, directory.name)
             await self._trash.discard(directory)
         self._remove_empty(self._root / name)
         if environment is not None:

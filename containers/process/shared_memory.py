@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import os
 import re
+import shutil
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -25,6 +26,11 @@ def clean(directory: Path = SHARED_MEMORY, wait: Callable[[float], None] = time.
     if _remove_dead(directory):
         wait(YOUNG)
         _remove_dead(directory)
+
+
+def remove_secrets(run: str, directory: Path = SHARED_MEMORY) -> None:
+    """Remove the files of secrets that a killed endpoint has left; `endpoints.environment.secrets` makes them."""
+    shutil.rmtree(directory / f"rce-secrets-{run}", ignore_errors=True)
 
 
 def _remove_dead(directory: Path) -> bool:

@@ -27,6 +27,7 @@ from endpoints.environment.process_environment import LOOPBACK, install_prefixes
 from endpoints.environment.recorders import Recorders
 from endpoints.environment.ros import RosThread
 from endpoints.environment.ros_graph import read_graph
+from endpoints.environment.secrets import Secrets
 from endpoints.environment.services import ServiceClientInterface, ServiceProviderInterface
 from endpoints.environment.settings import Settings
 from endpoints.environment.topics import PublisherInterface, SubscriberInterface
@@ -41,6 +42,7 @@ from rce.control.calls.endpoints import (
     NodeSpec,
     ParameterSpec,
     PutParameter,
+    PutSecrets,
     Report,
     StartNode,
     StartRecorder,
@@ -114,6 +116,7 @@ class Environment:
         self._parameters = Parameters()
         self._live_parameters = LiveParameters(ros)
         variables = node_variables(settings)
+        self._secrets = Secrets(settings.run, variables)
         self._nodes = Nodes(settings.data_dir, packages, self._parameters, variables, self._of_nodes, spare)
         self._switchboard = Switchboard(port, lambda link, reason: report(LinkLost(link, reason[:MAX_TEXT])))
         self._context = RosContext(ros, self._switchboard.hops, self._definitions, self._report_error)
@@ -128,6 +131,7 @@ class Environment:
         board.add_to(handlers, self._make_interface)
         handlers.do(StartNode, lambda call: nodes.start(call.node))
         handlers.do(StopNode, lambda call: nodes.stop(call.node))
+        handlers.do(PutSecrets, lambda call: self._secrets.put(call.secrets))
         handlers.do(PutParameter, lambda call: self._put(call.parameter))
         handlers.do(DropParameter, lambda call: self._parameters.drop(call.key))
         handlers.do(StartRecorder, lambda call: self._recorders.start(call.recorder))
@@ -148,6 +152,7 @@ class Environment:
                 self._tick(time.monotonic())
         finally:
             await asyncio.gather(self._nodes.stop_all(), self._recorders.stop_all())
+            self._secrets.remove()
             await self._ros.stop()
 
     # calls

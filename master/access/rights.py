@@ -77,6 +77,9 @@ service.use         own    own    -      own    all      all
 service.leave       own    own    -      own    all      all
 job.read            -      own    own    own    own      own
 job.submit          -      own    -      own    own      -
+secret.read         -      -      own    own    own      own
+secret.set          -      -      -      own    own      own
+secret.remove       -      -      -      own    own      own
 knowledge.read      own    own    own    own    own      all
 knowledge.write     -      own    -      own    own      all
 machine.read        -      -      -      -      all      all

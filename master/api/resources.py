@@ -21,6 +21,7 @@ from master.api.recordings import RecordingsApi
 from master.api.robots import RobotsApi
 from master.api.ros import RosApi
 from master.api.router import Api
+from master.api.secrets import SecretsApi
 from master.api.services import ServicesApi
 from master.api.streams import EventStreams
 from master.api.traces import TracesApi
@@ -41,6 +42,7 @@ def make_api(master: Master, depot: Depot, inviter: Inviter | None = None) -> Ap
     MachinesApi(master, inviter).add_to(api)
     PackagesApi(master, depot).add_to(api)
     CatalogueApi(master).add_to(api)
+    SecretsApi(master).add_to(api)
     streams = EventStreams(master.guard)
     EventsApi(master, streams).add_to(api)
     LogsApi(master, streams).add_to(api)

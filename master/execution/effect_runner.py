@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from twisted.logger import Logger
 
 from master.access.join_tokens import JoinTokens
+from master.access.sealing import Seal
 from master.execution.dispatcher import Dispatcher, Turn
 from master.execution.readiness import Readiness
 from master.graph import packages
@@ -20,6 +21,7 @@ from master.graph.state import State, followers
 from master.storage.depot import Depot
 from master.storage.store import Store
 from rce.control.calls.call import Call, Nothing
+from rce.control.calls.endpoints import PutSecrets, Secret
 from rce.control.calls.environments import StartEnvironment
 from rce.control.calls.robots import SendStatus
 from rce.errors import ErrorInfo, NotFound, RceError, Unavailable
@@ -53,8 +55,11 @@ def raise_first_error(answers: Iterable[Answer]) -> None:
 class EffectRunner:
     """Runs plans over the dispatcher. `depot` has the archives of packages that environments may need."""
 
-    def __init__(self, state: State, store: Store, tokens: JoinTokens, depot: Depot | None) -> None:
+    def __init__(
+        self, state: State, store: Store, tokens: JoinTokens, depot: Depot | None, seal: Seal | None = None
+    ) -> None:
         self.state = state
+        self.seal = seal or Seal()
         self.dispatcher = Dispatcher()
         self.readiness = Readiness()
         self.status_observers: list[Callable[[str, StatusData], None]] = []  # called with a user and a status for them
@@ -122,14 +127,29 @@ class EffectRunner:
             control = await self.dispatcher.wait(turn)
             if turn.send.unless is not None and self.readiness.is_ready(turn.send.unless):
                 return Nothing()
-            call = await self._with_token(turn.send.call)
+            call = await self._with_token(turn.send.call, turn.send.to)
             turn.going()  # those who wait for this run later
             return await control.call(call)
         finally:
             turn.end()
 
-    async def _with_token(self, call: Call[Any]) -> Call[Any]:
+    def _with_values(self, call: PutSecrets, environment: str) -> PutSecrets:
+        """Add the values of secrets; one that was removed meanwhile is left out, and its user is told."""
+        user, found = user_of(environment), dict[str, Secret]()
+        for name, secret in call.secrets.items():
+            record = self.state.secrets.get(f"{user}/{name}")
+            try:
+                if record is None:
+                    raise NotFound("it was removed")
+                found[name] = replace(secret, value=self.seal.open(record.sealed))
+            except NotFound as error:
+                self.tell(user, error=NotFound(f"environment {environment} has no secret {name}: {error}").info)
+        return PutSecrets(found)
+
+    async def _with_token(self, call: Call[Any], to: str) -> Call[Any]:
         """Issue the join token of an environment's new life; earlier lives of it cannot join any more."""
+        if isinstance(call, PutSecrets):
+            return self._with_values(call, to)
         if not isinstance(call, StartEnvironment):
             return call
         token = secrets.token_hex(32)

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 
 from msgspec.structs import replace
 
+from master.graph import secrets
 from master.graph.changes import remove_environment
 from master.graph.effects import Plan
 from master.graph.packages import EVERYBODY, resolve_all
@@ -99,7 +100,7 @@ def offer_of(user: str, wanted: views.NewOffer, revision: str) -> Offer:
     _check_bounds(wanted.robots, wanted.least, wanted.most)
     if wanted.environment.group or wanted.environment.restart != "always":
         raise InvalidRequest("environment: a service has neither a group nor a restart of its own", field="environment")
-    check_variables(wanted.environment.env)
+    check_variables(wanted.environment.env | secrets.variables(wanted.environment.secrets))
     ports = list(_ports(wanted))
     names = [port.name for port in ports]
     for kind, all_names in (("name", names), ("nodeTag", [node.nodeTag for node in wanted.nodes])):

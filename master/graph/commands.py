@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, get_args
 
 from msgspec.structs import replace
 
-from master.graph import catalogue, changes, connections, groups, hard_limits, instances
+from master.graph import catalogue, changes, connections, groups, hard_limits, instances, secrets
 from master.graph.changes import call_host, start
 from master.graph.connections import split_kind
 from master.graph.effects import MarkReady, Outcome, Plan, Send
@@ -102,6 +102,8 @@ def create_container(context: CommandContext, command: m.CreateContainer) -> Out
             kind=kind,
         )
     check_variables(command.containerData.env)
+    check_variables(secrets.variables(command.containerData.secrets))
+    secrets.check(state, user, command.containerData.secrets)
     options = granted(policy, options_from(command.containerData))
     check_totals(state, user, policy, options)
     packages = resolve_all(state, user, options.packages)

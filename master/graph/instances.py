@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from master.graph import hard_limits
+from master.graph import hard_limits, secrets
 from master.graph.catalogue import SHIPPED, name_of
 from master.graph.changes import call_host, remove_environment, start
 from master.graph.connections import joining
@@ -145,6 +145,7 @@ def _start(state: State, name: str, offer: Offer, policy: Policy, ids: Ids) -> C
     user = user_of(name)
     options = granted(policy, offer.options)
     check_totals(state, user, policy, options)
+    secrets.check(state, user, options.secrets)
     machine = place(state, user, options)
     environment = Environment(name, options, ids(), machine, packages=offer.packages, egress=policy.egress)
     state.environments.put(environment)

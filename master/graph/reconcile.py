@@ -16,7 +16,7 @@ from master.graph.changes import (
     start,
 )
 from master.graph.connections import drop_waiting
-from master.graph.effects import Outcome, Plan, Send
+from master.graph.effects import MarkReady, Outcome, Plan, Send
 from master.graph.limits import UNLIMITED, Policy, check_robots
 from master.graph.placement import most_free_slots, place
 from master.graph.records import Environment, Process, Ref, Robot, ref, user_of
@@ -32,7 +32,7 @@ from master.graph.wiring import (
     routes_of,
     take_down,
 )
-from rce.control.calls.endpoints import Bind, Sync
+from rce.control.calls.endpoints import Bind, PutSecrets, Secret, Sync
 from rce.control.calls.environments import KeepEnvironments, SetRelays
 from rce.control.calls.joining import Hello, SetRemovedMachines
 from rce.control.calls.robots import DropRobot
@@ -98,8 +98,17 @@ def joined(state: State, process: Process, hello: Hello, ids: Ids) -> Plan:
         plan += _settle_robots(state, process, hello)
     owners = owners_at(state, process)
     # Its Sync goes first; the sequences of connections that waited for it begin with links.
-    plan.append([Send(process.name, _sync(state, process, owners), None)])
+    plan.append([*_secrets(state, process), Send(process.name, _sync(state, process, owners), None)])
     return plan + bring_up(state, owners, ids)
+
+
+def _secrets(state: State, process: Process) -> list[Send | MarkReady]:
+    """Return the call that gives an environment its secrets before it has nodes; values are added when it leaves."""
+    environment = state.environments.get(process.name)
+    if environment is None or not environment.options.secrets:
+        return []
+    wanted = {name: Secret(variable) for name, variable in environment.options.secrets.items()}
+    return [Send(process.name, PutSecrets(wanted), None)]
 
 
 def announce_removals(state: State) -> Plan:
@@ -360,6 +369,8 @@ def user_gone(state: State, user: str) -> Plan:
     for package in state.packages.by(user):
         state.packages.drop(package.key)
     plan += catalogue.user_gone(state, user)
+    for secret in state.secrets.by(user):
+        state.secrets.drop(secret.key)
     for package in state.packages.by(f">{user}"):  # a later user of this name must not inherit it
         state.packages.put(replace(package, shared=[each for each in package.shared if each != user]))
     return plan

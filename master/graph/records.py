@@ -64,6 +64,7 @@ class EnvironmentOptions(Struct, frozen=True, omit_defaults=True):
     gpus: int = 0
     features: list[str] = []
     variables: dict[str, str] = {}
+    secrets: dict[str, str] = {}  # variable, or an empty string, by the name of the user's secret
     packages: list[str] = []  # references as the user wrote them
     group: str = ""
     group_address: str = ""  # as the user wrote it
@@ -340,6 +341,19 @@ class Package(Struct, frozen=True):
     name: str  # user/name
     versions: list[Version] = []
     shared: list[str] = []
+
+    @property
+    def key(self) -> str:
+        """Return the key of the record in its table."""
+        return self.name
+
+
+class Secret(Struct, frozen=True):
+    """A user's secret, sealed with the key of the platform."""
+
+    name: str  # user/name
+    sealed: str
+    created: float  # seconds since 1970
 
     @property
     def key(self) -> str:

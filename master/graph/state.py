@@ -24,6 +24,7 @@ from master.graph.records import (
     Recorder,
     Ref,
     Robot,
+    Secret,
     Tally,
     Use,
     Waiting,
@@ -227,6 +228,7 @@ class State:
         self.instances = Table(Instance, lambda record: (record.offer,))
         self.uses = Table(Use, lambda record: {record.robot, record.environment, record.offer})
         self.tallies = Table(Tally, lambda record: {record.offer, record.user})
+        self.secrets = Table(Secret, lambda record: (user_of(record.name),))
         self.joined: set[str] = set()  # processes with a control connection
         self.expected: set[str] = set()  # processes that lost it, within their grace period
         self.away: set[str] = set()  # robots without a socket, within their grace period
@@ -251,6 +253,7 @@ class State:
             self.instances,
             self.uses,
             self.tallies,
+            self.secrets,
         ]
 
     def robots_of_user(self, user: str) -> int:

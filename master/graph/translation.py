@@ -17,6 +17,7 @@ def options_from(data: m.ContainerData) -> EnvironmentOptions:
         io=IoRates(data.io.read, data.io.write),
         features=data.specialFeatures,
         variables=data.env,
+        secrets=data.secrets,
         group_address=data.groupIP or data.groupIp,
     )
 
@@ -28,6 +29,7 @@ def container_data(options: EnvironmentOptions) -> m.ContainerData:
         io=m.Rates(options.io.read, options.io.write),
         specialFeatures=options.features,
         env=options.variables,
+        secrets=options.secrets,
         groupIP=options.group_address,
     )
 

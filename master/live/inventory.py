@@ -57,7 +57,7 @@ def _of_services(state: State) -> list[Family]:
     instances = Counter(each.offer for each in state.instances)
     robots = Counter(each.offer for each in state.uses)
     of_service = [(each.name,) for each in state.offers]
-    uses = {(each.offer, each.user): float(each.uses) for each in state.tallies}
+    uses: dict[tuple[str, ...], float] = {(each.offer, each.user): each.uses for each in state.tallies}
     return [
         gauge_family(
             "rce_service_instances",

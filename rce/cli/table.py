@@ -23,6 +23,7 @@ from rce.cli.commands import (
     programs,
     recordings,
     robots,
+    secrets,
     tracing,
 )
 
@@ -53,6 +54,7 @@ TABLE: tuple[Command | Program | Group, ...] = (
     *tracing.COMMANDS,
     *machines.COMMANDS,
     *accounts.COMMANDS,
+    *secrets.COMMANDS,
     *programs.SERVERS,
     *programs.ON_MASTER_FILES,
     programs.COMPLETE,

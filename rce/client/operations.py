@@ -56,6 +56,8 @@ class EnvironmentOptions(TypedDict, total=False):
         gpus: Number of GPUs.
         special_features: Features that the machine must offer.
         env: Environment variables of the nodes.
+        secrets: Secrets of the user (`rce secret set`), each with the variable that nodes get, or an empty string for
+            a file only, in the directory `$RCE_SECRETS_DIR`.
         packages: The users' own packages to make available, each `name` or `user/name`, optionally with `@version`.
         group: Network group to join; groups are private to the user.
         group_ip: Address in the network group.
@@ -73,6 +75,7 @@ class EnvironmentOptions(TypedDict, total=False):
     gpus: int
     special_features: list[str]
     env: dict[str, str]
+    secrets: dict[str, str]
     packages: list[str]
     group: str
     group_ip: str

@@ -9,7 +9,9 @@ from rce.api.views.accounts import CreatedKey as CreatedKey
 from rce.api.views.accounts import KeyView as KeyView
 from rce.api.views.accounts import NewKey as NewKey
 from rce.api.views.accounts import NewPassword as NewPassword
+from rce.api.views.accounts import NewSecret as NewSecret
 from rce.api.views.accounts import NewUser as NewUser
+from rce.api.views.accounts import SecretView as SecretView
 from rce.api.views.accounts import UsageView as UsageView
 from rce.api.views.accounts import UserChanges as UserChanges
 from rce.api.views.accounts import UserView as UserView

@@ -27,6 +27,22 @@ class Whoami(Struct, frozen=True):
     rights: dict[str, str] = {}
 
 
+class NewSecret(Struct, frozen=True, forbid_unknown_fields=True):
+    """Value of a secret: text, at most 32 KiB."""
+
+    value: Annotated[str, Meta(min_length=1, max_length=32_768, pattern=r"^[^\x00]*$")]
+
+    def __repr__(self) -> str:
+        return "NewSecret()"  # values do not get into logs
+
+
+class SecretView(Struct, frozen=True):
+    """Secret without its value."""
+
+    name: str
+    created: float
+
+
 class KeyView(Struct, frozen=True):
     """API key without its secret.
 

@@ -160,6 +160,22 @@ class PutParameter(Call[Nothing], frozen=True):
     parameter: ParameterSpec
 
 
+class Secret(Struct, frozen=True):
+    """Secret of an environment's user: its value, and the variable in which nodes get it too, unless empty."""
+
+    variable: str
+    value: str = ""
+
+    def __repr__(self) -> str:
+        return f"Secret({self.variable!r})"  # values do not get into logs
+
+
+class PutSecrets(Call[Nothing], frozen=True):
+    """Set the secrets of an environment, by name, for nodes that start later."""
+
+    secrets: dict[str, Secret]
+
+
 class DropParameter(Call[Nothing], frozen=True):
     """Delete a parameter."""
 

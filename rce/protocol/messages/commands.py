@@ -18,6 +18,8 @@ Name = Annotated[str, Meta(min_length=1, max_length=255)]
 Short = Annotated[str, Meta(max_length=255)]
 # In Python, `$` alone also matches before a newline at the end.
 VariableName = Annotated[str, Meta(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$(?!\n)", max_length=255)]
+VariableOrNone = Annotated[str, Meta(pattern=r"^([A-Za-z_][A-Za-z0-9_]*)?$(?!\n)", max_length=255)]
+SecretName = Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]*$(?!\n)", max_length=255)]
 VariableValue = Annotated[str, Meta(pattern=r"^[^\x00]*$", max_length=32_768)]
 Integer = Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]  # the range of a ROS 2 integer parameter
 # Lists and maps may be nested and of mixed types; msgspec has no recursive types other than structs.
@@ -37,7 +39,8 @@ class ContainerData(Struct, frozen=True, omit_defaults=True):
     """Options of an environment (`containerData` of CC). For options that are 0 or empty, the user's defaults apply.
 
     `size` is in slots of a machine, `cpu` in cores, `memory` and `disk` in bytes, and `bandwidth`, which limits the
-    data that the environment sends, in bytes per second.
+    data that the environment sends, in bytes per second. `secrets` has the variable that nodes get for each of the
+    user's secrets, or an empty string for a file only.
     """
 
     image: Annotated[str, Meta(max_length=255)] = ""
@@ -51,6 +54,7 @@ class ContainerData(Struct, frozen=True, omit_defaults=True):
     gpus: Annotated[int, Meta(ge=0, le=1000)] = 0
     specialFeatures: Annotated[list[Name], Meta(max_length=100)] = []
     env: Annotated[dict[VariableName, VariableValue], Meta(max_length=100)] = {}
+    secrets: Annotated[dict[SecretName, VariableOrNone], Meta(max_length=100)] = {}
     packages: Annotated[list[Name], Meta(max_length=100)] = []
     group: Short = ""
     groupIP: Short = ""

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from master.graph import catalogue, packages
+from master.graph import catalogue, packages, secrets
 from master.graph.records import Connection, Environment, EnvironmentOptions, NodeEnd, Parameter, Version, Waiting
 from master.graph.state import State
 from master.storage import store as store_module
@@ -60,6 +60,7 @@ def full() -> State:
     packages.share(fleet.state, "ann", "own", ["bob"])
     fleet.state.ends.put(NodeEnd(fleet.state.nodes["ann/brain/n"], -9, ["last words"], 1.5))
     fleet.state.waiting.put(Waiting("ann/r1/x", "ann/r2/x", "ann/r1"))
+    secrets.put(fleet.state, "ann", "database", "sealed", 1.5)
     catalogue.publish(fleet.state, "ann", declared(), fleet.ids)
     fleet.do("bob", m.UseService("ann/parrot"), robot="r1")
     return fleet.state

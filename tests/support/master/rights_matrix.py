@@ -9,7 +9,7 @@ import time
 from typing import Any, NamedTuple
 
 from master.execution.effect_runner import new_id
-from master.graph import catalogue
+from master.graph import catalogue, secrets
 from master.graph.records import Package, Version
 from rce.api.roles import Scopes, UserRole
 from rce.api.views import NewOffer
@@ -120,6 +120,9 @@ CASES: dict[str, Case | None] = {
     "PATCH /catalogue/{publisher}/{name}": Case("catalogue.publish", "path", {"least": 0, "most": 3}),
     "DELETE /catalogue/{publisher}/{name}": Case("catalogue.publish", "path"),
     "POST /catalogue/{publisher}/{name}/uses": Case("service.use", body={"containerTag": "fresh"}),
+    "GET /secrets": Case("secret.read", "own"),
+    "PUT /secrets/{name}": Case("secret.set", "own", {"value": "hidden"}),
+    "DELETE /secrets/{name}": Case("secret.remove", "own"),
     "PUT /uploads": None,  # with a ticket
     "GET /archives": None,
     "GET /environments/{environment}/log": Case("environment.log"),
@@ -207,6 +210,7 @@ class World:
         for command in self._lacking(user):
             await master.commands.execute(user, command)
         state.packages.put(Package(f"{user}/tool", [Version(DIGEST, 1, [], 0.0)], ["vera"]))
+        secrets.put(state, user, "rate", "sealed", 1.0)
         catalogue.publish(state, user, NewOffer("parrot", robots=2, share=["vera"]), new_id)
 
     def _lacking(self, user: str) -> list[m.Command]:
