@@ -15,6 +15,7 @@ from asyncio.subprocess import DEVNULL, PIPE
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from rce.api.egress import Egress, targets
 from rce.errors import Unavailable
 
 FORWARDED, TO_HOST = "DOCKER-USER", "INPUT"
@@ -43,11 +44,10 @@ def group_rules(bridge: str) -> list[Rule]:
     ]
 
 
-def egress_rules(bridge: str, everything: bool) -> list[Rule]:
+def egress_rules(bridge: str, egress: Egress) -> list[Rule]:
     """Return the rules of an egress network.
 
-    It reaches the internet, or with `everything` all networks and the host, but no other environment. From outside only
-    replies are let in.
+    It reaches what `egress` says, but no other environment. From outside only replies are let in.
     """
     answers = ("-m", "conntrack", "--ctstate", "ESTABLISHED,RELATED")
     rules: list[Rule] = [
@@ -55,8 +55,12 @@ def egress_rules(bridge: str, everything: bool) -> list[Rule]:
         (FORWARDED, "-o", bridge, "-j", "DROP"),
         (FORWARDED, "-i", bridge, "-o", ALL_BRIDGES, "-j", "DROP"),
     ]
-    if everything:
+    if egress == "all":
         return rules
+    if listed := targets(egress):
+        allowed = [("-i", bridge, "-d", host, "-p", "tcp", "--dport", port, "-j", "RETURN") for host, port in listed]
+        rest = ("-i", bridge, "-j", "DROP")
+        return [*rules, *((chain, *words) for chain in (FORWARDED, TO_HOST) for words in (*allowed, rest))]
     return [
         *rules,
         *((FORWARDED, "-i", bridge, "-d", network, "-j", "DROP") for network in NOT_THE_INTERNET),

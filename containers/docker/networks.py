@@ -244,7 +244,7 @@ class Networks:
 
 def _network(name: str, labels: Mapping[str, str], subnet: str) -> Network:
     bridge = f"rce-{name.rpartition('-')[2][:10]}"  # interface names have at most 15 characters
-    rules = egress_rules(bridge, labels[EGRESS] == "all") if EGRESS in labels else group_rules(bridge)
+    rules = egress_rules(bridge, labels[EGRESS]) if EGRESS in labels else group_rules(bridge)
     return Network(name, dict(labels), subnet, bridge, rules)
 
 

@@ -14,9 +14,10 @@ from msgspec import UNSET, Meta, Struct
 from msgspec.structs import replace
 
 from master.graph import packages
-from master.graph.records import Egress, EnvironmentOptions, IoRates
+from master.graph.records import EnvironmentOptions, IoRates
 from master.graph.state import State, cores, memory
-from rce.api import quantities
+from rce.api import egress, quantities
+from rce.api.egress import Egress
 from rce.api.views import UsageView
 from rce.errors import InvalidRequest, LimitExceeded
 
@@ -185,7 +186,8 @@ def changes(wanted: dict[str, Any]) -> dict[str, Any]:
             meant = _value(name, value) if isinstance(value, str) else value
             found[name] = UNSET if value == "" else msgspec.convert(meant, NAMES[name], strict=isinstance(meant, bool))
         except (msgspec.ValidationError, ValueError) as error:
-            raise InvalidRequest(f"{name}={str(value)[:80]}: {error}", field=name) from None
+            reason = f"write {egress.WORDS}" if name == "egress" else error
+            raise InvalidRequest(f"{name}={str(value)[:80]}: {reason}", field=name) from None
     return found
 
 

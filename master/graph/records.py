@@ -22,10 +22,10 @@ from typing import Any, Literal, NamedTuple, Protocol
 
 from msgspec import Struct
 
+from rce.api.egress import Egress
 from rce.api.roles import Principal
 
 Role = Literal["robot", "container", "environment", "service"]
-Egress = Literal["none", "internet", "all"]
 NodeRestart = Literal["", "on-failure", "always", "no"]
 ParameterValue = bool | int | float | str | list[Any] | dict[str, Any]
 

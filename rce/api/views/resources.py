@@ -6,7 +6,7 @@ from typing import Literal
 
 from msgspec import Struct
 
-from rce.control.calls.environments import Egress
+from rce.api.egress import Egress
 from rce.protocol.messages import ContainerData, Delivery, NodeRestart, ParameterValue, Qos
 
 

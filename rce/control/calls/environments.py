@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from msgspec import Struct
 
+from rce.api.egress import Egress
 from rce.control.calls.call import Call, Nothing
 from rce.protocol.messages import ContainerData
 
@@ -17,11 +16,6 @@ class Group(Struct, frozen=True):
     subnet: str  # as 10.128.0.0/24, unique in the platform
     address: str  # of the environment, in the subnet
     members: dict[str, str] = {}  # at present, with this environment; others may join later
-
-
-Egress = Literal["none", "internet", "all"]
-"""Network access of an environment, besides its group: `none`; `internet`, without private and link-local networks,
-cloud metadata services, and its host; or `all`."""
 
 
 class EnvironmentSpec(Struct, frozen=True):

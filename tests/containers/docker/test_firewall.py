@@ -178,13 +178,26 @@ def test_group_members_reach_each_other_only() -> None:
 
 
 def test_egress_to_everything_still_excludes_other_environments() -> None:
-    rules = egress_rules("rce-a", everything=True)
+    rules = egress_rules("rce-a", "all")
     assert (FORWARDED, "-i", "rce-a", "-o", "rce-+", "-j", "DROP") in rules
     assert not any("-d" in rule or rule[0] == TO_HOST for rule in rules)
 
 
+def test_egress_to_listed_addresses_excludes_all_others_and_the_host() -> None:
+    rules = egress_rules("rce-a", "10.0.0.5:5432,192.0.2.0/28:443")
+    for chain in (FORWARDED, TO_HOST):
+        own = [words for of, *words in rules if of == chain and words[-1] in ("RETURN", "DROP") and words[0] == "-i"]
+        allowed = [each for each in own if each[-1] == "RETURN"]
+        assert [(each[3], each[5], each[7]) for each in allowed] == [
+            ("10.0.0.5", "tcp", "5432"),
+            ("192.0.2.0/28", "tcp", "443"),
+        ]
+        assert own[-1] == ["-i", "rce-a", "-j", "DROP"]
+    assert ["-i", "rce-a", "-o", "rce-+", "-j", "DROP"] in [words for _, *words in rules[:3]]
+
+
 def test_egress_to_the_internet_excludes_private_networks_and_the_host() -> None:
-    rules = egress_rules("rce-a", everything=False)
+    rules = egress_rules("rce-a", "internet")
     refused = {rule[rule.index("-d") + 1] for rule in rules if "-d" in rule and rule[-1] == "DROP"}
     assert refused == set(NOT_THE_INTERNET)
     assert {"10.0.0.0/8", "172.16.0.0/12", "192.168.0.0/16", "169.254.0.0/16", "127.0.0.0/8"} <= refused
@@ -192,7 +205,7 @@ def test_egress_to_the_internet_excludes_private_networks_and_the_host() -> None
 
 
 def test_replies_are_let_in_before_the_rest_is_dropped() -> None:
-    replies, rest, *_ = egress_rules("rce-a", everything=False)
+    replies, rest, *_ = egress_rules("rce-a", "internet")
     assert "ESTABLISHED,RELATED" in replies
     assert replies[-1] == "RETURN"
     assert rest == (FORWARDED, "-o", "rce-a", "-j", "DROP")

@@ -22,7 +22,7 @@ from containers.docker import networks as module
 from containers.docker.engine import DockerEngine
 from containers.docker.networks import identity
 from containers.settings import EGRESS_POOL, NAMESERVERS
-from rce.control.calls.environments import Egress, EnvironmentSpec, Group
+from rce.control.calls.environments import EnvironmentSpec, Group
 from rce.errors import StartFailed
 from rce.protocol.messages import ContainerData
 from tests.support.containers.docker_world import DockerWorld
@@ -231,5 +231,5 @@ async def test_second_removal_waits_for_the_one_under_way(monkeypatch: pytest.Mo
     assert networks._members == {}
 
 
-def with_egress(name: str, egress: Egress) -> EnvironmentSpec:
+def with_egress(name: str, egress: str) -> EnvironmentSpec:
     return EnvironmentSpec(name, 2 * identity(name), "token", ContainerData(), egress=egress)
