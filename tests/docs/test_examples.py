@@ -121,6 +121,23 @@ async def test_custom_type(platform: RealPlatform) -> None:
     ]
 
 
+async def test_data_engine(platform: RealPlatform, tmp_path: Path) -> None:
+    pytest.importorskip("psycopg", reason="needs psycopg: pip install '.[postgresql]'")
+    database = os.environ.get("RCE_TEST_POSTGRES", "")
+    if not database:
+        pytest.skip("set RCE_TEST_POSTGRES to the SQLAlchemy URL of a PostgreSQL database for tests")
+    place = ("--url", platform.url, "--user", USER)
+    secret = tmp_path / "database"
+    secret.write_text(database.replace("+psycopg", ""))
+    async with started(RCE, "secret", "set", "database", "--file", str(secret), *place, RCE_PASSWORD=USER) as program:
+        await program.output()
+    async with started(
+        RCE, "catalogue", "publish", str(EXAMPLES / "data_engine"), *place, RCE_PASSWORD=USER
+    ) as program:
+        assert await program.output() == [f"{USER}/data_engine: for everybody"]
+    assert await output_of("data_engine.py", platform.url) == ["the cup is at 1.5, -2.0"]
+
+
 async def test_two_robots(platform: RealPlatform) -> None:
     async with (
         example("two_robots.py", "lander", platform.url) as lander,
