@@ -19,7 +19,8 @@ from ipaddress import ip_interface
 from containers.docker.firewall import NOT_THE_INTERNET
 from containers.docker.shaping import PATH, devices
 from containers.kubernetes.objects import identity
-from rce.control.calls.environments import Egress, Group
+from rce.api.egress import Egress, targets
+from rce.control.calls.environments import Group
 from rce.errors import StartFailed
 
 GROUP_DEVICE = "rce-group"
@@ -80,10 +81,8 @@ def rules(egress: Egress, peers: Iterable[str], *, group: bool) -> str:
         lines.append(f"-A INPUT {REPLIES}")
     if egress == "internet":
         lines += [f"-A OUTPUT -d {network} -j REJECT" for network in NOT_THE_INTERNET]
-    if egress != "none":
-        lines.append("-A OUTPUT -j ACCEPT")
-    else:
-        lines.append("-A OUTPUT -j REJECT")
+    lines += [f"-A OUTPUT -d {host} -p tcp -m tcp --dport {port} -j ACCEPT" for host, port in targets(egress)]
+    lines.append(f"-A OUTPUT -j {'ACCEPT' if egress in ('internet', 'all') else 'REJECT'}")
     return "\n".join([*lines, "COMMIT", ""])
 
 

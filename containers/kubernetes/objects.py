@@ -16,6 +16,7 @@ from msgspec import Struct
 
 from containers.limits import Size
 from containers.process.tree import describe_end
+from rce.api.egress import targets
 from rce.control.calls.environments import EnvironmentSpec
 from rce.protocol.slots import MB
 
@@ -28,6 +29,7 @@ TASK_SET, RUN, ENVIRONMENT, USER, GROUP, EGRESS = (
     "rce/group",
     "rce/egress",
 )
+LISTED = "listed"  # value of EGRESS for a list of addresses
 AGENT = "rce/agent"
 SPEC = "rce/spec"  # annotation with the environment's specification, without its token
 FEATURE = "rce.feature/"  # prefix of a node's labels, which have the value `true` for each special feature
@@ -56,7 +58,7 @@ def environment_labels(task_set: str, spec: EnvironmentSpec) -> dict[str, str]:
         RUN: spec.run,
         ENVIRONMENT: identity(spec.name),
         USER: identity(spec.name.partition("/")[0]),
-        EGRESS: spec.egress,
+        EGRESS: LISTED if targets(spec.egress) else spec.egress,
     }
     return labels | ({GROUP: identity(spec.group.name)} if spec.group is not None else {})
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from containers.docker.firewall import NOT_THE_INTERNET
 from containers.kubernetes.network import GROUP_PORT
-from containers.kubernetes.objects import EGRESS, GROUP, TASK_SET, Object
+from containers.kubernetes.objects import EGRESS, GROUP, LISTED, TASK_SET, Object
 
 
 def policies(namespace: str, task_set: str) -> list[Object]:
@@ -18,6 +18,7 @@ def policies(namespace: str, task_set: str) -> list[Object]:
         _policy(namespace, task_set, "closed", {}, []),
         _policy(namespace, task_set, "internet", {EGRESS: "internet"}, [internet]),
         _policy(namespace, task_set, "all", {EGRESS: "all"}, [{}]),
+        _policy(namespace, task_set, LISTED, {EGRESS: LISTED}, [{}]),  # the agent's filter has the addresses
     ]
 
 

@@ -70,7 +70,8 @@ def find(interfaces: Sequence[RobotInterfaceName], address: str, kind: str) -> s
 
 def has(graph: RosGraph, address: str) -> bool:
     """Return whether an environment has a topic, service or action of this name itself."""
-    return any(each.name == address for each in (*graph.topics, *graph.services, *graph.actions))
+    names = [each.name for each in graph.topics] + [each.name for each in graph.services]
+    return address in names or any(each.name == address for each in graph.actions)
 
 
 def name_of(interface: RobotInterfaceName) -> str:

@@ -66,6 +66,16 @@ def test_internet_excludes_private_networks_before_all_else_is_accepted() -> Non
     assert not any(line.startswith("-A INPUT") and "-i lo" not in line and "ESTABLISHED" not in line for line in lines)
 
 
+def test_of_a_list_nothing_but_its_addresses_is_reached() -> None:
+    lines = rules("10.0.0.5:5432,192.0.2.0/28:443", [], group=False).splitlines()
+    accepted = [line for line in lines if line.startswith("-A OUTPUT") and "-o lo" not in line]
+    assert accepted == [
+        "-A OUTPUT -d 10.0.0.5 -p tcp -m tcp --dport 5432 -j ACCEPT",
+        "-A OUTPUT -d 192.0.2.0/28 -p tcp -m tcp --dport 443 -j ACCEPT",
+        "-A OUTPUT -j REJECT",
+    ]
+
+
 def test_everything_is_reached_with_egress_all() -> None:
     assert "REJECT" not in rules("all", [], group=False)
 

@@ -6,6 +6,7 @@ import re
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from containers.kubernetes.objects import (
     GROUP,
@@ -57,6 +58,12 @@ def test_quantities_are_read(text: str, value: float) -> None:
 def test_malformed_quantity_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="quantity"):
         quantity(text)
+
+
+def test_labels_are_valid_for_any_egress() -> None:
+    listed = replace(SPEC, egress="10.0.0.5:5432,192.0.2.0/28:443")
+    assert environment_labels("t", listed)["rce/egress"] == "listed"
+    assert environment_labels("t", replace(SPEC, egress="internet"))["rce/egress"] == "internet"
 
 
 def test_labels_are_valid_for_any_name() -> None:
