@@ -14,7 +14,7 @@ from msgspec import Struct, to_builtins
 
 from rce.bag.player import Player
 from rce.bag.reader import Recorded, read, summarize
-from rce.bag.writer import MEGABYTE, BagWriter, Topic
+from rce.bag.writer import MEGABYTE, BagWriter, Limits, Topic
 from rce.bench.nodes import Place
 from rce.bench.report import aligned, machine
 from rce.bench.resources import Series, trend
@@ -24,6 +24,7 @@ from rce.client.recordings import RecordingsClient
 
 MESSAGE = MEGABYTE  # bytes of a recorded message, of which half can be compressed
 VARIANTS = 16  # different messages
+FILE = 500 * MEGABYTE  # bytes of a file, after which the next one begins
 SETTLING = 3.0  # seconds in which the recorder finds the topics
 MILLI = 1e3
 STRING = "std_msgs/msg/String"
@@ -38,7 +39,7 @@ class Recording(Struct):
         rate: Bytes of messages a second that were recorded.
         dropped: Messages that were dropped.
         cores: Processor time by time.
-        size: Bytes of the file.
+        size: Bytes of all files.
         memory: Memory of the process in bytes, each second.
         growth: Growth of the memory after the warm-up, as a share of its mean.
     """
@@ -66,32 +67,56 @@ class Replay(Struct):
 
 
 async def record(path: Path, rate: float, seconds: float) -> Recording:
-    """Record messages at a rate in bytes a second; `path` is removed afterwards."""
+    """Record messages at a rate in bytes a second.
+
+    Each file is removed when the next one has begun, so that a minute does not need the disk for all of them.
+    """
     filler = random.Random(1)
     messages = [filler.randbytes(MESSAGE // 2) + bytes(MESSAGE // 2) for _ in range(VARIANTS)]
     topic = Topic("/bench", "std_msgs/msg/ByteMultiArray", "byte[] data\n")
     process = psutil.Process()
-    writer = BagWriter(path)
-    memory = Series()
+    writer = BagWriter(path, Limits(FILE))
+    memory, files = Series(), _Files(writer)
     began, busy = time.monotonic(), process.cpu_times()
-    count, sampled = int(rate * seconds / MESSAGE), 0.0
+    sampled = 0.0
     try:
-        for number in range(count):
+        for number in range(int(rate * seconds / MESSAGE)):
             due = began + number * MESSAGE / rate
             await asyncio.sleep(max(0.0, due - time.monotonic()))
             writer.put(topic, messages[number % VARIANTS], time.time_ns())
             if (passed := time.monotonic() - began) >= sampled + 1:
                 sampled = passed
                 memory.add(passed, memory=process.memory_full_info().uss)
+                files.remove_complete()
         await asyncio.to_thread(writer.close, {})
         passed, after = time.monotonic() - began, process.cpu_times()
-        cores = (after.user + after.system - busy.user - busy.system) / passed
-        size = summarize(path).size
     finally:
-        await asyncio.to_thread(path.unlink, missing_ok=True)
+        files.remove_all()
+    cores = (after.user + after.system - busy.user - busy.system) / passed
     figures = memory.figures.get("memory", [])
     growth = trend(memory, "memory").growth if len(figures) > 2 else 0.0  # a line needs points
-    return Recording(writer.messages * MESSAGE / passed, writer.dropped.total(), cores, size, figures, growth)
+    return Recording(writer.messages * MESSAGE / passed, writer.dropped.total(), cores, files.size, figures, growth)
+
+
+class _Files:
+    """Files of a recording, and the bytes of those that were removed."""
+
+    def __init__(self, writer: BagWriter) -> None:
+        self.size = 0
+        self._writer = writer
+        self._removed = 0
+
+    def remove_complete(self) -> None:
+        self._remove(len(self._writer.paths) - 1)
+
+    def remove_all(self) -> None:
+        self._remove(len(self._writer.paths))
+
+    def _remove(self, until: int) -> None:
+        for path in self._writer.paths[self._removed : until]:
+            self.size += path.stat().st_size
+            path.unlink()
+        self._removed = max(self._removed, until)
 
 
 async def replay(place: Place, directory: Path, seconds: float) -> Replay:
@@ -170,7 +195,7 @@ def as_text(recording: Recording, replayed: Replay) -> str:
     rows = [
         ["recorded", f"{recording.rate / MEGABYTE:.0f} MB/s", f"{recording.dropped} dropped"],
         ["memory, MB", f"{memory[0] / MEGABYTE:.0f} to {memory[-1] / MEGABYTE:.0f}", f"{recording.growth:+.1%}"],
-        ["processors", f"{recording.cores:.2f} cores", f"{recording.size / MEGABYTE:.0f} MB file"],
+        ["processors", f"{recording.cores:.2f} cores", f"{recording.size / MEGABYTE:.0f} MB of files"],
         ["played", f"{replayed.messages} messages", "same bytes" if replayed.same else "DIFFERENT"],
     ]
     if replayed.errors:

@@ -23,6 +23,9 @@ from containers.docker.engine import DockerEngine
 from containers.docker.events import Event
 from containers.endpoint import environment_user
 from containers.engine import RunningEnvironment
+from containers.recordings.receiver import RecordingReceiver
+from containers.recordings.store import RecordingStore
+from rce.control.calls.recordings import RecordingQuota
 from rce.errors import InvalidRequest, LimitExceeded, StartFailed, Unavailable
 from rce.protocol.slots import MB, PIDS
 from tests.support.containers.container_contract import ContainerEngineContract, start_confined
@@ -59,6 +62,26 @@ async def test_container_is_confined(world: DockerWorld, engine: DockerEngine) -
         "/run/rce": (str(world.directory / "environments" / "ann" / "map" / spec().run), False),
         str(world.directory / "sockets" / "ann"): (str(world.directory / "sockets" / "ann"), False),
     }
+
+
+async def test_environment_records_through_its_socket(world: DockerWorld, endings: Endings, tmp_path: Path) -> None:
+    store = RecordingStore(tmp_path / "recordings")
+    receiver = RecordingReceiver(store)
+    asked: list[tuple[str, str]] = []
+
+    async def ask(environment: str, recorder: str) -> RecordingQuota:
+        asked.append((environment, recorder))
+        return RecordingQuota()
+
+    receiver.ask_quota = ask
+    async with opened(world.engine(endings, "record", recordings=receiver)) as engine:
+        await engine.start(spec())
+        async with asyncio.timeout(60):
+            while [each.state for each in store.of("ann")] != ["complete"]:  # noqa: ASYNC110  # it has no event
+                await asyncio.sleep(0.05)
+    await receiver.close()
+    assert asked == [("ann/map", "box")]
+    assert store.of("ann")[0].size == 16
 
 
 async def test_fork_bomb_is_stopped_by_the_process_limit(world: DockerWorld, endings: Endings) -> None:

@@ -10,6 +10,7 @@ from twisted.internet.base import ReactorBase
 
 from containers.docker.engine import DockerEngine
 from containers.engine import EnvironmentEnded
+from containers.recordings.receiver import RecordingReceiver
 from tests.support.containers.container_world import ContainerWorld
 from tests.support.containers.engine_contract import CAPACITY, FEATURES
 
@@ -27,9 +28,10 @@ class DockerWorld(ContainerWorld):
         image: str = "",
         master: str = "tcp:127.0.0.1:1",
         gpus: int = 0,
+        recordings: RecordingReceiver | None = None,
     ) -> DockerEngine:
         setup = self.setup(*behaviour, image=image or self.image, master=master)
-        return DockerEngine(CAPACITY, FEATURES, ended, setup, gpus=gpus)
+        return DockerEngine(CAPACITY, FEATURES, ended, setup, gpus=gpus, recordings=recordings)
 
     def remains(self) -> set[str]:
         """Return the names of environments; a directory without an environment counts under its user's name."""
