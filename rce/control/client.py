@@ -41,6 +41,7 @@ CONNECT_TIMEOUT = 10.0  # seconds
 # Seconds. After a restart of the Master 10,000 processes wait in its queue for half a minute: whoever gave up and asked
 # again would make the queue longer.
 JOIN_TIMEOUT = 60.0
+PATIENCE = 15.0  # seconds for which a call waits for a connection: a standby takes over meanwhile
 BACKOFF_MIN = 0.05
 BACKOFF_MAX = 1.0  # short, so that all processes find a restarted Master within a second
 
@@ -229,7 +230,7 @@ class ControlClient:
             await asyncio.sleep(pause)
             delay = min(2 * delay, BACKOFF_MAX)
 
-    async def issue(self, call: Call[R], wait: float = 10.0) -> asyncio.Task[R]:
+    async def issue(self, call: Call[R], wait: float = PATIENCE) -> asyncio.Task[R]:
         """Send a call to the Master and return a task for its answer; calls arrive in the order of their issue.
 
         Raises:
@@ -241,7 +242,7 @@ class ControlClient:
                 raise Unavailable(f"no connection to the Master for {wait:g} s: try again later")
         return asyncio.create_task(self._control.result().call(call))
 
-    async def call(self, call: Call[R], wait: float = 10.0) -> R:
+    async def call(self, call: Call[R], wait: float = PATIENCE) -> R:
         """Call the Master and return its answer.
 
         Raises:
