@@ -122,7 +122,7 @@ def _listening(settings: dict[str, configuration.Settings]) -> Iterator[tuple[in
     master = settings.get("master", {})
     for key, what in {"http": "robots' entry", "control": "control", "machines": "where machines join"}.items():
         found = re.match(r"\w+:(?:port=)?(\d+)", str(master.get(key, "")))
-        if found:
+        if found and not (key == "machines" and master.get("masters")):  # of several Masters only the leader listens
             yield int(found[1]), what
     for role, key, what in (
         ("robot", "ws_port", "robots' WebSockets"),
@@ -162,9 +162,13 @@ def _end_of(system: System, name: str) -> float | None:
 
 def _master(system: System, settings: dict[str, configuration.Settings]) -> Iterator[Finding]:
     """Check that services of this machine can reach the Master and trust it."""
-    address = next((str(values["master"]) for values in settings.values() if "master" in values), "")
-    if not address.startswith("tcp:"):
-        return
+    addresses = next((str(values["master"]) for values in settings.values() if "master" in values), "")
+    for address in addresses.split(","):
+        if address.startswith("tcp:"):
+            yield from _master_at(system, address)
+
+
+def _master_at(system: System, address: str) -> Iterator[Finding]:
     host, _, port = address.removeprefix("tcp:").rpartition(":")
     try:
         trust = ssl.create_default_context(cafile=str(system.path(f"{TLS}/ca.pem")))

@@ -33,7 +33,7 @@ def file_steps(system: System, installation: Installation) -> list[Step]:
             lambda: _write_settings(system, installation),
         ),
         Step("units", lambda: " ".join(_stale_units(system, installation)), lambda: _write_units(system, installation)),
-        *([_administrator_step(system)] if "master" in installation.roles else []),
+        *([_administrator_step(system, installation)] if "master" in installation.roles else []),
     ]
 
 
@@ -83,19 +83,25 @@ def as_user(*command: str) -> list[str]:
     return ["runuser", "-u", USER, "--", *command]
 
 
-def _administrator_step(system: System) -> Step:
+def _administrator_step(system: System, installation: Installation) -> Step:
     """Make the administrator before the Master's first start, which would print a password into the journal."""
     database = system.path(f"{VAR}/master/master.db")
+    url = str(configuration.settings(installation, system)["master"].get("database", ""))
+    environment = {"RCE_DATABASE": url} if url else {}  # the command line, which others can see, has no password
+    users = as_user(f"{CURRENT}/bin/rce", "user", f"--data-dir={VAR}/master")
 
     def add() -> str:
+        if url and not run(*users, "list", "--json", environment=environment, secret="").strip().endswith("[]"):
+            return "kept"
         password = secrets.token_urlsafe(15)
-        command = as_user(f"{CURRENT}/bin/rce", "user", f"--data-dir={VAR}/master", "add", "admin", "--role", "admin")
-        command.append("--create")
-        run(*command, secret=password + "\n")
+        run(*users, "add", "admin", "--role", "admin", "--create", environment=environment, secret=password + "\n")
         system.write(PASSWORD, password + "\n", 0o600)
         return f"user admin, password in {PASSWORD}"
 
-    return Step("administrator", lambda: "" if has_users(str(database)) else f"user admin, password in {PASSWORD}", add)
+    todo = f"user admin, password in {PASSWORD}"
+    if url:
+        return Step("administrator", lambda: f"{todo}, unless the database has users", add)
+    return Step("administrator", lambda: "" if has_users(str(database)) else todo, add)
 
 
 def has_users(database: str) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import getpass
+import os
 import sys
 import time
 from pathlib import Path
@@ -30,7 +31,7 @@ ADD_IMAGE = "images+="
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     whole = argparse.ArgumentParser(prog="rce user", description="Users and API keys of a Master on this machine.")
-    _add_database_options(whole, Path("~/.local/share/rce/master"), "")
+    _add_database_options(whole, Path("~/.local/share/rce/master"), os.environ.get("RCE_DATABASE", ""))
     commands = whole.add_subparsers(dest="command", required=True)
     add = commands.add_parser("add", help="add a user; the password is asked for, or read from standard input")
     add.add_argument("user")

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from provisioning import (
+    configuration,
     doctor,
     identity,
     units,
@@ -91,6 +92,18 @@ def test_listening_port_is_ok(system: System, listener: int) -> None:
     settings = system.path("/etc/rce/container.toml")
     settings.write_text(f'engine = "process"\ndata_port = {listener}\n')
     assert findings_by_subject(system)[f"port {listener}"].level == "ok"
+
+
+def test_all_masters_are_asked_and_only_the_leader_listens_for_machines(system: System) -> None:
+    system.path("/etc/rce/container.toml").write_text('master = "tcp:127.0.0.1:1,tcp:127.0.0.1:2"\n')
+    settings: dict[str, configuration.Settings] = {"master": {"machines": "tcp:8081", "control": "tcp:8080"}}
+    assert [port for port, _ in doctor._listening(settings)] == [8080, 8081]
+    settings["master"]["masters"] = ["a", "b"]
+    assert [port for port, _ in doctor._listening(settings)] == [8080]
+    tls = system.path("/etc/rce/tls")
+    identity.make(tls, tls / "ca.key", "alpha", ["127.0.0.1"])
+    both = {"container": configuration.read(system, "container")}
+    assert [found.found.partition(":")[2][:1] for found in doctor._master(system, both)] == ["1", "2"]
 
 
 def test_certificates_are_checked(system: System) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import sqlite3
 from contextlib import closing
 
+import pytest
+
 from provisioning import (
     services,
 )
@@ -36,3 +38,23 @@ def test_administrator_is_made_once(debian: System) -> None:
         connection.execute("INSERT INTO users VALUES ('admin')")
         connection.commit()
     assert todo() == ""
+
+
+@pytest.mark.parametrize(("present", "outcome"), [("[]\n", "user admin, password in"), ('["admin"]\n', "kept")])
+def test_administrator_in_postgresql_is_made_unless_there_are_users(
+    debian: System, monkeypatch: pytest.MonkeyPatch, present: str, outcome: str
+) -> None:
+    ran: list[tuple[str, ...]] = []
+
+    def run(*words: str, environment: dict[str, str], secret: str) -> str:
+        assert environment == {"RCE_DATABASE": "postgresql+psycopg://rce:secret@db/rce"}
+        ran.append(words)
+        return present
+
+    monkeypatch.setattr(services, "run", run)
+    monkeypatch.setattr(System, "write", lambda *_: None)
+    options = {"database": "postgresql+psycopg://rce:secret@db/rce"}
+    step = services.file_steps(debian, Installation(("master",), "alpha", "10.0.0.1", options))[-1]
+    assert step.todo() == "user admin, password in /etc/rce/admin-password, unless the database has users"
+    assert step.action().startswith(outcome)
+    assert not any("secret" in word for words in ran for word in words)
