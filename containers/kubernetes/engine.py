@@ -113,6 +113,10 @@ class KubernetesEngine(Engine):
         """Send the agents the data relays of other machines."""
         self._fleet.agents.set_relays(relays)
 
+    def set_master(self, master: str) -> None:
+        """Tell the agents which Master leads."""
+        self._fleet.agents.set_master(master)
+
     def set_removed_machines(self, machines: Mapping[str, float]) -> None:
         """Send the agents when machines were removed."""
         self._fleet.agents.set_removed_machines(machines)
