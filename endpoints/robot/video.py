@@ -1,14 +1,16 @@
-"""Video to robots: encoders that all receivers of a topic share, and a lane for each receiver.
+"""Video to robots: encoders that the receivers of a topic share.
 
-An encoder has state: each packet needs those before it. So a receiver that misses one gets nothing more until the next
-key frame, which it requests. It misses what its line does not carry. Therefore each receiver has a rate of bytes, which
-falls after a drop and rises while there are none, in steps; receivers on the same step share an encoder.
+An encoder has state: each packet needs those before it. So it takes the newest image when it is idle, and passes the
+packet to all its receivers. One that misses a packet gets nothing more until the next key frame, which it requests. It
+misses what its line does not carry. Therefore each receiver has a rate of bytes, which falls when its line stays full
+and rises while it does not, in steps; receivers on the same step share an encoder.
 """
 
 from __future__ import annotations
 
 import asyncio
 import uuid
+from dataclasses import replace
 from time import monotonic
 from weakref import WeakValueDictionary
 
@@ -17,7 +19,7 @@ import msgspec
 from converters import Recipe, Wire
 from endpoints.data.frames import Message
 from endpoints.data.hops import HopRecorder
-from endpoints.robot.conversion import Outgoing, SharedConversion
+from endpoints.robot.conversion import Outgoing
 from endpoints.robot.formats import Codecs
 from endpoints.robot.interfaces import Publisher
 from endpoints.robot.session import RobotSession
@@ -29,8 +31,10 @@ from rce.net.budget import OVERHEAD
 from rce.video.rate import RateConfig, RateControl
 
 WAITING = 2  # packets that wait for the line before images are left out
+MAX_STRAIN = 10.0  # images left out because the line was full, until the rate falls: a short stall is no slow line
+RELIEF = 0.25  # of the strain, by each packet that the line takes
 KEY_PAUSE = 0.3  # seconds between key frames that receivers request
-STEPS = RateConfig(lowest=23_328, highest=500_000, less=0.6, more=1 / 0.6)  # each rate is a power of 0.6 of the highest
+STEPS = RateConfig(lowest=32_000, highest=500_000, less=0.4, more=2.5)  # four rates, so that few encoders serve many
 
 _head = msgspec.json.Decoder(PackedImage)
 
@@ -38,38 +42,65 @@ _head = msgspec.json.Decoder(PackedImage)
 class SharedEncoder:
     """Encoder of one camera at one rate, for all receivers.
 
-    Args:
-        workers: The workers.
-        user: User of the receivers.
-        recipe: Recipe of the packets; it gets a stream of its own.
+    Attributes:
+        receivers: Those who get its packets.
     """
 
     def __init__(self, workers: Workers, user: str, recipe: Recipe) -> None:
+        """Make an encoder; the recipe gets a stream of its own."""
+        self.receivers: set[VideoPublisher] = set()
         self._workers = workers
         self._user = user
         self._recipe = msgspec.structs.replace(recipe, stream=uuid.uuid4().hex)
-        self._newest = -1.0  # when the newest image that was encoded came into this process
+        self._next: Message | None = None
+        self._newest = -1.0  # when the newest image came into this process
+        self._task: asyncio.Task[None] | None = None
         self._key_wanted = True
         self._key_after = 0.0
+
+    def leave(self, receiver: VideoPublisher) -> None:
+        """Remove a receiver; without any, the image that waits is left out."""
+        self.receivers.discard(receiver)
+        if not self.receivers and self._next is not None:
+            self._next = None
+            receiver.missed()
 
     def request_key(self) -> None:
         """Make the next packet a key frame: somebody has joined, or misses a packet."""
         self._key_wanted = True
 
-    async def encode(self, message: Message) -> Wire | None:
-        """Return the packet of an image, which is encoded once; None if a newer one was encoded before."""
-        found = message.conversions.get(self)
-        if found is None or found.abandoned:
-            if message.entered_at < self._newest:
-                return None
-            self._newest = message.entered_at
-            key = self._key_wanted and monotonic() >= self._key_after
-            if key:
-                self._key_wanted, self._key_after = False, monotonic() + KEY_PAUSE
-            work = self._workers.decode(self._user, self._recipe, message.payload, key=key)
-            found = message.conversions[self] = SharedConversion(work)
-        wire: Wire = await found.result()
-        return wire
+    def offer(self, message: Message) -> None:
+        """Encode an image as soon as possible; all receivers offer the same ones, of which the newest waits."""
+        if message.entered_at <= self._newest:
+            return
+        self._newest = message.entered_at
+        if self._next is not None:
+            for receiver in self.receivers:
+                receiver.missed()
+        self._next = message
+        self.proceed()
+
+    def proceed(self) -> None:
+        """Encode the image that waits, if nothing else is being encoded and a receiver has room for the packet."""
+        if self._next is not None and self._task is None and any(each.has_room for each in self.receivers):
+            message, self._next = self._next, None
+            self._task = asyncio.create_task(self._encode(message))
+
+    async def _encode(self, message: Message) -> None:
+        key = self._key_wanted and monotonic() >= self._key_after
+        if key:
+            self._key_wanted, self._key_after = False, monotonic() + KEY_PAUSE
+        try:
+            wire = await self._workers.decode(self._user, self._recipe, message.payload, key=key)
+        except RceError as error:
+            for receiver in tuple(self.receivers):
+                receiver.failed(error)
+        else:
+            head = _head.decode(wire.raw)
+            for receiver in tuple(self.receivers):
+                receiver.packet(message, head, wire)
+        self._task = None
+        self.proceed()
 
 
 class SharedEncoders:
@@ -96,10 +127,7 @@ class SharedEncoders:
 
 
 class VideoPublisher(Publisher):
-    """Sends the images of a topic to the robot as packets of video.
-
-    The newest image waits while another one is encoded or the line is full.
-    """
+    """Sends the images of a topic to the robot as packets of video."""
 
     def __init__(
         self,
@@ -114,78 +142,77 @@ class VideoPublisher(Publisher):
         self._workers, self._user = workers, session.name.partition("/")[0]
         self._encoders = encoders
         self._encoder: SharedEncoder | None = None
+        self._source = b""  # of the images, as this interface gets them
         self._control = RateControl(STEPS)
-        self._next: Message | None = None
-        self._task: asyncio.Task[None] | None = None
         self._expected = -1  # number of the next packet; -1 if it must be a key frame
+        self._strain = 0.0
 
     def close(self) -> None:
         """Drop the waiting messages and remove the interface from its session."""
-        self._next = None
-        if self._task is not None:
-            self._task.cancel()
+        self._leave()
         super().close()
 
-    def backlog(self) -> int:
-        """Return the number of messages that wait for the robot."""
-        return super().backlog() + (self._next is not None)
+    def stopped(self) -> None:
+        """Tell the robot that the interface has no peer any more."""
+        self._leave()
+        super().stopped()
+
+    def _leave(self) -> None:
+        if self._encoder is not None:
+            self._encoder.leave(self)
+            self._encoder = None
 
     def _queue(self, message: Message) -> None:
-        if self._next is not None:
-            self.dropped += 1
-            self.report_drops()
-            if self._line_full:
-                self._adapt(dropped=True)
-        self._next = message
-        self._proceed()
+        self._source = message.source
+        self._join(message.series).offer(message)
 
-    @property
-    def _line_full(self) -> bool:
-        return self.session.outbox.backlog(self.id) >= WAITING
-
-    def _proceed(self) -> None:
-        """Encode the image that waits, if nothing is in its way."""
-        if self._next is None or self._task is not None or self._line_full:
-            return
-        message, self._next = self._next, None
-        self._task = asyncio.create_task(self._send(message))
-
-    async def _send(self, message: Message) -> None:
-        try:
-            wire = await self._encoder_of(message).encode(message)
-        except RceError as error:
-            self._expected = -1
-            self._task = None
-            self.session.error(error.with_item(self.spec.tag))
-        else:
-            self._task = None
-            if wire is None or not self._fits(wire):
-                self.dropped += 1
-                self.report_drops()
-            else:
-                self._put_packet(message, wire)
-        self._proceed()
-
-    def _encoder_of(self, message: Message) -> SharedEncoder:
+    def _join(self, series: bytes) -> SharedEncoder:
+        """Return the encoder of a camera at the present rate."""
         recipe = msgspec.structs.replace(self._codec().recipe, bitrate=self._control.rate)
-        rate = self.spec.delivery.rate
-        found = self._encoders.encoder(message.series, rate, self._workers, self._user, recipe)
+        found = self._encoders.encoder(series, self.spec.delivery.rate, self._workers, self._user, recipe)
         if found is not self._encoder:
+            self._leave()
             self._encoder, self._expected = found, -1
-            if found not in message.conversions:  # else it may be a key frame, or is the first that this robot misses
-                found.request_key()
+            found.receivers.add(self)
+            found.request_key()
         return found
 
-    def _fits(self, wire: Wire) -> bool:
-        """Return whether the robot can decode a packet; request a key frame if it cannot."""
-        head = _head.decode(wire.raw)
-        if not head.key and head.number != self._expected:
-            self._missed()
-            return False
-        self._expected = head.number + 1
-        return True
+    # --- for the encoder ----------------------------------------------------------------------------------------------
 
-    def _missed(self) -> None:
+    @property
+    def has_room(self) -> bool:
+        """True unless the line is full."""
+        return self.session.outbox.backlog(self.id) < WAITING
+
+    def packet(self, message: Message, head: PackedImage, wire: Wire) -> None:
+        """Send a packet, unless the line is full or the robot cannot decode it."""
+        if not self.has_room:
+            self._expected = -1
+            self.missed()
+        elif not head.key and head.number != self._expected:
+            self._need_key()
+            self.missed()
+        else:
+            self._expected = head.number + 1
+            self._put_packet(replace(message, source=self._source), wire)
+
+    def missed(self) -> None:
+        """Count an image that was left out; the rate falls if that is often because the line is full."""
+        self.dropped += 1
+        self.report_drops()
+        if not self.has_room:
+            self._strain += 1
+            if self._strain > MAX_STRAIN:
+                self._adapt(dropped=True)
+
+    def failed(self, error: RceError) -> None:
+        """Report an image that cannot be encoded."""
+        self._expected = -1
+        self.session.error(error.with_item(self.spec.tag))
+
+    # --- the line -----------------------------------------------------------------------------------------------------
+
+    def _need_key(self) -> None:
         """Send nothing before the next key frame."""
         self._expected = -1
         if self._encoder is not None:
@@ -199,20 +226,23 @@ class VideoPublisher(Publisher):
         pieces = self._begun(outgoing, self._frames(message, frame, blobs))
         if dropped := self._put_in_outbox(outgoing, pieces, size):
             self.evicted(dropped)
+        self._strain = max(0.0, self._strain - RELIEF)
         self._adapt(dropped=False)
 
     def _too_old(self, outgoing: Outgoing) -> bool:
         old = super()._too_old(outgoing)
-        if not old:
-            asyncio.get_running_loop().call_soon(self._proceed)  # the line has taken a packet
+        if not old and self._encoder is not None:
+            asyncio.get_running_loop().call_soon(self._encoder.proceed)  # the line has taken a packet
         return old
 
     def evicted(self, count: int) -> None:
         """Count and report packets that were dropped; what follows them cannot be decoded."""
-        self._missed()
+        self._need_key()
         self._adapt(dropped=True)
         super().evicted(count)
 
     def _adapt(self, *, dropped: bool) -> None:
         """Change the rate of bytes to what the line carries; another rate has another encoder."""
+        if dropped:
+            self._strain = 0.0
         self._control.report(monotonic(), dropped)

@@ -78,9 +78,9 @@ async def measure(place: Place, task: Task, samples: int) -> list[Phase]:
         try:
             alone = await _phase("one camera", commands, samples, camera)
             where = {"url": address.url, "environment": environment.tag, **access}
+            before = camera.sent
             async with crowd(msgspec.structs.replace(task, **where)) as seen:
                 await asyncio.sleep(SETTLING)
-                before = camera.sent
                 beside = await _phase(f"and {task.count} viewers", commands, samples, camera)
                 await asyncio.sleep(SETTLING)
                 images = camera.sent - before

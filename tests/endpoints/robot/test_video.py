@@ -40,8 +40,11 @@ class CountingWorkers:
     def __init__(self) -> None:
         self.encoded: list[tuple[str, int, bool]] = []  # stream, bit rate, whether it is a key frame
         self.fails = False
+        self.gate: asyncio.Event | None = None
 
     async def decode(self, user: str, recipe: Recipe, cdr: Buffer, *, key: bool = False) -> Wire:
+        if self.gate is not None:
+            await self.gate.wait()
         if self.fails:
             raise ConversionError("no image")
         number = sum(stream == recipe.stream for stream, *_ in self.encoded)
@@ -140,14 +143,14 @@ async def test_images_are_left_out_while_the_line_is_full_and_the_rate_falls(mon
     viewer.receive(image(0))
     await turns()
     viewer.block(True)
-    for number in range(1, 10):
+    for number in range(1, 20):
         viewer.receive(image(number))
         await turns()
     assert len(workers.encoded) == 1 + WAITING, "nothing is encoded that the line cannot carry"
-    assert viewer.publisher.dropped == 9 - WAITING - 1
+    assert viewer.publisher.dropped == 19 - WAITING - 1
     viewer.block(False)
     await turns()
-    viewer.receive(image(10))
+    viewer.receive(image(20))
     await turns()
     rates = [rate for _, rate, _ in workers.encoded]
     assert rates[0] == STEPS.highest
@@ -163,25 +166,36 @@ async def test_viewer_that_misses_a_packet_of_the_common_encoder_waits_for_a_key
     workers, encoders = CountingWorkers(), SharedEncoders()
     monkeypatch.setattr("endpoints.robot.video.KEY_PAUSE", 0.0)
     fast, slow = (Viewer(workers, encoders, number) for number in range(2))
-    for number in range(6):
+    for number in range(7):
         message = image(number)
+        if number in (2, 5):
+            slow.block(number == 2)
         fast.receive(message)
-        if number not in (2, 3):
-            slow.receive(message)
+        slow.receive(message)
         await turns()
-    assert fast.line.numbers() == [(0, True), (1, False), (2, False), (3, False), (4, False), (5, True)]
-    assert slow.line.numbers() == [(0, True), (1, False), (5, True)]
-    assert slow.publisher.dropped == 1
+    assert fast.line.numbers() == [(0, True), *[(number, False) for number in range(1, 6)], (6, True)]
+    assert slow.line.numbers() == [(0, True), (1, False), (2, False), (3, False), (6, True)]
+    assert slow.publisher.dropped == 2
 
 
-async def test_older_image_is_not_encoded_after_a_newer_one() -> None:
+async def test_viewers_stay_together_when_the_encoder_is_slower_than_the_camera() -> None:
     workers, encoders = CountingWorkers(), SharedEncoders()
-    one, other = (Viewer(workers, encoders, number) for number in range(2))
-    one.receive(image(5))
+    viewers = [Viewer(workers, encoders, number) for number in range(3)]
+    workers.gate = asyncio.Event()
+    for number in range(12):
+        message = image(number)
+        for viewer in viewers:
+            viewer.receive(message)
+            await asyncio.sleep(0)
+        if number % 4 == 3:
+            workers.gate.set()
+            await turns()
+            workers.gate = asyncio.Event()
+    workers.gate.set()
     await turns()
-    other.receive(image(4))
-    await turns()
-    assert (len(workers.encoded), other.publisher.dropped) == (1, 1)
+    assert {tuple(viewer.line.numbers()) for viewer in viewers} == {tuple(viewers[0].line.numbers())}
+    assert viewers[0].line.numbers()[0] == (0, True)
+    assert len(workers.encoded) == len(viewers[0].line.numbers())
 
 
 async def test_image_that_cannot_be_encoded_is_reported_and_the_next_one_is_a_key_frame() -> None:
