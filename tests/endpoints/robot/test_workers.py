@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator, Sequence
 from typing import cast
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 
@@ -145,3 +146,13 @@ async def test_conversion_that_takes_too_long_ends(monkeypatch: pytest.MonkeyPat
     worker = Worker()
     with pytest.raises(LimitExceeded, match="more than 1 s"):
         await asyncio.to_thread(worker.call, Encode(STRING, False, []), [b"{}"])
+
+
+async def test_conversions_of_a_stream_keep_their_order_and_its_state(real: Workers) -> None:
+    pytest.importorskip("av", reason="needs PyAV: pip install '.[video]'")
+    png = cv2.imencode(".png", np.zeros((48, 64, 3), np.uint8))[1].tobytes()
+    cdr = await real.encode("a", IMAGE, Wire(True, f'"{ID}"'.encode(), {ID: png}))
+    recipe = Recipe(IMAGE.name, "png", codec="h264", stream="s")
+    wires = await asyncio.gather(*(real.decode("a", recipe, cdr, key=number == 2) for number in range(4)))
+    heads = [msgspec.json.decode(wire.raw) for wire in wires]
+    assert [(head["number"], head["key"]) for head in heads] == [(0, True), (1, False), (2, True), (3, False)]
