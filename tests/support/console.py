@@ -162,6 +162,7 @@ def interface(endpoint: str = "brain", tag: str = "pose", **changes: Any) -> vie
         "qos": Qos(),
         "format": "png",
         "delivery": Delivery(),
+        "codec": "",
         "connections": 1,
     }
     return views.InterfaceView(**usual | changes)

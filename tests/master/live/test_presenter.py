@@ -132,6 +132,7 @@ def test_interface_counts_its_connections_and_shows_its_rate(gallery: Gallery) -
         m.Qos(),
         "png",
         m.Delivery(),
+        "",
         connections=1,
         rate=Rate(2, 100),
     )

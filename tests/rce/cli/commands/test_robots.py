@@ -59,6 +59,7 @@ def test_interface_is_added_with_its_quality_of_service() -> None:
         "addr": "/pose",
         "format": "png",
         "delivery": {},
+        "codec": "",
     }
 
 
