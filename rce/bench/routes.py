@@ -6,7 +6,7 @@ import time
 from asyncio import gather
 from collections.abc import Awaitable, Callable, Sized
 
-from rce.bench import floors, gateways, pairs
+from rce.bench import cpp, floors, gateways, pairs
 from rce.bench.floors import Sample
 from rce.bench.nodes import ECHO_TIMEOUT, PACKAGE, Place, Probe, drain, retry, start_connected
 from rce.bench.payloads import IMAGE, IMAGES, ROW, SERVICE_TYPE, SERVICES, TOPICS, Call, Payload
@@ -60,6 +60,7 @@ ROUTES: dict[str, Callable[[Place], Awaitable[list[Probe]]]] = {
     "group": pairs.group,
     "rosbridge": gateways.rosbridge,
     "foxglove": gateways.foxglove,
+    "cpp": cpp.cpp,
 }
 DEFAULT_ROUTES = ("tcp", "autobahn", "n2n", "r2c")
 

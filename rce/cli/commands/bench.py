@@ -68,7 +68,17 @@ COMMANDS = (
         "bench overtake",
         "Measure velocity commands of a robot that sends 10 MB images at the same time.",
         Lazy(MODULE, "measure_overtake"),
-        (argument("--samples", type=int, default=300, help="(default: %(default)s)"), SAMPLES_JSON),
+        (
+            argument("--samples", type=int, default=300, help="(default: %(default)s)"),
+            argument(
+                "--foxglove",
+                type=float,
+                default=0.0,
+                metavar="SECONDS",
+                help="measure a client of Foxglove instead: 1 MB at 100 Hz, and beside it a small topic at 10 Hz",
+            ),
+            SAMPLES_JSON,
+        ),
         platform=RUNNING_OR_OWN,
         section=Section.LOCAL,
     ),

@@ -20,7 +20,7 @@ import msgspec
 
 from rce.api.client import ApiClient
 from rce.api.map_jobs import MAPPERS
-from rce.bench import overtake, payloads, report, start, viewers
+from rce.bench import channels, overtake, payloads, report, start, viewers
 from rce.bench.nodes import Place
 from rce.bench.routes import ROUTES
 from rce.bench.run import take
@@ -89,8 +89,13 @@ async def measure_round_trips(args: argparse.Namespace) -> None:
 
 @_command
 async def measure_overtake(args: argparse.Namespace) -> None:
-    """Measure velocity commands that share a robot's connection with large images."""
+    """Measure velocity commands that share a robot's connection with large images, or what a viewer receives."""
     async with _bench_place(args) as place:
+        if args.foxglove:
+            seen = await channels.measure(place, args.foxglove)
+            data = channels.as_data(seen, args.foxglove)
+            print(json.dumps(data) if args.json else channels.as_text(seen, args.foxglove))
+            return
         result = await overtake.measure(place, args.samples)
     print(json.dumps(overtake.as_data(result)) if args.json else overtake.as_text(result))
 

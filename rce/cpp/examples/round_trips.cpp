@@ -1,0 +1,95 @@
+// Measures round trips through nodes that send messages back on TOPIC_back, for `rce bench rtt --routes cpp`.
+//
+//   rce_round_trips URL USER ROBOT ENVIRONMENT NAMESPACE
+//
+// The password is in RCE_PASSWORD, or an API key in RCE_KEY. Each line of the input, `json SIZE` or `forwarder SIZE`, is
+// answered with the seconds of one round trip of SIZE bytes, or with `late`.
+
+#include <chrono>
+#include <cstdlib>
+#include <iostream>
+#include <rce/client.hpp>
+#include <sstream>
+
+namespace {
+
+const char* variable(const char* name) {
+  const char* value = std::getenv(name);
+  return value == nullptr ? "" : value;
+}
+
+/** CDR of a std_msgs/UInt8MultiArray with `size` zero bytes. */
+rce::Bytes cdr(std::size_t size) {
+  rce::Bytes bytes(16 + size, 0);
+  bytes[1] = 1;
+  for (int place = 0; place < 4; ++place) bytes[12 + place] = static_cast<std::uint8_t>(size >> (8 * place));
+  return bytes;
+}
+
+/** Discard answers that came too late for their round trip. */
+void discard(rce::Subscriber& back) {
+  try {
+    while (true) back.get(rce::Seconds(0));
+  } catch (const rce::TimedOut&) {
+  }
+}
+
+/** Seconds of one round trip; throws TimedOut. */
+double roundTrip(rce::Publisher& out, rce::Subscriber& back, bool raw, const std::string& text, const rce::Bytes& bytes,
+                 double patience) {
+  discard(back);
+  const auto start = std::chrono::steady_clock::now();
+  if (raw) {
+    out.publish(bytes);
+  } else {
+    out.publish(rce::Value{{"data", text}});
+  }
+  back.get(rce::Seconds(patience));
+  return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+}
+
+}  // namespace
+
+int main(int count, char** words) {
+  if (count != 6) {
+    std::cerr << "usage: rce_round_trips URL USER ROBOT ENVIRONMENT NAMESPACE\n";
+    return 2;
+  }
+  try {
+    rce::Options options;
+    options.userID = words[2];
+    options.robotID = words[3];
+    options.password = variable("RCE_PASSWORD");
+    options.key = variable("RCE_KEY");
+    rce::Client robot(options);
+    robot.connect(words[1]).get();
+    auto place = robot.environment(words[4]);
+    const std::string base = words[5];
+    rce::InterfaceOptions forwarder;
+    forwarder.raw = true;
+    const std::string array = "std_msgs/UInt8MultiArray", string = "std_msgs/String";
+    auto json = place.publisher(base + "/json", string), cdrOut = place.publisher(base + "/forwarder", array, forwarder);
+    auto jsonBack = place.subscriber(base + "/json_back", string),
+         cdrBack = place.subscriber(base + "/forwarder_back", array, forwarder);
+    std::size_t made = 0;
+    std::string text;
+    rce::Bytes bytes = cdr(0);
+    for (std::string line; std::getline(std::cin, line);) {
+      std::istringstream request(line);
+      std::string form;
+      std::size_t size = 0;
+      double patience = 30;
+      request >> form >> size >> patience;
+      const bool raw = form == "forwarder";
+      if (size != made) text.assign(size, 'x'), bytes = cdr(size), made = size;
+      try {
+        std::cout << roundTrip(raw ? *cdrOut : *json, raw ? *cdrBack : *jsonBack, raw, text, bytes, patience) << std::endl;
+      } catch (const rce::TimedOut&) {
+        std::cout << "late" << std::endl;
+      }
+    }
+  } catch (const rce::Error& error) {
+    std::cerr << error.code() << ": " << error.what() << '\n';
+    return 1;
+  }
+}
