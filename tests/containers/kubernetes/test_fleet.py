@@ -12,8 +12,8 @@ pytest.importorskip("kubernetes_asyncio", reason="needs kubernetes_asyncio: pip 
 
 from containers.agents.connections import AgentAccess
 from containers.kubernetes import fleet as module
-from containers.kubernetes.api import Object
 from containers.kubernetes.fleet import Fleet
+from containers.kubernetes.objects import Object
 from containers.kubernetes.setup import AgentSetup, ClusterSetup
 from containers.limits import Size
 from rce.errors import InvalidRequest, Unavailable

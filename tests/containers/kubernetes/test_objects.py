@@ -154,7 +154,7 @@ def test_node_has_size_features_and_readiness() -> None:
         },
     }
     node = read_node(found)
-    assert (node.usable, node.cordoned, node.features, node.gpus) == (True, True, {"camera"}, 2)
+    assert (node.usable, node.cordoned, node.features, node.gpus) == (True, True, frozenset({"camera"}), 2)
     assert (node.size, node.address) == (Size(3.5, 2**31), "10.0.0.1")
     found["status"]["conditions"] = [{"type": "Ready", "status": "Unknown"}]  # type: ignore[index]
     assert read_node(found).unusable_reason == "node n1 is not ready"

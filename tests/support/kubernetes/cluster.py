@@ -56,6 +56,8 @@ net_broadcast net_admin net_raw ipc_lock ipc_owner sys_module sys_rawio sys_chro
 sys_admin sys_boot sys_nice sys_resource sys_time sys_tty_config mknod lease audit_write audit_control setfcap
 mac_override mac_admin syslog wake_alarm block_suspend audit_read perfmon bpf checkpoint_restore
 """  # by number, capabilities(7)
+# Kubelet removes the logs of all pods that it does not know.
+OWN_LOGS = 'mountpoint -q /var/log || mount -t tmpfs none /var/log; exec "$@"'
 KUBELET = {
     "apiVersion": "kubelet.config.k8s.io/v1beta1",
     "kind": "KubeletConfiguration",
@@ -127,7 +129,15 @@ class Cluster:
         config = node.directory / "kubelet.json"
         config.write_text(json.dumps(KUBELET))
         words = ["nsenter", f"--net=/run/netns/{node.name}", f"--mount=/proc/{self._docker(node)}/ns/mnt"]
-        words += [str(directory() / "kubelet"), f"--kubeconfig={self.kubeconfig}", f"--config={config}"]
+        words += [
+            "sh",
+            "-c",
+            OWN_LOGS,
+            "sh",
+            str(directory() / "kubelet"),
+            f"--kubeconfig={self.kubeconfig}",
+            f"--config={config}",
+        ]
         words += [f"--docker-endpoint=unix://{self.common}/docker.sock", f"--root-dir={self.common}/kubelet"]
         words += [f"--seccomp-profile-root={self.common}/kubelet/seccomp", f"--hostname-override={node.name}"]
         words += [f"--pod-infra-container-image={PAUSE}", f"--node-ip={node.address}", "--v=2"]

@@ -6,7 +6,8 @@ import asyncio
 from collections.abc import AsyncIterator
 from typing import Any
 
-from containers.kubernetes.api import Api, Event, Object
+from containers.kubernetes.api import Api, Event
+from containers.kubernetes.objects import Object
 from rce.errors import NotFound, RceError
 
 
