@@ -143,7 +143,7 @@ def read_pod(found: Object) -> Pod:
         "running" in state,
         "deletionTimestamp" in metadata,
         end,
-        _obstacle(state, ended),
+        _obstacle(state, ended, found["spec"]["containers"][0].get("image", "")),
         _unschedulable(status),
         limit,
     )
@@ -160,18 +160,16 @@ def _end(ended: Mapping[str, Any], memory: int) -> End:
     return End(status, reason)
 
 
-def _obstacle(state: Mapping[str, Any], ended: Mapping[str, Any] | None) -> str:
+def _obstacle(state: Mapping[str, Any], ended: Mapping[str, Any] | None, image: str) -> str:
     """Return why a container will not start: its image is missing, or the runtime refuses it."""
     if ended is not None:
         never_ran = ended.get("reason") in ("ContainerCannotRun", "StartError")
         return _words(ended, "the container did not start") if never_ran else ""
     waiting = state.get("waiting", {})
     reason = waiting.get("reason", "")
-    if reason.startswith(("Err", "Invalid")) or reason in (
-        "ImagePullBackOff",
-        "RunContainerError",
-        "ImageInspectError",
-    ):
+    if reason.startswith("Err") or "Image" in reason:
+        return f"image {image}: {_words(waiting, reason)}"
+    if reason == "RunContainerError":
         return _words(waiting, reason)
     return ""
 
