@@ -31,7 +31,7 @@ from containers.kubernetes.pod import PodSetup, environment_pod
 from containers.kubernetes.setup import ClusterSetup
 from containers.limits import limits
 from containers.logfile import LONGEST_LINE
-from rce.control.calls.agents import Furnish
+from rce.control.calls.agents import ConnectGroup, Furnish
 from rce.control.calls.environments import EnvironmentSpec, FetchPackage
 from rce.control.calls.watching import EnvironmentUsage
 from rce.control.connection import Handlers
@@ -328,8 +328,8 @@ class KubernetesEngine(Engine):
     def _add_handlers(self, handlers: Handlers) -> None:
         handlers.on(FetchPackage, lambda call: self.request_ticket(call.digest))
 
-    async def _call_agent(self, node: str, call: object) -> None:
-        await self._fleet.agents.call(node, call)  # type: ignore[arg-type]
+    async def _call_agent(self, node: str, call: ConnectGroup) -> None:
+        await self._fleet.agents.call(node, call)
 
     def _reported(self, node: str) -> None:
         """Have an agent that has joined serve what runs on its node, and remove what no longer does."""

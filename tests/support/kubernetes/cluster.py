@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import tempfile
 import time
@@ -183,11 +182,11 @@ class Cluster:
                 process.wait(STOP_TIMEOUT)
             process.kill()
         for node in self.nodes:
-            self._unmount(node)
+            self._kill_containers(node)
         self.machines.close()
 
-    def _unmount(self, node: Node) -> None:
-        """Unmount the volumes of pods that the killed kubelet has left, which would keep the directories."""
+    def _kill_containers(self, node: Node) -> None:
+        """Kill the containers that the kubelet has left, which would keep the directories of their volumes."""
         with suppress(OSError, subprocess.CalledProcessError):
             for container in node.api().containers(quiet=True):
                 node.api().kill(container["Id"])
@@ -203,9 +202,9 @@ class Cluster:
         self._write_kubeconfig(certificates / "ca.pem")
         etcd, peers = f"http://{self.address}:2379", f"http://{self.address}:2380"
         words = ["etcd", f"--data-dir={self._place / 'etcd'}", f"--listen-client-urls={etcd}"]
-        words += [f"--advertise-client-urls={etcd}", f"--listen-peer-urls={peers}", "--unsafe-no-fsync"]
+        words += [f"--advertise-client-urls={etcd}", f"--listen-peer-urls={peers}"]
         words += [f"--initial-advertise-peer-urls={peers}", f"--initial-cluster=default={peers}"]
-        self._servers.append(self._spawn("etcd", [word for word in words if word != "--unsafe-no-fsync"]))
+        self._servers.append(self._spawn("etcd", words))
         words = [f"--etcd-servers={etcd}", "--secure-port=6443", f"--bind-address={self.address}"]
         words += [f"--tls-cert-file={certificates / 'cert.pem'}", f"--tls-private-key-file={certificates / 'key.pem'}"]
         words += [f"--token-auth-file={tokens}", f"--service-cluster-ip-range={SERVICES}", "--authorization-mode=RBAC"]
@@ -289,8 +288,3 @@ def cluster_of(count: int, prepare: Any) -> Iterator[Cluster]:
             if before is not None:
                 os.environ["KUBECONFIG"] = before
             made.close()
-
-
-def interrupt(process: subprocess.Popen[bytes]) -> None:
-    """Stop a process for a while; `SIGCONT` lets it go on."""
-    process.send_signal(signal.SIGSTOP)
