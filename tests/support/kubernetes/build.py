@@ -17,7 +17,8 @@ from pathlib import Path
 VERSION = "1.20.2"
 PROGRAMS = ("kube-apiserver", "kube-controller-manager", "kube-scheduler", "kubelet", "kube-proxy")
 COMMAND = "nox -s kubernetes"
-DEBIAN = ("golang-go", "dpkg-dev", "etcd-server", "kubernetes-client")  # to build, and to run
+TO_RUN = {"etcd-server": "etcd", "kubernetes-client": "kubectl", "openssl": "openssl"}  # packages and their programs
+DEBIAN = {"golang-go": "go", "dpkg-dev": "dpkg-source", **TO_RUN}
 SOURCE = "kubernetes"
 SUITE = "bookworm"
 GENERATED = "+k8s:openapi-gen="  # marks the packages for which code is generated before the build
@@ -42,7 +43,8 @@ def lacking() -> str:
         return "nodes of a cluster need root: run the tests as root"
     if not all((directory() / name).exists() for name in PROGRAMS):
         return f"Kubernetes {VERSION} is not built: `{COMMAND}` builds it in about ten minutes and runs all its tests"
-    missing = [name for name in ("etcd", "kubectl", "dockerd", "ip") if shutil.which(name, path=_path()) is None]
+    needed = (*TO_RUN.values(), "dockerd", "ip")
+    missing = [name for name in needed if shutil.which(name, path=_path()) is None]
     return f"no {', '.join(missing)}: `{COMMAND}` installs them" if missing else ""
 
 
@@ -86,10 +88,13 @@ def _path() -> str:
 
 
 def _install() -> None:
+    missing = [package for package, program in DEBIAN.items() if shutil.which(program, path=_path()) is None]
+    if not missing:
+        return
     quiet = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
     options = ["-o", "Acquire::Retries=3", "-o", "DPkg::Lock::Timeout=600"]
     subprocess.run(["apt-get", *options, "update"], check=True, env=quiet)
-    words = ["apt-get", *options, "install", "-y", "--no-install-recommends", *DEBIAN]
+    words = ["apt-get", *options, "install", "-y", "--no-install-recommends", *missing]
     subprocess.run(words, check=True, env=quiet)
 
 
