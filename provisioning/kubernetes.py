@@ -12,12 +12,12 @@ import dataclasses
 import json
 import secrets
 import sys
+import tomllib
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from provisioning.steps import ProvisioningError, add_command
-from rce import __version__
+from provisioning.steps import ROOT, ProvisioningError, add_command
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 Object = dict[str, Any]
 CHART = Path(__file__).with_name("helm")
+VERSION: str = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
 SERVER = "rce/server"
 HTTP, CONTROL, AGENTS, ROBOTS, DATA, DATABASE = 9000, 8080, 8082, 9010, 9020, 5432
 USER = 10000  # of the images
@@ -38,9 +39,9 @@ class Values:
     """What can be set of a platform; the names and defaults are those of the chart's values."""
 
     namespace: str = "rce"
-    serverImage: str = f"{SERVER}:{__version__}"
-    environmentImage: str = f"rce/mapping:{__version__}"
-    agentImage: str = f"rce/agent:{__version__}"
+    serverImage: str = f"{SERVER}:{VERSION}"
+    environmentImage: str = f"rce/mapping:{VERSION}"
+    agentImage: str = f"rce/agent:{VERSION}"
     databaseImage: str = "postgres:16-alpine"
     pullSecret: str = "rce-registry"
     databasePassword: str = ""
@@ -291,8 +292,8 @@ def chart() -> dict[str, str]:
         "name": "rce",
         "description": "A cloud platform for robots",
         "type": "application",
-        "version": __version__,
-        "appVersion": __version__,
+        "version": VERSION,
+        "appVersion": VERSION,
         "kubeVersion": ">=1.20.0-0",
     }
     about = "# Made by `python -P -m provisioning.kubernetes`, of provisioning/kubernetes.py; change that.\n"

@@ -13,6 +13,7 @@ import yaml
 from containers.settings import Settings
 from provisioning.kubernetes import CHART, NEEDED, Values, chart, given_values, manifests, rights_per_user
 from provisioning.steps import ProvisioningError
+from rce import __version__
 from rce.process.settings import load
 
 REFERENCE = re.compile(r"\{\{ \.(Values\.(\w+)|Release\.Namespace) \}\}")
@@ -43,6 +44,10 @@ def test_every_reference_has_a_value_and_every_value_is_used() -> None:
     schema = json.loads(chart()["values.schema.json"])
     assert set(schema["properties"]) == {*values, "global"}
     assert {name for name, value in values.items() if not value} >= set(NEEDED)
+
+
+def test_images_are_those_of_this_version() -> None:
+    assert GIVEN.serverImage.endswith(f":{__version__}")
 
 
 def test_chart_says_what_it_is() -> None:

@@ -102,7 +102,8 @@ async def test_users_may_have_namespaces_of_their_own(world: KubernetesWorld, en
         assert namespaces == {namespace_of(NAMESPACE, name, per_user=True) for name in ("ann/map", "bob/map")}
         for namespace in namespaces:
             policies = world.cluster.get("networkpolicies", namespace=namespace)
-            assert {each["metadata"]["name"].rpartition("-")[2] for each in policies} == {"closed", "internet", "all"}
+            kinds = {each["metadata"]["name"].rpartition("-")[2] for each in policies}
+            assert kinds == {"closed", "internet", "all", "listed"}
         await world.end("ann/map")
         assert (await endings.next()).name == "ann/map"
     assert world.remains() == set()

@@ -23,7 +23,7 @@ async def test_given_namespace_gets_policies_once() -> None:
     for _ in range(2):
         await namespaces.prepare("rce", None)
     place = "apply /apis/networking.k8s.io/v1/namespaces/rce/networkpolicies"
-    assert api.steps == [f"{place}/rce-t-{name}" for name in ("closed", "internet", "all")]
+    assert api.steps == [f"{place}/rce-t-{name}" for name in ("closed", "internet", "all", "listed")]
 
 
 async def test_group_has_a_policy_of_its_own() -> None:
