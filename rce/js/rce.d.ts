@@ -109,6 +109,8 @@ export interface EnvironmentOptions {
   specialFeatures?: string[];
   /** Environment variables of the nodes. */
   env?: Record<string, string>;
+  /** Secrets of the user, each with the variable that nodes get, or "" for a file only. */
+  secrets?: Record<string, string>;
   /** Users' own packages: `name` or `user/name`, optionally with `@version`. */
   packages?: string[];
   /** Network group to join. */

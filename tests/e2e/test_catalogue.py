@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from contextlib import AsyncExitStack
 
 import pytest
@@ -11,7 +12,9 @@ from rce.api.client import ApiClient
 from rce.api.views import NewOffer, NewUser, OfferedNode, OfferView
 from rce.client import Robot, Service
 from rce.errors import NotFound
+from tests.support.e2e.node import run_script
 from tests.support.e2e.real_platform import RealPlatform, until
+from tests.support.paths import TESTS
 
 STRING = "std_msgs/String"
 ECHO = OfferedNode("echo", "rce_demo", "echo", perRobot=True, args="--ros-args -r /say:=say -r /heard:=heard")
@@ -57,6 +60,15 @@ async def test_twenty_robots_share_instances_that_come_and_go(fragile: RealPlatf
         assert len(view.instances) == 2
         assert view.uses == {"bob": 20}
     await until(lambda: not show(publisher, "parrot").instances, what="the end of instances without robots")
+
+
+async def test_program_in_javascript_uses_a_service(fragile: RealPlatform, publisher: ApiClient) -> None:
+    await asyncio.to_thread(publisher.post, OfferView, "catalogue", body=SHARED)
+    words = (str(TESTS / "js" / "service.mjs"), fragile.url, "bob", PASSWORD, "ann/parrot")
+    status, out, err = await run_script(*words, timeout=120)
+    assert status == 0, err
+    assert json.loads(out) == {"data": "hello", "name": "ann/parrot", "shared": True}
+    assert [each.robots for each in show(publisher, "parrot").instances] in ([[]], [])
 
 
 async def test_instance_of_ones_own_is_an_environment_of_the_robots_user(

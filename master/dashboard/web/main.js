@@ -14,6 +14,7 @@ import { keysPage } from "./keys.js";
 import { knowledgePage } from "./knowledge.js";
 import { Live } from "./live.js";
 import { machinesPage } from "./machines.js";
+import { cataloguePage } from "./catalogue.js";
 import { packagesPage } from "./packages.js";
 import { panelsPage } from "./panelspage.js";
 import { parametersPage } from "./parameters.js";
@@ -37,6 +38,7 @@ const PAGES = [ // path, page, label in the bar, and the operation that it needs
   [/^\/recordings$/, jobsPage, "Recordings", "job.read"],
   [/^\/bags$/, bagsPage, "Bags", "recording.read"],
   [/^\/knowledge(?:\/(\w+)\/([\w.%-]+))?$/, knowledgePage, "Knowledge", "knowledge.read"],
+  [/^\/services$/, cataloguePage, "Services", "catalogue.read"],
   [/^\/packages$/, packagesPage, "Packages", "package.read"],
   [/^\/parameters\/(\w+)\/(\w+)$/, parametersPage],
   [/^\/trace(?:\/(\w+)\/([\w@]+)\/([\w@.]+))?$/, tracePage, "Trace", "trace.read"],

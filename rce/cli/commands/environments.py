@@ -93,6 +93,7 @@ def container_data(args: argparse.Namespace) -> ContainerData:
     given = {name: value for name, value in vars(args).items() if name in names and value not in (None, [])}
     given |= {name: quantities.parse_size(given[name]) for name in SIZE_OPTIONS if name in given}
     given["env"] = dict(_parse_assignment(each) for each in args.env)
+    given["secrets"] = {name: variable for name, _, variable in (each.partition("=") for each in args.secret)}
     try:
         return msgspec.convert(given, ContainerData)
     except msgspec.ValidationError as error:
@@ -244,6 +245,13 @@ COMMANDS = (
             argument("--feature", dest="specialFeatures", action="append", default=[], metavar="NAME"),
             argument(
                 "--env", action="append", default=[], metavar="NAME=VALUE", help="environment variable of its nodes"
+            ),
+            argument(
+                "--secret",
+                action="append",
+                default=[],
+                metavar="NAME[=VARIABLE]",
+                help="secret of yours for its nodes: a file, and with VARIABLE a variable too",
             ),
             argument(
                 "--package",
