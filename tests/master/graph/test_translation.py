@@ -19,6 +19,7 @@ DATA = m.ContainerData(
     gpus=9,
     specialFeatures=["camera"],
     env={"A": "1"},
+    secrets={"database": "B"},
     packages=["own"],
     group="g",
     groupIP="192.168.1.7",

@@ -10,13 +10,15 @@ from master.graph.records import Role, ref
 from master.graph.state import State
 from master.live import inventory
 from master.live.presenter import Presenter
+from rce.protocol import messages as m
 from tests.support.master.fleet import Fleet, full
+from tests.support.master.offers import offering
 
 
 def counts(state: State, readiness: Readiness | None = None) -> dict[str, dict[tuple[str, ...], float]]:
     """Return the values of all families by name and label values."""
     families = inventory.families(Presenter(state, readiness or Readiness()))
-    assert {family.kind for family in families} == {"gauge"}
+    assert {family.kind for family in families} == {"gauge", "counter"}
     return {family.name: {tuple(each.labels): each.value for each in family.samples} for family in families}
 
 
@@ -45,6 +47,16 @@ def test_empty_platform_has_zeros() -> None:
     found = counts(State())
     assert found.pop("rce_processes") == {}
     assert {value for family in found.values() for value in family.values()} == {0}
+
+
+def test_services_are_counted() -> None:
+    fleet, offer = offering()
+    fleet.do("bob", m.UseService(offer.name), robot="r1")
+    found = counts(fleet.state)
+    for name in ("rce_service_instances", "rce_service_robots"):
+        assert found[name] == {("ann/parrot",): 1}
+    (uses,) = [name for name in found if name.startswith("rce_service_uses")]
+    assert found[uses] == {("ann/parrot", "bob"): 1}
 
 
 @pytest.mark.parametrize(
