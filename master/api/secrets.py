@@ -23,11 +23,13 @@ class SecretsApi:
 
     def add_to(self, api: Api) -> None:
         """Add the routes."""
-        one = "/secrets/{name}"
         api.add(
             Route("GET", "/secrets", self._list, "Names of your secrets", PageQuery, answer=Page[SecretView]),
-            Route("PUT", one, self._set, "Set a secret, which is never shown again", body=NewSecret, status=204),
-            Route("DELETE", one, self._remove, "Remove a secret", status=204),
+            Route(
+                *("POST", "/secrets", self._set, "Set a secret, which is never shown again"),
+                *(None, NewSecret, SecretView, 201),
+            ),
+            Route("DELETE", "/secrets/{name}", self._remove, "Remove a secret", status=204),
         )
 
     async def _list(self, call: Call) -> Answer:
@@ -38,9 +40,10 @@ class SecretsApi:
 
     async def _set(self, call: Call) -> Answer:
         user = authorize(call, "secret.set", "")
-        secrets.put(self._state, user, call.path["name"], self._seal.close(call.body(NewSecret).value), time.time())
+        wanted = call.body(NewSecret)
+        secret = secrets.put(self._state, user, wanted.name, self._seal.close(wanted.value), time.time())
         await self._master.save()
-        return Answer(status=204)
+        return Answer(SecretView(wanted.name, secret.created), 201)
 
     async def _remove(self, call: Call) -> Answer:
         user = authorize(call, "secret.remove", "")

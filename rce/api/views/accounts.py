@@ -28,12 +28,13 @@ class Whoami(Struct, frozen=True):
 
 
 class NewSecret(Struct, frozen=True, forbid_unknown_fields=True):
-    """Value of a secret: text, at most 32 KiB."""
+    """Secret: a text, at most 32,768 characters."""
 
+    name: Tag
     value: Annotated[str, Meta(min_length=1, max_length=32_768, pattern=r"^[^\x00]*$")]
 
     def __repr__(self) -> str:
-        return "NewSecret()"  # values do not get into logs
+        return f"NewSecret({self.name!r})"  # values do not get into logs
 
 
 class SecretView(Struct, frozen=True):

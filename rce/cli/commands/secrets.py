@@ -22,7 +22,7 @@ SECRETS: output.Columns[views.SecretView] = {
 
 
 def _set(session: ConsoleSession, args: argparse.Namespace) -> None:
-    session.api.put("secrets", args.name, body=views.NewSecret(_value(args.file)))
+    session.api.post(views.SecretView, "secrets", body=views.NewSecret(args.name, _value(args.file)))
 
 
 def _value(file: Path | None) -> str:

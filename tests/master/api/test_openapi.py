@@ -54,6 +54,8 @@ async def test_random_requests_are_answered_as_the_document_says(
         *(word for path in LEFT_OUT for word in ("--exclude-path", path)),
         *("--exclude-operation-id", "delete_api_v_keys_key", "--exclude-operation-id", "post_api_v_keys_key_rotate"),
         *(word for id in OF_TUS for word in ("--exclude-operation-id", id)),
+        # A declaration of a service has so many fields within others that trying them takes longer than all the rest.
+        *("--exclude-operation-id", "post_api_v_catalogue"),
     ]
     process = await asyncio.create_subprocess_exec(
         *words,

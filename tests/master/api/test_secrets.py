@@ -5,9 +5,11 @@ from __future__ import annotations
 from rce.control.calls.endpoints import PutSecrets
 from tests.support.master.served import Served
 
+SECRET = {"name": "database", "value": "hidden"}
+
 
 async def test_secret_is_set_listed_and_removed_but_not_shown(served: Served) -> None:
-    assert (await served.ask("PUT", "/secrets/database", "ann", {"value": "hidden"})).status == 204
+    assert (await served.ask("POST", "/secrets", "ann", SECRET)).status == 201
     listed = await served.ask("GET", "/secrets", "ann")
     assert [each["name"] for each in listed.body["items"]] == ["database"]
     assert (await served.ask("GET", "/secrets", "bob")).body["items"] == []
@@ -18,7 +20,7 @@ async def test_secret_is_set_listed_and_removed_but_not_shown(served: Served) ->
 
 
 async def test_environment_gets_the_value_and_its_view_the_name(served: Served) -> None:
-    await served.ask("PUT", "/secrets/database", "ann", {"value": "hidden"})
+    await served.ask("POST", "/secrets", "ann", SECRET)
     body = {"containerTag": "safe", "containerData": {"secrets": {"database": "PASSWORD"}}}
     made = await served.ask("POST", "/environments", "ann", body)
     assert made.body["containerData"]["secrets"] == {"database": "PASSWORD"}
@@ -35,4 +37,4 @@ async def test_missing_secret_is_refused_and_wrong_values_too(served: Served) ->
     refused = await served.ask("POST", "/environments", "ann", body)
     assert (refused.status, refused.body["field"]) == (404, "containerData.secrets")
     for value in ("", "a\0b", "x" * 40_000):
-        assert (await served.ask("PUT", "/secrets/database", "ann", {"value": value})).status == 400
+        assert (await served.ask("POST", "/secrets", "ann", SECRET | {"value": value})).status == 400

@@ -121,7 +121,7 @@ CASES: dict[str, Case | None] = {
     "DELETE /catalogue/{publisher}/{name}": Case("catalogue.publish", "path"),
     "POST /catalogue/{publisher}/{name}/uses": Case("service.use", body={"containerTag": "fresh"}),
     "GET /secrets": Case("secret.read", "own"),
-    "PUT /secrets/{name}": Case("secret.set", "own", {"value": "hidden"}),
+    "POST /secrets": Case("secret.set", "own", {"name": "database", "value": "hidden"}),
     "DELETE /secrets/{name}": Case("secret.remove", "own"),
     "PUT /uploads": None,  # with a ticket
     "GET /archives": None,

@@ -15,10 +15,12 @@ from tests.support.console import Console, Request
 
 def test_secret_is_read_from_standard_input_or_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("hidden\n"))
-    assert Console().request("secret set database") == Request("PUT secrets/database", {}, {"value": "hidden"})
+    assert Console().request("secret set database") == Request(
+        "POST secrets", {}, {"name": "database", "value": "hidden"}
+    )
     file = tmp_path / "s"
     file.write_text("two\nlines\n")
-    assert Console().request(f"secret set database --file {file}").body == {"value": "two\nlines\n"}
+    assert Console().request(f"secret set database --file {file}").body["value"] == "two\nlines\n"
 
 
 def test_what_is_no_text_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
