@@ -1,4 +1,4 @@
-"""Images with depth: the records that recordings and cameras produce and the mapper consumes."""
+"""Images with depth, and clouds: the records that recordings and sensors produce and the mapper consumes."""
 
 from __future__ import annotations
 
@@ -62,6 +62,26 @@ class KeyFrame:
     index: int
     frame: RgbdFrame
     camera: Camera
+
+
+@dataclass(frozen=True, slots=True)
+class CloudKeyFrame:
+    """Points of a lidar that the front end keeps for the map.
+
+    Attributes:
+        robot: Number of the robot, from 0.
+        index: Number among the key frames of this robot, from 0.
+        stamp: Seconds.
+        points: (n, 3) float32, metres, frame of the lidar at `stamp`.
+    """
+
+    robot: int
+    index: int
+    stamp: float
+    points: NDArray[np.float32]
+
+
+AnyKeyFrame = KeyFrame | CloudKeyFrame
 
 
 def reduced_camera(camera: Camera) -> Camera:

@@ -8,17 +8,16 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from rce.errors import InvalidRequest
 from rce.mapping.files.outputs import write_atomically
+from rce.mapping3d.back_ends import back_end, dense_map
 from rce.mapping3d.dense.dense_map import DenseMap
-from rce.mapping3d.files.recordings import RgbdRecording
+from rce.mapping3d.files.recordings import Recording3d, camera_of
 from rce.mapping3d.files.recordings.together import together
 from rce.mapping3d.files.trajectories import Stamped, trajectory_text
-from rce.mapping3d.frames import reduced_camera
-from rce.mapping3d.graph.mapper import Mapper3d
 from rce.mapping3d.graph.trajectory import Trajectory
-from rce.mapping3d.odometry.tracker import Tracker
+from rce.mapping3d.offload.runs import nothing_to_begin_with, sensor_of
 from rce.mapping3d.poses import inverse
+from rce.mapping3d.sensors import front_end
 
 
 @dataclass(slots=True)
@@ -46,13 +45,14 @@ class Mapping:
         figures: What it took so far.
     """
 
-    def __init__(self, recordings: Sequence[RgbdRecording]) -> None:
+    def __init__(self, recordings: Sequence[Recording3d]) -> None:
         """Prepare.
 
         Args:
             recordings: One for each robot.
         """
-        self.mapper = Mapper3d()
+        self._sensor = sensor_of(recordings)
+        self.mapper = back_end(self._sensor)
         self.figures = Figures()
         self._recordings = recordings
         self._paths = [Trajectory() for _ in recordings]
@@ -66,7 +66,7 @@ class Mapping:
         Raises:
             InvalidRequest: A recording is damaged, or has no frame with enough depth.
         """
-        trackers = [Tracker(reduced_camera(each.camera), robot) for robot, each in enumerate(self._recordings)]
+        trackers = [front_end(camera_of(each), robot) for robot, each in enumerate(self._recordings)]
         for robot, frame in together(self._recordings):
             began = time.process_time()
             tracked = trackers[robot].add(frame)
@@ -83,7 +83,7 @@ class Mapping:
         self.figures.back += time.process_time() - began
         for robot, recording in enumerate(self._recordings):
             if not self.trajectory(robot):
-                raise InvalidRequest(f"{recording.name} has no frame with enough depth to begin with", field="path")
+                raise nothing_to_begin_with(recording)
 
     def trajectory(self, robot: int) -> list[Stamped]:
         """Return the pose of every frame of a robot. The first frame of the first robot on a map is its origin."""
@@ -106,7 +106,7 @@ class Mapping:
         """Return the dense map on which a robot is, in the frame of `trajectory`."""
         first = self.robots_with(robot)[0]
         origin = inverse(self._poses(first)[0][1])
-        dense = DenseMap()
+        dense = dense_map(self._sensor)
         for key, pose in self.mapper.key_frames(self.mapper.map_of(robot, 0)):
             dense.add(key, origin @ pose)
         return dense

@@ -93,7 +93,7 @@ def inspect(task: Task) -> int | None:
         RceError: The recording cannot be mapped.
     """
     if task.options.kind == "3d":
-        return _inspect_camera(task)
+        return _inspect_3d(task)
     from rce.mapping.files.recordings import open_recording
 
     try:
@@ -106,8 +106,8 @@ def inspect(task: Task) -> int | None:
     return recording.scans
 
 
-def _inspect_camera(task: Task) -> int:
-    """Open a recording of a camera with depth, read its first frame, and return the number of its frames.
+def _inspect_3d(task: Task) -> int:
+    """Open a recording of a camera with depth or of a lidar, read its first frame, and return the number of frames.
 
     Raises:
         RceError: The recording cannot be mapped.
@@ -115,21 +115,22 @@ def _inspect_camera(task: Task) -> int:
     from rce.mapping3d.files.recordings import open_recording
 
     try:
-        recording = open_recording(Path(task.recording))
+        recording = open_recording(Path(task.recording), topic=task.options.scan_topic)
         if next(iter(recording), None) is None:
-            raise InvalidRequest(f"{recording.name} has no frames with colour and depth", field="path")
+            raise InvalidRequest(f"{recording.name} has no frames", field="path")
     except (InvalidRequest, NotFound) as error:
-        raise type(error)(str(error), field="uploads" if error.field in ("path", "camera") else error.field) from None
+        field = {"path": "uploads", "camera": "uploads", "topic": "options.scan_topic"}.get(error.field, error.field)
+        raise type(error)(str(error), field=field) from None
     return recording.frames
 
 
-async def build_from_camera(task: Task, platform: Platform) -> None:
-    """Map a recording of a camera with depth in a new environment, as `rce map3d` does, and write the results."""
+async def build_3d(task: Task, platform: Platform) -> None:
+    """Map a recording of a camera or of a lidar in a new environment, as `rce map3d` does, and write the results."""
     from rce.mapping3d.files.recordings import open_recording
     from rce.mapping3d.offload.runs import map_with
 
     times = _Times()
-    recording = open_recording(Path(task.recording))
+    recording = open_recording(Path(task.recording), topic=task.options.scan_topic)
     times.end("opening")
     last_report = 0.0
 
@@ -252,7 +253,7 @@ async def run(task: Task) -> None:
         total = await asyncio.to_thread(inspect, task)
         send(Report("inspected", 0, total, clean=True))
     else:
-        await (build_from_camera if task.options.kind == "3d" else build)(task, task.platform)
+        await (build_3d if task.options.kind == "3d" else build)(task, task.platform)
 
 
 def main() -> int:

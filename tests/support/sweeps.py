@@ -1,14 +1,19 @@
-"""Sweeps of a lidar as messages."""
+"""Sweeps of a lidar: simulated, as messages, and in bags."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags import rosbag2
+from rosbags.typesys import Stores, get_typestore
 
-from rce.mapping3d.lidar.clouds import Sweep
+from rce.mapping.clouds import Sweep
+from rce.mapping3d.evaluation.building import ROUND, Pattern, SimulatedSweeps, patrol
 
 
 def message(sweep: Sweep, layout: str = "f4", time: tuple[str, str, float] | None = None, **changes: Any) -> Any:
@@ -46,3 +51,34 @@ def message(sweep: Sweep, layout: str = "f4", time: tuple[str, str, float] | Non
         "is_dense": True,
     }
     return SimpleNamespace(**values | changes)
+
+
+def bag_of_sweeps(path: Path, sweeps: Iterable[Sweep], topics: Sequence[str] = ("/points",)) -> Path:
+    """Write sweeps into a ROS 2 bag, with the time of each point as nanoseconds since the first, as Ouster does."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kind = "sensor_msgs/msg/PointCloud2"
+    with rosbag2.Writer(path, version=9, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:
+        connections = [writer.add_connection(topic, kind, typestore=store) for topic in topics]
+        for sweep in sweeps:
+            flat = message(sweep, time=("t", "u4", 1e-9))
+            stamp = store.types["builtin_interfaces/msg/Time"](flat.header.stamp.sec, flat.header.stamp.nanosec)
+            field = store.types["sensor_msgs/msg/PointField"]
+            cloud = store.types[kind](
+                store.types["std_msgs/msg/Header"](stamp, "lidar"),
+                1,
+                flat.width,
+                [field(each.name, each.offset, each.datatype, 1) for each in flat.fields],
+                False,
+                flat.point_step,
+                flat.row_step,
+                np.frombuffer(flat.data, np.uint8),
+                True,
+            )
+            for connection in connections:
+                writer.write(connection, round(sweep.stamp * 1e9) + 1, store.serialize_cdr(cloud, kind))
+    return path
+
+
+def drive(seconds: float, pattern: Pattern, begin: float = 0.0, corners: Any = ROUND) -> SimulatedSweeps:
+    """Return what a lidar sees on a drive through the simulated building."""
+    return SimulatedSweeps("building", patrol(corners, seconds, begin=begin), pattern)

@@ -2,16 +2,20 @@
 
 import { attempt, bytes, h, notice, show, state, table, time } from "./dom.js";
 import { dropArea } from "./dropped.js";
-import { confirm, save, tellPicture } from "./forms.js";
+import { confirm, save, tell, tellPicture } from "./forms.js";
 import { mapService } from "./mapservice.js";
+import { readPly } from "./ply.js";
+import { OWN, Space } from "./space.js";
 
 const REFRESH = 2000; // milliseconds
 const OVER = new Set(["done", "failed", "cancelled"]);
+const CLOUD = "cloud.ply";
 const FILES = ".bag,.mcap,.db3,.clf,.log,.gz,.yaml";
 
 export function jobsPage(main, app) {
   const [jobs, uploads, sending] = [h("div"), h("div"), h("div")];
   const options = h("form.head", { onsubmit: (event) => event.preventDefault() },
+    h("label.inline", "Map of", h("select", { name: "kind" }, h("option", { value: "2d" }, "laser scans"), h("option", { value: "3d" }, "cameras or lidars in 3D"))),
     h("label.inline", "Mapper", h("select", { name: "mapper" }, ["graph", "particle"].map((each) => h("option", { value: each }, each)))),
     h("label.inline", "Metres a cell", h("input", { name: "resolution", type: "number", min: 0.01, max: 0.5, step: 0.01, value: 0.05 })),
     h("label.inline", "Longest beam, metres", h("input", { name: "max_range", type: "number", min: 1, max: 200, value: 30 })),
@@ -46,6 +50,7 @@ export function jobsPage(main, app) {
   });
   const actions = {
     map: (id) => showMap(service, id),
+    cloud: (id) => showCloud(service, id),
     fetch: (id, name) => attempt(async () => save(await service.file(id, name), name)),
     cancel: (id) => attempt(() => service.cancel(id).then(load)),
     remove: (id) => confirm("Remove this job?", "With its map and all other files.", "Remove", () => service.removeJob(id).then(load)),
@@ -64,7 +69,7 @@ export function jobsPage(main, app) {
   mapService(app).then((found) => {
     service = found;
     if (app.me.may("job.submit")) {
-      main.append(h("section.panel", dropArea("Drop recordings of laser scans here: CARMEN logs, ROS 1 bags, or the directory of a ROS 2 bag.",
+      main.append(h("section.panel", dropArea("Drop recordings here: CARMEN logs, ROS 1 bags, or the directory of a ROS 2 bag.",
         "Choose recordings", submit, { accept: FILES }), h("details", h("summary", "Options"), options), sending));
     }
     main.append(h("section.panel", h("h2", "Jobs"), jobs), h("section.panel", h("h2", "Recordings"), uploads));
@@ -93,6 +98,7 @@ function jobTable(all) {
     Progress: (job) => progress(job),
     Result: (job) => h("div.files", job.files.map((file) => button("fetch", job.id, `${file.name} (${bytes(file.size)})`, file.name))),
     " ": (job) => [job.files.some((file) => file.name === "map.png") && button("map", job.id, "Show map"),
+      job.files.some((file) => file.name === CLOUD) && button("cloud", job.id, "Show cloud"),
       OVER.has(job.state) ? button("remove", job.id, "Remove", "", ".danger") : button("cancel", job.id, "Cancel", "", ".danger")],
   }, all, "No maps were made yet.");
 }
@@ -116,3 +122,36 @@ function uploadTable(files, jobs) {
 }
 
 const showMap = (service, id) => tellPicture("Map", () => service.file(id, "map.png"));
+
+/** Show the cloud of a map in space; it is turned by dragging. */
+function showCloud(service, id) {
+  const status = h("p.soft", { role: "status" }, "Loading the cloud …");
+  let space;
+  try {
+    space = new Space();
+  } catch (error) {
+    tell("Cloud", h("p.error", error.message));
+    return;
+  }
+  tell("Cloud", status, space.element).addEventListener("close", () => space.stop());
+  attempt(async () => {
+    const { points, matrix } = readPly(await (await service.file(id, CLOUD)).arrayBuffer());
+    space.set("cloud", points, { matrix, colour: OWN });
+    const { middle, extent } = bounds(points, matrix);
+    space.look(...middle, 1.2 * extent);
+    status.textContent = `${points.length / 4} points. Drag to turn, with Shift to move; the wheel scales.`;
+  });
+}
+
+/** Return the middle and the extent of points that a matrix moves, metres. */
+function bounds(points, m) {
+  const [low, high] = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
+  for (let at = 0; at < points.length; at += 4) {
+    for (let axis = 0; axis < 3; axis += 1) {
+      const value = m[axis] * points[at] + m[4 + axis] * points[at + 1] + m[8 + axis] * points[at + 2] + m[12 + axis];
+      [low[axis], high[axis]] = [Math.min(low[axis], value), Math.max(high[axis], value)];
+    }
+  }
+  const sides = high.map((each, axis) => Math.max(0, each - low[axis]));
+  return { middle: points.length ? low.map((each, axis) => each + sides[axis] / 2) : [0, 0, 0], extent: Math.max(1, ...sides) };
+}

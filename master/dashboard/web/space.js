@@ -3,15 +3,20 @@
 import { h } from "./dom.js";
 import { IDENTITY, multiply } from "./tf.js";
 
-const VERTEX = `attribute vec4 point; uniform mat4 view; uniform float size; uniform vec2 range; varying float value;
-void main() { gl_Position = view * vec4(point.xyz, 1.0); gl_PointSize = size; value = clamp((point.w - range.x) / max(range.y - range.x, 0.001), 0.0, 1.0); }`;
-const FRAGMENT = `precision mediump float; uniform vec4 colour; varying float value;
+const VERTEX = `attribute vec4 point; uniform mat4 view; uniform float size; uniform vec2 range; uniform vec4 colour; varying vec3 shown;
 void main() {
+  gl_Position = view * vec4(point.xyz, 1.0);
+  gl_PointSize = size;
+  float value = clamp((point.w - range.x) / max(range.y - range.x, 0.001), 0.0, 1.0);
   vec3 ramp = clamp(vec3(1.5) - abs(vec3(4.0 * value) - vec3(3.0, 2.0, 1.0)), 0.0, 1.0);
-  gl_FragColor = vec4(colour.a > 0.0 ? colour.rgb : ramp, 1.0);
+  vec3 own = vec3(floor(point.w / 65536.0), mod(floor(point.w / 256.0), 256.0), mod(point.w, 256.0)) / 255.0;
+  shown = colour.a > 0.0 ? colour.rgb : colour.a < 0.0 ? own : ramp;
 }`;
+const FRAGMENT = `precision mediump float; varying vec3 shown;
+void main() { gl_FragColor = vec4(shown, 1.0); }`;
 const GRID = 10; // metres from the middle
 const BY_VALUE = [0, 0, 0, 0]; // colour of points that are coloured by their values
+export const OWN = [0, 0, 0, -1]; // colour of points whose values are colours: 65536 r + 256 g + b
 
 export class Space {
   #gl;
@@ -53,6 +58,12 @@ export class Space {
     let [low, high] = [Infinity, -Infinity];
     for (let at = 3; at < points.length; at += 4) [low, high] = [Math.min(low, points[at]), Math.max(high, points[at])];
     this.#layers.set(name, { buffer, count: points.length / 4, colour, range: [low, high], matrix, lines });
+    this.#draw();
+  }
+
+  /** Look at a point, metres in the fixed frame, from a distance. */
+  look(x, y, z, distance) {
+    this.#camera = { ...this.#camera, x, y, z, distance: Math.min(500, Math.max(0.5, distance)) };
     this.#draw();
   }
 

@@ -12,8 +12,14 @@ from rce.cli.command import Command, Lazy, Section
 MAPPERS = ("graph", "particle")
 """Names in rce.mapping.mappers, whose import compiles all kernels."""
 
-SCAN_TOPIC = argument("--scan-topic", default="", help="of a bag with several topics of laser scans")
+SCAN_TOPIC = argument("--scan-topic", default="", help="of a bag with several topics of laser scans or clouds")
 ODOMETRY_TOPIC = argument("--odometry-topic", default="", help="of a bag with several topics of odometry")
+HEIGHTS = argument(
+    "--heights",
+    default="-0.3,0.3",
+    metavar="LOW,HIGH",
+    help="metres above a lidar between which scans are cut from clouds, in a bag without scans (default: %(default)s)",
+)
 RESOLUTION = argument(
     "--resolution", type=float, default=0.05, metavar="METRES", help="side of a cell (default: %(default)s)"
 )
@@ -43,6 +49,7 @@ COMMANDS = (
             ),
             SCAN_TOPIC,
             ODOMETRY_TOPIC,
+            HEIGHTS,
         ),
         ("map corridor.log --out corridor", "map --simulate", "map --team first.bag second.bag"),
         platform=RUNNING_OR_OWN,
@@ -57,7 +64,10 @@ COMMANDS = (
         (
             argument("recordings", nargs="+", type=Path, metavar="FILE", help="CARMEN log, ROS 1 or ROS 2 bag"),
             argument(
-                "--kind", choices=KINDS, default=KINDS[0], help="3d: bags of cameras with depth (default: %(default)s)"
+                "--kind",
+                choices=KINDS,
+                default=KINDS[0],
+                help="3d: bags of cameras with depth or of lidars (default: %(default)s)",
             ),
             argument("--mapper", choices=SERVICE_MAPPERS, default=SERVICE_MAPPERS[0], help="(default: %(default)s)"),
             RESOLUTION,

@@ -1,4 +1,4 @@
-"""`map3d`: maps of recorded cameras with depth."""
+"""`map3d`: maps of recorded cameras with depth, and of recorded lidars."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ DEPTH_SCALE = argument(
     metavar="N",
     help="units of depth images in a metre (default: 5000 for TUM, else 1000)",
 )
+TOPIC = argument("--topic", default="", help="of the clouds, in a bag with several lidars or with a camera too")
 
 COMMANDS = (
     Command(
         "map3d",
-        "Make a three-dimensional map of recordings of cameras with depth.",
+        "Make a three-dimensional map of recordings of cameras with depth or of lidars.",
         Lazy("rce.cli.lazy.map3d", "run"),
         (
             argument(
@@ -38,13 +39,18 @@ COMMANDS = (
             ),
             CAMERA,
             DEPTH_SCALE,
+            TOPIC,
         ),
-        ("map3d rgbd_dataset_freiburg1_desk --out desk", "map3d first.bag second.bag third.bag --out building"),
+        (
+            "map3d rgbd_dataset_freiburg1_desk --out desk",
+            "map3d first.bag second.bag third.bag --out building",
+            "map3d lidar.mcap --topic /points",
+        ),
         platform=RUNNING_OR_OWN,
         section=Section.LOCAL,
-        description="Tracks the camera here, sends key frames through a platform to its mapping node, and writes what "
-        "comes back: trajectory.txt (one for each robot: trajectory-1.txt and so on), cloud.ply, mesh.ply, map.bt, "
-        "map.pgm, map.yaml and view.png.",
+        description="Tracks the camera or the lidar here, sends key frames through a platform to its mapping node, and "
+        "writes what comes back: trajectory.txt (one for each robot: trajectory-1.txt and so on), cloud.ply, mesh.ply, "
+        "map.bt, map.pgm, map.yaml and view.png.",
     ),
     Command(
         "bench map3d",
@@ -60,6 +66,7 @@ COMMANDS = (
             ),
             CAMERA,
             DEPTH_SCALE,
+            TOPIC,
             argument("--offloading", action="store_true", help="compare the ways to divide the work with the cloud"),
             argument("--json", action="store_true", help="print the figures as JSON"),
         ),

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import argparse
+from typing import cast
 
 from rce.cli.lazy.map3d import intrinsics
 from rce.cli.output import Columns, print_table
 from rce.cli.session import ConsoleSession
+from rce.errors import InvalidRequest
 from rce.mapping3d.evaluation.offloading import WAYS, Offloading
 from rce.mapping3d.evaluation.offloading import measure as offload
 from rce.mapping3d.evaluation.trial import Trial, ground_truth, run
-from rce.mapping3d.files.recordings import open_recording
+from rce.mapping3d.files.recordings import RgbdRecording, camera_of, open_recording
 
 COLUMNS: Columns[Trial] = {
     "recording": lambda trial: trial.recording,
@@ -47,8 +49,16 @@ def measure(session: ConsoleSession, args: argparse.Namespace) -> None:
     if args.offloading:
         recordings = [open_recording(path, camera, args.depth_scale) for path in args.recordings]
         truths = [ground_truth(path) for path in args.recordings]
-        costs = [offload(each, truth, way) for each, truth in zip(recordings, truths, strict=True) for way in WAYS]
+        if any(camera_of(each) is None for each in recordings):
+            raise InvalidRequest("--offloading compares ways for cameras with depth: a recording is of a lidar")
+        costs = [
+            offload(cast("RgbdRecording", each), truth, way)
+            for each, truth in zip(recordings, truths, strict=True)
+            for way in WAYS
+        ]
         print_table(costs, OFFLOADING, args.json)
         return
-    trials = [run(open_recording(path, camera, args.depth_scale), ground_truth(path)) for path in args.recordings]
+    trials = [
+        run(open_recording(path, camera, args.depth_scale, args.topic), ground_truth(path)) for path in args.recordings
+    ]
     print_table(trials, COLUMNS, args.json)

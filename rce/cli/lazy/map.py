@@ -25,6 +25,7 @@ from rce.mapping.evaluation.simulation import Accuracy, Simulation, evaluate, si
 from rce.mapping.files.outputs import trajectory_text, write_atomically, write_outputs
 from rce.mapping.files.recordings import Recording, open_recording
 from rce.mapping.robot import MappingRobot, Result, start_node
+from rce.mapping.scan_cutting import Band
 from rce.protocol.messages import ParameterValue
 
 Source = Recording | Simulation
@@ -56,7 +57,8 @@ def _open(path: Path, args: argparse.Namespace) -> Recording:
     Raises:
         InvalidRequest: The recording cannot be read, or has no such topic.
     """
-    recording = open_recording(path, args.scan_topic, args.odometry_topic)
+    band = heights(args.heights)
+    recording = open_recording(path, args.scan_topic, args.odometry_topic, band)
     topics = getattr(recording, "scan_topics", {})  # a CARMEN log has none
     if args.scan_topic or len(topics) < 2:
         return recording
@@ -67,7 +69,22 @@ def _open(path: Path, args: argparse.Namespace) -> Recording:
         print(f"{usual} is mapped; choose another one with --scan-topic", file=sys.stderr)
         return recording
     chosen = input(f"topic to map [{usual}]: ").strip()
-    return open_recording(path, chosen, args.odometry_topic) if chosen else recording
+    return open_recording(path, chosen, args.odometry_topic, band) if chosen else recording
+
+
+def heights(words: str) -> Band:
+    """Return the band of heights that becomes a scan.
+
+    Raises:
+        InvalidRequest: The text is not two numbers in order.
+    """
+    try:
+        low, high = (float(word) for word in words.split(","))
+    except ValueError:
+        raise InvalidRequest(f"--heights: {words!r} is not LOW,HIGH: two numbers in metres") from None
+    if not -math.inf < low < high < math.inf:
+        raise InvalidRequest("--heights: LOW must be less than HIGH")
+    return Band(low, high)
 
 
 async def _map(args: argparse.Namespace, sources: list[Source]) -> None:
@@ -87,15 +104,23 @@ async def _map(args: argparse.Namespace, sources: list[Source]) -> None:
 
 def save_team_maps(directory: Path, sources: Sequence[Source], results: Sequence[Result]) -> None:
     """Write each distinct map to a directory of its own, with the trajectories of the robots that are on it."""
-    maps: list[tuple[Result, Path]] = []
-    for number, (source, result) in enumerate(zip(sources, results, strict=True), 1):
-        known = next((path for other, path in maps if np.array_equal(other.grid.cells, result.grid.cells)), None)
-        path = known or (directory / f"map_{len(maps) + 1}" if maps else directory)
+    maps: list[list[int]] = []  # numbers of the robots on each
+    for number, result in enumerate(results):
+        same = (each for each in maps if np.array_equal(results[each[0]].grid.cells, result.grid.cells))
+        known = next(same, None)
         if known is None:
-            maps.append((result, path))
-            write_outputs(path, result.grid, result.trajectory)
-        write_atomically(path / f"trajectory_{number}.txt", trajectory_text(result.trajectory))
-        print(f"robot {number} ({source.name}): {result.scans} scans mapped, on the map in {path}")
+            maps.append([number])
+        else:
+            known.append(number)
+    paths = {}
+    for place, robots in enumerate(maps, 1):
+        path = directory / f"map_{place}" if place > 1 else directory
+        write_outputs(path, results[robots[0]].grid, *(results[each].trajectory for each in robots))
+        paths.update(dict.fromkeys(robots, path))
+    for number, (source, result) in enumerate(zip(sources, results, strict=True)):
+        path = paths[number]
+        write_atomically(path / f"trajectory_{number + 1}.txt", trajectory_text(result.trajectory))
+        print(f"robot {number + 1} ({source.name}): {result.scans} scans mapped, on the map in {path}")
     if len(maps) > 1:
         print(f"{len(maps)} maps: no overlap was found between robots on different maps")
 

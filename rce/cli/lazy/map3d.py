@@ -13,7 +13,7 @@ from pathlib import Path
 from rce.cli.platform import platform
 from rce.cli.session import ConsoleSession
 from rce.errors import InvalidRequest
-from rce.mapping3d.files.recordings import Intrinsics, RgbdRecording, open_recording
+from rce.mapping3d.files.recordings import Intrinsics, Recording3d, open_recording
 from rce.mapping3d.offload.runs import map_recordings
 
 TERMINAL_INTERVAL, LINE_INTERVAL = 0.2, 5.0  # seconds between reports of progress on a terminal, and elsewhere
@@ -29,11 +29,11 @@ def run(session: ConsoleSession, args: argparse.Namespace) -> None:
     if args.depth_scale is not None and not 0 < args.depth_scale < math.inf:
         raise InvalidRequest("--depth-scale must be a positive number: the units of depth images in a metre")
     check_writable(args.out)
-    recordings = [open_recording(path, camera, args.depth_scale) for path in args.recordings]
+    recordings = [open_recording(path, camera, args.depth_scale, args.topic) for path in args.recordings]
     asyncio.run(_map(args, recordings))
 
 
-async def _map(args: argparse.Namespace, recordings: list[RgbdRecording]) -> None:
+async def _map(args: argparse.Namespace, recordings: list[Recording3d]) -> None:
     progress = Progress(sum(each.frames for each in recordings))
     async with platform(args) as access:
         maps, figures = await map_recordings(access, recordings, args.out, progress.update)

@@ -19,19 +19,22 @@ OCCUPIED, FREE = 0.65, 0.196
 BLACK, GREY, WHITE = 0, 205, 254
 
 
-def write_outputs(directory: Path, grid: OccupancyGrid, trajectory: NDArray[np.float64]) -> list[Path]:
+def write_outputs(
+    directory: Path, grid: OccupancyGrid, trajectory: NDArray[np.float64], *others: NDArray[np.float64]
+) -> list[Path]:
     """Write map.pgm, map.yaml, map.png and trajectory.txt; return their paths.
 
     Args:
         directory: Directory, created if it does not exist.
         grid: The map.
         trajectory: (n, 4) stamp, x, y, theta of each scan, map frame.
+        others: The same of other robots on the map, for the picture.
     """
     directory.mkdir(parents=True, exist_ok=True)
     contents = {
         "map.pgm": pgm(grid),
         "map.yaml": map_yaml(grid, "map.pgm"),
-        "map.png": draw(grid, trajectory),
+        "map.png": draw(grid, trajectory, *others),
         "trajectory.txt": trajectory_text(trajectory),
     }
     for name, content in contents.items():

@@ -1,4 +1,4 @@
-"""Picture of a map for people: free, occupied and unknown space, the path of the robot, and a scale bar."""
+"""Picture of a map for people: free, occupied and unknown space, the paths of the robots, and a scale bar."""
 
 from __future__ import annotations
 
@@ -14,23 +14,30 @@ Image = NDArray[np.uint8]  # (height, width, 3), blue, green, red
 
 LONG_SIDE = 1600  # pixels of the longer side, approximately
 MAX_PIXELS_PER_CELL = 8  # for small maps
+FRACTION = 4  # bits of coordinates, for smooth lines
 MARGIN, FOOTER = 24, 64  # pixels around the map, and below it for the scale bar
 UNKNOWN, FREE, WALL, INK = (222, 217, 212), (255, 255, 255), (48, 36, 28), (70, 62, 56)
 START, END = (96, 174, 39), (60, 60, 220)
+# Colours that stay apart for most kinds of colour blindness (Okabe and Ito, 2008); blue, green, red.
+PATHS = ((178, 114, 0), (0, 94, 213), (115, 158, 0), (167, 121, 204), (233, 180, 86), (0, 159, 230))
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
-def draw(grid: OccupancyGrid, trajectory: NDArray[np.float64]) -> bytes:
-    """Return a PNG of a map with the path of the robot.
+def draw(grid: OccupancyGrid, *trajectories: NDArray[np.float64]) -> bytes:
+    """Return a PNG of a map with the paths of the robots.
 
     Args:
         grid: The map.
-        trajectory: (n, 4) stamp, x, y, theta, map frame. It is drawn from blue at its start, a green dot, to red at its
-            end, a red dot.
+        trajectories: (n, 4) stamp, x, y, theta, map frame. A single one is drawn from blue at its start, a green dot,
+            to red at its end, a red dot; several have one of `PATHS` each, a disc at the start and a ring at the end.
     """
     scale = _scale(grid)
     ground = _ground(grid, scale)
-    _draw_trajectory(ground, grid, trajectory, scale)
+    for number, each in enumerate(trajectories):
+        if len(trajectories) == 1:
+            _draw_trajectory(ground, grid, each, scale)
+        else:
+            draw_path(ground, _pixels(ground, grid, each, scale), PATHS[number % len(PATHS)])
     picture: Image = np.array(UNKNOWN, np.uint8) * np.ones(
         (ground.shape[0] + MARGIN + FOOTER, ground.shape[1] + 2 * MARGIN, 1), np.uint8
     )
@@ -68,10 +75,8 @@ def _draw_trajectory(image: Image, grid: OccupancyGrid, trajectory: NDArray[np.f
     """Draw the path of the robot with its ends."""
     if not len(trajectory):
         return
-    bits = 4  # fractional bits of the coordinates, for smooth lines
-    x = (trajectory[:, 1] - grid.x) / grid.resolution * scale
-    y = image.shape[0] - (trajectory[:, 2] - grid.y) / grid.resolution * scale
-    points = np.rint(np.stack([x, y], axis=1) * 2**bits).astype(np.int32)
+    bits = FRACTION
+    points = np.rint(_pixels(image, grid, trajectory, scale) * 2**bits).astype(np.int32)
     shades = cv2.applyColorMap(np.linspace(20, 230, 64).astype(np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0].tolist()
     for shade, part in zip(shades, np.array_split(np.arange(len(points)), len(shades)), strict=True):
         if len(part):
@@ -80,6 +85,27 @@ def _draw_trajectory(image: Image, grid: OccupancyGrid, trajectory: NDArray[np.f
     for colour, (u, v) in ((START, points[0].tolist()), (END, points[-1].tolist())):
         cv2.circle(image, (u, v), 7 << bits, FREE, cv2.FILLED, cv2.LINE_AA, bits)
         cv2.circle(image, (u, v), 5 << bits, colour, cv2.FILLED, cv2.LINE_AA, bits)
+
+
+def _pixels(image: Image, grid: OccupancyGrid, trajectory: NDArray[np.float64], scale: float) -> NDArray[np.float64]:
+    """Return a trajectory as columns and rows (n, 2) of the map in the picture."""
+    x = (trajectory[:, 1] - grid.x) / grid.resolution * scale
+    y = image.shape[0] - (trajectory[:, 2] - grid.y) / grid.resolution * scale
+    return np.stack([x, y], axis=1)
+
+
+def draw_path(picture: Image, path: NDArray[np.float64], color: tuple[int, int, int]) -> None:
+    """Draw a path (n, 2), columns and rows, with a disc at its start and a ring at its end."""
+    if not len(path):
+        return
+    bits = FRACTION
+    pixels = np.rint(path * 2**bits).astype(np.int32)
+    cv2.polylines(picture, [pixels], False, (255, 255, 255), 5, cv2.LINE_AA, bits)
+    cv2.polylines(picture, [pixels], False, color, 3, cv2.LINE_AA, bits)
+    start, end = pixels[0].tolist(), pixels[-1].tolist()
+    cv2.circle(picture, start, 7 << bits, color, cv2.FILLED, cv2.LINE_AA, bits)
+    cv2.circle(picture, start, 7 << bits, INK, 1, cv2.LINE_AA, bits)
+    cv2.circle(picture, end, 7 << bits, color, 3, cv2.LINE_AA, bits)
 
 
 def draw_scale_bar(image: Image, pixels_per_metre: float) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from rce.mapping.files.outputs import write_atomically, write_map
 from rce.mapping.grid import OccupancyGrid
 from rce.mapping3d.dense.floor_plan import cut
 from rce.mapping3d.dense.frontiers import nearest_frontier
-from rce.mapping3d.dense.kept_frames import KeptFrame
+from rce.mapping3d.dense.kept_frames import Kept, KeptCloud, KeptFrame
 from rce.mapping3d.dense.level import find_level
 from rce.mapping3d.dense.marching_cubes import extract
 from rce.mapping3d.dense.mesh import Cloud, Mesh
@@ -23,7 +23,7 @@ from rce.mapping3d.dense.octree import octree
 from rce.mapping3d.dense.picture import draw
 from rce.mapping3d.dense.ply import cloud_ply, mesh_ply
 from rce.mapping3d.dense.volume import Volume, VolumeFull
-from rce.mapping3d.frames import KeyFrame
+from rce.mapping3d.frames import AnyKeyFrame, KeyFrame
 from rce.mapping3d.poses import Pose, inverse, make_pose, transform
 
 TRUNCATION = 3.0  # voxels
@@ -43,6 +43,7 @@ class DenseConfig:
         cell: Edge of a cell of the grid, metres.
         robot_height: What is higher above the floor than this is no obstacle, metres.
         robot_radius: Distance that a robot keeps from obstacles, metres.
+        axes: (4, 4) axes of a camera (x right, y down, z ahead) in the frame of the sensor.
     """
 
     voxel: float = 0.02
@@ -52,9 +53,16 @@ class DenseConfig:
     cell: float = 0.05
     robot_height: float = 1.2
     robot_radius: float = 0.2
+    axes: Pose = field(default_factory=lambda: np.eye(4))
 
 
 DENSE_CONFIG = DenseConfig()
+# A key frame of a lidar takes about 200 kB. Its x axis points ahead, its z axis up.
+LIDAR_CONFIG = DenseConfig(
+    voxel=0.06,
+    max_frames=2_000,
+    axes=make_pose([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], [0, 0, 0]),
+)
 
 
 SETTLED = 0.005  # metres: a frame that is less out of its place stays there
@@ -64,14 +72,14 @@ AT_ONCE = 5  # key frames that are put in their new places with each that is add
 class DenseMap:
     """Surface, cloud and floor plan from key frames. All results are in the frame of the poses, except the grid.
 
-    The grid is in the level frame: z up, x along the first camera's view, the origin on the floor below the first
-    camera. One thread at a time may use the map.
+    The grid is in the level frame: z up, x along the view of the first camera, or ahead of the first lidar, and the
+    origin on the floor below it. One thread at a time may use the map.
     """
 
     def __init__(self, config: DenseConfig = DENSE_CONFIG) -> None:
         """Make an empty map."""
         self.config = config
-        self._frames: dict[tuple[int, int], KeptFrame] = {}
+        self._frames: dict[tuple[int, int], Kept] = {}
         self._volume = self._empty(config.voxel)
         self._mesh: Mesh | None = None  # None after a change
 
@@ -80,8 +88,8 @@ class DenseMap:
         """Edge of a voxel, metres; larger than configured when the map has outgrown `max_blocks`."""
         return self._volume.voxel
 
-    def add(self, key_frame: KeyFrame, pose: Pose) -> None:
-        """Add a key frame at its pose, camera to map. Takes about 20 ms at QVGA; larger images are reduced.
+    def add(self, key_frame: AnyKeyFrame, pose: Pose) -> None:
+        """Add a key frame at its pose, sensor to map. Takes about 20 ms at QVGA; larger images are reduced.
 
         A few key frames that have moved are put in their places, those first that are furthest from them.
 
@@ -93,7 +101,11 @@ class DenseMap:
             raise InvalidRequest(f"key frame {name[1]} of robot {name[0]} is in the map already; move it instead")
         if len(self._frames) >= self.config.max_frames:
             self._thin_out()
-        kept = KeptFrame(key_frame, pose, self.config.max_depth)
+        kept: Kept
+        if isinstance(key_frame, KeyFrame):
+            kept = KeptFrame(key_frame, pose, self.config.max_depth)
+        else:
+            kept = KeptCloud(key_frame, pose)
         self._frames[name] = kept
         self._integrate([kept])
         self._settle(AT_ONCE)
@@ -111,7 +123,7 @@ class DenseMap:
         """Take a key frame out of the map."""
         kept = self._frames.pop((robot, index), None)
         if kept is not None:
-            self._volume.remove(*kept.images(), kept.camera, kept.pose)
+            kept.take_from(self._volume)
             self._volume.collect()
             self._mesh = None
 
@@ -119,7 +131,8 @@ class DenseMap:
         """Return the pose that takes points of the map to the level frame (see the class)."""
         frames = [self._frames[name] for name in sorted(self._frames)]
         cloud = self.cloud()
-        return find_level(cloud, [kept.pose for kept in frames]) if frames else np.eye(4)
+        axes = self.config.axes
+        return find_level(cloud, [kept.pose @ axes for kept in frames]) if frames else np.eye(4)
 
     def mesh(self) -> Mesh:
         """Return the surface."""
@@ -152,7 +165,7 @@ class DenseMap:
             return None
         c, s = math.cos(goal.heading), math.sin(goal.heading)
         rotation = np.array([[s, 0.0, c], [-c, 0.0, s], [0.0, -1.0, 0.0]])
-        found: Pose = inverse(level) @ make_pose(rotation, [goal.x, goal.y, z])
+        found: Pose = inverse(level) @ make_pose(rotation, [goal.x, goal.y, z]) @ inverse(self.config.axes)
         return found
 
     def write(self, directory: Path, paths: Mapping[int, Sequence[Pose]]) -> list[Path]:
@@ -163,12 +176,12 @@ class DenseMap:
             paths: The poses of each robot's camera along its way, for the picture.
         """
         directory.mkdir(parents=True, exist_ok=True)
-        mesh = self.mesh()
+        mesh, level = self.mesh(), self.level()
         contents = {
-            "cloud.ply": cloud_ply(mesh.cloud),
-            "mesh.ply": mesh_ply(mesh),
+            "cloud.ply": cloud_ply(mesh.cloud, level),
+            "mesh.ply": mesh_ply(mesh, level),
             "map.bt": octree(*self._volume.centres(), self._volume.voxel),
-            "view.png": draw(mesh, paths, self.level()),
+            "view.png": draw(mesh, paths, level),
         }
         for name, content in contents.items():
             write_atomically(directory / name, content)
@@ -178,7 +191,7 @@ class DenseMap:
     def _empty(self, voxel: float) -> Volume:
         return Volume(voxel, TRUNCATION * voxel, self.config.max_blocks)
 
-    def _integrate(self, frames: Iterable[KeptFrame]) -> None:
+    def _integrate(self, frames: Iterable[Kept]) -> None:
         """Put images into the volume. When it is full, all that it had goes into one of voxels twice as large."""
         self._mesh = None
         waiting = list(frames)
@@ -186,7 +199,7 @@ class DenseMap:
         while waiting:
             kept = waiting.pop()
             try:
-                self._volume.add(*kept.images(), kept.camera, kept.pose)
+                kept.put_into(self._volume)
                 done.append(kept)
             except VolumeFull:
                 self._volume = self._empty(2 * self._volume.voxel)
@@ -195,10 +208,10 @@ class DenseMap:
 
     def _settle(self, limit: int) -> None:
         """Put at most so many frames where they should be, the furthest first (Dai et al., BundleFusion, 2017)."""
-        astray = sorted((kept for kept in self._frames.values() if kept.offset() > SETTLED), key=KeptFrame.offset)
+        astray = sorted((kept for kept in self._frames.values() if kept.offset() > SETTLED), key=Kept.offset)
         chosen = astray[-limit:]
         for kept in chosen:
-            self._volume.remove(*kept.images(), kept.camera, kept.pose)
+            kept.take_from(self._volume)
             kept.pose = kept.wanted
         if chosen:
             self._integrate(chosen)

@@ -18,6 +18,7 @@ SIDE = 8  # voxels along the edge of a block
 EMPTY = -1  # key of an unused entry of the table; block (x, y, z) has a key >= 0
 UNITS = 2000.0  # of a signed distance as large as the truncation, in the sums
 CHANNELS = 5  # of a voxel: sum of distances, sum of weights, sums of red, green and blue
+GREY = 190  # of what has no colour
 HALF_RANGE = 1 << 20  # block coordinates are -HALF_RANGE to HALF_RANGE - 1
 
 
@@ -194,6 +195,64 @@ def integrate(
                     sums[2] += weight * np.int32(color[v, u, 0])
                     sums[3] += weight * np.int32(color[v, u, 1])
                     sums[4] += weight * np.int32(color[v, u, 2])
+
+
+@compiled("void(int32[:,:,::1], int64[::1], int32[::1], float64[:,::1], float64[:,::1], float64, float64, int64)")
+def integrate_planes(
+    voxels: NDArray[np.int32],
+    keys: NDArray[np.int64],
+    slots: NDArray[np.int32],
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    voxel: float,
+    truncation: float,
+    sign: int,
+) -> None:
+    """Add points on planes to the sums of the voxels around them, or take them out.
+
+    The distance of a voxel is that from the plane of each point near it, and the weight falls with the distance from
+    the point, so that the surface between points is smooth (Kolluri, Provably Good Moving Least Squares, 2005). What is
+    further away than the truncation gets nothing.
+
+    Args:
+        voxels: (capacity, 512, 5), changed in place.
+        keys: (2^n,) of the hash table.
+        slots: (2^n,) of the hash table.
+        points: (n, 3) metres, frame of the map.
+        normals: (n, 3) unit vectors.
+        voxel: Edge, metres.
+        truncation: Metres.
+        sign: 1 to add, -1 to take out.
+    """
+    reach = math.ceil(truncation / voxel)
+    for i in range(points.shape[0]):
+        x = math.floor(points[i, 0] / voxel)
+        y = math.floor(points[i, 1] / voxel)
+        z = math.floor(points[i, 2] / voxel)
+        last, slot = EMPTY, -1
+        for c in range(z - reach, z + reach + 1):
+            for b in range(y - reach, y + reach + 1):
+                for a in range(x - reach, x + reach + 1):
+                    off_x = (a + 0.5) * voxel - points[i, 0]
+                    off_y = (b + 0.5) * voxel - points[i, 1]
+                    off_z = (c + 0.5) * voxel - points[i, 2]
+                    square = off_x * off_x + off_y * off_y + off_z * off_z
+                    if square > truncation * truncation:
+                        continue
+                    distance = off_x * normals[i, 0] + off_y * normals[i, 1] + off_z * normals[i, 2]
+                    key = key_of(a >> 3, b >> 3, c >> 3)
+                    if key != last:
+                        last = key
+                        entry = entry_of(keys, key)
+                        slot = slots[entry] if keys[entry] != EMPTY else -1
+                    if slot < 0:
+                        continue
+                    weight = sign * (1 + int(15.0 * (1.0 - square / (truncation * truncation))))
+                    sums = voxels[slot, (a & 7) + 8 * (b & 7) + 64 * (c & 7)]
+                    sums[0] += weight * math.floor(UNITS * distance / truncation + 0.5)
+                    sums[1] += weight
+                    for k in range(2, CHANNELS):
+                        sums[k] += weight * GREY
 
 
 @compiled("void(int32[:,:,::1], boolean[::1])")

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from rce.mapping.files.picture import INK, MARGIN, Image, draw_scale_bar
+from rce.mapping.files.picture import MARGIN, PATHS, Image, draw_path, draw_scale_bar
 from rce.mapping3d.dense.mesh import Mesh
 from rce.mapping3d.dense.rasteriser import draw_triangles
 from rce.mapping3d.poses import Pose, make_pose, transform
@@ -20,8 +20,7 @@ PAPER = (245, 243, 240)
 LIGHT = np.array([0.3, 0.5, 0.81])  # towards the light, level frame
 AMBIENT = 0.55
 TILT = math.radians(35)  # of the view from the side, below the horizon
-# Colours that stay apart for most kinds of colour blindness (Okabe and Ito, 2008); blue, green, red.
-PATHS = ((178, 114, 0), (0, 94, 213), (115, 158, 0), (167, 121, 204), (233, 180, 86), (0, 159, 230))
+
 
 Floats = NDArray[np.float64]
 
@@ -67,7 +66,7 @@ def _view(
     inner = picture[MARGIN : MARGIN + height, MARGIN : MARGIN + width]
     inner[:] = np.clip(image, 0, 255).astype(np.uint8)
     for robot, way in seen_ways.items():
-        _draw_way(picture, (way[:, :2] - low) * scale + MARGIN, PATHS[robot % len(PATHS)])
+        draw_path(picture, (way[:, :2] - low) * scale + MARGIN, PATHS[robot % len(PATHS)])
     draw_scale_bar(picture, scale)
     return picture
 
@@ -80,17 +79,3 @@ def _extent(parts: Sequence[Floats]) -> tuple[Floats, Floats]:
     low, high = ends.min(axis=0), ends.max(axis=0)
     missing = np.maximum(1.2 - (high - low), 0.2) / 2
     return low - missing, high + missing
-
-
-def _draw_way(picture: Image, way: Floats, color: tuple[int, int, int]) -> None:
-    """Draw a path (n, 2), pixels, with a disc at its start and a ring at its end."""
-    if not len(way):
-        return
-    bits = 4
-    pixels = np.rint(way * 2**bits).astype(np.int32)
-    cv2.polylines(picture, [pixels], False, (255, 255, 255), 5, cv2.LINE_AA, bits)
-    cv2.polylines(picture, [pixels], False, color, 3, cv2.LINE_AA, bits)
-    start, end = pixels[0].tolist(), pixels[-1].tolist()
-    cv2.circle(picture, start, 7 << bits, color, cv2.FILLED, cv2.LINE_AA, bits)
-    cv2.circle(picture, start, 7 << bits, INK, 1, cv2.LINE_AA, bits)
-    cv2.circle(picture, end, 7 << bits, color, 3, cv2.LINE_AA, bits)

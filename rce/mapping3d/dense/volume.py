@@ -6,14 +6,17 @@ Curless and Levoy, A Volumetric Method for Building Complex Models from Range Im
 
 from __future__ import annotations
 
+import itertools
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from rce.mapping3d.camera import Camera, Depth
 from rce.mapping3d.dense import kernels
+from rce.mapping3d.dense.mesh import Vertices
 from rce.mapping3d.frames import Image
-from rce.mapping3d.poses import Pose, inverse
+from rce.mapping3d.poses import Pose, inverse, transform
 
 MOST_IN_VIEW = 1 << 16  # blocks; a view of 5 m at 2 cm has a few thousand
 
@@ -68,6 +71,28 @@ class Volume:
         """Take an image out that was added with exactly these arguments."""
         self._integrate(self._keys_in_view(depth, camera, pose), depth, color, camera, pose, -1)
 
+    def add_planes(self, points: Vertices, normals: Vertices, pose: Pose) -> None:
+        """Add points that lie on planes.
+
+        Args:
+            points: (n, 3) float32, metres, frame of the sensor.
+            normals: (n, 3) float32, unit vectors to the side from which they were seen.
+            pose: (4, 4) sensor to map.
+
+        Raises:
+            VolumeFull: There is no room for them.
+        """
+        wanted = self._keys_near(points, pose)
+        missing = wanted[self.look_up(wanted) < 0]
+        if len(missing) > len(self._free):
+            raise VolumeFull
+        self._insert(missing)
+        self._integrate_planes(points, normals, pose, 1)
+
+    def remove_planes(self, points: Vertices, normals: Vertices, pose: Pose) -> None:
+        """Take points out that were added with exactly these arguments."""
+        self._integrate_planes(points, normals, pose, -1)
+
     def collect(self) -> None:
         """Free the blocks that no image shows any more."""
         before = self.live.copy()
@@ -108,6 +133,28 @@ class Volume:
             raise VolumeFull
         keys: NDArray[np.int64] = found[found != kernels.EMPTY]
         return keys
+
+    def _keys_near(self, points: Vertices, pose: Pose) -> NDArray[np.int64]:
+        """Return the keys (n,) of the blocks around points."""
+        edge = kernels.SIDE * self.voxel
+        moved = transform(pose, points)
+        corners = [
+            np.floor((moved + self.truncation * np.array(step)) / edge).astype(np.int64)
+            for step in itertools.product((-1, 1), repeat=3)
+        ]
+        return np.unique(kernels.keys_of(np.unique(np.concatenate(corners), axis=0)))
+
+    def _integrate_planes(self, points: Vertices, normals: Vertices, pose: Pose, sign: int) -> None:
+        kernels.integrate_planes(
+            self.voxels,
+            self.keys,
+            self.slots,
+            np.ascontiguousarray(transform(pose, points)),
+            np.ascontiguousarray(normals.astype(np.float64) @ pose[:3, :3].T),
+            self.voxel,
+            self.truncation,
+            sign,
+        )
 
     def _insert(self, keys: NDArray[np.int64]) -> None:
         """Make empty blocks."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from rce.errors import InvalidRequest
 from rce.mapping3d.evaluation.errors import trajectory_error
-from rce.mapping3d.files.recordings import RgbdRecording
+from rce.mapping3d.files.recordings import Recording3d
 from rce.mapping3d.files.recordings.seven_scenes import RATE
 from rce.mapping3d.files.trajectories import Stamped, read_trajectory
 from rce.mapping3d.pipeline import Mapping
@@ -51,7 +51,7 @@ class Trial:
     megabytes: float
 
 
-def run(recording: RgbdRecording, truth: list[Stamped]) -> Trial:
+def run(recording: Recording3d, truth: list[Stamped]) -> Trial:
     """Map a recording and compare the trajectory with ground truth, of which there may be none.
 
     Raises:
@@ -76,7 +76,7 @@ def run(recording: RgbdRecording, truth: list[Stamped]) -> Trial:
         math.degrees(error.turn) if error else math.nan,
         figures.frames / max(figures.front, 1e-9),
         figures.frames / max(figures.back, 1e-9),
-        sum(len(each.color) + len(each.depth) for each in packed) / duration,
+        sum(len(each.color) + len(each.depth) + len(each.cloud) for each in packed) / duration,
         seconds,
         resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     )

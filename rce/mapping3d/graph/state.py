@@ -11,6 +11,7 @@ from rce.mapping3d.graph.pose_graph import Edge
 
 NUMBERS = "<f8"
 POSE, INFORMATION = 16, 36  # numbers
+NO_CAMERA = (0, 0, 0.0, 0.0, 0.0, 0.0)  # of a key frame of a lidar
 
 
 class SavedEdge(msgspec.Struct, array_like=True, frozen=True):
@@ -24,18 +25,19 @@ class SavedEdge(msgspec.Struct, array_like=True, frozen=True):
 
 
 class SavedKeyFrame(msgspec.Struct, array_like=True, frozen=True):
-    """A key frame: names, where it is, and the sizes of its images in bytes.
+    """A key frame: names, where it is, and the sizes of its images or points in bytes.
 
     Attributes:
         robot: Number of the robot.
         index: Number among the key frames of this robot.
         stamp: Seconds.
-        camera: width, height, fx, fy, cx, cy.
+        camera: width, height, fx, fy, cx, cy; all 0 if it is of a lidar.
         color: Bytes of the JPEG.
         depth: Bytes of the PNG.
         pose: (4, 4) float64, little endian, camera to the frame of the component.
         component: Number of the first node of the component.
         indexed: Whether other key frames may be recognised by it.
+        cloud: Bytes of the points of a lidar.
     """
 
     robot: int
@@ -47,6 +49,7 @@ class SavedKeyFrame(msgspec.Struct, array_like=True, frozen=True):
     pose: bytes
     component: int
     indexed: bool
+    cloud: int = 0
 
 
 class SavedGuess(msgspec.Struct, array_like=True, frozen=True):
@@ -58,7 +61,7 @@ class SavedGuess(msgspec.Struct, array_like=True, frozen=True):
 
 
 class SavedMapper(msgspec.Struct, frozen=True):
-    """State of a `Mapper3d` without images."""
+    """State of a `KeyFrameMapper` without images."""
 
     loops: int
     key_frames: list[SavedKeyFrame]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rce.mapping3d.camera import Camera
-from rce.mapping3d.frames import KeyFrame, RgbdFrame
+from rce.mapping3d.frames import AnyKeyFrame, KeyFrame, RgbdFrame
 from rce.mapping3d.odometry.alignment import Alignment, Prior, align
 from rce.mapping3d.odometry.pyramid import Level, ReferenceLevel, image_pyramid, reference_pyramid
 from rce.mapping3d.places.features import Features, find_features
@@ -82,7 +82,7 @@ class Tracked:
     pose: Pose
     information: Floats
     lost: bool = False
-    key: KeyFrame | None = None
+    key: AnyKeyFrame | None = None
     linked: bool = True
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from rce.client import Environment, Robot
 from rce.errors import RceError, StartFailed, TimedOut
+from rce.mapping.clouds import Sweep
 from rce.mapping.guard import NodeGuard
 from rce.mapping.robot import NANO, NODE, START_TIMEOUT, start_node, store, types
 from rce.mapping3d.camera import Camera
@@ -23,6 +24,7 @@ from rce.mapping3d.frames import RgbdFrame
 from rce.mapping3d.offload.sending import RATE, Sending
 from rce.mapping3d.offload.tracking import Located, RobotTracking
 from rce.mapping3d.poses import Pose, from_quaternion
+from rce.mapping3d.sensors import CAMERA
 from rce.protocol.messages import Qos
 
 PACKAGE, EXECUTABLE = "rce_mapping3d", "mapper"
@@ -34,21 +36,23 @@ POSE, PATH, FILE = "geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/
 IMAGE = "sensor_msgs/msg/CompressedImage"
 
 
-async def start_mapper(environment: Environment, robots: Sequence[str]) -> None:
+async def start_mapper(environment: Environment, robots: Sequence[str], sensor: str = CAMERA) -> None:
     """Start the node of the mapper in an environment.
 
     Args:
         environment: The environment.
         robots: Names of the robots that map together; empty for one robot, whose topics have no prefix.
+        sensor: What they measure with, `camera` or `lidar`.
 
     Raises:
         StartFailed: The node did not start.
     """
-    await start_node(environment, EXECUTABLE, {"robots": [*robots]} if robots else {}, PACKAGE)
+    named: dict[str, Any] = {"robots": [*robots]} if robots else {}
+    await start_node(environment, EXECUTABLE, {"sensor": sensor, **named}, PACKAGE)
 
 
 class RgbdRobot:
-    """Robot with a camera that tracks itself, and maps in an environment. Use it as an asynchronous context manager.
+    """Robot with a camera or a lidar that tracks itself, and maps in an environment: an asynchronous context manager.
 
     While there is no connection it goes on. Key frames wait within `RobotTracking`'s bounds, and go up afterwards.
 
@@ -58,14 +62,14 @@ class RgbdRobot:
     """
 
     def __init__(
-        self, robot: Robot, environment: Environment, camera: Camera, namespace: str = "", rate: float = RATE
+        self, robot: Robot, environment: Environment, camera: Camera | None, namespace: str = "", rate: float = RATE
     ) -> None:
         """Use a mapper that was started in an environment.
 
         Args:
             robot: Connected robot.
             environment: Environment of the node.
-            camera: Camera of the frames.
+            camera: Camera of the frames; None for sweeps of a lidar.
             namespace: "/NAME" of the robot among those of the mapper, or empty.
             rate: Bytes per second of key frames that are not exceeded.
         """
@@ -112,7 +116,7 @@ class RgbdRobot:
         await asyncio.gather(*self._tasks, return_exceptions=True)
         await self._guard.__aexit__()
 
-    async def add(self, frame: RgbdFrame) -> Located:
+    async def add(self, frame: RgbdFrame | Sweep) -> Located:
         """Track a frame; its key frame, if it makes one, goes up in time. This never waits for the line."""
         return await asyncio.to_thread(self.tracking.add, frame)
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from rce.errors import InvalidRequest
 from rce.mapping3d.camera import Camera
-from rce.mapping3d.graph.store import Packed, pack, unpack
+from rce.mapping3d.graph.state import NO_CAMERA
+from rce.mapping3d.graph.store import Packed, pack, unpack, unpack_cloud
 from rce.mapping3d.odometry.tracker import Tracked
 
 Floats = NDArray[np.float64]
@@ -32,9 +33,10 @@ class KeyFrameMessage(msgspec.Struct, array_like=True, frozen=True):
         pose: (4, 4) float64, little endian, camera of this key frame to camera of the reference.
         information: (6, 6) float32, little endian, inverse covariance of `pose`: translation, rotation, frame of this
             camera.
-        camera: width, height, fx, fy, cx, cy; pixels.
+        camera: width, height, fx, fy, cx, cy; pixels; all 0 for a lidar.
         color: JPEG.
         depth: PNG of 16 bits, quarters of a millimetre, 0 = none.
+        cloud: Points of a lidar (`rce.mapping3d.lidar.packing`), in place of camera and images.
     """
 
     run: str
@@ -47,6 +49,7 @@ class KeyFrameMessage(msgspec.Struct, array_like=True, frozen=True):
     camera: tuple[int, int, float, float, float, float]
     color: bytes
     depth: bytes
+    cloud: bytes = b""
 
 
 def message_of(run: str, tracked: Tracked) -> KeyFrameMessage:
@@ -61,9 +64,10 @@ def message_of(run: str, tracked: Tracked) -> KeyFrameMessage:
         float(packed.stamp),
         tracked.pose.astype(POSE).tobytes(),
         tracked.information.astype(INFORMATION).tobytes(),
-        packed.camera.numbers,
+        packed.camera.numbers if packed.camera else NO_CAMERA,
         packed.color,
         packed.depth,
+        packed.cloud,
     )
 
 
@@ -84,7 +88,9 @@ def decode(data: bytes) -> KeyFrameMessage:
         raise InvalidRequest(f"this is not a key frame: {error}") from None
     width, height, fx, fy, *_ = message.camera
     fits = len(message.pose) == 16 * 8 and len(message.information) == 36 * 4
-    if not fits or not 0 < width <= MAX_SIDE or not 0 < height <= MAX_SIDE or fx <= 0 or fy <= 0:
+    camera = 0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE and fx > 0 and fy > 0
+    lidar = bool(message.cloud) and message.camera == NO_CAMERA
+    if not fits or not (camera or lidar):
         raise InvalidRequest(f"key frame {message.index} is damaged: its camera, pose or information makes no sense")
     numbers = (message.stamp, *message.camera, *np.frombuffer(message.pose, POSE).tolist())
     if not all(map(math.isfinite, numbers)) or not np.isfinite(np.frombuffer(message.information, INFORMATION)).all():
@@ -108,10 +114,9 @@ def unpacked(message: KeyFrameMessage, robot: int) -> tuple[Tracked, Packed]:
     Raises:
         InvalidRequest: The images are damaged.
     """
-    width, height, fx, fy, cx, cy = message.camera
-    camera = Camera(width, height, fx, fy, cx, cy)
-    packed = Packed(robot, message.index, message.stamp, camera, message.color, message.depth)
-    key = unpack(packed)
+    camera = Camera(*message.camera) if message.camera != NO_CAMERA else None
+    packed = Packed(robot, message.index, message.stamp, camera, message.color, message.depth, message.cloud)
+    key = unpack(packed) if camera else unpack_cloud(packed)
     tracked = Tracked(
         message.stamp,
         message.reference,

@@ -28,7 +28,7 @@ class Outbox:
     """
 
     def __init__(self, most: int) -> None:
-        """Begin empty; keep at most this many bytes of images."""
+        """Begin empty; keep at most this many bytes of images or points."""
         self.left_out = 0
         self._most = most
         self._waiting: dict[int, KeyFrameMessage] = {}  # by index, in order
@@ -38,7 +38,7 @@ class Outbox:
 
     @property
     def size(self) -> int:
-        """Bytes of the images that wait."""
+        """Bytes of the images or points that wait."""
         return sum(_size(message) for message in self._waiting.values())
 
     def add(self, message: KeyFrameMessage) -> None:
@@ -100,4 +100,4 @@ def _way(message: KeyFrameMessage) -> float:
 
 
 def _size(message: KeyFrameMessage) -> int:
-    return len(message.color) + len(message.depth)
+    return len(message.color) + len(message.depth) + len(message.cloud)

@@ -14,12 +14,12 @@ from typing import NamedTuple, Protocol
 from rce.client import Environment, Robot
 from rce.errors import InvalidRequest
 from rce.mapping.files.outputs import write_atomically
-from rce.mapping3d.files.recordings import RgbdRecording
+from rce.mapping3d.files.recordings import Recording3d, camera_of
 from rce.mapping3d.files.recordings.together import together
 from rce.mapping3d.files.trajectories import trajectory_text
-from rce.mapping3d.frames import reduced_camera
 from rce.mapping3d.graph.trajectory import Trajectory
 from rce.mapping3d.offload.client import RgbdRobot, start_mapper
+from rce.mapping3d.sensors import CAMERA, LIDAR
 
 IMAGE = "rce/mapping3d"
 MEMORY = 3 << 30  # bytes for the environment: the libraries, and the volume of a building
@@ -98,7 +98,7 @@ async def environment_for_mapping(robot: Robot, tag: str) -> AsyncIterator[Envir
 
 async def map_recordings(
     access: Access,
-    recordings: Sequence[RgbdRecording],
+    recordings: Sequence[Recording3d],
     directory: Path,
     progress: Callable[[int], None] = lambda frames: None,
 ) -> tuple[list[WrittenMap], RunFigures]:
@@ -129,7 +129,7 @@ async def map_recordings(
 async def map_with(
     robots: Sequence[Robot],
     name: str,
-    recordings: Sequence[RgbdRecording],
+    recordings: Sequence[Recording3d],
     directory: Path,
     progress: Callable[[int], None],
 ) -> tuple[list[WrittenMap], RunFigures]:
@@ -138,16 +138,16 @@ async def map_with(
     Raises:
         RceError: The same errors as `map_recordings`, for the same reasons.
     """
-    tags = _tags(recordings)
+    tags, sensor = _tags(recordings), sensor_of(recordings)
     async with AsyncExitStack() as stack:
         environment = await stack.enter_async_context(environment_for_mapping(robots[0], name))
-        await start_mapper(environment, tags)
+        await start_mapper(environment, tags, sensor)
         members = [
             await stack.enter_async_context(
                 RgbdRobot(
                     robot,
                     robot.environment(environment.tag),
-                    reduced_camera(recording.camera),
+                    camera_of(recording),
                     f"/{tag}",
                     rate=FASTER,
                 )
@@ -158,12 +158,30 @@ async def map_with(
         return await _written(recordings, members, paths, directory), figures
 
 
-def _tags(recordings: Sequence[RgbdRecording]) -> list[str]:
+def sensor_of(recordings: Sequence[Recording3d]) -> str:
+    """Return what all recordings were made with, see `rce.mapping3d.sensors`.
+
+    Raises:
+        InvalidRequest: Some were made with a camera, others with a lidar.
+    """
+    found = {LIDAR if camera_of(each) is None else CAMERA for each in recordings}
+    if len(found) > 1:
+        raise InvalidRequest("recordings of cameras and of lidars cannot share a map: map them apart", field="path")
+    return found.pop()
+
+
+def nothing_to_begin_with(recording: Recording3d) -> InvalidRequest:
+    """Return the error of a recording in which no frame could become a key frame."""
+    what = "sweep with enough points" if camera_of(recording) is None else "frame with enough depth"
+    return InvalidRequest(f"{recording.name} has no {what} to begin with", field="path")
+
+
+def _tags(recordings: Sequence[Recording3d]) -> list[str]:
     return [f"robot_{number}" for number, _ in enumerate(recordings, 1)]
 
 
 async def _drive(
-    recordings: Sequence[RgbdRecording], members: Sequence[RgbdRobot], progress: Callable[[int], None]
+    recordings: Sequence[Recording3d], members: Sequence[RgbdRobot], progress: Callable[[int], None]
 ) -> tuple[list[Trajectory], RunFigures]:
     """Track all frames, as if all recordings had begun at the same time, and have the map finished."""
     paths, figures = [Trajectory() for _ in recordings], RunFigures()
@@ -180,7 +198,7 @@ async def _drive(
     figures.seconds = time.process_time() - began
     for member, recording in zip(members, recordings, strict=True):
         if not member.tracking.key_frames:
-            raise InvalidRequest(f"{recording.name} has no frame with enough depth to begin with", field="path")
+            raise nothing_to_begin_with(recording)
         await member.settle()
         figures.key_frames += member.tracking.key_frames
         figures.sent += member.sending.sent
@@ -191,7 +209,7 @@ async def _drive(
 
 
 async def _written(
-    recordings: Sequence[RgbdRecording],
+    recordings: Sequence[Recording3d],
     members: Sequence[RgbdRobot],
     paths: Sequence[Trajectory],
     directory: Path,

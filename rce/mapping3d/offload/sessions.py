@@ -9,9 +9,10 @@ from pathlib import Path
 import msgspec
 
 from rce.errors import InvalidRequest, NotFound
-from rce.mapping3d.graph.mapper import Mapper3d
+from rce.mapping3d.back_ends import back_end
 from rce.mapping3d.graph.state import SavedMapper
 from rce.mapping3d.offload.shared_map import SharedMap
+from rce.mapping3d.sensors import CAMERA
 
 VERSION = 1
 STATE, IMAGES = "state.msgpack", "images"
@@ -24,11 +25,13 @@ class SavedSession(msgspec.Struct, frozen=True):
         version: Of this format.
         runs: Names of robots and of their runs.
         mapper: The back end.
+        sensor: What the robots measure with.
     """
 
     version: int
     runs: list[tuple[str, str]]
     mapper: SavedMapper
+    sensor: str = CAMERA
 
 
 def save_session(shared: SharedMap, path: Path) -> None:
@@ -39,14 +42,14 @@ def save_session(shared: SharedMap, path: Path) -> None:
     """
     part = path.with_name(f"{path.name}.part")
     with zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as archive:
-        state = SavedSession(VERSION, shared.runs, shared.mapper.saved())
+        state = SavedSession(VERSION, shared.runs, shared.mapper.saved(), shared.sensor)
         archive.writestr(STATE, msgspec.msgpack.encode(state))
         with archive.open(IMAGES, "w", force_zip64=True) as images:
             shared.mapper.store.copy_to(images)
     part.replace(path)
 
 
-def resume_session(path: Path, robots: Sequence[str]) -> SharedMap:
+def resume_session(path: Path, robots: Sequence[str], sensor: str = CAMERA) -> SharedMap:
     """Return the map of a file, which continues exactly as the saved one would have.
 
     A robot whose front end began anew since then is found on the map as a lost one is.
@@ -54,10 +57,11 @@ def resume_session(path: Path, robots: Sequence[str]) -> SharedMap:
     Args:
         path: File that `save_session` wrote.
         robots: Names of the robots that will use the map.
+        sensor: What they measure with.
 
     Raises:
         NotFound: The file does not exist.
-        InvalidRequest: It is damaged, or of another version.
+        InvalidRequest: It is damaged, or of another version or sensor.
     """
     if not path.is_file():
         raise NotFound(f"no such session: {path}", field="path")
@@ -68,7 +72,9 @@ def resume_session(path: Path, robots: Sequence[str]) -> SharedMap:
                 raise InvalidRequest(f"{path.name} is a session of version {saved.version}; expected: {VERSION}")
             if any(not 0 <= each.robot < len(saved.runs) for each in saved.mapper.key_frames):
                 raise InvalidRequest(f"{path.name} is damaged: a key frame has no robot")
-            mapper = Mapper3d.resumed(saved.mapper, images)
+            if saved.sensor != sensor:
+                raise InvalidRequest(f"{path.name} is a session of robots with a {saved.sensor}; expected: {sensor}")
+            mapper = back_end(sensor).resume(saved.mapper, images)
     except (zipfile.BadZipFile, KeyError, EOFError, msgspec.MsgspecError) as error:
         raise InvalidRequest(f"{path.name} is not a session of a mapper, or is damaged: {error}") from None
-    return SharedMap.resumed(robots, saved.runs, mapper)
+    return SharedMap.resumed(robots, saved.runs, sensor, mapper)

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rce.mapping.grid import OccupancyGrid
+from rce.mapping3d.back_ends import back_end, dense_map
 from rce.mapping3d.dense.dense_map import DenseMap
-from rce.mapping3d.dense.mesh import Cloud
-from rce.mapping3d.frames import KeyFrame
-from rce.mapping3d.graph.mapper import Mapper3d
+from rce.mapping3d.dense.mesh import Cloud, Mesh
+from rce.mapping3d.graph.key_frame_mapper import KeyFrameMapper
 from rce.mapping3d.graph.store import Packed
 from rce.mapping3d.odometry.tracker import Tracked
 from rce.mapping3d.offload.messages import KeyFrameMessage, unpacked
 from rce.mapping3d.poses import Pose, inverse
+from rce.mapping3d.sensors import CAMERA
 
 Floats = NDArray[np.float64]
 
@@ -33,7 +36,7 @@ class Corrected:
     Attributes:
         index: Index of the key frame in its run.
         stamp: Seconds.
-        pose: (4, 4) camera to the frame of the map.
+        pose: (4, 4) sensor to the frame of the map.
         map: Frame of the map.
     """
 
@@ -50,13 +53,15 @@ class SharedMap:
 
     Attributes:
         robots: Names of the robots.
+        sensor: What all of them measure with, see `rce.mapping3d.sensors`.
         mapper: The back end.
     """
 
-    def __init__(self, robots: Sequence[str]) -> None:
+    def __init__(self, robots: Sequence[str], sensor: str = CAMERA) -> None:
         """Begin with an empty map."""
         self.robots = list(robots)
-        self.mapper = Mapper3d()
+        self.sensor = sensor
+        self.mapper = back_end(sensor)
         self._runs: list[tuple[str, str]] = []  # name of a robot and of its run, by the number that the back end uses
         self._nodes: dict[str, list[int]] = {name: [] for name in robots}  # of the newest run
         self._told: dict[str, Floats] = {name: np.empty((0, 4, 4)) for name in robots}
@@ -73,7 +78,7 @@ class SharedMap:
             False if it was not added, because the key frame to which it refers has not come yet.
 
         Raises:
-            InvalidRequest: Its images are damaged.
+            InvalidRequest: It is damaged, or of another sensor.
         """
         number = self._number(robot, message.run)
         if self.mapper.has(number, message.index):
@@ -87,8 +92,8 @@ class SharedMap:
         """Add the key frame, if there is one, of a front end that runs beside the map."""
         if tracked.key is not None:
             number = self._number(robot, run)
-            key = KeyFrame(number, tracked.key.index, tracked.key.frame, tracked.key.camera)
-            self._add(robot, _with_key(tracked, key), None)
+            key = dataclasses.replace(tracked.key, robot=number)
+            self._add(robot, dataclasses.replace(tracked, key=key), None)
 
     def _add(self, robot: str, tracked: Tracked, packed: Packed | None) -> None:
         node = len(self.mapper.store)
@@ -140,7 +145,7 @@ class SharedMap:
         return next(iter(self._corrected(self._nodes[robot][-1:])), None)
 
     def covariance(self, robot: str) -> Floats:
-        """Return the marginal covariance (6, 6) of the newest key frame: translation, rotation, frame of its camera."""
+        """Return the marginal covariance (6, 6) of the newest key frame: translation, rotation, frame of its sensor."""
         return self.mapper.graph.covariance(self._nodes[robot][-1])
 
     def team(self, robot: str) -> list[str]:
@@ -166,7 +171,7 @@ class SharedMap:
         for node, component in enumerate(graph.component):
             frame = frames[component]
             if frame.origin not in self._dense:
-                self._dense[frame.origin], self._in_dense[frame.origin] = DenseMap(), set()
+                self._dense[frame.origin], self._in_dense[frame.origin] = dense_map(self.sensor), set()
             dense, known = self._dense[frame.origin], self._in_dense[frame.origin]
             pose = frame.shift @ graph.poses[node]
             if node in known:
@@ -175,13 +180,13 @@ class SharedMap:
             elif most > 0:
                 most -= 1
                 known.add(node)
-                dense.add(store.key_frame(node), pose)
+                dense.add(self.mapper.key_frame(node), pose)
 
     def dense(self, robot: str) -> DenseMap:
         """Return the complete dense map on which a robot is."""
         self.update_dense(len(self.mapper.store))
         if not self._nodes[robot]:
-            return DenseMap()
+            return dense_map(self.sensor)
         component = self.mapper.graph.component[self._nodes[robot][-1]]
         return self._dense[self._frames()[component].origin]
 
@@ -189,12 +194,16 @@ class SharedMap:
         """Return the points of the map on which a robot is."""
         return self.dense(robot).cloud()
 
+    def mesh(self, robot: str) -> Mesh:
+        """Return the surface of the map on which a robot is."""
+        return self.dense(robot).mesh()
+
     def grid(self, robot: str) -> OccupancyGrid:
         """Return the floor plan of the map on which a robot is, in its level frame."""
         return self.dense(robot).grid()
 
     def next_goal(self, robot: str) -> Pose | None:
-        """Return where the camera of a robot should go next to see something new, None if there is nothing."""
+        """Return where the sensor of a robot should go next to see something new, None if there is nothing."""
         own = self.located(robot)
         return None if own is None else self.dense(robot).next_goal(own.pose)
 
@@ -209,9 +218,11 @@ class SharedMap:
         return list(self._runs)
 
     @classmethod
-    def resumed(cls, robots: Sequence[str], runs: list[tuple[str, str]], mapper: Mapper3d) -> SharedMap:
+    def resumed(
+        cls, robots: Sequence[str], runs: list[tuple[str, str]], sensor: str, mapper: KeyFrameMapper[Any]
+    ) -> SharedMap:
         """Return the map of a saved session. Robots that are not among `robots` are kept after them."""
-        shared = cls([*robots, *dict.fromkeys(name for name, _ in runs if name not in robots)])
+        shared = cls([*robots, *dict.fromkeys(name for name, _ in runs if name not in robots)], sensor)
         shared.mapper.close()
         shared.mapper, shared._runs = mapper, list(runs)
         for node in range(len(mapper.store)):
@@ -262,9 +273,3 @@ class _Frame:
     name: str
     origin: int
     shift: Pose
-
-
-def _with_key(tracked: Tracked, key: KeyFrame) -> Tracked:
-    return Tracked(
-        tracked.stamp, tracked.reference, tracked.pose, tracked.information, tracked.lost, key, tracked.linked
-    )

@@ -7,13 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rce.mapping.clouds import Sweep
 from rce.mapping3d.camera import Camera
 from rce.mapping3d.frames import RgbdFrame
-from rce.mapping3d.odometry.tracker import Tracked, Tracker
+from rce.mapping3d.odometry.tracker import Tracked
 from rce.mapping3d.offload.follower import PoseFollower
 from rce.mapping3d.offload.messages import message_of
 from rce.mapping3d.offload.outbox import Outbox
 from rce.mapping3d.poses import Pose
+from rce.mapping3d.sensors import front_end
 
 MEMORY = 32 << 20  # bytes of key frames that wait: some 400, which a hand-held camera makes in two minutes
 FIRST_MAP = "map"
@@ -24,7 +26,7 @@ class Located:
     """Pose of a robot in its map.
 
     Attributes:
-        pose: (4, 4) camera to the frame of the map, without jumps.
+        pose: (4, 4) sensor to the frame of the map, without jumps.
         map: Frame of the map; it changes when maps join.
         tracked: The answer of the front end.
     """
@@ -43,17 +45,17 @@ class RobotTracking:
         map: Frame of the map on which the cloud has placed the newest key frame that it told of.
     """
 
-    def __init__(self, camera: Camera, memory: int = MEMORY) -> None:
+    def __init__(self, camera: Camera | None, memory: int = MEMORY) -> None:
         """Begin.
 
         Args:
-            camera: Camera of the frames.
+            camera: Camera of the frames; None for sweeps of a lidar.
             memory: Bytes of key frames that wait for the line.
         """
         self.run = secrets.token_hex(8)
         self.outbox = Outbox(memory)
         self.map = FIRST_MAP
-        self._tracker = Tracker(camera)
+        self._tracker = front_end(camera)
         self._links: dict[int, tuple[int, Pose]] = {}  # by index of a key frame: its reference and the pose to it
         self._stamps: dict[int, int] = {}  # indices of key frames by their stamps, microseconds
         self._known: dict[int, Pose] = {}  # by index: the pose that the cloud told
@@ -66,7 +68,7 @@ class RobotTracking:
         """Number of key frames so far."""
         return len(self._links)
 
-    def add(self, frame: RgbdFrame) -> Located:
+    def add(self, frame: RgbdFrame | Sweep) -> Located:
         """Track a frame; its key frame, if it makes one, goes into the outbox."""
         tracked = self._tracker.add(frame)
         self._last = tracked.reference, tracked.pose

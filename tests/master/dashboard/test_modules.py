@@ -8,9 +8,12 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from master.dashboard import FOLDERS
+from rce.mapping3d.dense.mesh import Cloud
+from rce.mapping3d.dense.ply import cloud_ply
 from rce.packages import archive
 from rce.packages.archive import Entry
 from rce.protocol import terminal
@@ -158,3 +161,31 @@ for (const [number, key] of {json.dumps(packets)}) video.take({{ number, key, da
 return decoded;""",
     )
     assert decoded == [[0, "key"], [1, "delta"], [5, "key"], [6, "delta"]]
+
+
+def test_cloud_of_a_map_is_read_with_its_colours_and_its_level_frame() -> None:
+    level = np.arange(16.0).reshape(4, 4)
+    cloud = Cloud(
+        np.array([[1, 2, 3], [-4, 5.5, 6]], np.float32),
+        np.zeros((2, 3), np.float32),
+        np.array([[255, 0, 1], [2, 3, 4]], np.uint8),
+    )
+    content = list(cloud_ply(cloud, level))
+    script = (
+        f"const {{ points, matrix }} = m.readPly(Uint8Array.from({content}).buffer); return [[...points], [...matrix]]"
+    )
+    points, matrix = run("ply.js", script)
+    assert points == [1, 2, 3, 255 * 65536 + 1, -4, 5.5, 6, 2 * 65536 + 3 * 256 + 4]
+    assert matrix == level.T.ravel().tolist()
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"no file", "not a binary PLY"),
+        (cloud_ply(Cloud(*(np.zeros((1, 3), kind) for kind in ("f4", "f4", "u1"))))[:-1], "not complete"),
+    ],
+)
+def test_damaged_cloud_is_refused_with_the_reason(content: bytes, reason: str) -> None:
+    script = f"try {{ m.readPly(Uint8Array.from({list(content)}).buffer) }} catch (error) {{ return error.message }}"
+    assert reason in run("ply.js", script)

@@ -22,7 +22,7 @@ from rce.mapping.robot import Result
 from rce.mapping.scans import Scan
 from rce.mapping3d.offload.runs import RunFigures
 from rce.mapservice import job_program
-from rce.mapservice.job_program import Platform, Report, Task, build, build_from_camera, inspect, send, trust_only
+from rce.mapservice.job_program import Platform, Report, Task, build, build_3d, inspect, send, trust_only
 from rce.net.certificates import Authority
 from rce.net.tls import CERTIFICATE
 from tests.support.certificates import certify
@@ -105,7 +105,7 @@ async def test_recording_of_a_camera_is_mapped_in_space(
     monkeypatch.setattr("rce.mapping3d.offload.runs.map_with", mapped)
     path = write_bag1(tmp_path, list(simulated(0.1, faults=CLEAN)))
     task = Task(str(path), CAMERA, str(tmp_path / "out"), "map_x_3", ["map_x_1"], PLATFORM)
-    await build_from_camera(task, PLATFORM)
+    await build_3d(task, PLATFORM)
     assert [(report.stage, report.scans, report.clean) for report in sent] == [
         ("preparing", 0, False),
         ("mapping", 3, False),

@@ -24,14 +24,16 @@ from std_msgs.msg import String, UInt8MultiArray
 from std_srvs.srv import Trigger
 
 from rce.errors import InvalidRequest
+from rce.mapping.clouds import Sweep
 from rce.mapping3d.camera import Camera
-from rce.mapping3d.frames import RgbdFrame, reduced_camera
-from rce.mapping3d.odometry.tracker import Tracker
+from rce.mapping3d.frames import RgbdFrame
 from rce.mapping3d.offload.messages import decode
 from rce.mapping3d.offload.streams import FrameDecoder
 from rce.mapping3d.poses import Pose
+from rce.mapping3d.sensors import LIDAR, FrontEnd, front_end
 
 from . import messages
+from .clouds import CloudInput
 from .images import ImageInput
 from .transforms import CameraTransform
 
@@ -46,8 +48,8 @@ UNKNOWN = np.diag([1e6] * 6)
 class Member:
     """One robot: what it sends, and what it is told.
 
-    Each message of `key_frames` and of `frames`, and each pair of images, is answered by one message of `pose` with its
-    stamp. `corrections` has the key frames that have moved since the last message of it.
+    Each message of `key_frames`, `frames` and `points`, and each pair of images, is answered by one message of `pose`
+    with its stamp. `corrections` has the key frames that have moved since the last message of it.
     """
 
     def __init__(self, node: Mapper3dNode, name: str, prefix: str) -> None:
@@ -55,21 +57,26 @@ class Member:
         self.name = name
         self._node = node
         self._run = ""  # of the front end in this node
-        self._tracker: Tracker | None = None
+        self._tracker: FrontEnd | None = None
+        self._camera: Camera | None = None  # of the front end
         self._decoder = FrameDecoder()
         self._covariance: NDArray[np.float64] = UNKNOWN
         self._covariance_due = -np.inf  # monotonic time
         self._published: tuple[int, list[str]] = -1, []
         self._stamp = Time()
         node.create_subscription(CompressedImage, f"{prefix}key_frames", self._on_key_frame, LOSSLESS)
-        node.create_subscription(CompressedImage, f"{prefix}frames", self._on_frame_message, LOSSLESS)
-        self._images = ImageInput(node, prefix, self._on_frame)
-        self._transform = CameraTransform(node, f"{prefix}{node.camera_frame}")
+        if node.shared.sensor == LIDAR:
+            self._clouds = CloudInput(node, prefix, self._on_sweep)
+        else:
+            node.create_subscription(CompressedImage, f"{prefix}frames", self._on_frame_message, LOSSLESS)
+            self._images = ImageInput(node, prefix, self._on_frame)
+        self._transform = CameraTransform(node, f"{prefix}{node.sensor_frame}")
         self._pose_out = node.create_publisher(PoseWithCovarianceStamped, f"{prefix}pose", LOSSLESS)
         self._corrections_out = node.create_publisher(PathMessage, f"{prefix}corrections", LOSSLESS)
         self._path_out = node.create_publisher(PathMessage, f"{prefix}path", LATCHED)
         self._map_out = node.create_publisher(OccupancyGrid, f"{prefix}map", LATCHED)
         self._cloud_out = node.create_publisher(PointCloud2, f"{prefix}cloud", LATCHED)
+        self._mesh_out = node.create_publisher(UInt8MultiArray, f"{prefix}mesh", LATCHED)
         self._team_out = node.create_publisher(String, f"{prefix}team", LATCHED)
         self._files_out = node.create_publisher(UInt8MultiArray, f"{prefix}files", LOSSLESS)
         node.create_service(GetMap, f"{prefix}dynamic_map", self._on_get_map)
@@ -82,7 +89,7 @@ class Member:
         self._tracker, self._published = None, (-1, [])
 
     def publish(self) -> None:
-        """Publish what has changed since the last time; map and cloud only if somebody listens."""
+        """Publish what has changed since the last time; map, cloud and mesh only if somebody listens."""
         shared = self._node.shared
         current = len(shared.mapper.store), shared.team(self.name)
         if current == self._published:
@@ -95,6 +102,8 @@ class Member:
             self._map_out.publish(self._grid())
         if self._cloud_out.get_subscription_count():
             self._cloud_out.publish(messages.cloud_message(shared.cloud(self.name), self._stamp, frame))
+        if self._mesh_out.get_subscription_count():
+            self._mesh_out.publish(messages.mesh_message(shared.mesh(self.name)))
 
     def tell(self) -> None:
         """Publish the corrections of this robot, if there are any."""
@@ -131,9 +140,18 @@ class Member:
 
     def _on_frame(self, frame: RgbdFrame, camera: Camera, stamp: Time | None = None) -> None:
         """Track a frame beside the map."""
+        if camera != self._camera:
+            self._camera, self._tracker = camera, None
+        self._track(frame, stamp or messages.stamp_of(frame.stamp))
+
+    def _on_sweep(self, sweep: Sweep, stamp: Time) -> None:
+        """Track a sweep beside the map."""
+        self._track(sweep, stamp)
+
+    def _track(self, frame: RgbdFrame | Sweep, stamp: Time) -> None:
         shared = self._node.shared
-        if self._tracker is None or self._tracker.camera != reduced_camera(camera):
-            self._run, self._tracker = secrets.token_hex(8), Tracker(reduced_camera(camera))
+        if self._tracker is None:
+            self._run, self._tracker = secrets.token_hex(8), front_end(self._camera)
         tracked = self._tracker.add(frame)
         if tracked.key is not None:
             shared.add_tracked(self.name, self._run, tracked)
@@ -141,7 +159,7 @@ class Member:
         reference = tracked.key.index if tracked.key is not None else tracked.reference
         pose = np.eye(4) if tracked.key is not None else tracked.pose
         at = shared.find(self.name, reference)
-        self._stamp = stamp or messages.stamp_of(frame.stamp)
+        self._stamp = stamp
         self._answer(
             self._stamp, at.map if at else self._frame(), at.pose @ pose if at else np.eye(4), lost=tracked.lost
         )

@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CompressedImage, PointCloud2, PointField
 from std_msgs.msg import MultiArrayDimension, UInt8MultiArray
 
-from rce.mapping3d.dense.mesh import Cloud
+from rce.mapping3d.dense.mesh import Cloud, Mesh
+from rce.mapping3d.dense.ply import mesh_ply
 from rce.mapping3d.offload.shared_map import Corrected
 from rce.mapping3d.poses import Pose, to_quaternion
 
 PIECE = 4 << 20  # bytes of a file in one message
 FIELDS = ("x", "y", "z", "rgb")  # of a cloud, 4 bytes each
+MESH = "mesh.ply"
 NANO = 1_000_000_000
 
 
@@ -37,13 +39,13 @@ def fill_pose(message: PoseMessage, pose: Pose) -> None:
 
 
 def pose_message(stamp: float, frame: str, pose: Pose, covariance: NDArray[np.float64]) -> PoseWithCovarianceStamped:
-    """Return the pose of a camera.
+    """Return the pose of a camera or lidar.
 
     Args:
         stamp: Seconds.
         frame: Of the map.
-        pose: (4, 4) camera to the map.
-        covariance: (6, 6) translation, rotation, frame of the camera; ROS has those of the axes of the map.
+        pose: (4, 4) sensor to the map.
+        covariance: (6, 6) translation, rotation, frame of the sensor; ROS has those of the axes of the map.
     """
     message = PoseWithCovarianceStamped()
     message.header.stamp, message.header.frame_id = stamp_of(stamp), frame
@@ -84,6 +86,15 @@ def cloud_message(cloud: Cloud, stamp: Time, frame: str) -> PointCloud2:
     colors = cloud.colors.astype(np.uint32)
     values[:, 3] = (colors[:, 0] << 16 | colors[:, 1] << 8 | colors[:, 2]).astype("<u4").view("<f4")
     message.data = array("B", values.tobytes())
+    return message
+
+
+def mesh_message(mesh: Mesh) -> UInt8MultiArray:
+    """Return a surface as the bytes of a PLY file: the label is `mesh.ply`."""
+    content = mesh_ply(mesh)
+    message = UInt8MultiArray()
+    message.layout.dim = [MultiArrayDimension(label=MESH, size=len(content), stride=len(content))]
+    message.data = array("B", content)
     return message
 
 

@@ -1,4 +1,4 @@
-"""ROS 2 node `mapper`: one map of the cameras of one robot or of several.
+"""ROS 2 node `mapper`: one map of the cameras, or of the lidars, of one robot or of several.
 
 The parameter `robots` lists their names; topics of a robot are then under its name, otherwise there is one robot
 without a prefix. See `member` for the topics. A first, empty `map` means that the node is ready.
@@ -11,6 +11,7 @@ from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.node import Node
 
 from rce.mapping3d.offload.shared_map import MAIN, SharedMap
+from rce.mapping3d.sensors import CAMERA, checked_sensor
 
 from .member import Member
 from .services import Services
@@ -24,7 +25,7 @@ class Mapper3dNode(Node):
     Attributes:
         shared: The map.
         map_frame: Frame of the map before there are key frames.
-        camera_frame: Frame of a camera in tf, below the name of its robot.
+        sensor_frame: Frame of a camera or lidar in tf, below the name of its robot.
     """
 
     def __init__(self) -> None:
@@ -42,8 +43,13 @@ class Mapper3dNode(Node):
         self.declare_parameter(INTERVAL, 5.0, described)
         described = ParameterDescriptor(description="Frame of a camera in tf.", read_only=True)
         self.declare_parameter("camera_frame", "camera_optical_frame", described)
-        self.map_frame, self.camera_frame = MAIN, text(self, "camera_frame")
-        self.shared = SharedMap(robots or [ONLY])
+        described = ParameterDescriptor(description="Frame of a lidar in tf.", read_only=True)
+        self.declare_parameter("lidar_frame", "lidar", described)
+        described = ParameterDescriptor(description="What robots measure with: camera or lidar.", read_only=True)
+        self.declare_parameter("sensor", CAMERA, described)
+        sensor = checked_sensor(text(self, "sensor"))
+        self.map_frame, self.sensor_frame = MAIN, text(self, f"{sensor}_frame")
+        self.shared = SharedMap(robots or [ONLY], sensor)
         self.members = [Member(self, name, f"{name}/" if robots else "") for name in self.shared.robots]
         self._control_services = Services(self)
         self.create_timer(number(self, INTERVAL), self.publish)

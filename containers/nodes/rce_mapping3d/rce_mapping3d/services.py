@@ -44,7 +44,7 @@ class Services:
 
     def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Start an empty map."""
-        self._node.use(SharedMap(self._node.shared.robots))
+        self._node.use(SharedMap(self._node.shared.robots, self._node.shared.sensor))
         response.success = True
         return response
 
@@ -56,8 +56,8 @@ class Services:
 
     def _deserialize(self, request: Any, response: Any) -> Any:
         """Continue a saved session. Robots find themselves on its map as lost ones do. Errors are logged."""
-        robots = self._node.shared.robots
-        self._try(lambda: self._node.use(resume_session(file_of(request.filename), robots)))
+        shared = self._node.shared
+        self._try(lambda: self._node.use(resume_session(file_of(request.filename), shared.robots, shared.sensor)))
         return response
 
     def _try(self, action: Callable[[], object]) -> bool:

@@ -11,6 +11,7 @@ from typing import Protocol
 from rce.errors import InvalidRequest, NotFound
 from rce.mapping.files.recordings.bags import Bag
 from rce.mapping.files.recordings.carmen import CarmenLog
+from rce.mapping.scan_cutting import BAND, Band
 from rce.mapping.scans import Scan
 
 CARMEN_SUFFIXES = (".clf", ".log", ".clf.gz", ".log.gz")
@@ -38,13 +39,14 @@ class Recording(Protocol):
         """Yield the scans in order of time."""
 
 
-def open_recording(path: Path, scan_topic: str = "", odometry_topic: str = "") -> Recording:
+def open_recording(path: Path, scan_topic: str = "", odometry_topic: str = "", band: Band = BAND) -> Recording:
     """Open a CARMEN log, a ROS 1 bag, or a ROS 2 bag (its directory, or a single .db3 or .mcap file).
 
     Args:
         path: The file or directory.
-        scan_topic: Topic of the scans in a bag, if it has several.
+        scan_topic: Topic of the scans in a bag, if it has several, or of clouds from which scans are cut.
         odometry_topic: Topic of the odometry in a bag, if it has several.
+        band: What is cut from the clouds of a bag without scans.
 
     Raises:
         NotFound: The file does not exist.
@@ -53,7 +55,7 @@ def open_recording(path: Path, scan_topic: str = "", odometry_topic: str = "") -
     if not path.exists():
         raise NotFound(f"no such recording: {path}", field="path")
     if path.is_dir() or path.suffix in BAG_SUFFIXES:
-        return MonotonicRecording(Bag(path, scan_topic, odometry_topic))
+        return MonotonicRecording(Bag(path, scan_topic, odometry_topic, band))
     if path.name.endswith(CARMEN_SUFFIXES):
         return MonotonicRecording(CarmenLog(path))
     known = ", ".join((*CARMEN_SUFFIXES, *BAG_SUFFIXES))

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from rosbags.highlevel import AnyReader
@@ -14,8 +14,10 @@ from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_typestore
 
 from rce.errors import InvalidRequest, RceError
+from rce.mapping.clouds import CLOUD_TYPE, cloud_topic, decode
 from rce.mapping.geometry import Pose
 from rce.mapping.pairing import OdometryPairing
+from rce.mapping.scan_cutting import BAND, Band, cut_scan
 from rce.mapping.scans import Scan
 
 if TYPE_CHECKING:
@@ -42,7 +44,8 @@ MAX_WAITING = 1000  # scans that may wait for odometry: in some bags the odometr
 class Bag:
     """Laser scans of one topic of a bag, each with the odometry of its stamp if there is an odometry topic.
 
-    A topic that is not given is found by its type; of several, the one with the most messages is used.
+    A topic that is not given is found by its type; of several, the one with the most messages is used. Where a bag has
+    no scans, they are cut from its clouds.
 
     Attributes:
         name: Name of the bag.
@@ -50,18 +53,29 @@ class Bag:
         duration: Seconds of the bag.
     """
 
-    def __init__(self, path: Path, scan_topic: str = "", odometry_topic: str = "") -> None:
+    def __init__(self, path: Path, scan_topic: str = "", odometry_topic: str = "", band: Band = BAND) -> None:
         """Open a bag and choose its topics.
+
+        Args:
+            path: The file or directory.
+            scan_topic: Topic of the scans, or of the clouds from which they are cut.
+            odometry_topic: Topic of the odometry.
+            band: What is cut from clouds.
 
         Raises:
             InvalidRequest: The bag cannot be read, or has no such topic or no scans.
         """
         self.name = path.name
         self._path = path
-        _check_kind(path)
-        with self._opened() as reader:
+        with opened_bag(self._path) as reader:
             self.scan_topics: dict[str, int] = {}  # number of scans by topic
-            scans = self._connections(reader, SCAN_TYPE, scan_topic)
+            self._band = band
+            clouds = self._is_of_clouds(reader, scan_topic)
+            scans = (
+                self._connections(reader, CLOUD_TYPE, cloud_topic(reader, self.name, scan_topic))
+                if clouds
+                else self._connections(reader, SCAN_TYPE, scan_topic)
+            )
             odometry = self._connections(reader, ODOMETRY_TYPE, odometry_topic)
             self.scans: int | None = sum(connection.msgcount for connection in scans)
             self.duration: float | None = max(reader.duration, 0) / 1e9
@@ -73,13 +87,13 @@ class Bag:
     def __iter__(self) -> Iterator[Scan]:
         """Yield the scans in order of their stamps."""
         pairing = OdometryPairing()
-        with self._opened() as reader:
+        with opened_bag(self._path) as reader:
             topics = (self._scan_topic, self._odometry_topic)
             chosen = [connection for connection in reader.connections if connection.topic in topics]
             for connection, received, data in reader.messages(chosen):
                 message = reader.deserialize(data, connection.msgtype)
                 if connection.topic == self._scan_topic:
-                    pairing.add_scan(_scan(cast("LaserScan", message), received))
+                    pairing.add_scan(self._scan_of(message, received))
                 else:
                     pairing.add_odometry(*_odometry(cast("Odometry", message), received))
                 yield from pairing.ready()
@@ -87,23 +101,17 @@ class Bag:
                     yield from pairing.flush()
         yield from pairing.flush()
 
-    @contextmanager
-    def _opened(self) -> Iterator[AnyReader]:
-        """Return the reader of the bag; errors of `rosbags` become InvalidRequest."""
-        try:
-            with AnyReader([self._path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-                yield reader
-        except RceError:
-            raise
-        except Exception as error:  # damaged files cause errors of assert, struct, sqlite, codecs ...
-            reason = str(error) or UNEXPLAINED.get(type(error), type(error).__name__)
-            # Clients of a service must not learn where it stores files.
-            reason = reason.replace(str(self._path), self.name)
-            raise InvalidRequest(
-                f"{self.name} cannot be read as a bag: it is truncated, damaged or not indexed ({reason}). "
-                "Try `rosbag reindex` or `ros2 bag reindex`.",
-                field="path",
-            ) from error
+    def _is_of_clouds(self, reader: AnyReader, topic: str) -> bool:
+        """Return whether the topic, or without one all that could be a scan, is of clouds."""
+        topics = {each.topic: each.msgtype for each in reader.connections if each.msgcount}
+        if topic in topics:
+            return topics[topic] == CLOUD_TYPE
+        return CLOUD_TYPE in topics.values() and SCAN_TYPE not in topics.values() and not topic
+
+    def _scan_of(self, message: Any, received: int) -> Scan:
+        if hasattr(message, "point_step"):
+            return cut_scan(decode(message, received), self._band)
+        return _scan(cast("LaserScan", message), received)
 
     def _connections(self, reader: AnyReader, kind: str, topic: str) -> list[Connection]:
         """Return the connections of a topic, or of the topic of this type that has the most messages.
@@ -124,6 +132,26 @@ class Bag:
             self.scan_topics = counts
         wanted = topic or max(sorted(counts), key=lambda name: counts[name], default="")
         return [connection for connection in typed if connection.topic == wanted]
+
+
+@contextmanager
+def opened_bag(path: Path) -> Iterator[AnyReader]:
+    """Return the reader of a bag; errors of `rosbags` become InvalidRequest."""
+    _check_kind(path)
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            yield reader
+    except RceError:
+        raise
+    except Exception as error:  # damaged files cause errors of assert, struct, sqlite, codecs ...
+        reason = str(error) or UNEXPLAINED.get(type(error), type(error).__name__)
+        # Clients of a service must not learn where it stores files.
+        reason = reason.replace(str(path), path.name)
+        raise InvalidRequest(
+            f"{path.name} cannot be read as a bag: it is truncated, damaged or not indexed ({reason}). "
+            "Try `rosbag reindex` or `ros2 bag reindex`.",
+            field="path",
+        ) from error
 
 
 def _check_kind(path: Path) -> None:

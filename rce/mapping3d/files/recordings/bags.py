@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,9 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
 
-from rce.errors import InvalidRequest, RceError
+from rce.errors import InvalidRequest
+from rce.mapping.files.recordings.bags import opened_bag
 from rce.mapping3d.camera import Camera, Depth
 from rce.mapping3d.files.recordings.images import Undistortion, checked, metres
 from rce.mapping3d.frames import Image, RgbdFrame
@@ -64,7 +63,7 @@ class RgbdBag:
         self.name = path.name
         self._path = path
         self._scale = scale or MILLIMETRES
-        with self._opened() as reader:
+        with opened_bag(self._path) as reader:
             images = [each for each in reader.connections if each.msgtype in (IMAGE, COMPRESSED) and each.msgcount]
             self._depth = self._choose([each for each in images if _is_depth(each.topic)], "depth")
             self._color = self._choose([each for each in images if not _is_depth(each.topic)], "color")
@@ -81,7 +80,7 @@ class RgbdBag:
         """
         colors: deque[tuple[float, Image]] = deque(maxlen=MAX_WAITING)
         depths: deque[tuple[float, Depth]] = deque(maxlen=MAX_WAITING)
-        with self._opened() as reader:
+        with opened_bag(self._path) as reader:
             chosen = [each for each in reader.connections if each.topic in (self._color, self._depth)]
             for connection, received, data in reader.messages(chosen):
                 message: Any = reader.deserialize(data, connection.msgtype)
@@ -93,22 +92,6 @@ class RgbdBag:
                 for frame in paired(colors, depths):
                     checked(frame, self.camera, self.name)
                     yield self._undistort(frame) if self._undistort else frame
-
-    @contextmanager
-    def _opened(self) -> Iterator[AnyReader]:
-        """Return the reader of the bag; errors of `rosbags` become InvalidRequest."""
-        try:
-            with AnyReader([self._path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-                yield reader
-        except RceError:
-            raise
-        except Exception as error:  # damaged files cause errors of assert, struct, sqlite, codecs ...
-            reason = (str(error) or type(error).__name__).replace(str(self._path), self.name)
-            raise InvalidRequest(
-                f"{self.name} cannot be read as a bag: it is truncated, damaged or not indexed ({reason}). "
-                "Try `rosbag reindex` or `ros2 bag reindex`.",
-                field="path",
-            ) from error
 
     def _choose(self, connections: list[Connection], what: str) -> str:
         if not connections:

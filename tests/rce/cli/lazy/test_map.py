@@ -18,10 +18,13 @@ import pytest
 from rce.cli.contexts import Access
 from rce.cli.execute import FAILURE, SUCCESS, run
 from rce.cli.lazy import map as command
-from rce.cli.lazy.map import Progress, Source, describe, node_parameters, save_team_maps
+from rce.cli.lazy.map import Progress, Source, describe, heights, node_parameters, save_team_maps
+from rce.errors import InvalidRequest
 from rce.mapping.evaluation.simulation import Accuracy
+from rce.mapping.files.picture import draw
 from rce.mapping.grid import OccupancyGrid
 from rce.mapping.robot import Result
+from rce.mapping.scan_cutting import Band
 from rce.mapping.scans import Scan
 from tests.support.console import ACCESS, Terminal
 
@@ -113,6 +116,7 @@ def test_robots_on_one_map_share_its_directory(tmp_path: Path, capsys: pytest.Ca
     assert (tmp_path / "trajectory_3.txt").exists()
     assert (tmp_path / "map_2" / "trajectory_2.txt").exists()
     assert (tmp_path / "map_2" / "map.png").exists()
+    assert (tmp_path / "map.png").read_bytes() == draw(result(1).grid, result(1).trajectory, result(1).trajectory)
     lines = capsys.readouterr().out.splitlines()
     assert lines[1] == f"robot 2 (b): 3 scans mapped, on the map in {tmp_path / 'map_2'}"
     assert lines[3] == "2 maps: no overlap was found between robots on different maps"
@@ -223,3 +227,10 @@ def test_topic_of_scans_is_asked_for_at_a_terminal_if_there_are_several(
     assert command._open(Path("a.bag"), args).topic == mapped  # type: ignore[attr-defined]  # of the fake
     assert bool(prompts) == asked
     assert ("/front (5 scans), /rear (3 scans)" in capsys.readouterr().err) == (not given)
+
+
+def test_heights_are_two_numbers_in_order() -> None:
+    assert heights("-0.2,0.5") == Band(-0.2, 0.5)
+    for words in ("1", "a,b", "1,2,3", "0.5,0.5", "nan,1", "0,inf"):
+        with pytest.raises(InvalidRequest, match="--heights"):
+            heights(words)

@@ -7,15 +7,26 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rce.mapping.files.picture import END, FOOTER, INK, LONG_SIDE, MARGIN, MAX_PIXELS_PER_CELL, START, UNKNOWN, draw
+from rce.mapping.files.picture import (
+    END,
+    FOOTER,
+    INK,
+    LONG_SIDE,
+    MARGIN,
+    MAX_PIXELS_PER_CELL,
+    PATHS,
+    START,
+    UNKNOWN,
+    draw,
+)
 from rce.mapping.grid import OccupancyGrid
 
 NOWHERE = np.empty((0, 4))
 
 
-def drawn(cells: NDArray[np.int8], trajectory: NDArray[np.float64] = NOWHERE) -> NDArray[np.uint8]:
+def drawn(cells: NDArray[np.int8], *trajectories: NDArray[np.float64]) -> NDArray[np.uint8]:
     """Return the pixels of the picture of a map with cells of 5 cm and its corner at the origin."""
-    png = np.frombuffer(draw(OccupancyGrid(cells, 0.05, 0.0, 0.0), trajectory), np.uint8)
+    png = np.frombuffer(draw(OccupancyGrid(cells, 0.05, 0.0, 0.0), *(trajectories or (NOWHERE,))), np.uint8)
     pixels = cv2.imdecode(png, cv2.IMREAD_COLOR)
     assert pixels is not None
     return pixels.astype(np.uint8)
@@ -72,3 +83,14 @@ def test_scale_bar_has_a_round_length(columns: int, metres: float) -> None:
     ink = np.flatnonzero((picture[picture.shape[0] - 22] == INK).all(axis=1))
     bar = ink[: np.argmax(np.diff(ink) > 5) + 1]  # what follows is the text
     assert bar[-1] - bar[0] == pytest.approx(metres * pixels_per_metre, abs=3)
+
+
+def test_each_robot_of_a_team_has_a_path_of_its_own_colour() -> None:
+    ways = [np.array([[0, 1.0, y, 0], [1, 4.0, y, 0]]) for y in (1.0, 2.5, 4.0)]
+    picture = drawn(np.zeros((100, 100), np.int8), *ways)
+    for number in range(3):
+        others = [each for each in PATHS[:3] if each != PATHS[number]]
+        rows = np.flatnonzero((picture == PATHS[number]).all(axis=2).any(axis=1))
+        for other in others:
+            assert not np.isin(rows, np.flatnonzero((picture == other).all(axis=2).any(axis=1))).any()
+        assert len(rows) > 3

@@ -23,6 +23,12 @@ def test_cloud_has_a_record_of_27_bytes_for_each_point() -> None:
     assert records["color"].tolist() == CLOUD.colors.tolist()
 
 
+def test_level_frame_is_a_comment() -> None:
+    level = np.arange(16.0).reshape(4, 4)
+    header = cloud_ply(CLOUD, level).split(b"end_header\n", 1)[0].decode()
+    assert header.splitlines()[2] == f"comment level {' '.join(map(str, range(16)))}"
+
+
 def test_mesh_ends_with_its_triangles() -> None:
     header, body = mesh_ply(Mesh(CLOUD, np.array([[0, 1, 2]], np.int32))).split(b"end_header\n", 1)
     assert b"element face 1\nproperty list uchar int vertex_indices" in header

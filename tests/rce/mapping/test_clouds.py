@@ -1,12 +1,15 @@
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from rce.errors import InvalidRequest
-from rce.mapping3d.lidar.clouds import Sweep, decode
+from rce.mapping.clouds import Sweep, decode
 from tests.support.sweeps import message
 
 SWEEP = Sweep(
@@ -84,3 +87,59 @@ def test_unknown_type_of_a_field_is_refused() -> None:
     cloud.fields[1].datatype = 99
     with pytest.raises(InvalidRequest, match="unknown type in field y"):
         decode(cloud)
+
+
+@given(
+    st.permutations(["x", "y", "z", "t", "ring", "rgb"]),
+    st.lists(st.integers(0, 9), min_size=7, max_size=7),
+    st.booleans(),
+    st.integers(1, 3),
+    st.integers(1, 5),
+    st.integers(0, 7),
+    st.randoms(use_true_random=False),
+)
+def test_any_layout_gives_the_same_points(
+    names: list[str], gaps: list[int], big: bool, height: int, width: int, padding: int, random: Any
+) -> None:
+    kinds = {"x": "f4", "y": "f8", "z": "f4", "t": "u4", "ring": "u2", "rgb": "u4"}
+    order, offset, offsets = ">" if big else "<", 0, []
+    for name, gap in zip(names, gaps, strict=False):
+        offsets.append(offset + gap)
+        offset = offsets[-1] + np.dtype(kinds[name]).itemsize
+    layout = np.dtype(
+        {
+            "names": names,
+            "formats": [order + kinds[name] for name in names],
+            "offsets": offsets,
+            "itemsize": offset + gaps[-1],
+        }
+    )
+    records = np.zeros((height, width), layout)
+    for axis in "xyz":
+        records[axis] = [[random.randint(1, 40) / 4 for _ in range(width)] for _ in range(height)]
+    records["t"] = np.arange(height * width).reshape(height, width) * 1_000_000
+    rows = [row.tobytes() + bytes(padding) for row in records]
+    numbers = {"f4": 7, "f8": 8, "u2": 4, "u4": 6}
+    cloud = message(
+        SWEEP, is_bigendian=big, height=height, width=width, point_step=layout.itemsize, data=b"".join(rows)
+    )
+    cloud.row_step = width * layout.itemsize + padding
+    cloud.fields = [
+        SimpleNamespace(name=name, offset=at, datatype=numbers[kinds[name]], count=1)
+        for name, at in zip(names, offsets, strict=True)
+    ]
+    sweep = decode(cloud)
+    expected = np.stack([records[axis].ravel() for axis in "xyz"], axis=1)
+    assert sweep.points.tolist() == expected.tolist()
+    if height * width > 1:
+        assert sweep.times[-1] == pytest.approx((height * width - 1) * 1e-3)
+
+
+@given(st.binary(max_size=60), st.integers(0, 40), st.integers(0, 5), st.integers(0, 5), st.integers(0, 60))
+def test_random_messages_are_read_or_refused(data: bytes, step: int, height: int, width: int, row: int) -> None:
+    cloud = message(SWEEP, data=data, point_step=step, height=height, width=width, row_step=row)
+    try:
+        sweep = decode(cloud)
+    except InvalidRequest:
+        return
+    assert len(sweep.points) == len(sweep.times) <= height * width

@@ -8,12 +8,15 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.highlevel import AnyReader
 
 from rce.errors import InvalidRequest
 
 Points = NDArray[np.float32]  # (n, 3), metres, frame of the lidar
+CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # of sensor_msgs/PointField
 TIMES = ("t", "time", "timestamp", "time_stamp", "timestamps", "offset_time", "time_offset", "stamps")
+NANOSECONDS = ("t", "offset_time")  # are nanoseconds where they are integers: Ouster, Livox
 LONGEST = 1.0  # seconds of a sweep
 UNITS = (1.0, 1e-3, 1e-6, 1e-9)  # seconds: what drivers use for the time of a point
 
@@ -75,8 +78,36 @@ class Sweep:
     times: NDArray[np.float64]
 
 
-def decode(message: PointCloud2) -> Sweep:
+def cloud_topic(reader: AnyReader, name: str, topic: str = "") -> str:
+    """Return the topic of the clouds in a bag.
+
+    Args:
+        reader: The open bag.
+        name: Of the bag, for errors.
+        topic: The topic that is wanted; empty if there is only one.
+
+    Raises:
+        InvalidRequest: There is no such topic, or there are several and none was chosen.
+    """
+    topics = sorted({each.topic for each in reader.connections if each.msgtype == CLOUD_TYPE and each.msgcount})
+    if topic and topic not in topics:
+        have = ", ".join(topics) or "none"
+        raise InvalidRequest(
+            f"{name} has no topic {topic} of type {CLOUD_TYPE}; topics of this type: {have}", field="topic"
+        )
+    if not topics:
+        raise InvalidRequest(f"{name} has no clouds: no messages of type {CLOUD_TYPE}", field="path")
+    if not topic and len(topics) > 1:
+        raise InvalidRequest(f"{name} has clouds of several lidars: choose one of {', '.join(topics)}", field="topic")
+    return topic or topics[0]
+
+
+def decode(message: PointCloud2, received: int = 0) -> Sweep:
     """Return the points of a message. Those that are not finite, or at the lidar itself, are left out: no return.
+
+    Args:
+        message: The message.
+        received: Nanoseconds; the stamp if that of the message is 0.
 
     Raises:
         InvalidRequest: x, y or z is missing, or the data do not fit the layout.
@@ -89,8 +120,9 @@ def decode(message: PointCloud2) -> Sweep:
     good = np.isfinite(points).all(axis=1) & (np.abs(points) > 1e-3).any(axis=1)
     name = next((each for each in TIMES if each in (records.dtype.names or ())), None)
     times = np.zeros(len(points)) if name is None else records[name].astype(np.float64)
-    stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-    return Sweep(stamp, points[good], _since_first(times[good]))
+    integers = name in NANOSECONDS and records.dtype[name].kind in "iu"
+    stamp = (message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec) or 1e-9 * received
+    return Sweep(stamp, points[good], _since_first(times[good], UNITS[-1:] if integers else UNITS))
 
 
 def _records(message: PointCloud2) -> NDArray[np.void]:
@@ -130,8 +162,8 @@ def _records(message: PointCloud2) -> NDArray[np.void]:
     return np.ascontiguousarray(rows).reshape(-1).view(layout)
 
 
-def _since_first(times: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return times (n,) of any origin and unit as seconds since the first.
+def _since_first(times: NDArray[np.float64], units: Sequence[float]) -> NDArray[np.float64]:
+    """Return times (n,) of any origin, and one of these units, as seconds since the first.
 
     Drivers disagree: seconds, milliseconds, micro- or nanoseconds, since the beginning of the sweep or of an epoch. The
     largest unit with which the sweep is no longer than a second is the one that was meant.
@@ -140,6 +172,6 @@ def _since_first(times: NDArray[np.float64]) -> NDArray[np.float64]:
         return times
     since = times - times.min()
     span = float(since.max())
-    unit = next((unit for unit in UNITS if span * unit <= LONGEST), 0.0)
+    unit = next((unit for unit in units if span * unit <= LONGEST), 0.0)
     seconds: NDArray[np.float64] = since * unit
     return seconds
