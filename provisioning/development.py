@@ -43,7 +43,7 @@ STAMP = VENV / "provisioned.json"
 DEMO_EXTRAS = ("server", "knowledge", "bag", "mapping", "mapping3d", "ros", "images")  # the last for the examples
 IMAGE_EXTRAS = ("server", "docker")
 TEST_EXTRAS = (
-    *(*DEMO_EXTRAS, "onnx", "video", "draco", "docker", "kubernetes", "bench", "postgresql"),
+    *(*DEMO_EXTRAS, "onnx", "dense", "video", "draco", "docker", "kubernetes", "bench", "postgresql"),
     *("docs", "dev"),
 )
 TEST_PACKAGE = ROOT / "tests" / "ros" / "Test"

@@ -56,7 +56,7 @@ WITH_EXTRA: dict[str, set[str]] = {
     "rce/knowledge/": {"aiohttp", "twisted", "rdflib", "pyoxigraph", "pyparsing"},
     "rce/web/": {"aiohttp"},
     "rce/mapping/": {"numpy", "numba", "scipy", "cv2", "rosbags"},
-    "rce/mapping3d/": {"numpy", "numba", "scipy", "cv2", "rosbags", "gtsam", "kiss_icp"},
+    "rce/mapping3d/": {"numpy", "numba", "scipy", "cv2", "rosbags", "gtsam", "kiss_icp", "warp"},
     "rce/planning/": {"numpy", "numba", "scipy", "cv2"},
     "rce/recognition/": {"numpy", "cv2"},
     "rce/video/": {"av", "numpy"},

@@ -37,6 +37,7 @@ WITHOUT_LOGIC = {
     "rce/control/calls/watching.py": "structs",
     "rce/mapping/mapper.py": "a protocol and its results",
     "rce/mapping3d/dense/mesh.py": "two records",
+    "rce/mapping3d/dense/tracking_kernels.py": "kernels in a language of their own; test_tracking.py runs all of them",
     "rce/protocol/slots.py": "constants",
     "rce/video/packet.py": "a record",
 }
