@@ -47,8 +47,10 @@ async def start_mapper(environment: Environment, robots: Sequence[str], sensor: 
     Raises:
         StartFailed: The node did not start.
     """
-    named: dict[str, Any] = {"robots": [*robots]} if robots else {}
-    await start_node(environment, EXECUTABLE, {"sensor": sensor, **named}, PACKAGE)
+    parameters: dict[str, Any] = {"robots": [*robots]} if robots else {}
+    if sensor != CAMERA:
+        parameters["sensor"] = sensor
+    await start_node(environment, EXECUTABLE, parameters, PACKAGE)
 
 
 class RgbdRobot:
