@@ -34,7 +34,7 @@ def test_request_has_the_fields_and_defaults_of_its_command(
         (NewEnvironment, {"containerTag": "a", "size": 2}),
         (NewEnvironment, {"containerTag": "a", "containerData": {"size": 0}}),
         (NewNode, {"nodeTag": "n", "pkg": "", "exe": "e"}),
-        (NewNode, {"nodeTag": "n", "pkg": "p"}),
+        (NewNode, {"nodeTag": "n", "exe": "e"}),
         (NewParameter, {"name": "", "value": 1}),
         (NewParameter, {"name": "n", "value": None}),
         (NewInterface, {"endpointTag": "a", "interfaceTag": "b", "interfaceType": "Publisher", "className": "c/D"}),
