@@ -236,10 +236,11 @@ class KubernetesEngine(Engine):
         When the node returns, its kubelet ends a container without an object.
         """
         lost = pod.node != "" and pod.node not in self._fleet.usable
+        never_ran = not pod.node or (bool(pod.obstacle) and not pod.container)  # nothing that must end
         with self._pods.changes() as change:
             try:
                 async with asyncio.timeout(END_TIMEOUT):
-                    await self._api.delete(pod.path, 0 if lost or not pod.node else None, pod.uid)
+                    await self._api.delete(pod.path, 0 if lost or never_ran else None, pod.uid)
                     while await self._exists(pod):
                         change.clear()
                         known = self._pods.objects.get(pod.uid)
