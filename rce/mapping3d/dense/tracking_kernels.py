@@ -74,8 +74,8 @@ def sample(volume: wp.array3d(dtype=wp.vec2), place: wp.vec3) -> wp.vec2:
     if i < 0 or j < 0 or k < 0 or i + 1 >= volume.shape[0] or j + 1 >= volume.shape[1] or k + 1 >= volume.shape[2]:
         return wp.vec2(1.0, 0.0)
     a, b, c = x - float(i), y - float(j), z - float(k)
-    total = 0.0
-    seen = 1.0
+    total = float(0.0)
+    seen = float(1.0)
     for di in range(2):
         for dj in range(2):
             for dk in range(2):
@@ -104,9 +104,9 @@ def cast(
     origin = (wp.transform_point(to_map, wp.vec3(0.0, 0.0, 0.0)) - corner) / voxel
     ray = wp.normalize(wp.transform_vector(to_map, ray_of(camera, u, v)))
     normals[v, u] = wp.vec3(0.0, 0.0, 0.0)
-    at = 0.1 / voxel
-    before = 1.0
-    was_seen = 0.0
+    at = float(0.1) / voxel
+    before = float(1.0)
+    was_seen = float(0.0)
     stride = step / voxel
     while at < furthest / voxel:
         found = sample(volume, origin + ray * at)
@@ -163,13 +163,11 @@ def equations(
         return
     error = wp.dot(normal, off)
     turn = wp.cross(moved, normal)
-    place = 0
     for i in range(6):
         left = wp.where(i < 3, normal[i % 3], turn[i % 3])
         for j in range(i, 6):
             right = wp.where(j < 3, normal[j % 3], turn[j % 3])
-            wp.atomic_add(sums, place, left * right)
-            place += 1
+            wp.atomic_add(sums, i * (13 - i) // 2 + j - i, left * right)  # by rows of the triangle
         wp.atomic_add(sums, 21 + i, left * error)
     wp.atomic_add(sums, 27, error * error)
     wp.atomic_add(sums, 28, 1.0)
