@@ -220,10 +220,10 @@ def test_topic_of_scans_is_asked_for_at_a_terminal_if_there_are_several(
         prompts.append(prompt)
         return typed or ""
 
-    monkeypatch.setattr(command, "open_recording", lambda path, topic, odometry: TwoTopics(topic))
+    monkeypatch.setattr(command, "open_recording", lambda path, topic, odometry, band: TwoTopics(topic))
     monkeypatch.setattr("builtins.input", answer)
     monkeypatch.setattr(sys, "stdin", Terminal() if typed is not None else io.StringIO())
-    args = argparse.Namespace(scan_topic=given, odometry_topic="")
+    args = argparse.Namespace(scan_topic=given, odometry_topic="", heights="-0.3,0.3")
     assert command._open(Path("a.bag"), args).topic == mapped  # type: ignore[attr-defined]  # of the fake
     assert bool(prompts) == asked
     assert ("/front (5 scans), /rear (3 scans)" in capsys.readouterr().err) == (not given)
