@@ -25,7 +25,7 @@ CREATED: dict[str, Any] = {
     "nodes": [{"tag": "brain", "pkg": "p", "exe": "e"}],
 }
 TOPICS = {"topics": [{"topic": "/a", "type": STRING}, {"topic": "/b", "type": STRING}]}
-PARTS = {("environment", "sky"), ("sky", "brain", ""), ("sky", "", "speed")}
+PARTS = {("environment", "sky"), ("sky", "brain", "", ""), ("sky", "", "", "speed")}
 
 
 @pytest.fixture
@@ -79,7 +79,7 @@ async def test_environment_of_somebody_else_is_kept(make: Callable[..., Offloadi
 async def test_environment_and_nodes_of_earlier_run_are_reused(
     make: Callable[..., Offloading], cloud: FakePlatform
 ) -> None:
-    cloud.resources |= {("environment", "sky"), ("sky", "brain", "")}
+    cloud.resources |= {("environment", "sky"), ("sky", "brain", "", "")}
     await make().start()
     assert cloud.resources >= PARTS
 

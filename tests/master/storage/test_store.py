@@ -60,6 +60,7 @@ def full() -> State:
     packages.share(fleet.state, "ann", "own", ["bob"])
     fleet.state.ends.put(NodeEnd(fleet.state.nodes["ann/brain/n"], -9, ["last words"], 1.5))
     fleet.state.waiting.put(Waiting("ann/r1/x", "ann/r2/x", "ann/r1"))
+    fleet.do("ann", m.AddRecorder("brain", "box"))
     secrets.put(fleet.state, "ann", "database", "sealed", 1.5)
     catalogue.publish(fleet.state, "ann", declared(), fleet.ids)
     fleet.do("bob", m.UseService("ann/parrot"), robot="r1")

@@ -20,6 +20,7 @@ from rce.cli.commands.bench import QUICK_SAMPLES, QUICK_SIZES
 from rce.cli.contexts import Access
 from rce.cli.execute import FAILURE, SUCCESS, run
 from rce.cli.lazy import bench
+from rce.process.ready import Ready
 
 PLACE: Any = None  # the measurements of these tests use neither robot nor environment
 
@@ -138,7 +139,9 @@ def test_commands_beside_images_are_printed(
 def test_starts_are_measured_on_a_platform_for_each_engine(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    engines: list[str] = []
+    """With the engine `process` there is another one with prepared environments."""
+    started: list[tuple[str, int]] = []
+    published: list[str] = []
 
     class FakeRobot:
         def __init__(self, url: str, **options: object) -> None:
@@ -151,20 +154,25 @@ def test_starts_are_measured_on_a_platform_for_each_engine(
             return
 
     @asynccontextmanager
-    async def platform(args: argparse.Namespace) -> AsyncIterator[Access]:
-        engines.append(args.engine)
-        yield Access(f"http://{args.engine}/", "testUser", "testUser", None)
+    async def platform(directory: Path, engine: str, warm: int) -> AsyncIterator[Ready]:
+        started.append((engine, warm))
+        yield Ready("master", f"http://{engine}-{warm}/")
 
     async def measure(robots: dict[str, FakeRobot], image: str, samples: int) -> start.Samples:
         assert image.startswith("rce/mapping:")
-        return {robot.url: [1.0] * samples for robot in robots.values()}
+        return {name: [1.0] * samples for name in robots}
 
     monkeypatch.setattr(bench, "Robot", FakeRobot)
-    monkeypatch.setattr(bench, "platform", platform)
+    monkeypatch.setattr(bench, "own_platform", platform)
+    monkeypatch.setattr(start, "publish", lambda api: published.append(api.url))
     monkeypatch.setattr(start, "measure", measure)
     assert run(["bench", "start", "--engines", "docker,process", "--samples", "2", "--json"]) == SUCCESS
-    assert engines == ["docker", "process"]
-    assert json.loads(capsys.readouterr().out)["seconds"] == {"http://docker/": [1.0] * 2, "http://process/": [1.0] * 2}
+    assert [engine for engine, _ in started] == ["docker", "process", "process"]
+    assert [warm > 0 for _, warm in started] == [False, False, True]
+    assert len(published) == 3
+    assert json.loads(capsys.readouterr().out)["seconds"] == {
+        name: [1.0] * 2 for name in ("docker", "process", start.WARM)
+    }
 
 
 @pytest.mark.parametrize("option", ["--robots", "--interfaces", "--samples"])
