@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 
+from rce.api.client import ApiClient
 from rce.bench import overtake, start
 from rce.bench.chaos.report import Result
 from rce.bench.chaos.run import Plan
 from rce.bench.nodes import Place, Probe
 from rce.bench.routes import ROUTES
 from rce.cli.commands.bench import QUICK_SAMPLES, QUICK_SIZES
-from rce.cli.contexts import Access
 from rce.cli.execute import FAILURE, SUCCESS, run
 from rce.cli.lazy import bench
 from rce.process.ready import Ready
@@ -141,7 +141,7 @@ def test_starts_are_measured_on_a_platform_for_each_engine(
 ) -> None:
     """With the engine `process` there is another one with prepared environments."""
     started: list[tuple[str, int]] = []
-    published: list[str] = []
+    published: list[ApiClient] = []
 
     class FakeRobot:
         def __init__(self, url: str, **options: object) -> None:
@@ -164,7 +164,7 @@ def test_starts_are_measured_on_a_platform_for_each_engine(
 
     monkeypatch.setattr(bench, "Robot", FakeRobot)
     monkeypatch.setattr(bench, "own_platform", platform)
-    monkeypatch.setattr(start, "publish", lambda api: published.append(api.url))
+    monkeypatch.setattr(start, "publish", published.append)
     monkeypatch.setattr(start, "measure", measure)
     assert run(["bench", "start", "--engines", "docker,process", "--samples", "2", "--json"]) == SUCCESS
     assert [engine for engine, _ in started] == ["docker", "process", "process"]
