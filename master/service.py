@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from contextlib import suppress
 from typing import TypeVar
 
 from twisted.logger import Logger
 
 import rce
 from master import shipped_services
-from master.access import rights
 from master.access.audit import Audit
 from master.access.guard import Guard
 from master.access.join_tokens import JoinTokens
 from master.access.knowledge_calls import KnowledgeCalls
+from master.access.robot_questions import RobotQuestions
 from master.access.sealing import Seal
 from master.access.service_calls import ServiceCalls
 from master.access.user_limits import UserLimits
@@ -31,7 +30,7 @@ from master.execution.robot_sessions import RobotSessions
 from master.graph import catalogue, packages, reconcile, secrets
 from master.graph.effects import Plan
 from master.graph.limits import UNLIMITED, Policy
-from master.graph.records import Environment, Process, Robot, ref, user_of
+from master.graph.records import Environment, Process, ref, user_of
 from master.graph.state import State, at
 from master.live import inventory
 from master.live.events import Events
@@ -48,22 +47,12 @@ from rce.control.calls.environments import DownloadTicket, FetchPackage, ReportR
 from rce.control.calls.joining import Hello, InviteSibling, Welcome
 from rce.control.calls.knowledge import SERVICE, AskKnowledge, ReportChanges
 from rce.control.calls.recordings import BeginRecording, RecordingQuota
-from rce.control.calls.robots import (
-    Definitions,
-    DescribeType,
-    ReadAssetFor,
-    ReadGraphFor,
-    ReadRobotsFor,
-    RobotInterfaceName,
-    RobotInterfaces,
-)
-from rce.control.calls.watching import Asset, ReadAsset, ReadGraph, ReadMetrics, RosGraph
+from rce.control.calls.watching import ReadMetrics
 from rce.control.connection import Control, Handlers
-from rce.errors import InvalidRequest, NotFound, RceError, Unauthorized, Unavailable, UnknownType, clipped
+from rce.errors import InvalidRequest, NotFound, Unauthorized, Unavailable, clipped
 from rce.net.tls import Tls
 from rce.process import metrics
 from rce.protocol.messages import DropEvent
-from rce.protocol.names import is_guest
 
 ASK_TIMEOUT = 5.0  # seconds
 
@@ -103,6 +92,7 @@ class Master:
         self._lifecycle = Lifecycle(self._runner)
         self._links = Links(self._runner, self._lifecycle)
         self._service_calls = ServiceCalls(self.users, self.audit)
+        self.robot_questions = RobotQuestions(self.state, self.ask)
         dispatcher, readiness = self._runner.dispatcher, self._runner.readiness
         self._knowledge_calls = KnowledgeCalls(self.users, self.audit, dispatcher)
         self.presenter = Presenter(self.state, readiness)
@@ -184,10 +174,7 @@ class Master:
                 self.sessions.add_handlers(handlers, process)
                 self.commands.add_handlers(handlers, process)
                 handlers.on(InviteSibling, lambda call: self.join_tokens.invite_sibling(process.name, call.number))
-                handlers.on(DescribeType, self._describe_type)
-                handlers.on(ReadGraphFor, lambda call: self._read_graph(process, call))
-                handlers.on(ReadAssetFor, lambda call: self._read_asset(process, call))
-                handlers.on(ReadRobotsFor, lambda call: self._read_robots(process, call))
+                self.robot_questions.add_handlers(handlers, process)
             case "service":
                 self._service_calls.add_handlers(handlers, process)
                 if process.name == SERVICE:
@@ -205,56 +192,6 @@ class Master:
         return handlers
 
     # --- calls of processes -------------------------------------------------------------------------------------------
-
-    async def _describe_type(self, call: DescribeType) -> Definitions:
-        """Ask the user's environments, including those that are starting."""
-        with suppress(TimeoutError):
-            async with asyncio.timeout(START_TIMEOUT + ASK_TIMEOUT):
-                for environment in self.state.environments.by(call.user):
-                    try:
-                        return await self.ask(environment, call)
-                    except RceError as error:
-                        name = environment.name
-                        log.debug("{name} does not know {type}: {error}", name=name, type=call.type, error=error)
-        raise UnknownType(f"type {call.type} is known neither here nor in an environment of {call.user}")
-
-    async def _read_graph(self, process: Process, call: ReadGraphFor) -> RosGraph:
-        """Ask an environment for its graph."""
-        return await self.ask(self._environment_of(process, call), ReadGraph())
-
-    async def _read_asset(self, process: Process, call: ReadAssetFor) -> Asset:
-        """Ask an environment for a piece of a package's file."""
-        question = ReadAsset(call.package, call.path, call.offset)
-        return await self.ask(self._environment_of(process, call), question)
-
-    def _environment_of(self, process: Process, call: ReadGraphFor | ReadAssetFor) -> Environment:
-        """Return the environment of a question, within the rights of who opened the robot's session."""
-        robot = self._robot_at(process, call.robot)
-        owner = user_of(robot.name)
-        rights.check(robot.by, "interface.read", owner, environment=call.environment)
-        environment = self.state.environments.get(f"{owner}/{call.environment}")
-        if environment is None:
-            raise NotFound(f"there is no environment {call.environment[:80]!r}", field="containerTag")
-        return environment
-
-    async def _read_robots(self, process: Process, call: ReadRobotsFor) -> RobotInterfaces:
-        """List the interfaces of robots, within the rights of who opened the robot's session."""
-        asking = self._robot_at(process, call.robot)
-        owner = user_of(asking.name)
-        tags = (each.name.partition("/")[2] for each in self.state.robots.by(owner))
-        seen = [tag for tag in tags if not is_guest(tag) and rights.may(asking.by, "interface.read", owner, robot=tag)]
-        found = [
-            RobotInterfaceName(tag, each.tag, each.kind, each.type)
-            for tag in seen
-            for each in self.state.interfaces.by(f"{owner}/{tag}")
-        ]
-        return RobotInterfaces(sorted(found, key=lambda each: (each.robot, each.tag)))
-
-    def _robot_at(self, process: Process, name: str) -> Robot:
-        robot = self.state.robots.get(name)
-        if robot is None or robot.endpoint != process.name:
-            raise NotFound(f"robot {name} has no session at {process.name}")
-        return robot
 
     async def _report(self, process: Process, call: Report) -> Nothing:
         if call.error is not None:  # an environment reaches its own user only

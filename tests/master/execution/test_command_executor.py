@@ -285,7 +285,7 @@ def test_question_to_an_environment_that_does_not_answer_ends(desk: Desk, brain:
     brain.held.add(DescribeType)
     call = DescribeType("ann", "my_msgs/msg/A", "msg")
     asked = desk.hand.begin(desk.master.ask(desk.state.environments["ann/brain"], call))
-    described = desk.hand.begin(desk.master._describe_type(call))
+    described = desk.hand.begin(desk.master.robot_questions.describe_type(call))
     desk.turn(ASK_TIMEOUT)
     assert isinstance(asked.exception(), TimedOut)
     assert isinstance(described.exception(), UnknownType)

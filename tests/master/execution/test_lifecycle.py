@@ -116,7 +116,7 @@ def test_type_request_does_not_prevent_a_restart(desk: Desk) -> None:
     m1 = desk.machine("m1")
     desk.made("brain")
     die(desk, "killed")
-    asked = desk.hand.begin(desk.master._describe_type(DescribeType("ann", "my_msgs/msg/A", "msg")))
+    asked = desk.hand.begin(desk.master.robot_questions.describe_type(DescribeType("ann", "my_msgs/msg/A", "msg")))
     assert not asked.done()
     desk.turn(RETRY_FIRST)
     die(desk, "killed again")
