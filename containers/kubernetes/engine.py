@@ -10,16 +10,17 @@ Everything that an engine must know after a restart is in the labels and annotat
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Collection, Coroutine, Sequence
 from dataclasses import dataclass, field
 
 from twisted.logger import Logger
 
+from containers.agents.fleet import FleetEngine
 from containers.data_relay import GATE
 from containers.docker.disks import check_size
 from containers.docker.setup import Setup
 from containers.endpoint import CONTROL, reference
-from containers.engine import LAST_LINES, Engine, EnvironmentEnded, RunningEnvironment
+from containers.engine import LAST_LINES, EnvironmentEnded, RunningEnvironment
 from containers.kubernetes.api import Api, Refused
 from containers.kubernetes.fleet import Fleet
 from containers.kubernetes.groups import Groups
@@ -67,7 +68,7 @@ class _Placement:
         return True
 
 
-class KubernetesEngine(Engine):
+class KubernetesEngine(FleetEngine):
     """Runs environments as pods of the cluster that this process runs in, or else that of KUBECONFIG.
 
     `features` are those of every node; a node has more by its labels (`rce.feature/NAME: "true"`). With `keep_agents`
@@ -76,6 +77,7 @@ class KubernetesEngine(Engine):
 
     fetches_packages = True
     sockets = f"{SOCKETS}/{{run}}.sock"
+    _fleet: Fleet
 
     def __init__(
         self,
@@ -103,23 +105,6 @@ class KubernetesEngine(Engine):
         self._background: set[asyncio.Task[None]] = set()
         self._adopted = False
         self._closed = False
-
-    @property
-    def relays(self) -> dict[str, str]:
-        """Data relays of the nodes, also of those whose agent is away for a moment."""
-        return {node: relay for node, relay in self._fleet.agents.relays.items() if node in self._fleet.nodes}
-
-    def set_relays(self, relays: Collection[str]) -> None:
-        """Send the agents the data relays of other machines."""
-        self._fleet.agents.set_relays(relays)
-
-    def set_master(self, master: str) -> None:
-        """Tell the agents which Master leads."""
-        self._fleet.agents.set_master(master)
-
-    def set_removed_machines(self, machines: Mapping[str, float]) -> None:
-        """Send the agents when machines were removed."""
-        self._fleet.agents.set_removed_machines(machines)
 
     async def launch(self, spec: EnvironmentSpec) -> None:
         """Create the pod and wait until an agent serves its environment."""

@@ -11,12 +11,12 @@ from twisted.internet.error import CannotListenError
 from twisted.logger import Logger
 
 from containers.agents.connections import AgentAccess, Agents
+from containers.agents.fleet import NodeFleet
 from containers.kubernetes.api import Api
 from containers.kubernetes.daemonset import agent_daemonset, agent_name, agent_secret
 from containers.kubernetes.mirror import Mirror
 from containers.kubernetes.objects import AGENT, TASK_SET, Node, Object, read_node
 from containers.kubernetes.setup import ClusterSetup
-from containers.limits import Size
 from containers.ports import listen_again
 from containers.settings import is_local
 from rce.control.connection import Handlers
@@ -27,7 +27,7 @@ log = Logger()
 AGENTS_TIMEOUT = 60.0  # seconds for the agents to join when the engine opens; their image may have to be pulled
 
 
-class Fleet:
+class Fleet(NodeFleet[Node]):
     """The nodes of the cluster with their agents.
 
     `features` are those of every node; a node has more by its labels. The file `file` keeps the secret and the port by
@@ -43,36 +43,13 @@ class Fleet:
         file: Path,
         changed: Callable[[str], None],
     ) -> None:
-        self.nodes: dict[str, Node] = {}
-        self.common_features = frozenset(features)
-        self.agents: Agents
+        super().__init__(features)
         self._api = api
         self._cluster = cluster
         self._task_set = task_set
         self._file = file
         self._notify = changed
         self._mirror = Mirror(api, "/api/v1/nodes", "", self._changed, self._gone)
-
-    @property
-    def usable(self) -> dict[str, Node]:
-        """The nodes on which environments are reachable, by name."""
-        return {name: node for name, node in self.nodes.items() if node.usable}
-
-    @property
-    def features(self) -> frozenset[str]:
-        """All special features that any usable node has."""
-        return self.common_features.union(*(node.features for node in self.usable.values()))
-
-    @property
-    def gpus(self) -> int:
-        """The number of GPUs on all usable nodes."""
-        return sum(node.gpus for node in self.usable.values())
-
-    @property
-    def largest(self) -> Size:
-        """The most cores and the most memory that any one node has."""
-        sizes = [node.size for node in self.usable.values()] or [Size.here()]
-        return Size(max(size.cores for size in sizes), max(size.memory for size in sizes))
 
     async def open(
         self,

@@ -12,18 +12,19 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Collection, Coroutine, Sequence
 from dataclasses import dataclass, field
 
 from twisted.logger import Logger
 
+from containers.agents.fleet import FleetEngine
 from containers.data_relay import GATE
 from containers.docker.daemon import RUN, SIZE
 from containers.docker.events import Event
 from containers.docker.networks import ENVIRONMENT, GROUP, group_network
 from containers.docker.setup import Setup
 from containers.endpoint import CONTROL, reference
-from containers.engine import Engine, EnvironmentEnded, RunningEnvironment
+from containers.engine import EnvironmentEnded, RunningEnvironment
 from containers.limits import limits
 from containers.swarm.fleet import Fleet
 from containers.swarm.manager import Found, Manager, Network
@@ -66,7 +67,7 @@ class _Placement:
         return True
 
 
-class SwarmEngine(Engine):
+class SwarmEngine(FleetEngine):
     """Runs environments as services on the swarm that DOCKER_HOST is a manager of.
 
     `features` are those of every node; a node has more by its labels (rce.feature.NAME=true). With `keep_agents` the
@@ -75,6 +76,7 @@ class SwarmEngine(Engine):
 
     fetches_packages = True
     sockets = f"{SOCKETS}/{{run}}.sock"
+    _fleet: Fleet
 
     def __init__(
         self,
@@ -97,23 +99,6 @@ class SwarmEngine(Engine):
         self._background: set[asyncio.Task[object]] = set()
         self._removals: set[asyncio.Task[object]] = set()  # of networks; `release` waits for them
         self._following = asyncio.Event()  # set when Docker's event stream has begun
-
-    @property
-    def relays(self) -> dict[str, str]:
-        """Data relays of the nodes, also of those whose agent is away for a moment."""
-        return {node: relay for node, relay in self._fleet.agents.relays.items() if node in self._fleet.nodes}
-
-    def set_relays(self, relays: Collection[str]) -> None:
-        """Send the agents the data relays of other machines."""
-        self._fleet.agents.set_relays(relays)
-
-    def set_master(self, master: str) -> None:
-        """Tell the agents which Master leads."""
-        self._fleet.agents.set_master(master)
-
-    def set_removed_machines(self, machines: Mapping[str, float]) -> None:
-        """Send the agents when machines were removed."""
-        self._fleet.agents.set_removed_machines(machines)
 
     async def launch(self, spec: EnvironmentSpec) -> None:
         """Create the service and wait until an agent serves its environment."""

@@ -12,9 +12,9 @@ from twisted.internet.error import CannotListenError
 from twisted.logger import Logger
 
 from containers.agents.connections import AgentAccess, Agents
+from containers.agents.fleet import NodeFleet
 from containers.docker.api import docker_host
 from containers.endpoint import reference
-from containers.limits import Size
 from containers.ports import listen_again
 from containers.settings import is_local
 from containers.swarm.images import NAME, USER, ImageRegistry
@@ -32,7 +32,7 @@ REPORT_TIMEOUT = 10.0  # seconds for an agent to report an image that its node h
 AGENTS_TIMEOUT = 30.0  # seconds for the agents to join when the engine opens
 
 
-class Fleet:
+class Fleet(NodeFleet[Node]):
     """The nodes of the swarm with their agents.
 
     `labels` mark everything that the task set creates. `features` are the special features of every node; a node has
@@ -48,12 +48,10 @@ class Fleet:
         agent: AgentService,
         tls: Tls | None,
     ) -> None:
+        super().__init__(features)
         self.service = f"rce-agent-{Names.of(labels, '', '').owner}"
-        self.nodes: dict[str, Node] = {}
-        self.agents: Agents
         self._manager = manager
         self._labels = labels
-        self._common_features = frozenset(features)
         self._file = file
         self._agent = agent
         self._tls = tls
@@ -64,27 +62,6 @@ class Fleet:
         self._serves_agent_image = False  # True if nodes pull the agents' image from the registry here
         self._pulls: dict[tuple[str, str], asyncio.Task[None]] = {}  # by node and id of the image
         self._exporting = asyncio.Lock()
-
-    @property
-    def usable(self) -> dict[str, Node]:
-        """The nodes on which Swarm keeps tasks, by id."""
-        return {id: node for id, node in self.nodes.items() if node.usable}
-
-    @property
-    def features(self) -> frozenset[str]:
-        """All special features that any usable node has."""
-        return self._common_features.union(*(node.features for node in self.usable.values()))
-
-    @property
-    def gpus(self) -> int:
-        """The number of GPUs on all usable nodes."""
-        return sum(node.gpus for node in self.usable.values())
-
-    @property
-    def largest(self) -> Size:
-        """The most cores and the most memory that any one node has."""
-        sizes = [node.size for node in self.usable.values()] or [Size.here()]
-        return Size(max(size.cores for size in sizes), max(size.memory for size in sizes))
 
     async def survey(self) -> None:
         """Update `nodes` from the manager."""
@@ -238,7 +215,7 @@ class Fleet:
                 f"environment {spec.name} did not start: no node of the swarm has an image {tag} for RCE "
                 f"{__version__}; `provisioning/provision image` builds those of the platform"
             )
-        wanted = set(spec.options.specialFeatures) - self._common_features
+        wanted = set(spec.options.specialFeatures) - self.common_features
         able = {node.id for node in self.usable.values() if wanted <= node.features}
         while not any(self.agents.has_image(node, id) for node in able):
             pulls = [task for (node, image_id), task in self._pulls.items() if node in able and image_id == id]
