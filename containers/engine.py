@@ -26,6 +26,7 @@ from rce.protocol.names import check_tag
 log = Logger()
 LAST_LINES = 20
 LIMIT_REPORT_INTERVAL = 10.0  # seconds between two reports of a limit that one run hits
+REMOVE_AGAIN = 5.0  # seconds until a removal that failed is tried again
 RUN = re.compile(r"[0-9a-f]{32}")
 
 
@@ -90,6 +91,7 @@ class Engine(ABC):
         self._starts: list[_Start] = []
         self._locks: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
         self._tasks: set[asyncio.Task[None]] = set()
+        self._later: dict[str, asyncio.Task[None]] = {}  # removals that are tried again, by name
         self._opened = asyncio.Event()
         self._limit_reported: dict[str, float] = {}  # time of the last report, by run
 
@@ -154,12 +156,12 @@ class Engine(ABC):
         """Stop an environment or cancel its start; return when nothing of it is left.
 
         Raises:
-            TimedOut: The environment does not end although it was killed.
+            TimedOut: The environment does not end although it was killed; this goes on in the background.
         """
         _check_name(name)
         self._cancel(start for start in self._starts if start.spec.name == name)
         async with self._lock(name):
-            await self.remove(name)
+            await self._remove(name)
             self._running.pop(name, None)
 
     async def keep(self, runs: Collection[str]) -> None:
@@ -175,6 +177,8 @@ class Engine(ABC):
         self._cancel(self._starts)
         while self._tasks:
             await asyncio.wait(self._tasks)
+        for task in list(self._later.values()):  # the next task set removes the rest
+            task.cancel()
         await self.release()
 
     @property
@@ -252,13 +256,13 @@ class Engine(ABC):
             if current is not None and current.run == spec.run:
                 return
             if current is not None:
-                await self.remove(spec.name)
+                await self._remove(spec.name)
                 del self._running[spec.name]
             try:
                 await self.launch(spec)
             except BaseException:
                 try:
-                    await self.remove(spec.name)
+                    await self._remove(spec.name)
                 except RceError as error:  # the caller gets the reason of the failed start
                     log.error(
                         "{name} did not start, and its remains were not removed: {error}",
@@ -272,13 +276,13 @@ class Engine(ABC):
         async with self._lock(name):
             if name not in self._running:
                 log.info("removing the remains of {name}", name=name)
-                await self.remove(name)
+                await self._remove(name)
 
     async def _stop_run(self, name: str, run: str) -> None:
         async with self._lock(name):
             current = self._running.get(name)
             if current is not None and current.run == run:
-                await self.remove(name)
+                await self._remove(name)
                 del self._running[name]
 
     async def _handle_end(self, name: str, run: str, reason: str, status: int | None) -> None:
@@ -290,10 +294,35 @@ class Engine(ABC):
             del self._running[name]
             lines = await self.last_lines(name)
             try:
-                await self.remove(name)
+                await self._remove(name)
             except RceError as error:  # the end must be reported all the same
                 log.error("{name} ended, but its remains were not removed: {error}", name=name, error=str(error))
         self._ended(EnvironmentEnded(name, run, reason, status, lines))
+
+    async def _remove(self, name: str) -> None:
+        """Remove an environment; what cannot be removed now is removed later, unless it has another life by then."""
+        try:
+            await self.remove(name)
+        except RceError:
+            if name not in self._later:
+                task = self._later[name] = asyncio.create_task(self._remove_later(name, self._running.get(name)))
+                task.add_done_callback(lambda _: self._later.pop(name, None))
+            raise
+
+    async def _remove_later(self, name: str, life: RunningEnvironment | None) -> None:
+        while True:
+            await asyncio.sleep(REMOVE_AGAIN)
+            async with self._lock(name):
+                current = self._running.get(name)
+                if current is not None and current is not life:
+                    return  # its start or its removal takes what is left of earlier ones
+                try:
+                    await self.remove(name)
+                except RceError as error:
+                    log.warn("the remains of {name} are still not removed: {error}", name=name, error=str(error))
+                    continue
+                self._running.pop(name, None)
+                return
 
     def _check_capacity(self, spec: EnvironmentSpec) -> None:
         lacking = sorted(set(spec.options.specialFeatures) - self.features)
