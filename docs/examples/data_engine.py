@@ -1,6 +1,6 @@
 """Two robots and a database: one reports what it sees, the other asks where it was.
 
-Start PostgreSQL and `rce up --dev`. Then give the service the address of the database, publish it, and run this:
+Run it beside `rce up --dev` and PostgreSQL, after the service has the address of the database and is published:
 
     rce login http://127.0.0.1:9000/ --user testUser
     echo "postgresql://user:password@10.0.0.5/robots" | rce secret set database

@@ -279,4 +279,5 @@ def test_each_example_has_a_test_and_a_header() -> None:
     tests = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
     programs = {path.stem for path in EXAMPLES.iterdir() if path.suffix in {".py", ".html", ".yaml"}}
     assert programs - {"bridge_node"} <= tests
-    assert all(re.search("Run it .*beside", path.read_text()) for path in EXAMPLES.iterdir() if path.stem in programs)
+    files = [path for path in EXAMPLES.iterdir() if path.is_file() and path.stem in programs]
+    assert all(re.search("Run it .*beside", path.read_text()) for path in files)

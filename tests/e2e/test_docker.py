@@ -36,7 +36,7 @@ from rce.control.connection import Handlers
 from rce.errors import TimedOut, Unauthorized
 
 STRING = "std_msgs/String"
-LARGEST_BASE = 450e6
+LARGEST_BASE = 470e6
 ATTEMPTS = """
 import json, os, socket
 def attempt(action):

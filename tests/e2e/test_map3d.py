@@ -70,7 +70,7 @@ async def test_lidar_is_mapped_and_its_cloud_is_shown_in_the_dashboard(platform:
     async with chromium() as browser, open_page(browser) as (page, _):
         await sign_in(page, platform.url, USER, USER)
         await page.get_by_role("link", name="Recordings").click()
-        await page.get_by_role("button", name="Show cloud").click()
+        await page.get_by_role("button", name="Show cloud").first.click()  # of the newest job
         dialog = page.get_by_role("dialog", name="Cloud")
         await dialog.get_by_text(re.compile(r"^\d{4,} points\. Drag to turn")).wait_for()
         canvas = dialog.locator("canvas.space")

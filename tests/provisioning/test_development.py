@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import shutil
 import subprocess
@@ -9,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from _pytest.mark.expression import Expression
 
 from provisioning import development, steps
 from provisioning.steps import CONSTRAINTS, ProvisioningError
@@ -76,8 +78,20 @@ def test_pip_installs_where_uv_cannot(monkeypatch: pytest.MonkeyPatch, tmp_path:
 
 
 def test_each_test_belongs_to_exactly_one_stage() -> None:
-    quick, rest = development.QUICK[1], development.REST[1]
-    assert quick == f"not ({rest})"
+    """Those with a Kubernetes cluster have a stage of their own, of which CI runs a sample."""
+    quick, rest, cluster = (
+        Expression.compile(stage[1]) for stage in (development.QUICK, development.REST, development.KUBERNETES)
+    )
+    for markers in itertools.product((False, True), repeat=6):
+        found = dict(zip(("e2e", "docker", "ros", "slow", "kubernetes", "sample"), markers, strict=True))
+        if found["sample"] and not found["kubernetes"]:
+            continue  # there is none
+        stages = [stage.evaluate(lambda name, found=found, **_: found[name]) for stage in (quick, rest, cluster)]  # type: ignore[misc]
+        assert stages == [
+            not any(markers),
+            found["sample"] or (any(markers) and not found["kubernetes"]),
+            found["kubernetes"],
+        ]
 
 
 @pytest.mark.parametrize(

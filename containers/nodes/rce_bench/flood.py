@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 
 from lean import LeanNode, run
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
@@ -29,7 +30,10 @@ class FloodNode(LeanNode):
     def _publish(self) -> None:
         for _ in range(BATCH):
             self._message[BEGIN : BEGIN + DIGITS] = b"%0*d" % (DIGITS, self._number)
-            self._publisher.publish(bytes(self._message))
+            try:
+                self._publisher.publish(bytes(self._message))
+            except _rclpy.RCLError:  # its queue is full of messages that a subscriber has not acknowledged for 0.1 s
+                return
             self._number += 1
 
 

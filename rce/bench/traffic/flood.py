@@ -81,5 +81,5 @@ async def flood(login: Login, size: int, seconds: float) -> Flood:
             elapsed = time.perf_counter() - began
         finally:
             socket.close()
-    published = read.numbers[-1] - read.numbers[0] + 1
+    published = read.numbers[-1] - read.numbers[0] + 1 if read.numbers else 0
     return Flood(size, published / elapsed, len(read.numbers) / elapsed, (read.dropped() - before) / elapsed)

@@ -49,7 +49,7 @@ async def test_node_of_user_sees_no_packages_or_secrets_of_rce(master: FakeMaste
     await master.call(StartNode(NodeSpec("seeing", "probe", "say.py", "die")))
     died = await master.died()
     assert died.lines[1] == "sees ['rclpy']"
-    assert died.lines[2].startswith("secrets ['RCE_RUN'] ")
+    assert died.lines[2].startswith("secrets ['RCE_RUN', 'RCE_KNOWLEDGE'] ")
     assert died.lines[2].endswith("/home")
 
 
