@@ -10,9 +10,9 @@ import asyncio
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterator
 from itertools import islice
+from secrets import token_bytes, token_hex
 from time import perf_counter
 from typing import Protocol
-from uuid import uuid4
 
 from endpoints.data.frames import MAX_SENDERS, Buffer, Message
 from endpoints.data.link import Link
@@ -64,7 +64,7 @@ class SharedSubscription:
     subscription: RawSubscription
 
     def __init__(self, ros: RosThread, spec: InterfaceSpec, qos: Qos, keep: int | None, within: Budget) -> None:
-        self.id = uuid4().bytes
+        self.id = token_bytes(16)
         self.spec = spec
         self.budget = Budget(INTERFACE, within, spare=1)
         self.members: list[Member] = []
@@ -171,7 +171,10 @@ class SharedSubscription:
         if self.subscription.latched:
             self._keep_latched(payload, publisher)
         try:
-            self._send(payload, since=since)
+            if len(self.members) == len(self._links) == 1:
+                self._send_to_one(payload, since)
+            else:
+                self._send(payload, since=since)
         except LimitExceeded as error:
             self.evicted(1)
             for member in self.members:
@@ -189,6 +192,15 @@ class SharedSubscription:
 
     # --- to the links -------------------------------------------------------------------------------------------------
 
+    def _send_to_one(self, payload: Buffer, since: float) -> None:
+        """Do what `_send` does, in less time, for the usual case: one interface with its peers behind one link."""
+        (member,), (link,) = self.members, self._links
+        message = Message(self.id, token_hex(16), payload, senders=(member.id,), entered_at=since)
+        dropped = link.send(message, self._keep, self)
+        if dropped:
+            member.lost(dropped, link)
+        member.sent(len(payload))
+
     def _send(
         self,
         payload: Buffer,
@@ -200,7 +212,7 @@ class SharedSubscription:
     ) -> None:
         since = since or perf_counter()
         wanted = self.members if members is None else members
-        name, got = uuid4().hex, set[bytes]()
+        name, got = token_hex(16), set[bytes]()
         for link in self._links_of(wanted, destination):
             if robots_only and link.to_environment:
                 continue

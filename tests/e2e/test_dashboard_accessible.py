@@ -31,6 +31,7 @@ OWN = (
         "#/recordings",
         "#/bags",
         "#/knowledge",
+        "#/services",
         "#/packages",
         "#/parameters/{user}/ward",
     ),
