@@ -24,7 +24,7 @@ SUITE = "bookworm"
 GENERATED = "+k8s:openapi-gen="  # marks the packages for which code is generated before the build
 WITHOUT = ("code-generator", "sample-apiserver", "_test.go", "zz_generated", "/cmd/openapi-gen", "/testdata/")
 SOURCES = """Types: deb-src
-URIs: http://deb.debian.org/debian
+URIs: {mirror}
 Suites: {suite}
 Components: main
 Signed-By: /usr/share/keyrings/debian-archive-keyring.gpg
@@ -98,11 +98,21 @@ def _install() -> None:
     subprocess.run(words, check=True, env=quiet)
 
 
+def _mirror() -> str:
+    """Return the archive from which this machine gets Debian's packages."""
+    words = ["apt-get", "indextargets", "--format", "$(REPO_URI) $(SUITE) $(COMPONENT)", "Created-By: Packages"]
+    lines = subprocess.run(words, check=True, capture_output=True, text=True).stdout.splitlines()
+    found = [uri for uri, suite, component in map(str.split, lines) if component == "main" and "-" not in suite]
+    if not found:
+        raise SystemExit("apt has no archive of Debian's packages: run apt-get update")
+    return found[0]
+
+
 def _fetch(work: Path, tree: Path) -> None:
     """Download and unpack the source, with lists of apt's own that leave those of the system alone."""
     lists, sources = work / "lists", work / "debian.sources"
     lists.mkdir(exist_ok=True)
-    sources.write_text(SOURCES.format(suite=SUITE))
+    sources.write_text(SOURCES.format(mirror=_mirror(), suite=SUITE))
     options = ["-o", f"Dir::Etc::sourcelist={sources}", "-o", "Dir::Etc::sourceparts=/dev/null"]
     options += ["-o", f"Dir::State::lists={lists}", "-o", "Acquire::Retries=3", "-o", "APT::Sandbox::User=root"]
     subprocess.run(["apt-get", *options, "update"], check=True)
