@@ -66,12 +66,14 @@ async def test_filter_is_in_the_address_and_keeps_the_peers(browser: Any, platfo
 
 
 async def test_pages_of_an_environment_say_that_it_has_ended(browser: Any, platform: RealPlatform) -> None:
-    async with platform.robot("brief") as robot, open_page(browser) as (page, _):
+    async with platform.robot("brief") as robot, open_page(browser) as (page, errors):
         async with robot.environment("hall"):
             await sign_in(page, platform.url, USER, USER)
             await visit(page, f"{platform.url}ui/#/map/{USER}/hall")
             await page.get_by_label("Environment").locator(f"option[value='{USER}/hall']").wait_for(state="attached")
         await page.get_by_text("The environment hall has ended").wait_for()
+        # The page may have asked for its topics while it was away already, and not yet removed.
+        errors[:] = [each for each in errors if not ("503" in each and "/environments/hall/topics" in each)]
 
 
 async def test_quota_form_has_the_present_values(browser: Any, platform: RealPlatform) -> None:
