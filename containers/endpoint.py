@@ -1,4 +1,4 @@
-"""What an Environment endpoint in a container finds there, whatever engine runs the container."""
+"""Variables and paths of an Environment endpoint in a container, the same for all engines."""
 
 from __future__ import annotations
 

@@ -106,7 +106,7 @@ async def serve(reactor: ReactorBase, options: Settings) -> None:
 
 
 class Ports(NamedTuple):
-    """What a Master listens at: its HTTP entry, and the control port."""
+    """Addresses of a Master: its HTTP entry, and the control port."""
 
     scheme: str
     host: str

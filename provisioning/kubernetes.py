@@ -36,7 +36,7 @@ NEEDED = ("databasePassword", "robotToken", "containerToken")  # secrets that ar
 
 @dataclass(frozen=True, kw_only=True)
 class Values:
-    """What can be set of a platform; the names and defaults are those of the chart's values."""
+    """Settings of a platform; the names and defaults are those of the chart's values."""
 
     namespace: str = "rce"
     serverImage: str = f"{SERVER}:{VERSION}"

@@ -1,4 +1,4 @@
-"""What an agent does on its node, whatever runs the containers there.
+"""Work of an agent on its node that does not depend on what runs the containers.
 
 It serves the sockets of environments, as the task set does with the engine `docker`, relays data links, and keeps the
 connection to its task set.

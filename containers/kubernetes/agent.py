@@ -55,7 +55,7 @@ class Settings(NodeSettings, frozen=True, kw_only=True):
 
 
 class Record(Struct, frozen=True):
-    """What the next agent must know of an environment that is served."""
+    """Record of an environment that is served, for the next agent."""
 
     call: Furnish
     process: int

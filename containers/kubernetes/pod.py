@@ -30,7 +30,7 @@ LEAST_CPU, LEAST_MEMORY = "10m", 64 * MB
 
 
 class PodSetup(Struct, frozen=True):
-    """What the pods of all environments of a task set have in common; `command` is that of the endpoint."""
+    """Settings of the pods of all environments of a task set; `command` is that of the endpoint."""
 
     task_set: str
     cluster: ClusterSetup

@@ -28,7 +28,7 @@ class AgentSetup(Struct, frozen=True, kw_only=True):
 
 
 class ClusterSetup(Struct, frozen=True, kw_only=True):
-    """How a task set uses a cluster.
+    """Settings by which a task set uses a cluster.
 
     Everything is in `namespace`, or with `per_user` the environments of each user are in one of their own, whose name
     begins with it. Nodes have the sockets of environments below `directory`; kubelet reads profiles of system calls in

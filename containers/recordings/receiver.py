@@ -43,7 +43,7 @@ class RecordingReceiver:
 
     @property
     def active(self) -> bool:
-        """Whether recordings are accepted at all."""
+        """True if recordings are accepted."""
         return self._store is not None
 
     def add_environment(self, name: str, directory: Path) -> None:

@@ -69,7 +69,7 @@ class Transforms(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Direction(Struct, frozen=True, forbid_unknown_fields=True):
-    """What to forward in one direction: topics and transforms; services and actions, which the other end uses."""
+    """Topics and transforms to forward in one direction; services and actions, which the other end uses."""
 
     topics: list[Topic] = []
     services: list[Service] = []

@@ -456,7 +456,7 @@ class Use(Struct, frozen=True):
 
 
 class Tally(Struct, frozen=True):
-    """How often robots of a user began to use a service."""
+    """Number of times that robots of a user began to use a service."""
 
     offer: str
     user: str

@@ -130,7 +130,7 @@ class KnowledgeAnswer(Struct, frozen=True):
 
 
 class Reply(Struct, frozen=True):
-    """What comes back at the socket: an answer, or an error."""
+    """Reply at the socket: an answer, or an error."""
 
     answer: KnowledgeAnswer | None = None
     error: ErrorInfo | None = None

@@ -34,7 +34,7 @@ NO_LIMITS = Limits()
 
 
 class Output(Protocol):
-    """What a file of a recording is written to. Its methods may raise RceError, which ends the recording."""
+    """Target of a file of a recording. Its methods may raise RceError, which ends the recording."""
 
     def write(self, data: bytes, /) -> int:
         """Append bytes."""

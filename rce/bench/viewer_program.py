@@ -22,7 +22,7 @@ TOPIC, TYPE = "/camera", "sensor_msgs/Image"
 
 
 class Task(Struct, frozen=True):
-    """What the viewers do.
+    """Behaviour of the viewers.
 
     Attributes:
         count: Number of viewers.
@@ -48,7 +48,7 @@ class Task(Struct, frozen=True):
 
 
 class Seen(Struct):
-    """What all viewers have received: the messages, their bytes, and how many of them are different."""
+    """Messages that all viewers have received: the messages, their bytes, and how many of them are different."""
 
     messages: int = 0
     bytes: int = 0

@@ -12,7 +12,7 @@ from rce.errors import Unavailable
 
 
 class Fence(Protocol):
-    """What a process refuses."""
+    """Error for a call that a process refuses."""
 
     @property
     def term(self) -> int:

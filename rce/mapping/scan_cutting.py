@@ -13,7 +13,7 @@ from rce.mapping.scans import Scan
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """What becomes a part of the scan.
+    """Points that become a part of the scan.
 
     Attributes:
         low: Metres above the lidar, or below it if negative.

@@ -1,4 +1,4 @@
-"""What differs between cameras with depth and lidars: front end, back end and dense map."""
+"""Parts that differ between cameras with depth and lidars: front end, back end and dense map."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from rce.recognition.textures import METHODS, TextureFinder, TextureModel
 
 @dataclass(frozen=True)
 class RecogniserSettings:
-    """What is recognised.
+    """Kinds of things that are recognised.
 
     Attributes:
         dictionaries: Names of the dictionaries of markers.

@@ -1,4 +1,4 @@
-"""What an endpoint in a container finds there."""
+"""Variables and paths of an endpoint in a container."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a launch file describes: it is carried out by the interpreter in a process of its own, as it is user code."""
+"""Evaluation of a launch file: it is carried out by the interpreter in a process of its own, as it is user code."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ class Clock:
 
     @property
     def can_jump(self) -> bool:
-        """Whether `set` has an effect."""
+        """True if `set` has an effect."""
         return self._library is not None
 
     @property

@@ -54,7 +54,7 @@ class Fault(NamedTuple):
 
     @property
     def deposes(self) -> bool:
-        """Whether another Master must lead afterwards."""
+        """True if another Master must lead afterwards."""
         return self.kind in DEPOSING
 
 

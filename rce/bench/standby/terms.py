@@ -1,4 +1,4 @@
-"""Who led when, and who acknowledged writes meanwhile: no Master may do so in the term of a later one."""
+"""Terms of the Masters and the writes that they acknowledged: no Master may do so in the term of a later one."""
 
 from __future__ import annotations
 

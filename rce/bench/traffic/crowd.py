@@ -78,7 +78,7 @@ def _seconds(process: psutil.Process) -> float:
 
 
 class Load(NamedTuple):
-    """What a crowd does.
+    """Load of a crowd.
 
     Attributes:
         robots: Number of robots.

@@ -37,7 +37,7 @@ class Flood(Struct):
 
 
 class Reading:
-    """What the robot has received: numbers of messages, and how many were dropped, in all, by place."""
+    """Messages that the robot has received: numbers of messages, and how many were dropped, in all, by place."""
 
     def __init__(self) -> None:
         self.numbers: list[int] = []

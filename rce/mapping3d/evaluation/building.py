@@ -72,7 +72,7 @@ ROOMS = ((1.2, 1.2), (6.1, 1.2), (6.1, 5.2), (4.5, 6.0), (6.1, 5.2), (6.1, 1.2),
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """Where the beams of a sweep point, and when.
+    """Directions and times of the beams of a sweep.
 
     Attributes:
         name: Name.

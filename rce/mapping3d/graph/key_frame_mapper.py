@@ -34,7 +34,7 @@ K = TypeVar("K", KeyFrame, CloudKeyFrame)
 
 @dataclass(frozen=True, slots=True)
 class JoiningSettings:
-    """When maps are optimised and joined.
+    """Times at which maps are optimised and joined.
 
     Attributes:
         window: Key frames that move with each new one where no loop was closed.

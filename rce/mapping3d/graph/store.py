@@ -145,7 +145,7 @@ class KeyFrameStore:
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    """Where a key frame is: its first byte, the sizes of its parts, and its names."""
+    """Place of a key frame: its first byte, the sizes of its parts, and its names."""
 
     begin: int
     sizes: tuple[int, int, int]

@@ -1,4 +1,4 @@
-"""Which key frames look alike: Scan Context.
+"""Key frames that look alike: Scan Context.
 
 Kim and Kim, Scan Context: Egocentric Spatial Descriptor for Place Recognition within 3D Point Cloud Map, 2018. They
 keep the height of the highest point of each cell, which under a ceiling is that of the ceiling everywhere. Here it is

@@ -1,4 +1,4 @@
-"""Which devices the limits of reads and writes are for."""
+"""Devices of the limits of reads and writes."""
 
 from __future__ import annotations
 

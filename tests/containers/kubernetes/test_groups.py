@@ -1,4 +1,4 @@
-"""What the agents of a group's members are told."""
+"""Calls to the agents of a group's members."""
 
 from __future__ import annotations
 

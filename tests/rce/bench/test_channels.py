@@ -1,4 +1,4 @@
-"""What a Foxglove client receives, with a gateway that a test plays."""
+"""Messages that a Foxglove client receives, with a gateway that a test plays."""
 
 from __future__ import annotations
 

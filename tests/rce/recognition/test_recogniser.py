@@ -1,4 +1,4 @@
-"""What is recognised in rendered images, and how exactly."""
+"""Recognition in rendered images, and its accuracy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What RoboEarth's clients do with the repository, by the knowledge service. Without ROS."""
+"""RoboEarth's services, answered by the knowledge service. Without ROS."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from endpoints.environment.launch.interpreter.substitutions import LaunchConfigu
 
 
 class Condition:
-    """Whether an action is carried out."""
+    """Condition of an action: true if the action is carried out."""
 
     def evaluate(self, context: Context) -> bool:
         """Return whether it is; raise LaunchError if that cannot be told."""

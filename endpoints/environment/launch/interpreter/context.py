@@ -1,4 +1,4 @@
-"""What a launch file has set up to an action, and the nodes that it has described."""
+"""Settings that a launch file has made up to an action, and the nodes that it has described."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ class Substitution:
 
 
 Text = str | Path | Substitution | Iterable[Any]
-"""What an action takes as a text: a string, a path, a substitution, or several of these, which are joined."""
+"""Texts that an action takes: a string, a path, a substitution, or several of these, which are joined."""
 
 
 def perform(context: Context, text: Text) -> str:
@@ -207,7 +207,7 @@ class NotSubstitution(Substitution):
 
 
 class AndSubstitution(Substitution):
-    """Whether two texts are true."""
+    """Return True if two texts are true."""
 
     def __init__(self, left: Text, right: Text) -> None:
         self.sides = left, right
@@ -218,7 +218,7 @@ class AndSubstitution(Substitution):
 
 
 class OrSubstitution(AndSubstitution):
-    """Whether one of two texts is true."""
+    """Return True if one of two texts is true."""
 
     def perform(self, context: Context) -> str:
         """Return `true` or `false`."""
@@ -226,7 +226,7 @@ class OrSubstitution(AndSubstitution):
 
 
 class EqualsSubstitution(AndSubstitution):
-    """Whether two texts are equal; numbers and truths count by their value."""
+    """Return True if two texts are equal; numbers and truths count by their value."""
 
     def perform(self, context: Context) -> str:
         """Return `true` or `false`."""
@@ -235,7 +235,7 @@ class EqualsSubstitution(AndSubstitution):
 
 
 class NotEqualsSubstitution(EqualsSubstitution):
-    """Whether two texts differ."""
+    """Return True if two texts differ."""
 
     def perform(self, context: Context) -> str:
         """Return `true` or `false`."""
