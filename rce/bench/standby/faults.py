@@ -32,7 +32,7 @@ CHOICES: dict[tuple[Kind, Victim], int] = {
     ("clock", "leader"): 2,
     ("clock", "database"): 2,
 }
-"""Weights. The clock of the database decides when a lease ends."""
+"""Weight of each kind of fault. The clock of the database is among them, since it decides when a lease ends."""
 TERMINATE = (
     "SELECT pg_terminate_backend(pid) FROM pg_stat_activity"
     " WHERE pid <> pg_backend_pid() AND backend_type = 'client backend'"

@@ -10,7 +10,7 @@ class Condition:
     """Condition of an action: true if the action is carried out."""
 
     def evaluate(self, context: Context) -> bool:
-        """Return whether it is; raise LaunchError if that cannot be told."""
+        """Return True if the action is carried out; raise LaunchError if the condition is no truth value."""
         raise NotImplementedError
 
 
