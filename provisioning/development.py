@@ -78,7 +78,12 @@ CPP_HEADERS = {  # of the C++ client
 IN_TWO_PROCESSES = ("-n", "2", "--dist", "loadgroup", "--no-loadscope-reorder", "--max-worker-restart=1")
 """Options of pytest. tests/conftest.py makes the groups and their order. A process that ends is replaced once, because
 pytest-xdist starts the test that ended it again."""
-QUICK = ("-m", "not (e2e or docker or kubernetes or ros or slow)")
+SLOW_FOLDERS = ("e2e", "chaos", "containers/nodes", "endpoints/environment", "provisioning")
+"""Folders of tests that need ROS 2 or whole platforms, all of them: the quick tests need not import them."""
+QUICK = (
+    *("-m", "not (e2e or docker or kubernetes or ros or slow)"),
+    *(f"--ignore=tests/{folder}" for folder in SLOW_FOLDERS),
+)
 REST = ("-m", "((e2e or docker or ros or slow) and not kubernetes) or sample")
 KUBERNETES = ("-m", "kubernetes")
 UV_CONSTRAINTS = ("--constraints", CONSTRAINTS, "--build-constraints", CONSTRAINTS)

@@ -22,6 +22,7 @@ from hypothesis import HealthCheck, settings
 from twisted.internet.base import ReactorBase
 from twisted.logger import LogEvent, globalLogPublisher
 
+from provisioning.development import SLOW_FOLDERS
 from rce.errors import Unavailable
 from rce.process import loop
 from tests.support.hand_turned import HandTurnedLoop
@@ -41,7 +42,6 @@ settings.load_profile("tests")
 TESTS = Path(__file__).parent
 KUBERNETES_FIXTURES = {"cluster", "two_nodes"}
 DOCKER_FIXTURES = {"docker_host", "images", "island", "swarm", "one_machine", "stand_in_image"}
-ROS_FOLDERS = ("e2e", "endpoints/environment", "containers/nodes", "provisioning")
 TIMEOUTS = {"docker": 2400, "kubernetes": 900, "e2e": 600}  # seconds; the first with Docker builds the images
 
 
@@ -59,7 +59,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             "docker": _needs_docker(item),
             "e2e": path.is_relative_to("e2e"),
             "kubernetes": _needs_cluster(item),
-            "ros": any(path.is_relative_to(folder) for folder in ROS_FOLDERS),
+            "ros": any(path.is_relative_to(folder) for folder in SLOW_FOLDERS),
         }
         for marker, applies in conditions.items():
             if applies:

@@ -133,9 +133,9 @@ class NodeServices:
             self._data_relay.remove_environment(served.name)
 
     async def notify(self, call: Call[Any]) -> None:
-        """Make a call to the task set; log an error, as everything is reported again after the next join."""
+        """Make a call to the task set if it is joined; log an error. All is reported again after the next join."""
         try:
-            await self.link.call(call)
+            await self.link.call(call, wait=0)
         except RceError as error:
             log.info("the task set did not take {call}: {error}", call=type(call).__name__, error=str(error))
 

@@ -12,7 +12,8 @@ from msgspec import Meta, Struct
 from rce.errors import ErrorInfo
 
 PREFIX = "/map-service"
-MAX_FILES = 64  # of one recording
+MAX_FILES = 64  # of one job
+MAX_PARALLEL = 16  # workers of one job
 
 Kind = Literal["2d", "3d"]
 Mapper = Literal["graph", "particle"]
@@ -40,10 +41,17 @@ class MapOptions(Struct, frozen=True, forbid_unknown_fields=True):
     kind: Annotated[
         Kind, Meta(description="2d: laser scans; 3d: a bag with colour, depth and camera_info, without other options")
     ] = "2d"
+    parallel: Annotated[
+        int, Meta(ge=1, le=MAX_PARALLEL, description="workers, each in an environment of its own; of kind 2d")
+    ] = 1
 
 
 class JobRequest(Struct, frozen=True, forbid_unknown_fields=True):
-    """Mapping job to start. Several uploads are the files of one ROS 2 bag, including its metadata.yaml."""
+    """Mapping job to start.
+
+    Several uploads are the files of one ROS 2 bag, if metadata.yaml is one of them; else each is a recording, and those
+    that overlap become one map.
+    """
 
     uploads: Annotated[list[UploadId], Meta(min_length=1, max_length=MAX_FILES, description="ids of finished uploads")]
     options: MapOptions = MapOptions()

@@ -17,6 +17,7 @@ import signal
 import ssl
 import sys
 import time
+from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -96,14 +97,25 @@ def inspect(task: Task) -> int | None:
         return _inspect_3d(task)
     from rce.mapping.files.recordings import open_recording
 
+    total: int | None = 0
     try:
-        recording = open_recording(Path(task.recording), task.options.scan_topic, task.options.odometry_topic)
-        if not list(itertools.islice(recording, INSPECTED_SCANS)):
-            raise InvalidRequest(f"{recording.name} has no laser scans", field="path")
+        for path in recordings_of(task):
+            recording = open_recording(path, task.options.scan_topic, task.options.odometry_topic)
+            if not list(itertools.islice(recording, INSPECTED_SCANS)):
+                raise InvalidRequest(f"{recording.name} has no laser scans", field="path")
+            total = None if total is None or recording.scans is None else total + recording.scans
     except (InvalidRequest, NotFound) as error:
         field = {"path": "uploads", "topic": "options.scan_topic"}.get(error.field, error.field)
         raise type(error)(str(error), field=field) from None
-    return recording.scans
+    return total
+
+
+def recordings_of(task: Task) -> list[Path]:
+    """Return the recordings of a task: its only file, a ROS 2 bag of several files, or several files by name."""
+    path = Path(task.recording)
+    if not path.is_dir() or (path / "metadata.yaml").exists():
+        return [path]
+    return sorted(path.iterdir())
 
 
 def _inspect_3d(task: Task) -> int:
@@ -114,6 +126,8 @@ def _inspect_3d(task: Task) -> int:
     """
     from rce.mapping3d.files.recordings import open_recording
 
+    if task.options.parallel > 1:
+        raise InvalidRequest("recordings of kind 3d have one worker", field="options.parallel")
     try:
         recording = open_recording(Path(task.recording), topic=task.options.scan_topic)
         if next(iter(recording), None) is None:
@@ -142,8 +156,7 @@ async def build_3d(task: Task, platform: Platform) -> None:
 
     send(Report("preparing", 0, recording.frames, times.done))
     async with robot_of(task, platform) as robot:
-        for former in task.former:
-            await remove_environment(robot, former)
+        await remove_environments(robot, task, task.former)
         _, figures = await map_with([robot], task.name, [recording], Path(task.out), progress)
         times.end("mapping")
     send(Report("finishing", figures.frames, figures.frames, times.done, clean=True))
@@ -183,8 +196,7 @@ async def build(task: Task, platform: Platform) -> None:
 
     send(Report("preparing", 0, recording.scans, times.done))
     async with robot_of(task, platform) as robot:
-        for former in task.former:
-            await remove_environment(robot, former)
+        await remove_environments(robot, task, task.former)
         async with robot.environment(task.name, restart="no") as environment:
             async with MappingRobot(robot, environment) as mapping:
                 options = task.options
@@ -202,6 +214,37 @@ async def build(task: Task, platform: Platform) -> None:
     log(f"{result.scans} scans mapped")
 
 
+async def build_parallel(task: Task, platform: Platform) -> None:
+    """Map recordings by workers in environments of their own, and write the results."""
+    from rce.mapping.files.outputs import write_joint_outputs
+    from rce.mapping.files.recordings import open_recording
+    from rce.mapping.mapper import MapperSettings
+    from rce.mapping.parallel.run import Method, run
+
+    times, options = _Times(), task.options
+    recordings = [open_recording(path, options.scan_topic, options.odometry_topic) for path in recordings_of(task)]
+    totals = [recording.scans for recording in recordings]
+    total = None if None in totals else sum(each or 0 for each in totals)
+    times.end("opening")
+
+    def progress(scans: int) -> None:
+        send(Report("mapping", min(scans, total or scans), total, times.done))
+
+    send(Report("preparing", 0, total, times.done))
+    async with robot_of(task, platform) as robot:
+        await remove_environments(robot, task, task.former)
+        method = Method(options.parallel, options.mapper, MapperSettings(options.resolution, options.max_range))
+        done = await run(robot, task.name, recordings, method, progress)
+        times.end("mapping")
+    scans = sum(len(trajectory) for each in done.maps for trajectory in each.trajectories.values())
+    send(Report("writing", scans, scans, times.done))
+    for place, joint in enumerate(done.maps, 1):
+        await asyncio.to_thread(write_joint_outputs, Path(task.out), place, joint.grid, joint.trajectories)
+    times.end("writing")
+    send(Report("finishing", scans, scans, times.done, clean=True))
+    log(f"{scans} scans of {len(recordings)} recordings on {len(done.maps)} maps; workers lost: {done.lost}")
+
+
 class _Times:
     """Durations of the consecutive stages, in seconds."""
 
@@ -216,15 +259,12 @@ class _Times:
         log(f"{stage}: {self.done[stage]} s")
 
 
-async def remove_environment(robot: object, tag: str) -> None:
-    """Remove an environment that may be left from an earlier attempt."""
-    from rce.client import Robot
-
-    assert isinstance(robot, Robot)
-    try:
-        await robot.destroy_environment(tag)
-    except NotFound:
-        return
+async def remove_environments(robot: Robot, task: Task, attempts: Sequence[str]) -> None:
+    """Remove the environments that may be left from attempts at a task, given by their names."""
+    for attempt in attempts:
+        for tag in (attempt, *(f"{attempt}_{member}" for member in range(task.options.parallel))):
+            with contextlib.suppress(NotFound):
+                await robot.destroy_environment(tag)
 
 
 def trust_only(certificate: str) -> ssl.SSLContext | None:
@@ -253,7 +293,13 @@ async def run(task: Task) -> None:
         total = await asyncio.to_thread(inspect, task)
         send(Report("inspected", 0, total, clean=True))
     else:
-        await (build_3d if task.options.kind == "3d" else build)(task, task.platform)
+        await _builder(task)(task, task.platform)
+
+
+def _builder(task: Task) -> Callable[[Task, Platform], Awaitable[None]]:
+    if task.options.kind == "3d":
+        return build_3d
+    return build_parallel if task.options.parallel > 1 or len(recordings_of(task)) > 1 else build
 
 
 def main() -> int:

@@ -13,7 +13,7 @@ from twisted.logger import Logger
 
 from rce.client import Robot
 from rce.errors import MALFORMED, InternalError, InvalidRequest, RceError, TimedOut
-from rce.mapservice.job_program import Report, Task, remove_environment, trust_only
+from rce.mapservice.job_program import Report, Task, remove_environments, trust_only
 
 PROGRAM = (sys.executable, "-P", "-m", "rce.mapservice.job_program")
 INSPECT_TIMEOUT = 60.0  # seconds
@@ -92,8 +92,7 @@ class JobRunner:
         )
         try:
             async with asyncio.timeout(CLEANUP_TIMEOUT), robot:
-                for name in (*task.former, task.name):
-                    await remove_environment(robot, name)
+                await remove_environments(robot, task, [*task.former, task.name])
         except (RceError, TimeoutError) as error:
             log.warn("environment {name} may still exist: {error}", name=task.name, error=str(error))
 

@@ -16,25 +16,17 @@ from zeep.wsse.username import UsernameToken
 
 from rce.api.map_jobs import Job
 from rce.client.map_service import MapServiceClient
-from tests.support.e2e.real_platform import RCE, USER, RealPlatform, until
+from tests.support.e2e.mapping import TIMEOUT, rce
+from tests.support.e2e.real_platform import USER, RealPlatform, until
 from tests.support.e2e.recordings import LOG, piece
 from tests.support.paths import DATA
 
 RESULTS = ["log.txt", "map.pgm", "map.png", "map.yaml", "times.json", "trajectory.txt"]
-TIMEOUT = 240.0  # seconds
 MANY = 1900  # scans; mapping them takes far longer than a restart of the Master
 SERVICE = r"-m rce\.mapservice "
 MASTER = r"-m master "
 
 pytestmark = pytest.mark.skipif(not LOG.exists(), reason=f"needs {LOG.name} in {DATA}, or RCE_DATA")
-
-
-async def rce(*words: str | Path) -> tuple[int, str, str]:
-    process = await asyncio.create_subprocess_exec(
-        RCE, *map(str, words), stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
-    )
-    output, errors = await asyncio.wait_for(process.communicate(), TIMEOUT)
-    return process.returncode or 0, output.decode(), errors.decode()
 
 
 def maps(platform: RealPlatform) -> MapServiceClient:

@@ -13,6 +13,7 @@ from rce.control.calls.call import Call, Nothing
 from rce.control.calls.knowledge import ReportChanges
 from rce.control.calls.services import Authenticate, Identity, RecordAction
 from rce.errors import Forbidden, RceError, Unauthorized
+from rce.knowledge import server
 from rce.knowledge.queries import QueryLimits
 from rce.knowledge.repository import RepositoryLimits
 from rce.knowledge.server import KnowledgeLimits, KnowledgeService
@@ -89,6 +90,11 @@ class Service:
         await self.stop()
 
     async def start(self) -> None:
+        with pytest.MonkeyPatch.context() as patch:  # no test waits for what a subscriber may still do
+            patch.setattr(server, "SHUTDOWN_TIMEOUT", 0.05)
+            await self._start()
+
+    async def _start(self) -> None:
         self.service = KnowledgeService(self.directory, lambda: self.master, self.limits, self.anonymous)
         port = await self.service.start("127.0.0.1", 0)
         self.root = f"http://127.0.0.1:{port}"

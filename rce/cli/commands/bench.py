@@ -11,7 +11,7 @@ from rce.cli.arguments import ENGINES, RUNNING_OR_OWN, Argument, argument
 from rce.cli.command import Command, Group, Lazy, Section
 
 QUICK_SIZES, QUICK_SAMPLES = 4, 3
-MODULE = "rce.cli.lazy.bench"
+MODULE, SCALE, MAPS = "rce.cli.lazy.bench", "rce.cli.lazy.bench_scale", "rce.cli.lazy.bench_maps"
 
 SAMPLES_JSON = argument("--json", action="store_true", help="print every sample as JSON instead of a table")
 FIGURES_JSON = argument("--json", action="store_true", help="print the figures as JSON")
@@ -142,7 +142,7 @@ COMMANDS = (
     Command(
         "bench control",
         "Measure logins and commands by one robot and by many at once.",
-        Lazy(MODULE, "measure_control"),
+        Lazy(SCALE, "measure_control"),
         (
             argument("--robots", default="1,20", help="how many at once, a list (default: %(default)s)"),
             argument("--count", type=int, default=50, help="interfaces of a robot (default: %(default)s)"),
@@ -155,7 +155,7 @@ COMMANDS = (
     Command(
         "bench traffic",
         "Measure thousands of robots that send each other messages, and a node that floods a robot.",
-        Lazy(MODULE, "measure_traffic"),
+        Lazy(SCALE, "measure_traffic"),
         (
             argument("--robots", default="1000", help="how many, a list (default: %(default)s)"),
             argument("--processes", default="1", help="of the Robot endpoint, a list (default: %(default)s)"),
@@ -171,7 +171,7 @@ COMMANDS = (
     Command(
         "bench fleet",
         "Measure a Master with thousands of machines and robots, of which only the control connections are real.",
-        Lazy(MODULE, "measure_fleet"),
+        Lazy(SCALE, "measure_fleet"),
         (
             argument("--machines", type=int, default=1000, help="(default: %(default)s)"),
             argument("--robots", type=int, default=10_000, help="each with an environment (default: %(default)s)"),
@@ -183,7 +183,7 @@ COMMANDS = (
     Command(
         "bench chaos",
         "Let processes of a platform fail at random, and check what it has acknowledged.",
-        Lazy(MODULE, "measure_chaos"),
+        Lazy(SCALE, "measure_chaos"),
         (
             argument("--minutes", type=float, default=10, help="maximum duration (default: %(default)s)"),
             argument("--events", type=int, default=1000, help="maximum number of faults (default: %(default)s)"),
@@ -198,7 +198,7 @@ COMMANDS = (
     Command(
         "bench standby",
         "Let the leader of two Masters fail at random, and check what was acknowledged. Needs root and PostgreSQL.",
-        Lazy(MODULE, "measure_standby"),
+        Lazy(SCALE, "measure_standby"),
         (
             argument("--minutes", type=float, default=90, help="maximum duration (default: %(default)s)"),
             argument("--events", type=int, default=200, help="maximum number of faults (default: %(default)s)"),
@@ -213,7 +213,7 @@ COMMANDS = (
     Command(
         "bench map-service",
         "Measure the map service with a large recording and another user's job at the same time.",
-        Lazy(MODULE, "measure_map_service"),
+        Lazy(MAPS, "measure_map_service"),
         (
             argument("--size", type=int, default=4000, help="of the recording, MB (default: %(default)s)"),
             argument(
@@ -231,7 +231,7 @@ COMMANDS = (
     Command(
         "bench dashboard",
         "Measure dashboard and lists of a Master with many robots and environments.",
-        Lazy(MODULE, "measure_dashboard"),
+        Lazy(SCALE, "measure_dashboard"),
         (
             argument("--robots", type=int, default=200, help="with an environment each (default: %(default)s)"),
             argument("--interfaces", type=int, default=5, help="of each robot and environment (default: %(default)s)"),
@@ -245,11 +245,18 @@ COMMANDS = (
     Command(
         "bench map",
         "Measure time, memory and map quality of each mapper, with and without the map service.",
-        Lazy(MODULE, "measure_maps"),
+        Lazy(MAPS, "measure_maps"),
         (
             *RECORDINGS,
             argument("--odometry", default="", help="comma-separated list of recorded, noisy, worse, none"),
             argument("--no-service", action="store_true", help="the mappers alone, without a platform"),
+            argument(
+                "--workers",
+                default="",
+                metavar="N,...",
+                help="map the recordings together, as `rce map --parallel`, with each of these numbers of workers",
+            ),
+            argument("--cut", type=int, default=1, help="with --workers: recordings that overlap, made of each FILE"),
             argument("--out", type=Path, metavar="DIR", help="for the maps"),
             ENGINE,
         ),
@@ -259,7 +266,7 @@ COMMANDS = (
     Command(
         "bench plan",
         "Measure time and length of paths on maps of 2,000 x 2,000 cells and of a building.",
-        Lazy(MODULE, "measure_planners"),
+        Lazy(MAPS, "measure_planners"),
         (
             argument("maps", nargs="*", type=Path, metavar="MAP.yaml", help="further maps"),
             argument("--samples", type=int, default=5, help="of each (default: %(default)s)"),
@@ -271,7 +278,7 @@ COMMANDS = (
     Command(
         "bench localise",
         "Measure whether and how exactly a robot is found in the map of the first half of a recording.",
-        Lazy(MODULE, "measure_localisation"),
+        Lazy(MAPS, "measure_localisation"),
         (
             argument("recording", type=Path, metavar="FILE", help="CARMEN log, ROS 1 or ROS 2 bag"),
             argument("--parts", type=int, default=10, help="starts in its second half (default: %(default)s)"),
@@ -308,7 +315,7 @@ COMMANDS = (
     Command(
         "bench endless",
         "Measure memory and time per scan while a recording is replayed forward and back again and again.",
-        Lazy(MODULE, "measure_endless"),
+        Lazy(MAPS, "measure_endless"),
         (
             *RECORDINGS,
             argument("--scans", type=int, default=36_000, help="(default: %(default)s, an hour at 10 Hz)"),
@@ -319,7 +326,7 @@ COMMANDS = (
     Command(
         "bench network",
         "Measure a robot behind bad networks, beside plain JSON without priorities; needs root.",
-        Lazy(MODULE, "measure_network"),
+        Lazy(SCALE, "measure_network"),
         _network_arguments,
         ("bench network --profiles lte --seconds 30",),
         platform=None,
@@ -328,7 +335,7 @@ COMMANDS = (
     Command(
         "bench soak",
         "Let robots come and go for a long time, and tell whether any process grows.",
-        Lazy(MODULE, "measure_soak"),
+        Lazy(SCALE, "measure_soak"),
         (
             argument("--minutes", type=float, default=120, help="(default: %(default)s)"),
             argument("--rate", type=float, default=20, help="robots that come, a minute (default: %(default)s)"),

@@ -26,6 +26,13 @@ RESOLUTION = argument(
 OUT = argument(
     "--out", type=Path, default=Path("map"), metavar="DIR", help="for the map's files (default: %(default)s)"
 )
+PARALLEL = argument(
+    "--parallel",
+    type=int,
+    default=1,
+    metavar="N",
+    help="workers, each in an environment of its own; recordings that overlap become one map (default: %(default)s)",
+)
 JOBS_JSON = argument("--json", action="store_true", help="print jobs as JSON")
 JOB = argument("job", metavar="JOB", help="its id")
 
@@ -47,11 +54,17 @@ COMMANDS = (
                 action="store_true",
                 help="replay all FILEs at the same time, each as a robot of its own, into one joint map",
             ),
+            PARALLEL,
             SCAN_TOPIC,
             ODOMETRY_TOPIC,
             HEIGHTS,
         ),
-        ("map corridor.log --out corridor", "map --simulate", "map --team first.bag second.bag"),
+        (
+            "map corridor.log --out corridor",
+            "map --simulate",
+            "map --team first.bag second.bag",
+            "map --parallel 4 *.log.gz",
+        ),
         platform=RUNNING_OR_OWN,
         section=Section.LOCAL,
         description="Sends the scans through a platform to its mapping node and writes the map that comes back. "
@@ -59,7 +72,7 @@ COMMANDS = (
     ),
     Command(
         "map submit",
-        "Upload recordings and submit a job of the map service for each.",
+        "Upload recordings and submit a job of the map service for each, or with --parallel one for all.",
         Lazy("rce.cli.lazy.map_jobs", "submit"),
         (
             argument("recordings", nargs="+", type=Path, metavar="FILE", help="CARMEN log, ROS 1 or ROS 2 bag"),
@@ -78,13 +91,14 @@ COMMANDS = (
                 metavar="METRES",
                 help="ignore longer ranges (default: %(default)s)",
             ),
+            PARALLEL,
             SCAN_TOPIC,
             ODOMETRY_TOPIC,
             argument("--wait", action="store_true", help="wait for the maps and fetch them"),
             OUT,
             JOBS_JSON,
         ),
-        ("map submit corridor.log --wait",),
+        ("map submit corridor.log --wait", "map submit --parallel 4 monday.bag tuesday.bag"),
         platform=RUNNING,
         section=Section.LOCAL,
     ),

@@ -12,9 +12,11 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import AsyncExitStack
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from rce.api.map_jobs import MAX_PARALLEL
 from rce.cli.commands.maps import MAPPERS
 from rce.cli.contexts import Access
 from rce.cli.platform import platform
@@ -24,6 +26,8 @@ from rce.errors import InvalidRequest
 from rce.mapping.evaluation.simulation import Accuracy, Simulation, evaluate, simulate
 from rce.mapping.files.outputs import trajectory_text, write_atomically, write_outputs
 from rce.mapping.files.recordings import Recording, open_recording
+from rce.mapping.mapper import MapperSettings
+from rce.mapping.parallel import run as parallel
 from rce.mapping.robot import MappingRobot, Result, start_node
 from rce.mapping.scan_cutting import Band
 from rce.protocol.messages import ParameterValue
@@ -43,6 +47,10 @@ def run(session: ConsoleSession, args: argparse.Namespace) -> None:
         raise InvalidRequest("give recordings, or --simulate")
     if args.team and (len(args.recordings) < 2 or args.mapper != MAPPERS[0]):
         raise InvalidRequest(f"--team needs several recordings and the mapper {MAPPERS[0]}")
+    if not 1 <= args.parallel <= MAX_PARALLEL:
+        raise InvalidRequest(f"--parallel: {args.parallel} is not a number from 1 to {MAX_PARALLEL}")
+    if args.parallel > 1 and (args.team or args.simulate):
+        raise InvalidRequest("--parallel maps recordings as a whole: give it without --team and --simulate")
     sources: list[Source] = [_open(path, args) for path in args.recordings] or [simulate()]
     existing = next(path for path in (args.out, *args.out.absolute().parents) if path.exists())
     if not existing.is_dir() or not os.access(existing, os.W_OK):
@@ -89,8 +97,8 @@ def heights(words: str) -> Band:
 
 async def _map(args: argparse.Namespace, sources: list[Source]) -> None:
     async with platform(args) as access:
-        if args.team:
-            results = await map_as_team(access, sources, node_parameters(args))
+        if args.team or args.parallel > 1:
+            results = await (map_in_parallel if args.parallel > 1 else map_as_team)(access, sources, args)
             save_team_maps(args.out, sources, results)
             return
         for source in sources:
@@ -160,9 +168,28 @@ async def map_alone(access: Access, source: Source, parameters: Mapping[str, Par
         return await mapping.result()
 
 
-async def map_as_team(
-    access: Access, sources: Sequence[Source], parameters: Mapping[str, ParameterValue]
-) -> list[Result]:
+async def map_in_parallel(access: Access, sources: Sequence[Source], args: argparse.Namespace) -> list[Result]:
+    """Map several recordings, or the pieces of one, by workers in environments of their own."""
+    name = f"mapper_{secrets.token_hex(4)}"
+    settings = MapperSettings(args.resolution, particles=args.particles, seed=args.seed)
+    progress = Progress(Together.of(sources))
+    async with Robot(access.url, user=access.user, robot=name, password=access.password, key=access.key) as robot:
+        progress.begin()
+        done = await parallel.run(
+            robot, f"env_{name}", sources, parallel.Method(args.parallel, args.mapper, settings), progress.update
+        )
+        progress.end()
+    if done.lost:
+        print(f"{done.lost} workers were lost and replaced", file=sys.stderr)
+    results = {
+        number: Result(joint.grid, trajectory, len(trajectory))
+        for joint in done.maps
+        for number, trajectory in joint.trajectories.items()
+    }
+    return [results[number] for number in range(len(sources))]
+
+
+async def map_as_team(access: Access, sources: Sequence[Source], args: argparse.Namespace) -> list[Result]:
     """Map several recordings at the same time, each as a robot of its own, in one environment whose node joins maps."""
     name = f"team_{secrets.token_hex(4)}"
     tags = [f"robot_{number}" for number, _ in enumerate(sources, 1)]
@@ -174,7 +201,7 @@ async def map_as_team(
             for tag in tags
         ]
         environment = await stack.enter_async_context(robots[0].environment(f"env_{name}", restart="no"))
-        await start_node(environment, "team", {**parameters, "robots": [*tags]})
+        await start_node(environment, "team", {**node_parameters(args), "robots": [*tags]})
         team = [
             await stack.enter_async_context(MappingRobot(robot, robot.environment(environment.tag), f"/{tag}"))
             for robot, tag in zip(robots, tags, strict=True)
@@ -191,10 +218,30 @@ async def map_as_team(
         return list(await asyncio.gather(*(each.result() for each in team)))
 
 
+class Together(NamedTuple):
+    """Recordings that are mapped at the same time.
+
+    Attributes:
+        name: Names of the recordings.
+        scans: Number of scans of all; None if it is unknown.
+        duration: None, as they have no common clock.
+    """
+
+    name: str
+    scans: int | None
+    duration: None = None
+
+    @classmethod
+    def of(cls, sources: Sequence[Source]) -> Together:
+        """Return the sum of these recordings."""
+        counts = [source.scans for source in sources if source.scans is not None]
+        return cls(", ".join(source.name for source in sources), sum(counts) if len(counts) == len(sources) else None)
+
+
 class Progress:
     """Progress of a drive on standard error: scans, speed as a multiple of real time, and remaining time."""
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: Source | Together) -> None:
         self._source = source
         self._began = 0.0
         self._printed_at = 0.0

@@ -6,6 +6,7 @@ import argparse
 import re
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -23,23 +24,19 @@ MAX_NAME_LENGTH = 200  # of an upload
 
 
 def submit(session: ConsoleSession, args: argparse.Namespace) -> int:
-    """Upload recordings and submit a job for each; with --wait also fetch the maps."""
+    """Upload recordings and submit a job for each, or one for all; with --wait also fetch the maps."""
     service = _service(running_platform(args))
     options = map_options(args)
-    files = [files_of(recording) for recording in args.recordings]
     jobs = []
-    for recording, parts in zip(args.recordings, files, strict=True):
-        single = recording.is_file()  # the files of a bag refer to each other by their names
-        uploads = [upload(service, part, upload_name(part.name) if single else part.name) for part in parts]
-        jobs.append(service.submit(uploads, options, recording.name))
-        print(f"{recording}: job {jobs[-1].id}", file=sys.stderr)
+    for name, files in submissions(args.recordings, args.parallel):
+        uploads = [upload(service, path, file_name) for path, file_name in files]
+        jobs.append(service.submit(uploads, options, name))
+        print(f"{name}: job {jobs[-1].id}", file=sys.stderr)
     if not args.wait:
         print_jobs(jobs, args.json)
         return 0
-    results = []
-    for recording, job in zip(args.recordings, jobs, strict=True):
-        results.append(finish(service, job.id, args.out if len(jobs) == 1 else args.out / recording.name))
-    return max(results)
+    alone = len(jobs) == 1
+    return max(finish(service, job.id, args.out if alone else args.out / job.recording) for job in jobs)
 
 
 def status(session: ConsoleSession, args: argparse.Namespace) -> None:
@@ -83,6 +80,28 @@ def map_options(args: argparse.Namespace) -> MapOptions:
         if "regex" in reason:
             reason = "a topic begins with / and has letters, digits, _ and / only"
         raise InvalidRequest(f"rce map submit: --{option}: {reason}", field=option) from None
+
+
+def submissions(recordings: Sequence[Path], parallel: int) -> list[tuple[str, list[tuple[Path, str]]]]:
+    """Return the jobs for recordings: the name of each, and its files with the names of their uploads.
+
+    Raises:
+        NotFound: A recording does not exist.
+        InvalidRequest: A recording is no recording, or cannot share a job with others.
+    """
+    files = [files_of(recording) for recording in recordings]
+    # The files of a bag refer to each other by their names.
+    named = [
+        [(part, upload_name(part.name) if recording.is_file() else part.name) for part in parts]
+        for recording, parts in zip(recordings, files, strict=True)
+    ]
+    if parallel == 1 or len(recordings) == 1:
+        return [(recording.name, parts) for recording, parts in zip(recordings, named, strict=True)]
+    bag = next((recording for recording in recordings if recording.is_dir()), None)
+    if bag is not None:
+        text = f"{bag} has several files and cannot share a job with other recordings: give its .mcap or .db3 file"
+        raise InvalidRequest(text, field="recordings")
+    return [(f"{len(recordings)} recordings", [part for parts in named for part in parts])]
 
 
 def files_of(recording: Path) -> list[Path]:

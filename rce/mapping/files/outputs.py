@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +19,10 @@ from rce.mapping.grid import OccupancyGrid
 OCCUPIED, FREE = 0.65, 0.196
 BLACK, GREY, WHITE = 0, 205, 254
 
+Trajectory = NDArray[np.float64]
 
-def write_outputs(
-    directory: Path, grid: OccupancyGrid, trajectory: NDArray[np.float64], *others: NDArray[np.float64]
-) -> list[Path]:
+
+def write_outputs(directory: Path, grid: OccupancyGrid, trajectory: Trajectory, *others: Trajectory) -> list[Path]:
     """Write map.pgm, map.yaml, map.png and trajectory.txt; return their paths.
 
     Args:
@@ -30,12 +31,34 @@ def write_outputs(
         trajectory: (n, 4) stamp, x, y, theta of each scan, map frame.
         others: The same of other robots on the map, for the picture.
     """
+    paths = write_pictures(directory, "map", grid, trajectory, *others)
+    write_atomically(directory / "trajectory.txt", trajectory_text(trajectory))
+    return [*paths, directory / "trajectory.txt"]
+
+
+def write_joint_outputs(
+    directory: Path, place: int, grid: OccupancyGrid, trajectories: Mapping[int, Trajectory]
+) -> None:
+    """Write map.pgm, map.yaml and map.png of a map of several recordings, and trajectory_N.txt of each recording.
+
+    Args:
+        directory: Directory, created if it does not exist.
+        place: Number of the map, from 1; the names of the second one begin with map_2.
+        grid: The map.
+        trajectories: (n, 4) stamp, x, y, theta of each scan of each recording, by number of the recording from 0.
+    """
+    write_pictures(directory, "map" if place == 1 else f"map_{place}", grid, *trajectories.values())
+    for number, trajectory in trajectories.items():
+        write_atomically(directory / f"trajectory_{number + 1}.txt", trajectory_text(trajectory))
+
+
+def write_pictures(directory: Path, stem: str, grid: OccupancyGrid, *trajectories: Trajectory) -> list[Path]:
+    """Write STEM.pgm, STEM.yaml and STEM.png with these trajectories; return their paths."""
     directory.mkdir(parents=True, exist_ok=True)
     contents = {
-        "map.pgm": pgm(grid),
-        "map.yaml": map_yaml(grid, "map.pgm"),
-        "map.png": draw(grid, trajectory, *others),
-        "trajectory.txt": trajectory_text(trajectory),
+        f"{stem}.pgm": pgm(grid),
+        f"{stem}.yaml": map_yaml(grid, f"{stem}.pgm"),
+        f"{stem}.png": draw(grid, *trajectories),
     }
     for name, content in contents.items():
         write_atomically(directory / name, content)

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
-import zlib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rce.errors import InvalidRequest, NotFound
+from rce.mapping.files.arrays import pack_arrays, unpack_arrays
 from rce.mapping.files.outputs import write_atomically
 from rce.mapping.grid import OccupancyGrid
 from rce.mapping.localiser import Localiser
@@ -21,7 +18,6 @@ from rce.mapping.scans import Scan
 from rce.mapping.state import Array, Reader, flatten
 
 FORMAT, VERSION = "rce mapping session", 1
-MAX_BYTES = 4_000_000_000  # of the unpacked arrays
 MAX_PARTICLES = 10_000
 
 
@@ -29,13 +25,11 @@ def save_session(mapper: AnyMapper, path: Path) -> None:
     """Write the state of a mapper atomically to one file: .npz without pickled objects."""
     kind = next(name for name, each in MAPPERS.items() if isinstance(mapper, each))
     settings = mapper.settings
-    arrays: dict[str, Any] = dict(flatten(mapper.state()))  # the stubs of savez take the names for options
+    arrays = dict(flatten(mapper.state()))
     arrays["about"] = np.array([FORMAT, str(VERSION), kind])
     arrays["sizes"] = np.array([settings.resolution, settings.max_range], np.float64)
     arrays["counts"] = np.array([settings.particles, settings.seed], np.int64)
-    whole = io.BytesIO()
-    np.savez_compressed(whole, **arrays)
-    write_atomically(path, whole.getvalue())
+    write_atomically(path, pack_arrays(arrays))
 
 
 def resume_session(path: Path, cores: int = 0) -> AnyMapper:
@@ -102,16 +96,7 @@ class Relocating:
 def _read(path: Path) -> dict[str, Array]:
     if not path.is_file():
         raise NotFound(f"no such saved session: {path}", field="file")
-    try:
-        with zipfile.ZipFile(path) as archive:
-            if sum(member.file_size for member in archive.infolist()) > MAX_BYTES:
-                raise InvalidRequest(f"{path} would take more than {MAX_BYTES:,} bytes when unpacked", field="file")
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except (ValueError, OSError, EOFError, KeyError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
-        raise InvalidRequest(
-            f"{path} is not a saved mapping session, or a damaged one: {error}", field="file"
-        ) from None
+    return unpack_arrays(path, str(path))
 
 
 def _kind(arrays: dict[str, Array], path: Path) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,16 +127,21 @@ class LoopFinder:
 
     def search(self, new: int) -> list[Edge]:
         """Return the closures that are accepted now that node `new` is complete; often none."""
+        for found in self.candidates(new):
+            accepted = self.confirm(found)
+            if accepted:
+                return accepted
+        return []
+
+    def candidates(self, new: int) -> Iterator[Candidate]:
+        """Yield up to two closures of node `new`, not confirmed yet. The finder does not change."""
         distances = self._graph.distances(new)
         query: Points | None = None
         for old in self._old_nodes_near(new, distances):
             query = self._query(new) if query is None else query
             found = self._compare(new, old, query, distances[old])
             if found is not None:
-                accepted = self._confirm(found, distances)
-                if accepted:
-                    return accepted
-        return []
+                yield found
 
     def _old_nodes_near(self, new: int, distances: dict[int, float]) -> list[int]:
         """Return up to two old nodes that may be near a new one, the nearest first."""
@@ -174,23 +180,24 @@ class LoopFinder:
             return None
         return Candidate(new, old, found.motion, found.information)
 
-    def _confirm(self, found: Candidate, distances: dict[int, float]) -> list[Edge]:
+    def confirm(self, found: Candidate) -> list[Edge]:
         """Return a new candidate and those that agree with it, if these are enough; else keep it for later."""
-        agreeing = [c for c in self._pending if self._agree(c, found, distances)]
+        near = self._graph.distances(found.new, SETTINGS.together) if self._pending else {}
+        agreeing = [c for c in self._pending if self._agree(c, found, near)]
         self._pending = [*self._pending[-SETTINGS.pending + 1 :], found]
         if len({c.new for c in agreeing}) + 1 < SETTINGS.confirmed:
             return []
         self._pending = []
         return [c.edge() for c in (*agreeing, found)]
 
-    def _agree(self, first: Candidate, second: Candidate, distances: dict[int, float]) -> bool:
+    def _agree(self, first: Candidate, second: Candidate, near: dict[int, float]) -> bool:
         """Return whether two closures move their new nodes alike; False if these are too close or too far apart."""
         nodes = self._graph.nodes
         way = nodes[first.new].pose.to(nodes[second.new].pose)
         length = math.hypot(way.x, way.y)
         if first.new == second.new or length < SETTINGS.separate:
             return False
-        if distances.get(first.new, math.inf) > SETTINGS.together:
+        if first.new not in near:
             return False
         there = nodes[first.old].pose @ first.motion @ way
         off = there.to(nodes[second.old].pose @ second.motion)

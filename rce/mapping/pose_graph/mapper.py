@@ -115,6 +115,11 @@ class GraphMapper:
         return self._graph
 
     @property
+    def history(self) -> History:
+        """Poses of the scans relative to nodes, to be read only."""
+        return self._history
+
+    @property
     def reference(self) -> int:
         """Number of the node near the robot, with which its pose moves."""
         return self._reference

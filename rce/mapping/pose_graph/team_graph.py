@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,10 +13,11 @@ from rce.mapping.geometry import ORIGIN, Points, Pose
 from rce.mapping.grid import GridMap, OccupancyGrid
 from rce.mapping.matching.agreement import Surroundings, agreement
 from rce.mapping.pose_graph import loops
-from rce.mapping.pose_graph.graph import Edge, PoseGraph
-from rce.mapping.pose_graph.loops import LoopFinder, find_near
+from rce.mapping.pose_graph.graph import Edge, PoseGraph, edges_state, restore_edges
+from rce.mapping.pose_graph.loops import Candidate, LoopFinder, find_near
 from rce.mapping.pose_graph.optimisation import disagreement, optimise
 from rce.mapping.pose_graph.overlaps import place_points
+from rce.mapping.state import Reader, State
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +44,21 @@ class TeamSettings:
 
 
 SETTINGS = TeamSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Places that are the same as a node.
+
+    Attributes:
+        number: Number of the node in the common graph.
+        candidates: Loops that are not confirmed yet.
+        ties: Closures with places of other robots near by, with their names.
+    """
+
+    number: int
+    candidates: list[Candidate]
+    ties: list[tuple[str, Edge]]
 
 
 class Team:
@@ -95,6 +111,39 @@ class Team:
         whole._copy_all_edges()
         return whole
 
+    def snapshot(self) -> State:
+        """Return what `comparison` needs beside the graphs of the robots, as arrays."""
+        names = self.names
+        return {
+            "owners": np.array([(names.index(name), own) for name, own in self._owners], np.int64).reshape(-1, 2),
+            "poses": self.graph.poses(),
+            "edges": edges_state(self.graph.edges),
+            "tied": np.array([(number, names.index(name)) for number, name in self._tied], np.int64).reshape(-1, 2),
+        }
+
+    @classmethod
+    def of_snapshot(cls, graphs: Mapping[str, PoseGraph], saved: Reader, resolution: float) -> Team:
+        """Return a team of two or more robots that finds the same comparisons as the one that was saved.
+
+        Args:
+            graphs: Graph of each robot, in the order of `names`.
+            saved: The snapshot.
+            resolution: Metres per cell of the map.
+
+        Raises:
+            InvalidRequest: The arrays are not a snapshot of a team of these robots.
+        """
+        team, names = cls(graphs, resolution), list(graphs)
+        poses = saved.poses("poses")
+        for (robot, own), pose in zip(saved.indices("owners", 2**31, len(poses), 2).tolist(), poses, strict=True):
+            if robot >= len(names) or own != len(team._numbers[names[robot]]) or own >= len(graphs[names[robot]].nodes):
+                raise saved.invalid("owners", "do not number the nodes of the robots")
+            team._add_node(names[robot], own, pose)
+        team.graph.add_edges(restore_edges(saved.part("edges"), len(poses)))
+        for number, robot in saved.indices("tied", max(len(poses), len(names)), None, 2).tolist():
+            team._tied.add((number, names[robot % len(names)]))
+        return team
+
     @property
     def names(self) -> list[str]:
         """Names of the robots, the one first in whose frame the graph is."""
@@ -125,7 +174,7 @@ class Team:
 
         They bring places of one team near to those of the other: all are compared again, the nearest first.
         """
-        self._add_ties(edges)
+        self._add_closures(edges)
         self._waiting.extend(self.graph.distances(edges[0].first))
         self.optimise()
 
@@ -134,15 +183,37 @@ class Team:
         if len(self._graphs) == 1:
             return  # the mapper of the robot closes its loops
         number = self._numbers[name][own]
-        self._compared[number] = self.graph.nodes[number].pose
-        self._comparisons[number] += 1
+        self._count_comparison(number)
         closures = self._loops.search(number)
-        self._add_ties(closures)
-        query = place_points(self._graphs[name], own)
-        if query is not None:
-            self._add_ties([tie for other in self.names if other != name for tie in self._tie(number, other, query)])
+        self._add_closures(closures)
+        for other, tie in list(self._ties_of(number)):
+            self._tie(other, tie)
         if closures or self._new_closures >= SETTINGS.closures:
             self.optimise()
+
+    def comparison(self, number: int) -> Comparison:
+        """Return what `compare` finds for a node of the common graph. The team does not change."""
+        return Comparison(number, list(self._loops.candidates(number)), list(self._ties_of(number)))
+
+    def add_comparisons(self, found: Iterable[Comparison]) -> None:
+        """Add what was found for nodes that `take_waiting` has returned, and optimise."""
+        for comparison in found:
+            self._count_comparison(comparison.number)
+            for candidate in comparison.candidates:
+                closures = self._loops.confirm(candidate)
+                self._add_closures(closures)
+                if closures:
+                    break
+            for other, tie in comparison.ties:
+                self._tie(other, tie)
+        if self._new_closures:
+            self.optimise()
+
+    def take_waiting(self) -> list[int]:
+        """Return the nodes of the common graph that are to be compared, and take them from the queue."""
+        waiting = list(dict.fromkeys(self._waiting))
+        self._waiting.clear()
+        return waiting
 
     def compare_next(self) -> None:
         """Compare the next place in the queue."""
@@ -163,7 +234,7 @@ class Team:
         for number, pose in optimise(nodes, self.graph.edges).items():
             nodes[number].pose = pose
         far = zip(self._ties, disagreement(nodes, self._ties), strict=True)
-        wrong = [tie for tie, off in far if off > SETTINGS.wrong]
+        wrong = [tie for tie, off in far if tie.closure and off > SETTINGS.wrong]
         if wrong:
             self.graph.remove_edges(wrong)
             gone = {id(tie) for tie in wrong}
@@ -215,18 +286,38 @@ class Team:
             self._new_closures += edge.closure
         self._copied[name] = edges, len(edges)
 
-    def _add_ties(self, closures: list[Edge]) -> None:
+    def _add_closures(self, closures: list[Edge]) -> None:
         self._ties += closures
         self.graph.add_edges(closures)
         self._new_closures += len(closures)
+
+    def _count_comparison(self, number: int) -> None:
+        self._compared[number] = self.graph.nodes[number].pose
+        self._comparisons[number] += 1
+
+    def _tie(self, other: str, tie: Edge) -> None:
+        """Add a closure between a place and a place of another robot, unless that place is tied to this robot."""
+        if (tie.second, other) not in self._tied:
+            self._tied.add((tie.second, other))
+            self._add_closures([tie])
 
     def _agree(self, first: tuple[str, int], second: tuple[str, int], motion: Pose) -> bool:
         """Return whether two places agree on walls and free space, with the first at `motion` in the second's frame."""
         one, other = (Surroundings(self._graphs[name], own, loops.SETTINGS.place) for name, own in (first, second))
         return agreement(other, one, motion) >= loops.SETTINGS.min_agreement
 
-    def _tie(self, number: int, other: str, query: Points) -> Iterator[Edge]:
-        """Yield a closure between a place and the nearest place of another robot, if they match.
+    def _ties_of(self, number: int) -> Iterator[tuple[str, Edge]]:
+        """Yield closures between a node of the common graph and places of other robots near by, with their names."""
+        name, own = self._owners[number]
+        query = place_points(self._graphs[name], own)
+        if query is not None:
+            for other in self.names:
+                tie = self._find_tie(number, other, query) if other != name else None
+                if tie is not None:
+                    yield other, tie
+
+    def _find_tie(self, number: int, other: str, query: Points) -> Edge | None:
+        """Return a closure between a place and the nearest place of another robot, if they match.
 
         Args:
             number: Node of the place, in the common graph.
@@ -238,8 +329,8 @@ class Team:
         near = self._numbers[other][own]
         way = self.graph.distances(number, loops.SETTINGS.min_way).get(near)
         if (number, other) in self._tied or apart > SETTINGS.tie_distance or way is None:
-            return
+            return None
         found = find_near(self._graphs[other], own, query, self.graph.nodes[near].pose.to(pose), way)
-        if found is not None and self._agree(self._owners[number], (other, own), found.motion):
-            self._tied.add((number, other))
-            yield Edge(near, number, found.motion, found.information, closure=True)
+        if found is None or not self._agree(self._owners[number], (other, own), found.motion):
+            return None
+        return Edge(near, number, found.motion, found.information, closure=True)

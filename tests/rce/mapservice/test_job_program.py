@@ -14,15 +14,29 @@ from typing import Any, Self
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from rce.api.map_jobs import MapOptions
 from rce.errors import Died, InvalidRequest, NotFound
 from rce.mapping.grid import OccupancyGrid
+from rce.mapping.parallel.job import JointMap
+from rce.mapping.parallel.run import Method, ParallelRun
 from rce.mapping.robot import Result
 from rce.mapping.scans import Scan
 from rce.mapping3d.offload.runs import RunFigures
 from rce.mapservice import job_program
-from rce.mapservice.job_program import Platform, Report, Task, build, build_3d, inspect, send, trust_only
+from rce.mapservice.job_program import (
+    Platform,
+    Report,
+    Task,
+    build,
+    build_3d,
+    build_parallel,
+    inspect,
+    recordings_of,
+    send,
+    trust_only,
+)
 from rce.net.certificates import Authority
 from rce.net.tls import CERTIFICATE
 from tests.support.certificates import certify
@@ -269,3 +283,52 @@ def test_process_inspects_a_recording_or_reports_its_error(recording: Path) -> N
     status, (report,), log = performed(Task(str(recording.with_name("b.log")), OPTIONS))
     assert (status, report["stage"], report["clean"], report["error"]["code"]) == (1, "failed", True, "not_found")
     assert "no such recording" in log
+
+
+@pytest.mark.parametrize(("names", "recordings"), [(["b.log", "a.log"], 2), (["metadata.yaml", "a.mcap"], 1)])
+def test_several_files_are_recordings_unless_they_are_a_bag(tmp_path: Path, names: list[str], recordings: int) -> None:
+    for name in names:
+        (tmp_path / name).touch()
+    found = recordings_of(Task(str(tmp_path), OPTIONS))
+    assert found == ([tmp_path / "a.log", tmp_path / "b.log"] if recordings == 2 else [tmp_path])
+
+
+async def test_several_recordings_are_mapped_by_workers(
+    tmp_path: Path, existing: set[str], sent: list[Report], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    directory = tmp_path / "recordings"
+    directory.mkdir()
+    for name in ("a.log", "b.log"):
+        (directory / name).write_bytes(LOG)
+    grid = OccupancyGrid(np.full((4, 4), 100, np.int8), 0.1, 0.0, 0.0)
+    rows = np.zeros((20, 4))
+
+    async def mapped(robot: Any, name: str, recordings: list[Any], method: Method, progress: Any) -> ParallelRun:
+        assert (name, len(recordings), method.workers, method.mapper) == ("map_x_3", 2, 2, "particle")
+        assert (method.settings.resolution, method.settings.max_range) == (0.1, 20.0)
+        assert existing == {"other"}, "the environments of all workers of earlier attempts are removed"
+        progress(15)
+        return ParallelRun([JointMap(grid, {0: rows}), JointMap(grid, {1: rows})], [], 1)
+
+    monkeypatch.setattr("rce.mapping.parallel.run.run", mapped)
+    existing |= {"map_x_1_0", "map_x_1_1"}
+    task = Task(str(directory), replace(OPTIONS, parallel=2), str(tmp_path / "out"), "map_x_3", ["map_x_1"], PLATFORM)
+    assert inspect(task) == 40
+    await build_parallel(task, PLATFORM)
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        *("map.pgm", "map.png", "map.yaml", "map_2.pgm", "map_2.png", "map_2.yaml"),
+        *("trajectory_1.txt", "trajectory_2.txt"),
+    ]
+    assert "image: map_2.pgm" in (tmp_path / "out" / "map_2.yaml").read_text()
+    assert [(report.stage, report.scans, report.total, report.clean) for report in sent] == [
+        ("preparing", 0, 40, False),
+        ("mapping", 15, 40, False),
+        ("writing", 40, 40, False),
+        ("finishing", 40, 40, True),
+    ]
+
+
+def test_cameras_have_one_worker(tmp_path: Path) -> None:
+    with pytest.raises(InvalidRequest) as refused:
+        inspect(Task(str(tmp_path), replace(CAMERA, parallel=2)))
+    assert refused.value.field == "options.parallel"

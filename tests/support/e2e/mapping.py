@@ -6,6 +6,7 @@ import asyncio
 import json
 import os
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,13 +26,13 @@ class CommandResult(NamedTuple):
     errors: str
 
 
-async def rce_map(*words: str | Path, temporary: Path, command: str = "map") -> CommandResult:
-    """Run the command with `temporary` as its directory for temporary files."""
+async def rce(*words: str | Path, environment: Mapping[str, str] | None = None) -> CommandResult:
+    """Run `rce` with these words, and with these environment variables in addition."""
     process = await asyncio.create_subprocess_exec(
-        *(RCE, command, *map(str, words)),
+        *(RCE, *map(str, words)),
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
-        env={**os.environ, "TMPDIR": str(temporary)},
+        env={**os.environ, **(environment or {})},
     )
     try:
         output, errors = await asyncio.wait_for(process.communicate(), TIMEOUT)
@@ -39,6 +40,11 @@ async def rce_map(*words: str | Path, temporary: Path, command: str = "map") -> 
         process.kill()
         raise
     return CommandResult(process.returncode or 0, output.decode(), errors.decode())
+
+
+async def rce_map(*words: str | Path, temporary: Path, command: str = "map") -> CommandResult:
+    """Run the command with `temporary` as its directory for temporary files."""
+    return await rce(command, *words, environment={"TMPDIR": str(temporary)})
 
 
 FILES = ["map.pgm", "map.png", "map.yaml", "trajectory.txt"]

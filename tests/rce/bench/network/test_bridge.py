@@ -11,7 +11,7 @@ from tests.support.e2e.namespaces import network
 def reaches(net: Network, name: str, address: str) -> bool:
     """Return whether a machine gets an answer from another: a refusal by its kernel is one."""
     program = f"import socket; print(socket.socket().connect_ex(({address!r}, 1)))"
-    command = [*net.command_prefix(name), "timeout", "5", "python3", "-c", program]
+    command = [*net.command_prefix(name), "timeout", "2", "python3", "-c", program]
     return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip() == "111"
 
 

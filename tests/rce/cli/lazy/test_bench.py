@@ -13,8 +13,6 @@ import pytest
 
 from rce.api.client import ApiClient
 from rce.bench import overtake, start
-from rce.bench.chaos.report import Result
-from rce.bench.chaos.run import Plan
 from rce.bench.nodes import Place, Probe
 from rce.bench.routes import ROUTES
 from rce.cli.commands.bench import QUICK_SAMPLES, QUICK_SIZES
@@ -53,11 +51,7 @@ def place(monkeypatch: pytest.MonkeyPatch) -> None:
     [
         ("rtt --routes n2n,c2x", "there is no route c2x: it is one of tcp, "),
         ("start --engines process,cloud", "there is no engine cloud: it is one of process, docker, swarm"),
-        ("map a.log --mappers graph,guess", "there is no mapper guess: it is one of graph, particle"),
-        ("endless a.log --mappers guess", "there is no mapper guess"),
         ("rtt --sizes 1", "the number of sizes is 1"),
-        ("chaos --minutes 0", "--minutes and --events must be positive"),
-        ("chaos --events 0", "--minutes and --events must be positive"),
     ],
 )
 def test_unknown_name_is_refused_before_a_platform_is_started(
@@ -65,13 +59,6 @@ def test_unknown_name_is_refused_before_a_platform_is_started(
 ) -> None:
     assert run(["bench", *line.split()]) == FAILURE
     assert reason in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("text", "names"), [("", []), ("graph", ["graph"]), ("particle,,graph", ["graph", "particle"])]
-)
-def test_names_of_a_list_are_in_the_order_of_the_known_ones(text: str, names: list[str]) -> None:
-    assert bench._parse_names("mapper", text, ["graph", "particle"]) == names
 
 
 @pytest.fixture
@@ -173,34 +160,3 @@ def test_starts_are_measured_on_a_platform_for_each_engine(
     assert json.loads(capsys.readouterr().out)["seconds"] == {
         name: [1.0] * 2 for name in ("docker", "process", start.WARM)
     }
-
-
-@pytest.mark.parametrize("option", ["--robots", "--interfaces", "--samples"])
-def test_crowd_without_members_is_refused(option: str, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("playwright", reason="needs the extra `bench`")
-    assert run(["bench", "dashboard", option, "0"]) == FAILURE
-    assert "must be at least 1" in capsys.readouterr().err
-
-
-@pytest.mark.usefixtures("no_platform")
-@pytest.mark.parametrize("option", ["--minutes", "--rate"])
-def test_soak_without_visitors_is_refused(option: str, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("psutil", reason="needs the extra `bench`")
-    assert run(["bench", "soak", option, "0"]) == FAILURE
-    assert "must be positive" in capsys.readouterr().err
-
-
-def test_chaos_prints_its_figures_and_removes_its_directory(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    directories = []
-
-    async def measure(directory: Path, plan: Plan, progress: Callable[[int, int], None]) -> Result:
-        directories.append(directory)
-        assert plan == Plan(7, 60, 120.0)
-        return Result(plan.seed, 1.0, {"Master killed": 1}, 5, {}, [0.1], {"Master killed": [1.5]}, [], disks=False)
-
-    monkeypatch.setattr("rce.bench.chaos.run.measure", measure)
-    assert run(["bench", "chaos", "--seed", "7", "--events", "60", "--minutes", "2"]) == SUCCESS
-    assert "Master killed       1         1.50 s  1.50 s" in capsys.readouterr().out
-    assert not directories[0].exists()

@@ -18,11 +18,13 @@ import pytest
 from rce.cli.contexts import Access
 from rce.cli.execute import FAILURE, SUCCESS, run
 from rce.cli.lazy import map as command
-from rce.cli.lazy.map import Progress, Source, describe, heights, node_parameters, save_team_maps
+from rce.cli.lazy.map import Progress, Source, Together, describe, heights, node_parameters, save_team_maps
 from rce.errors import InvalidRequest
 from rce.mapping.evaluation.simulation import Accuracy
 from rce.mapping.files.picture import draw
 from rce.mapping.grid import OccupancyGrid
+from rce.mapping.parallel.job import JointMap
+from rce.mapping.parallel.run import Method, ParallelRun
 from rce.mapping.robot import Result
 from rce.mapping.scan_cutting import Band
 from rce.mapping.scans import Scan
@@ -63,6 +65,9 @@ def log(tmp_path: Path) -> Path:
         (["a.log", "--simulate"], "give recordings, or --simulate"),
         (["a.log", "--team"], "--team needs several recordings and the mapper graph"),
         (["a.log", "b.log", "--team", "--mapper", "particle"], "--team needs several recordings"),
+        (["a.log", "--parallel", "17"], "--parallel: 17 is not a number from 1 to 16"),
+        (["a.log", "--parallel", "0"], "--parallel: 0 is not a number"),
+        (["a.log", "b.log", "--parallel", "2", "--team"], "give it without --team and --simulate"),
         (["absent.log"], "absent.log"),
     ],
 )
@@ -108,6 +113,39 @@ def test_each_of_several_maps_has_a_directory_of_its_own(log: Path, tmp_path: Pa
     assert run(["map", str(log), str(other), "--out", str(tmp_path / "maps")]) == SUCCESS
     assert sorted(path.name for path in (tmp_path / "maps").iterdir()) == ["a.log", "b.log"]
     assert (tmp_path / "maps" / "b.log" / "map.png").exists()
+
+
+def test_recordings_are_mapped_in_parallel(
+    log: Path, tmp_path: Path, mapped: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each recording keeps its number, whatever the order of the maps; lost workers are told."""
+    other = tmp_path / "b.log"
+    other.write_text(log.read_text())
+    first, second = result(1), result(2)
+
+    @asynccontextmanager
+    async def robot(*words: object, **options: object) -> AsyncIterator[None]:
+        yield None
+
+    async def run_parallel(_: None, name: str, sources: list[Source], method: Method, report: object) -> ParallelRun:
+        assert (method.workers, method.mapper, method.settings.resolution) == (3, "graph", 0.1)
+        assert [source.name for source in sources] == ["a.log", "b.log"]
+        maps = [JointMap(second.grid, {1: second.trajectory}), JointMap(first.grid, {0: first.trajectory})]
+        return ParallelRun(maps, [], 2)
+
+    monkeypatch.setattr(command, "Robot", robot)
+    monkeypatch.setattr(command.parallel, "run", run_parallel)
+    words = ["map", str(log), str(other), "--parallel", "3", "--resolution", "0.1", "--out", str(tmp_path / "maps")]
+    assert run(words) == SUCCESS
+    said = capsys.readouterr()
+    assert "2 workers were lost and replaced" in said.err
+    assert f"robot 2 (b.log): 3 scans mapped, on the map in {tmp_path / 'maps' / 'map_2'}" in said.out
+    assert (tmp_path / "maps" / "trajectory_1.txt").exists()
+
+
+def test_scans_of_several_recordings_are_added() -> None:
+    assert Together.of([Recorded("a"), Recorded("b")]) == ("a, b", 200, None)
+    assert Together.of([Recorded("a"), Recorded("b", scans=None)]).scans is None
 
 
 def test_robots_on_one_map_share_its_directory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -57,3 +57,23 @@ def test_files_of_a_recording(tmp_path: Path) -> None:
     for name in ("metadata.yaml", "a.mcap", ".hidden"):
         (tmp_path / name).touch()
     assert [path.name for path in map_jobs.files_of(tmp_path)] == ["a.mcap", "metadata.yaml"]
+
+
+def test_recordings_share_a_job_if_they_are_mapped_in_parallel(tmp_path: Path) -> None:
+    recordings = [tmp_path / "my first.log", tmp_path / "second.bag", tmp_path / "bag"]
+    for recording in recordings[:2]:
+        recording.touch()
+    recordings[2].mkdir()
+    for name in ("metadata.yaml", "a b.mcap"):
+        (recordings[2] / name).touch()
+    alone = map_jobs.submissions(recordings, 1)
+    assert [(name, [upload for _, upload in files]) for name, files in alone] == [
+        ("my first.log", ["my_first.log"]),
+        ("second.bag", ["second.bag"]),
+        ("bag", ["a b.mcap", "metadata.yaml"]),
+    ]
+    ((name, files),) = map_jobs.submissions(recordings[:2], 4)
+    assert (name, [upload for _, upload in files]) == ("2 recordings", ["my_first.log", "second.bag"])
+    assert map_jobs.submissions(recordings[2:], 4) == alone[2:]
+    with pytest.raises(InvalidRequest, match="cannot share a job"):
+        map_jobs.submissions(recordings, 2)

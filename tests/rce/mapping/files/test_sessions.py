@@ -130,6 +130,6 @@ def test_file_that_unpacks_to_too_much_is_rejected(
     saved(simulation, path)
     with zipfile.ZipFile(path) as archive:
         size = sum(member.file_size for member in archive.infolist())
-    monkeypatch.setattr("rce.mapping.files.sessions.MAX_BYTES", size - 1)
+    monkeypatch.setattr("rce.mapping.files.arrays.MAX_BYTES", size - 1)
     with pytest.raises(InvalidRequest, match="would take more"):
         resume_session(path)

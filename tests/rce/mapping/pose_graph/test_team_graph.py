@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rce.errors import InvalidRequest
 from rce.mapping.evaluation.trials import Relations, error_of, read_relations
 from rce.mapping.files.recordings import open_recording
 from rce.mapping.geometry import ORIGIN, Pose
 from rce.mapping.pose_graph.graph import Edge, PoseGraph
 from rce.mapping.pose_graph.mapper import GraphMapper
 from rce.mapping.pose_graph.team_graph import Team
+from rce.mapping.state import Reader, flatten
 from tests.support.laser import sweep_at
 
 PRECISE = 1e4 * np.eye(3)
@@ -143,3 +145,29 @@ def test_all_places_are_compared_after_the_first_overlap(data: Path) -> None:
     assert error.relations > 20
     assert error.translation < 0.06
     assert error.worst < 0.2
+
+
+def test_comparisons_of_a_snapshot_are_those_of_the_team(joined: Team, graphs: dict[str, PoseGraph]) -> None:
+    """A team that is restored from its snapshot finds the same; adding it does what `compare` does."""
+    join(joined)
+    restored = Team.of_snapshot(graphs, Reader(dict(flatten(joined.snapshot()))), 0.05)
+    nodes = joined.take_waiting()
+    assert sorted(nodes) == list(range(6))
+    assert joined.take_waiting() == []
+    before = len(joined.graph.edges)
+    found = [restored.comparison(node) for node in nodes]
+    assert any(comparison.ties for comparison in found)
+    assert len(joined.graph.edges) == before, "a comparison does not change the team"
+    joined.add_comparisons(found)
+    ties = sum(len(comparison.ties) for comparison in found)
+    assert len(joined.graph.edges) == before + ties
+    assert joined.pose("two", 0) == pytest.approx(tuple(ROOM[0].to(START)), abs=0.03)
+
+
+@pytest.mark.parametrize("owners", [[[0, 0]], [[2, 0]] * 6, [[0, 1]] * 6])
+def test_snapshot_of_other_robots_is_refused(
+    joined: Team, graphs: dict[str, PoseGraph], owners: list[list[int]]
+) -> None:
+    state = dict(flatten(joined.snapshot())) | {"owners": np.array(owners, np.int64)}
+    with pytest.raises(InvalidRequest):
+        Team.of_snapshot(graphs, Reader(state), 0.05)
