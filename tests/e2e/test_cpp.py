@@ -14,10 +14,13 @@ from pathlib import Path
 
 import pytest
 
+from rce.api.client import ApiClient
+from rce.api.views import NewOffer, OfferedNode, OfferView
 from tests.support.client_cases import CPP, expected
 from tests.support.e2e.real_platform import USER, RealPlatform
 from tests.support.paths import TESTS
 
+STRING = "std_msgs/String"
 TIMEOUT = 240  # seconds; a limit that only ends what hangs
 HEADERS = ("boost/beast.hpp", "openssl/ssl.h", "nlohmann/json.hpp")
 COMPILER, SANITIZERS = os.environ.get("RCE_TEST_CXX", "g++"), os.environ.get("RCE_TEST_SANITIZERS", "")
@@ -79,6 +82,18 @@ async def test_client_contract(programs: Path, platform: RealPlatform) -> None:
 
 async def test_robot_reconnects_many_times(programs: Path, platform: RealPlatform) -> None:
     assert "50 reconnections" in await output_of(programs / "reconnect", platform.url, "cppr", "50")
+
+
+async def test_service_of_the_catalogue_is_used(programs: Path, platform: RealPlatform) -> None:
+    echo = OfferedNode("echo", "rce_demo", "echo", perRobot=True, args="--ros-args -r /say:=say -r /heard:=heard")
+    offer = NewOffer(
+        name="parrot_cpp", takes={"say": STRING}, gives={"heard": STRING}, nodes=[echo], robots=5, idle=1.0
+    )
+    client = ApiClient(platform.url, user=USER, password=USER)
+    await asyncio.to_thread(client.post, OfferView, "catalogue", body=offer)
+    name = f"{USER}/parrot_cpp"
+    assert await output_of(programs / "catalogue", platform.url, "cppc", name) == f"{name} cpp shared\n"
+    await asyncio.to_thread(client.delete, "catalogue", USER, "parrot_cpp")
 
 
 async def test_example_runs(programs: Path, platform: RealPlatform) -> None:

@@ -148,6 +148,17 @@ std::future<void> Client::removeInterface(const std::string& eTag, const std::st
   return execute("removeInterfaces", {{"endpointTag", eTag}, {"interfaceTag", iTag}});
 }
 
+std::future<void> Client::addRecorder(const std::string& cTag, const std::string& rTag, std::vector<std::string> topics,
+                                      Value more) {
+  Value item{{"containerTag", cTag}, {"recorderTag", rTag}, {"topics", std::move(topics)}};
+  item.update(more);
+  return execute("addRecorders", std::move(item));
+}
+
+std::future<void> Client::removeRecorder(const std::string& cTag, const std::string& rTag) {
+  return execute("removeRecorders", {{"containerTag", cTag}, {"recorderTag", rTag}});
+}
+
 std::future<void> Client::addConnection(const std::string& tagA, const std::string& tagB) {
   return execute("connect", {{"tagA", tagA}, {"tagB", tagB}});
 }
@@ -253,6 +264,61 @@ ActionServerPtr Client::actionServer(const std::string& iTag, const std::string&
   core_->serve(made->requests_, [made, callback = std::move(callback), accept = std::move(accept)](const ActionServer::Request& request) {
     made->start(callback, accept, request);
   });
+  return made;
+}
+
+// --- services of the catalogue
+
+UsedServicePtr Client::use(const std::string& name, const std::string& tag, bool raw) {
+  const std::string own = tag.empty() ? name.substr(name.rfind('/') + 1) : tag;
+  auto promise = std::make_shared<std::promise<UsedServicePtr>>();
+  auto used = std::make_shared<UsedServicePtr>();
+  auto future = promise->get_future();
+  core_->post([=, core = core_] {
+    if (core->isUsed(own)) {
+      const ErrorInfo error{"already_exists", "this robot uses a service as " + own + " already: give another tag"};
+      return promise->set_exception(exceptionOf(error));
+    }
+    core->expect(own + '_');
+    const auto done = [=](const std::optional<ErrorInfo>& error) {
+      core->adopt(own + '_');
+      if (error) return promise->set_exception(exceptionOf(*error));
+      const ErrorInfo old{"unavailable", "this platform has no catalogue of services: it is older than this client"};
+      if (*used) promise->set_value(*used);
+      else promise->set_exception(exceptionOf(old));
+    };
+    core->execute({"useServices", {{"service", name}, {"containerTag", own}, {"raw", raw}}}, done,
+                  [=](const Value& acknowledged) { *used = adopt(acknowledged); });
+  });
+  return future.get();
+}
+
+/** Make the interfaces of a service from its acknowledgement; null if it names none. */
+UsedServicePtr Client::adopt(const Value& acknowledged) {
+  const auto services = acknowledged.find("services");
+  if (services == acknowledged.end() || !services->is_array() || services->empty()) return nullptr;
+  const Value& first = services->front();
+  UsedServicePtr used(new UsedService(core_, first));
+  for (const Value& each : first.value("interfaces", Value::array())) {
+    if (auto made = make(each)) used->interfaces_.emplace(detail::textOf(each, "name"), std::move(made));
+  }
+  return used;
+}
+
+/** Make the robot's end of an interface, whose type is named from the cloud's point of view; null of an unknown type. */
+std::shared_ptr<Interface> Client::make(const Value& used) {
+  const std::string tag = detail::textOf(used, "iTag"), type = detail::textOf(used, "className");
+  const std::string kind = detail::textOf(used, "interfaceType");
+  std::shared_ptr<Interface> made;
+  if (kind.rfind("Subscriber", 0) == 0) made.reset(new Publisher(core_, tag, type, Offline::drop));
+  else if (kind.rfind("Publisher", 0) == 0) made.reset(new Subscriber(core_, tag, type, 0));
+  else if (kind.rfind("ActionProvider", 0) == 0) made.reset(new ActionClient(core_, tag, type));
+  else if (kind.rfind("ServiceProvider", 0) == 0) {
+    ServiceClientPtr client(new ServiceClient(core_, tag, type, nullptr));
+    core_->serve(client->answers_, [](const std::function<void()>& answer) { answer(); });
+    made = std::move(client);
+  }
+  if (made) core_->add(made, true);
   return made;
 }
 

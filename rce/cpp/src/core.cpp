@@ -123,14 +123,20 @@ void Core::publish(const ErrorInfo& error) {
                           {"field", error.field}, {"fields", error.fields}}});
 }
 
-void Core::execute(Command command, Done done) {
-  session_.execute(command, [this, command, done = std::move(done)](const std::optional<ErrorInfo>& error) {
-    if (!error) record(command);
-    done(error);
-  });
+void Core::execute(Command command, Done done, Acknowledged acknowledged) {
+  session_.execute(
+      command,
+      [this, command, done = std::move(done)](const std::optional<ErrorInfo>& error) {
+        if (!error) record(command);
+        done(error);
+      },
+      std::move(acknowledged));
 }
 
-void Core::add(std::shared_ptr<Interface> added) { interfaces_[added->tag()] = std::move(added); }
+void Core::add(std::shared_ptr<Interface> added, bool isOpen) {
+  if (isOpen) added->setStatus(true);
+  interfaces_[added->tag()] = std::move(added);
+}
 
 void Core::remove(const std::string& tag) {
   const auto found = interfaces_.find(tag);
@@ -140,11 +146,24 @@ void Core::remove(const std::string& tag) {
   held->end(std::nullopt);
 }
 
+/** Deliver the messages that came early, to those of their interfaces that exist now. */
+void Core::adopt(const std::string& prefix) {
+  const auto found = early_.find(prefix);
+  if (found == early_.end()) return;
+  const auto held = std::move(found->second);
+  early_.erase(found);
+  for (const auto& [data, blobs] : held) messageReceived(data, blobs);
+}
+
 // --- called by the session
 
 void Core::messageReceived(Value data, BlobsById blobs) {
-  const auto found = interfaces_.find(textOf(data, "iTag"));
-  if (found != interfaces_.end()) found->second->receive(std::move(data), std::move(blobs));
+  const std::string tag = textOf(data, "iTag");
+  const auto found = interfaces_.find(tag);
+  if (found != interfaces_.end()) return found->second->receive(std::move(data), std::move(blobs));
+  for (auto& [prefix, messages] : early_) {
+    if (beginsWith(tag, prefix)) return void(messages.emplace_back(std::move(data), std::move(blobs)));
+  }
 }
 
 void Core::statusReceived(Value data) {
@@ -184,6 +203,7 @@ std::vector<Command> Core::declarations() const {
   std::vector<Command> commands;
   for (const auto& [tag, command] : interfacesDeclared_) commands.push_back(command);
   for (const auto& [tags, command] : connectionsDeclared_) commands.push_back(command);
+  for (const auto& [tag, command] : servicesDeclared_) commands.push_back(command);
   return commands;
 }
 
@@ -209,6 +229,10 @@ void Core::record(const Command& command) {
     forget([place = placeOf(item)](const std::string& tag) { return tag == place; });
   } else if (list == "DC") {
     forget([start = textOf(item, "containerTag") + '/'](const std::string& tag) { return beginsWith(tag, start); });
+  } else if (list == "useServices") {
+    servicesDeclared_.insert_or_assign(textOf(item, "containerTag"), command);
+  } else if (list == "leaveServices") {
+    servicesDeclared_.erase(textOf(item, "containerTag"));
   } else if (list == "disconnect") {
     connectionsDeclared_.erase(pairOf(item));
   } else if (list == "connect" && (beginsWith(textOf(item, "tagA"), robot + '/') || beginsWith(textOf(item, "tagB"), robot + '/'))) {

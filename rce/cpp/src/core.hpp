@@ -47,11 +47,16 @@ class Core : private Session::Listener, public std::enable_shared_from_this<Core
 
   // In the thread of the event loop.
   Session& session() { return session_; }
-  void execute(Command command, Done done);
+  void execute(Command command, Done done, Acknowledged acknowledged = nullptr);
   void opened() { isOnline_ = true; }
-  void add(std::shared_ptr<Interface> added);
+  void add(std::shared_ptr<Interface> added, bool isOpen = false);
   void remove(const std::string& tag);
   bool hasInterface(const std::string& tag) const { return interfaces_.count(tag) != 0; }
+  bool isUsed(const std::string& service) const { return servicesDeclared_.count(service) != 0; }
+
+  /** Keep messages for interfaces that begin with this until `adopt`: they may come before it is known which these are. */
+  void expect(const std::string& prefix) { early_[prefix]; }
+  void adopt(const std::string& prefix);
   bool isDeclared(const std::string& tag) const { return interfacesDeclared_.count(tag) != 0; }
 
  private:
@@ -73,6 +78,8 @@ class Core : private Session::Listener, public std::enable_shared_from_this<Core
   std::map<std::string, std::shared_ptr<Interface>> interfaces_;
   std::map<std::string, Command> interfacesDeclared_;  // by `endpoint/interface`
   std::map<std::string, Command> connectionsDeclared_;
+  std::map<std::string, Command> servicesDeclared_;  // of the catalogue, by tag
+  std::map<std::string, std::vector<std::pair<Value, BlobsById>>> early_;  // messages by prefix of their interfaces
 
   std::mutex readersMutex_;
   std::vector<std::weak_ptr<Stream<Event>>> readers_;

@@ -49,6 +49,12 @@ std::future<void> Environment::removeParameter(const std::string& name, const st
   return client_.removeParameter(tag_, name, nTag);
 }
 
+std::future<void> Environment::addRecorder(const std::string& rTag, std::vector<std::string> topics, Value more) {
+  return client_.addRecorder(tag_, rTag, std::move(topics), std::move(more));
+}
+
+std::future<void> Environment::removeRecorder(const std::string& rTag) { return client_.removeRecorder(tag_, rTag); }
+
 PublisherPtr Environment::publisher(const std::string& topic, const std::string& msgType, InterfaceOptions options) {
   const std::string own = connectTo(topic, "pub", INTERFACE_PUBLISHER, msgType, options);
   return client_.publisher(own, msgType, options);

@@ -24,7 +24,7 @@ std::string frameOf(const Command& command, int id) {
 
 /** True if the answer to a repeated command means that an earlier attempt was executed. */
 bool isDone(const Command& command, const ErrorInfo& error) {
-  const bool removes = isOneOf(command.list, {"DC", "removeNodes", "removeInterfaces", "deleteParam", "removeRecorders", "disconnect"});
+  const bool removes = isOneOf(command.list, {"DC", "removeNodes", "removeInterfaces", "deleteParam", "removeRecorders", "leaveServices", "disconnect"});
   return error.code == (removes ? "not_found" : "already_exists");
 }
 
@@ -56,9 +56,9 @@ void Session::close(Done done) {
   end(std::nullopt);
 }
 
-void Session::execute(Command command, Done done) {
+void Session::execute(Command command, Done done, Acknowledged acknowledged) {
   if (state_ != State::open) return done(error_);
-  submit(std::move(command), std::move(done), false);
+  submit(std::move(command), std::move(done), false, std::move(acknowledged));
 }
 
 std::shared_ptr<boost::asio::steady_timer> Session::after(Seconds seconds, std::function<void()> call) {
@@ -72,10 +72,11 @@ std::shared_ptr<boost::asio::steady_timer> Session::after(Seconds seconds, std::
 
 // --- commands
 
-int Session::submit(Command command, Done done, bool restores) {
+int Session::submit(Command command, Done done, bool restores, Acknowledged acknowledged) {
   const int id = ++lastId_;
   const std::string list = command.list;
-  Request& request = requests_.emplace(id, Request{std::move(command), std::move(done), restores}).first->second;
+  Request added{std::move(command), std::move(done), restores, std::move(acknowledged)};
+  Request& request = requests_.emplace(id, std::move(added)).first->second;
   request.timer = after(options_.timeout, [this, id, list] {
     finish(id, ErrorInfo{"timed_out", list + " was not answered within " + std::to_string(options_.timeout.count()) + " s"});
   });
@@ -234,8 +235,16 @@ void Session::messageReceived(Connection& connection, Value data, BlobsById blob
 void Session::statusReceived(Connection& connection, Value frame) {
   if (&connection != connection_.get()) return;
   const std::string topic = textOf(frame["data"], "topic");
-  if (topic == "ack") finish(frame.value("id", 0), std::nullopt);
+  if (topic == "ack") acknowledge(frame);
   else if (topic != "session") listener_.statusReceived(std::move(frame["data"]));
+}
+
+void Session::acknowledge(const Value& frame) {
+  const int id = frame.value("id", 0);
+  const auto found = requests_.find(id);
+  if (found == requests_.end()) return;
+  if (found->second.acknowledged) found->second.acknowledged(frame["data"]);
+  finish(id, std::nullopt);
 }
 
 void Session::failureReceived(Connection& connection, Value frame) {

@@ -16,6 +16,9 @@ namespace rce::detail {
 /** Called once at the end of an operation, with the error by which it failed, if it did. */
 using Done = std::function<void(std::optional<ErrorInfo>)>;
 
+/** Called with the data of an acknowledgement. */
+using Acknowledged = std::function<void(const Value&)>;
+
 class Session : private Connection::Listener {
  public:
   class Listener {
@@ -38,8 +41,8 @@ class Session : private Connection::Listener {
   /** Write the queued frames and end the session. */
   void close(Done done);
 
-  /** Send a command; `done` is called when it has been executed. */
-  void execute(Command command, Done done);
+  /** Send a command; `done` is called when it has been executed, after `acknowledged` if the platform said so. */
+  void execute(Command command, Done done, Acknowledged acknowledged = nullptr);
 
   /** Call a function after a time, unless the timer is destroyed before. */
   std::shared_ptr<boost::asio::steady_timer> after(Seconds seconds, std::function<void()> call);
@@ -56,6 +59,7 @@ class Session : private Connection::Listener {
     Command command;
     Done done;
     bool restores;
+    Acknowledged acknowledged{};
     int attempts = 0;
     std::shared_ptr<boost::asio::steady_timer> timer{};
   };
@@ -68,8 +72,9 @@ class Session : private Connection::Listener {
   void frameInvalid(Connection& connection, ErrorInfo error) override;
   void connectionClosed(Connection& connection, std::string reason) override;
 
-  int submit(Command command, Done done, bool restores);
+  int submit(Command command, Done done, bool restores, Acknowledged acknowledged = nullptr);
   void send(int id);
+  void acknowledge(const Value& frame);
   void finish(int id, const std::optional<ErrorInfo>& error);
   void dial();
   void dialEndpoint(const std::string& endpoint);

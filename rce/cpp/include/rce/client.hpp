@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "rce/actions.hpp"
+#include "rce/catalogue.hpp"
 #include "rce/environment.hpp"
 #include "rce/services.hpp"
 
@@ -104,6 +105,10 @@ class Client {
   std::future<void> addInterface(const std::string& eTag, const std::string& iTag, const std::string& iType,
                                  const std::string& iCls, const std::string& addr = "", Value more = Value::object());
   std::future<void> removeInterface(const std::string& eTag, const std::string& iTag);
+  /** Record topics of an environment on its machine, all of them if there are none; `more` has `maxSize` and so on. */
+  std::future<void> addRecorder(const std::string& cTag, const std::string& rTag, std::vector<std::string> topics = {},
+                                Value more = Value::object());
+  std::future<void> removeRecorder(const std::string& cTag, const std::string& rTag);
   std::future<void> addConnection(const std::string& tagA, const std::string& tagB);
   std::future<void> addConnection(const std::string& eTag1, const std::string& iTag1, const std::string& eTag2,
                                   const std::string& iTag2);
@@ -135,9 +140,17 @@ class Client {
   ActionServerPtr actionServer(const std::string& iTag, const std::string& actionType, GoalCallback callback,
                                AcceptCallback accept = nullptr, const InterfaceOptions& options = {});
 
+  /**
+   * Use a service of the catalogue, which is started if needed, and wait for it. `tag` begins the names of the robot's
+   * interfaces, and is by default the name of the service; with `raw` their messages are bytes: CDR, unchanged.
+   */
+  UsedServicePtr use(const std::string& name, const std::string& tag = "", bool raw = false);
+
  private:
   friend struct ClientAccess;  // of the tests
   std::future<void> execute(std::string list, Value item);
+  UsedServicePtr adopt(const Value& acknowledged);
+  std::shared_ptr<Interface> make(const Value& used);
   void add(const std::shared_ptr<Interface>& added, const std::string& kind, const InterfaceOptions& options);
 
   const std::shared_ptr<detail::Core> core_;

@@ -29,6 +29,10 @@ class Environment {
   std::future<void> addParameter(const std::string& name, Value value, const std::string& nTag = "");
   std::future<void> removeParameter(const std::string& name, const std::string& nTag = "");
 
+  std::future<void> addRecorder(const std::string& rTag, std::vector<std::string> topics = {},
+                                Value more = Value::object());
+  std::future<void> removeRecorder(const std::string& rTag);
+
   // Interfaces of the robot, connected to a topic, service or action of the environment. They wait until it is there.
   PublisherPtr publisher(const std::string& topic, const std::string& msgType, InterfaceOptions options = {});
   SubscriberPtr subscriber(const std::string& topic, const std::string& msgType, InterfaceOptions options = {});
