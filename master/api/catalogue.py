@@ -8,7 +8,8 @@ from master.api.request import Answer, Call, OwnerQuery, PageQuery
 from master.api.router import Api, Route
 from master.execution.effect_runner import new_id
 from master.graph import catalogue
-from master.graph.records import Instance, Offer, user_of
+from master.graph.catalogue_records import Instance, Offer
+from master.graph.records import user_of
 from master.service import Master
 from rce.api.views import EnvironmentView, InstanceView, NewOffer, NewUse, OfferView, Page, Scale
 from rce.errors import NotFound

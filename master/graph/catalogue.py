@@ -12,10 +12,11 @@ from collections.abc import Iterable
 from msgspec.structs import replace
 
 from master.graph import secrets
+from master.graph.catalogue_records import Offer, OfferedNode, Port
 from master.graph.changes import remove_environment
 from master.graph.effects import Plan
 from master.graph.packages import EVERYBODY, resolve_all
-from master.graph.records import Offer, OfferedNode, ParameterValue, Port, Qos, user_of
+from master.graph.records import ParameterValue, Qos, user_of
 from master.graph.state import State
 from master.graph.translation import container_data, options_from, qos_message
 from master.graph.wiring import Ids

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from master.graph import connections, groups
+from master.graph.catalogue_records import Use
 from master.graph.effects import MarkReady, Outcome, Plan, Send
-from master.graph.records import Connection, Environment, Interface, Node, Parameter, Recorder, Ref, Use, ref
+from master.graph.records import Connection, Environment, Interface, Node, Parameter, Recorder, Ref, ref
 from master.graph.state import State
 from master.graph.translation import container_data, parameter_spec
 from master.graph.wiring import deactivate, interface_ref

@@ -6,7 +6,8 @@ from typing import Any
 
 from msgspec import Struct
 
-from master.graph.records import Parameter, Ref, Use
+from master.graph.catalogue_records import Use
+from master.graph.records import Parameter, Ref
 from rce.control.calls.call import Call
 from rce.protocol.messages import UsedService
 

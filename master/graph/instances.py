@@ -16,26 +16,13 @@ from msgspec.structs import replace
 
 from master.graph import hard_limits, secrets
 from master.graph.catalogue import SHIPPED, name_of
+from master.graph.catalogue_records import Instance, Offer, OfferedNode, Port, Tally, Use
 from master.graph.changes import call_host, remove_environment, start
 from master.graph.connections import joining
 from master.graph.effects import MarkReady, Outcome, Plan, Send
 from master.graph.limits import Policy, check_connections, check_totals, granted
 from master.graph.placement import place
-from master.graph.records import (
-    Environment,
-    Instance,
-    Interface,
-    Node,
-    Offer,
-    OfferedNode,
-    Parameter,
-    Port,
-    Ref,
-    Tally,
-    Use,
-    ref,
-    user_of,
-)
+from master.graph.records import Environment, Interface, Node, Parameter, Ref, ref, user_of
 from master.graph.state import State
 from master.graph.translation import interface_spec, node_spec, parameter_spec
 from master.graph.wiring import Ids, activate, interface_ref

@@ -7,16 +7,15 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from ipaddress import IPv4Network
 from typing import Any, Generic, TypeVar
 
+from master.graph.catalogue_records import Instance, Offer, Tally, Use
 from master.graph.records import (
     Connection,
     Environment,
     EnvironmentOptions,
-    Instance,
     Interface,
     Link,
     Node,
     NodeEnd,
-    Offer,
     Package,
     Parameter,
     Process,
@@ -25,8 +24,6 @@ from master.graph.records import (
     Ref,
     Robot,
     Secret,
-    Tally,
-    Use,
     Waiting,
     user_of,
 )

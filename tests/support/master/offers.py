@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from master.graph import catalogue
-from master.graph.records import Offer
+from master.graph.catalogue_records import Offer
 from rce.api.views import NewOffer, OfferedNode, OfferedPort
 from tests.support.master.fleet import Fleet, furnished
 
