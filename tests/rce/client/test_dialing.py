@@ -95,3 +95,11 @@ def test_lost_address_is_noticed() -> None:
         assert not address_is_gone(client)
     assert not address_is_gone(None)
     assert address_is_gone(Lost())
+
+
+async def test_small_frames_are_not_delayed() -> None:
+    """A message with bytes is two frames: with Nagle's algorithm the second one would wait for an acknowledgement."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        sock = await dial(f"ws://127.0.0.1:{server.getsockname()[1]}/", 10.0)
+        with sock:
+            assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
