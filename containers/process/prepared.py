@@ -24,6 +24,7 @@ from rce.errors import NoCapacity
 
 COMMAND = (sys.executable, "-P", "-m", "endpoints.environment.prepared")
 REFILL = 0.5  # seconds after one was taken, so that the start of its environment does not wait for the next one
+END_TIMEOUT = 2.0  # seconds
 
 log = Logger()
 
@@ -84,10 +85,14 @@ class Pool:
             self._refill.cancel()
         self._count = 0
         for each in self._waiting:
-            each.child.kill()
-            each.child.wait()
             if each.child.stdin is not None:
-                each.child.stdin.close()
+                each.child.stdin.close()  # by which it ends, and leaves its ROS domain
+        for each in self._waiting:
+            try:
+                each.child.wait(END_TIMEOUT)
+            except subprocess.TimeoutExpired:
+                each.child.kill()
+                each.child.wait()
             os.close(each.lock)
         self._waiting.clear()
 

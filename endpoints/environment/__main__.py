@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Coroutine
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from twisted.internet.base import ReactorBase
 from twisted.logger import Logger
@@ -30,6 +31,9 @@ from rce.process import logs, loop
 from rce.process.host import host_identity
 from rce.process.settings import load_or_exit
 
+if TYPE_CHECKING:
+    from endpoints.environment.ros import RosThread
+
 SWITCH_INTERVAL = 0.0005  # seconds after which the asyncio loop and the ROS thread hand the GIL to each other
 POLL_INTERVAL = 0.02  # seconds
 
@@ -39,9 +43,17 @@ log = Logger()
 class Endpoint:
     """The program: an environment and its connection to the Master."""
 
-    def __init__(self, settings: Settings, spare: Spare | None = None) -> None:
+    def __init__(self, settings: Settings, spare: Spare | None = None, ros: RosThread | None = None) -> None:
+        """Prepare for an environment.
+
+        Args:
+            settings: Its settings.
+            spare: Interpreter for its first node, if one waits.
+            ros: The ROS thread, if it has joined the ROS domain already.
+        """
         self._settings = settings
         self._spare = spare or Spare()
+        self._ros = ros
         self._token = settings.token
         self._credential = secrets.token_hex(32)
         self._master: ControlClient
@@ -57,8 +69,9 @@ class Endpoint:
         port = DataPort(self._settings.relay, tls)
         socket = self._settings.socket or self._settings.data_dir.absolute() / "data.sock"
         await port.listen(socket, offer=self._settings.listener)
-        ros = RosThread(asyncio.get_running_loop())
-        await ros.start()
+        ros = self._ros or RosThread(asyncio.get_running_loop())
+        if self._ros is None:
+            await ros.start()
         of_user = OutputLog(self._settings.data_dir / "environment.log")
         whole = OutputLog(self._settings.data_dir / "internal.log")
         logs.add_text_observer(lambda line: of_user.write(line.encode()), "endpoints.environment.")

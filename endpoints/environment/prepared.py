@@ -1,8 +1,9 @@
 """Environment endpoint that is started before its environment is known: `python -P -m endpoints.environment.prepared`.
 
-Loading Python, ROS 2 and the endpoint takes most of the time that an environment needs to start. This program does that
-at once, then waits for its environment: a line of JSON on standard input. It ends if standard input does. No user has
-used the process before. Beside it waits an interpreter for the first node (`prepared_node`).
+Loading Python, ROS 2 and the endpoint, and joining a ROS domain, take most of the time that an environment needs to
+start. This program does that at once, then waits for its environment: a line of JSON on standard input. It ends if
+standard input does. No user has used the process before. Beside it waits an interpreter for the first node
+(`prepared_node`).
 """
 
 from __future__ import annotations
@@ -10,8 +11,10 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
+import tempfile
 from collections.abc import Coroutine
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 from msgspec import Struct
@@ -21,9 +24,12 @@ from endpoints import memory
 from endpoints.environment import __main__ as program
 from endpoints.environment import prepared_node, process_environment
 from endpoints.environment.lazy_import import import_lazily
-from endpoints.environment.settings import Settings
+from endpoints.environment.settings import SEGMENT, Settings
 from rce.process import loop
 from rce.process.settings import load_or_exit
+
+if TYPE_CHECKING:
+    from endpoints.environment.ros import RosThread
 
 
 class Order(Struct, frozen=True):
@@ -58,14 +64,32 @@ def accept(order: Order) -> Settings:
     return settings
 
 
+async def join_domain() -> RosThread:
+    """Return a ROS thread that has joined the domain of this process, on a machine without network groups."""
+    from endpoints.environment.ros import RosThread
+
+    ros = RosThread(asyncio.get_running_loop())
+    with tempfile.TemporaryDirectory(prefix="rce-") as directory:
+        process_environment.use_profile(Path(directory) / "fastdds.xml", SEGMENT)
+        await ros.start()
+    return ros
+
+
 async def serve(reactor: ReactorBase) -> None:
     """Wait for the order, then serve the environment until its end."""
+    ros = await join_domain()
     spare = await prepared_node.start()
     try:
         line = await asyncio.to_thread(sys.stdin.buffer.readline)
-        if line:
-            settings = accept(msgspec.json.decode(line, type=Order))
+        if not line:
+            await ros.stop()
+            return
+        settings = accept(msgspec.json.decode(line, type=Order))
+        if settings.shared_memory != SEGMENT or settings.address:
+            await ros.stop()
             await program.Endpoint(settings, spare).run(reactor)
+        else:
+            await program.Endpoint(settings, spare, ros).run(reactor)
     finally:
         spare.discard()
 

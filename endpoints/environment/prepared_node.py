@@ -7,6 +7,7 @@ node is a line of JSON on standard input: command, variables and working directo
 from __future__ import annotations
 
 import asyncio
+import importlib
 import json
 import os
 import sys
@@ -15,6 +16,7 @@ from pathlib import Path
 
 from endpoints import memory
 
+LOADED = ("rclpy.action", "rclpy.executors", "rclpy.node", "std_msgs.msg")  # modules that nearly every node needs
 LIBRARIES = "LD_LIBRARY_PATH"  # has an effect only when a process starts
 
 
@@ -76,8 +78,8 @@ def main() -> None:
     end_with(int(sys.argv[1]))
     typesupport = [each for each in os.environ.get("RCE_TYPESUPPORT", "").split(",") if each]
     sys.path += [str(Path(each) / "python") for each in typesupport]
-    import std_msgs.msg  # noqa: F401
-
+    for module in LOADED:
+        importlib.import_module(module)
     line = sys.stdin.buffer.readline()
     if line:
         become(json.loads(line))

@@ -163,7 +163,9 @@ class RosThread:
         self._context.try_shutdown()
 
     def _initialize(self) -> None:
-        rclpy.init(context=self._context, args=[], signal_handler_options=SignalHandlerOptions.NO)
+        # Its messages are in the log of the endpoint; a file of its own would be in the user's home.
+        args = ["--ros-args", "--disable-external-lib-logs"]
+        rclpy.init(context=self._context, args=args, signal_handler_options=SignalHandlerOptions.NO)
         self.node = rclpy.create_node(
             self._name,
             context=self._context,

@@ -7,6 +7,10 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
+# MB. Fast DDS fills its segment when a process joins, which takes 1 ms for each; a larger one made messages of 10 MB no
+# faster.
+SEGMENT = 32
+
 
 class Settings(Struct, frozen=True):
     """Settings of an Environment endpoint, which speaks ROS 2 for robots and runs the nodes of one environment.
@@ -50,4 +54,4 @@ class Settings(Struct, frozen=True):
     env: Annotated[str, Meta(description="JSON object with the user's variables for nodes")] = "{}"
     shared_memory: Annotated[
         int, Meta(description="MB of the shared memory segment of Fast DDS in each process", ge=1, le=4096)
-    ] = 64
+    ] = SEGMENT

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -68,6 +69,17 @@ async def test_end_of_the_task_set_ends_those_that_wait(pool: Pool) -> None:
     pool.close()
     assert all(child.poll() is not None for child in children)
     assert pool.take() is None
+
+
+async def test_one_that_does_not_end_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(prepared, "COMMAND", (sys.executable, "-I", "-S", "-c", "import time; time.sleep(1000)"))
+    monkeypatch.setattr(prepared, "END_TIMEOUT", 0.01)
+    monkeypatch.setattr(domains, "_in_use", set)
+    pool = Pool(1, Domains(tmp_path / "domains", range(1, 4)), {})
+    pool.fill()
+    (waiting,) = pool._waiting
+    pool.close()
+    assert waiting.child.poll() == -signal.SIGKILL
 
 
 async def test_without_free_domains_fewer_wait(tmp_path: Path, pool: Pool) -> None:

@@ -7,6 +7,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from endpoints.environment.prepared import join_domain
+from endpoints.environment.ros import NODE
+
 CODE = """
 from endpoints.environment.prepared import Order, accept
 import os
@@ -39,3 +44,14 @@ def test_process_ends_with_its_standard_input() -> None:
         capture_output=True,
     )
     assert done.returncode == 0, done.stderr
+
+
+async def test_domain_is_joined_before_the_environment_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "87")
+    monkeypatch.setenv("FASTDDS_DEFAULT_PROFILES_FILE", "")
+    ros = await join_domain()
+    try:
+        assert await ros.run(lambda: ros.node.get_name()) == NODE
+        assert not os.path.exists(os.environ["FASTDDS_DEFAULT_PROFILES_FILE"]), "nodes get one of their own"
+    finally:
+        await ros.stop()
