@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import subprocess
 import sys
@@ -52,6 +53,7 @@ async def test_domain_is_joined_before_the_environment_is_known(monkeypatch: pyt
     ros = await join_domain()
     try:
         assert await ros.run(lambda: ros.node.get_name()) == NODE
-        assert not os.path.exists(os.environ["FASTDDS_DEFAULT_PROFILES_FILE"]), "nodes get one of their own"
+        profile = Path(os.environ["FASTDDS_DEFAULT_PROFILES_FILE"])
+        assert not await asyncio.to_thread(profile.exists), "nodes get one of their own"
     finally:
         await ros.stop()
