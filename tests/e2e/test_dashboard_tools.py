@@ -16,12 +16,12 @@ from tests.support.e2e.real_platform import USER, RealPlatform
 from tests.support.e2e.traffic import STRING, call
 from tests.support.recordings import carmen, flaser
 
-DROPPED = """([name, text]) => {
+DROPPED = """(files) => {
     const dropped = new DataTransfer();
-    dropped.items.add(new File([text], name));
+    for (const [name, text] of files) dropped.items.add(new File([text], name));
     return dropped;
 }"""
-"""Script that returns what a browser passes when a file is dropped."""
+"""Script that returns what a browser passes when files are dropped."""
 TALKER = "#!/usr/bin/env python3\nprint('here I am')\n"
 
 
@@ -146,7 +146,7 @@ async def test_recording_is_uploaded_and_its_map_shown(page: Any, platform: Real
     recording = carmen(tmp_path / "lobby.log", "".join(flaser(1 + number / 10, number / 100) for number in range(60)))
     await page.get_by_role("link", name="Recordings").click()
     await page.get_by_role("button", name="Choose recordings").wait_for()
-    dropped = await page.evaluate_handle(DROPPED, [recording.name, recording.read_text()])
+    dropped = await page.evaluate_handle(DROPPED, [[recording.name, recording.read_text()]])
     await page.locator(".drop").dispatch_event("drop", {"dataTransfer": dropped})
     row = page.get_by_role("row").filter(has_text="map.png")
     await row.wait_for(timeout=300_000)
@@ -162,6 +162,14 @@ async def test_recording_is_uploaded_and_its_map_shown(page: Any, platform: Real
     await row.get_by_role("button", name="Remove").click()
     await dialog.get_by_role("button", name="Remove").click()
     await row.wait_for(state="detached")
+    await page.get_by_text("Options").click()
+    await page.get_by_label("Workers").fill("2")
+    files = [[name, recording.read_text()] for name in ("monday.log", "tuesday.log")]
+    dropped = await page.evaluate_handle(DROPPED, files)
+    await page.locator(".drop").dispatch_event("drop", {"dataTransfer": dropped})
+    row = page.get_by_role("row").filter(has_text="2 recordings")
+    await row.get_by_role("button", name="trajectory_2.txt").wait_for(timeout=300_000)
+    assert "failed" not in await row.inner_text()
 
 
 async def test_goal_of_an_action_gets_feedback_and_result_and_is_canceled(page: Any, platform: RealPlatform) -> None:

@@ -19,12 +19,13 @@ export function jobsPage(main, app) {
     h("label.inline", "Mapper", h("select", { name: "mapper" }, ["graph", "particle"].map((each) => h("option", { value: each }, each)))),
     h("label.inline", "Metres a cell", h("input", { name: "resolution", type: "number", min: 0.01, max: 0.5, step: 0.01, value: 0.05 })),
     h("label.inline", "Longest beam, metres", h("input", { name: "max_range", type: "number", min: 1, max: 200, value: 30 })),
+    h("label.inline", "Workers", h("input", { name: "parallel", type: "number", min: 1, max: 16, value: 1, title: "With two or more, single files that are dropped together become one map where they overlap" })),
     h("label.inline", "Scan topic", h("input", { name: "scan_topic", size: 10, placeholder: "the only one" })),
     h("label.inline", "Odometry topic", h("input", { name: "odometry_topic", size: 10, placeholder: "the only one" })));
   main.append(h("div.head", h("h1", "Recordings and maps")));
   let [service, timer, ended] = [null, 0, false];
   const wanted = () => Object.fromEntries([...new FormData(options)].map(([name, value]) =>
-    [name, ["resolution", "max_range"].includes(name) ? Number(value) : value]));
+    [name, ["resolution", "max_range", "parallel"].includes(name) ? Number(value) : value]));
   const load = async () => {
     if (document.hidden) return;
     const [all, files] = await Promise.all([service.jobs(), service.uploads()]);
@@ -32,7 +33,7 @@ export function jobsPage(main, app) {
     show(uploads, uploadTable(files, all));
   };
   const submit = (files) => attempt(async () => {
-    for (const [name, group] of recordings(files)) {
+    for (const [name, group] of submissions(recordings(files), wanted().parallel)) {
       const ids = [];
       for (const file of group) {
         const line = h("p", `${file.name}: `, h("progress", { max: 1, value: 0, "aria-label": `Upload of ${file.name}` }));
@@ -86,6 +87,13 @@ function recordings(files) {
     found.set(name, [...(found.get(name) ?? []), file]);
   }
   return found;
+}
+
+/** Return the files of each job by its name: with several workers, recordings of one file each share a job. */
+function submissions(found, parallel) {
+  const groups = [...found.values()];
+  if (parallel < 2 || groups.length < 2 || groups.some((group) => group.length > 1)) return found;
+  return new Map([[`${groups.length} recordings`, groups.flat()]]);
 }
 
 const button = (does, of, text, name = "", kind = "") => h(`button.small${kind}`, { "data-do": does, "data-of": of, "data-name": name }, text);

@@ -44,12 +44,12 @@ def inline(content: bytes = LOG, name: str = "a.log", options: str = "") -> str:
 
 
 async def test_request_with_a_recording_and_answer_with_a_result(service: Service) -> None:
-    options = "<r:options><r:max_range>20</r:max_range><r:resolution> 0.2 </r:resolution></r:options>"
+    options = "<r:options><r:max_range>20</r:max_range><r:resolution> 0.2 </r:resolution><r:parallel>3</r:parallel></r:options>"
     status, answer = await post(service, envelope(inline(options=options)))
     assert status == 200
     job = answer.findtext(".//r:id", "", NAMES)
     task = service.runner.task(job)
-    assert (task.options.max_range, task.options.resolution) == (20.0, 0.2)
+    assert (task.options.max_range, task.options.resolution, task.options.parallel) == (20.0, 0.2, 3)
     service.runner.finish(job)
     async with asyncio.timeout(20):  # the event stream ends when the job is over
         await service.request("GET", f"/jobs/{job}/events")
