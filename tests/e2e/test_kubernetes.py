@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import json
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
@@ -15,11 +16,14 @@ pytest.importorskip("docker", reason="nodes of the tests need docker-py: pip ins
 
 from containers.kubernetes.objects import RUN, SPEC
 from provisioning.kubernetes import Values, manifests, rights_per_user
+from rce.api.client import ApiClient
+from rce.api.views import NewSecret, SecretView
+from rce.protocol.messages import Qos
 from tests.support.containers.stand_in_image import stand_in_layer
 from tests.support.e2e import hostile_programs as programs
 from tests.support.e2e.machines import Host, Machines
 from tests.support.e2e.mapping import SCANS, check_files, rce_map, relations
-from tests.support.e2e.real_platform import until
+from tests.support.e2e.real_platform import USER, until
 from tests.support.e2e.traffic import Echo
 from tests.support.kubernetes.cluster import NAMESPACE, Cluster, cluster_of
 from tests.support.kubernetes.images import load_images
@@ -27,6 +31,7 @@ from tests.support.paths import DATA
 from tests.support.swarm_nodes import HOST_IMAGE, host_mounts
 
 STRING = "std_msgs/String"
+SECRET = "correct horse battery"
 MOVE_TIMEOUT = 180.0
 RESOLVE = "import socket; print(socket.gethostbyname('{}'))"
 CONNECT = """
@@ -146,6 +151,21 @@ async def test_environment_reaches_nothing_and_sees_nothing_of_its_node(two_node
         assert "not permitted" in seen["unshare"]
         assert "not permitted" in seen["mount"]
         assert "not permitted" in seen["interface"]
+
+
+async def test_secret_reaches_the_nodes_of_a_pod(two_nodes: Cluster, platform: Machines) -> None:
+    """A node reads a secret of its user as a file and as a variable; Kubernetes' objects do not have it."""
+    url = platform.master.ready["url"]
+    client = ApiClient(url, user=USER, password=USER)
+    await asyncio.to_thread(client.post, SecretView, "secrets", body=NewSecret("password", SECRET))
+    async with platform.robot("r5") as robot, robot.environment("safe", secrets={"password": "PASSWORD"}) as safe:
+        await safe.add_node("look", "Relay", "secrets_seen.py")
+        latched = Qos(durability="transient_local")
+        seen = await (await safe.subscriber("/seen", STRING, qos=latched)).get(60)
+        assert json.loads(seen["data"]) == {"file": SECRET, "variable": SECRET}
+        objects = two_nodes.kubectl("get", "pods,secrets", f"--namespace={NAMESPACE}", "--output=json")
+        assert SECRET not in objects
+        assert base64.b64encode(SECRET.encode()).decode() not in objects
 
 
 LOOK = """

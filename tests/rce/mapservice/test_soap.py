@@ -44,7 +44,8 @@ def inline(content: bytes = LOG, name: str = "a.log", options: str = "") -> str:
 
 
 async def test_request_with_a_recording_and_answer_with_a_result(service: Service) -> None:
-    options = "<r:options><r:max_range>20</r:max_range><r:resolution> 0.2 </r:resolution><r:parallel>3</r:parallel></r:options>"
+    given = "<r:max_range>20</r:max_range><r:resolution> 0.2 </r:resolution><r:parallel>3</r:parallel>"
+    options = f"<r:options>{given}</r:options>"
     status, answer = await post(service, envelope(inline(options=options)))
     assert status == 200
     job = answer.findtext(".//r:id", "", NAMES)
