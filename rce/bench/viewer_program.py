@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from contextlib import AsyncExitStack
 
 import msgspec
+import uvloop
 from msgspec import Struct
 
 from rce.client import Robot, Subscriber
@@ -106,4 +107,4 @@ async def run(task: Task) -> None:
 
 
 if __name__ == "__main__":
-    asyncio.run(run(msgspec.json.decode(sys.stdin.readline(), type=Task)))
+    uvloop.run(run(msgspec.json.decode(sys.stdin.readline(), type=Task)))  # viewers cost little on the shared processor

@@ -37,6 +37,26 @@ constexpr rce::Seconds WAIT{60};  // a limit that only ends a test that hangs
 inline const std::string STRING = "std_msgs/String", POSE = "geometry_msgs/Pose2D", INT64 = "std_msgs/Int64",
                          SET_BOOL = "std_srvs/SetBool", FIBONACCI = "example_interfaces/Fibonacci";
 
+/** Something that happens once. */
+class Signal {
+ public:
+  void set() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    isSet_ = true;
+    changed_.notify_all();
+  }
+
+  void wait() {
+    std::unique_lock<std::mutex> lock(mutex_);
+    if (!rce::waitFor(changed_, lock, WAIT, [this] { return isSet_; })) throw std::runtime_error("nothing happened");
+  }
+
+ private:
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  bool isSet_ = false;
+};
+
 /** The robots of one case. */
 class World {
  public:
@@ -65,11 +85,15 @@ class World {
     return made;
   }
 
+  /** A signal that lives longer than the callbacks of the robots. */
+  Signal& signal() { return signals_.emplace_back(); }
+
   const std::string& url() const { return url_; }
 
  private:
   std::string url_, tag_;
-  std::list<rce::Client> robots_;
+  std::list<Signal> signals_;
+  std::list<rce::Client> robots_;  // destroyed before the signals: their callbacks have ended then
 };
 
 struct Pair {
@@ -83,26 +107,6 @@ struct Pair {
   rce::Client& b;
   rce::SubscriberPtr subscriber;
   rce::PublisherPtr publisher;
-};
-
-/** Something that happens once. */
-class Signal {
- public:
-  void set() {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    isSet_ = true;
-    changed_.notify_all();
-  }
-
-  void wait() {
-    std::unique_lock<std::mutex> lock(mutex_);
-    if (!rce::waitFor(changed_, lock, WAIT, [this] { return isSet_; })) throw std::runtime_error("nothing happened");
-  }
-
- private:
-  std::mutex mutex_;
-  std::condition_variable changed_;
-  bool isSet_ = false;
 };
 
 /** Ends a blocking callback at the end of a case, also of one that failed. */

@@ -19,7 +19,7 @@ void serviceResponsesAndErrors(World& world) {
   for (int count = 0; count < 10; ++count) answers.push_back(gripper->call({{"data", true}}));
   for (auto& answer : answers) equal(answer.get(), OPEN);
   throws<rce::Error>([&] { gripper->call({{"data", false}}).get(); }, "the gripper is stuck");
-  Signal called;
+  Signal& called = world.signal();
   gripper->call({{"data", true}}, [&](const Value& response) {
     equal(response, OPEN);
     equal(gripper->call({{"data", true}}).get(), OPEN);  // a callback may call the client, and wait
@@ -29,7 +29,7 @@ void serviceResponsesAndErrors(World& world) {
 }
 
 void plainFunctionAsHandlerAndTimeoutOfSlowService(World& world) {
-  Signal never;
+  Signal& never = world.signal();
   rce::Client &a = world.robot("a"), &b = world.robot("b");
   const Release release{never};
   b.provider("quick", SET_BOOL, &setBool);
@@ -44,7 +44,7 @@ void plainFunctionAsHandlerAndTimeoutOfSlowService(World& world) {
 }
 
 void serviceCallRaisesUnavailableWhenSocketBreaks(World& world) {
-  Signal called, never;
+  Signal &called = world.signal(), &never = world.signal();
   rce::Client &a = world.robot("a"), &b = world.robot("b");
   const Release release{never};
   b.provider("serve", SET_BOOL, [&](const Value&, Value&) {

@@ -37,7 +37,7 @@ void valuesArriveUnchanged(World& world) {
 void callbackGetsEachMessageOnceInOrder(World& world) {
   rce::Client &a = world.robot("a"), &b = world.robot("b");
   std::vector<std::string> received;
-  Signal done;
+  Signal& done = world.signal();
   rce::InterfaceOptions options;
   options.depth = 100;
   b.subscriber("in", STRING, [&](const Value& message) {
@@ -74,7 +74,7 @@ void smallMessageOvertakesLargeOne(World& world) {
   rce::Client &a = world.robot("a"), &b = world.robot("b");
   std::mutex mutex;
   std::vector<std::string> order;
-  Signal done;
+  Signal& done = world.signal();
   const auto note = [&](const std::string& word) {
     const std::lock_guard<std::mutex> lock(mutex);
     order.push_back(word);

@@ -64,8 +64,12 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 async def output_of(*words: object) -> str:
     """Run a program beside the platform; return its output."""
     pipe = asyncio.subprocess.PIPE
+    options = {
+        "UBSAN_OPTIONS": "halt_on_error=1",
+        "TSAN_OPTIONS": f"halt_on_error=1 suppressions={TESTS / 'cpp' / 'tsan.supp'}",
+    }
     process = await asyncio.create_subprocess_exec(
-        *map(str, words), stdout=pipe, stderr=pipe, env={**os.environ, "UBSAN_OPTIONS": "halt_on_error=1"}
+        *map(str, words), stdout=pipe, stderr=pipe, env={**os.environ, **options}
     )
     try:
         out, err = await asyncio.wait_for(process.communicate(), TIMEOUT)
