@@ -130,8 +130,7 @@ async def test_node_is_killed(killed: RealPlatform, both: tuple[Traffic, Traffic
     calm, victim = both  # in this order, because the nodes of this one have run for long
     await victim.wait_until_restartable()
     since, events = time.monotonic(), victim.robot.events()
-    (pid,) = (pid for pid, words in killed.processes().items() if "relay.py" in words and "/c/" in words)
-    killed.kill(pid)
+    killed.kill(killed.pid(r"(?=.*/c/).*relay\.py"))
     died = await next_event(events, NodeEvent)
     assert (died.containerTag, died.nodeTag, died.status) == ("c", "relay", -9)
     await victim.wait_for_round_trip()

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import signal
+
 import pytest
 
 from rce.control.calls.endpoints import Launched, NodeDied, NodeSpec, StartNode, StopNode
@@ -77,7 +80,8 @@ async def test_launch_goes_on_without_a_node_that_ended(master: FakeMaster) -> N
 async def test_required_node_ends_the_launch(master: FakeMaster) -> None:
     await master.call(launch("needing", "ends.launch.yaml", "required:=true"))
     living = await pid(master, "needing.live")
-    assert (await died(master, "needing")).status == 3
+    os.kill(await pid(master, "needing.needed"), signal.SIGKILL)
+    assert (await died(master, "needing")).status == -signal.SIGKILL
     assert not is_alive(living)
 
 
