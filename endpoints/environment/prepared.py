@@ -85,11 +85,10 @@ async def serve(reactor: ReactorBase) -> None:
             await ros.stop()
             return
         settings = accept(msgspec.json.decode(line, type=Order))
-        if settings.shared_memory != SEGMENT or settings.address:
+        fits = settings.shared_memory == SEGMENT and not settings.address
+        if not fits:  # it has to join again with another profile
             await ros.stop()
-            await program.Endpoint(settings, spare).run(reactor)
-        else:
-            await program.Endpoint(settings, spare, ros).run(reactor)
+        await program.Endpoint(settings, spare, ros if fits else None).run(reactor)
     finally:
         spare.discard()
 

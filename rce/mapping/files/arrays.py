@@ -25,8 +25,14 @@ def pack_arrays(arrays: Mapping[str, Array], compress: bool = True) -> bytes:
     return whole.getvalue()
 
 
-def unpack_arrays(source: Path | BinaryIO, what: str, field: str = "file") -> dict[str, Array]:
-    """Return the arrays of a file; `what` names it in errors.
+def unpack_arrays(source: Path | BinaryIO, what: str, kind: str, field: str = "") -> dict[str, Array]:
+    """Return the arrays of a file or message.
+
+    Args:
+        source: The file or message.
+        what: Its name in errors.
+        kind: What it should be, for errors: `a saved mapping session`.
+        field: Field of errors.
 
     Raises:
         InvalidRequest: They are not arrays, are damaged, or would take too much memory.
@@ -38,4 +44,4 @@ def unpack_arrays(source: Path | BinaryIO, what: str, field: str = "file") -> di
         with np.load(source, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
     except (ValueError, OSError, EOFError, KeyError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
-        raise InvalidRequest(f"{what} is not a saved mapping session, or a damaged one: {error}", field=field) from None
+        raise InvalidRequest(f"{what} is not {kind}, or a damaged one: {error}", field=field) from None

@@ -96,7 +96,7 @@ class Relocating:
 def _read(path: Path) -> dict[str, Array]:
     if not path.is_file():
         raise NotFound(f"no such saved session: {path}", field="file")
-    return unpack_arrays(path, str(path))
+    return unpack_arrays(path, str(path), "a saved mapping session", field="file")
 
 
 def _kind(arrays: dict[str, Array], path: Path) -> str:

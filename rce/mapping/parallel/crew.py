@@ -42,7 +42,7 @@ class RemoteWorker(Protocol):
         """Wait for an answer; return it with its size in bytes."""
 
     async def close(self) -> None:
-        """Dismiss the worker, which may be lost already."""
+        """Dismiss the worker, which may be lost already; raise RceError if something of it may be left."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,18 +124,25 @@ class Crew:
         self._members: list[asyncio.Task[None]] = []
         self._at_work: set[_Task] = set()
         self._open, self._phase = 0, 0  # units that somebody waits for; number of the current phase
-        self._left: RceError | None = None  # why the last member left
+        self._left: RceError | None = None  # reason of the last member that left
+        self._kept: dict[int, RceError] = {}  # errors of workers that could not be dismissed, by member
 
     async def __aenter__(self) -> Self:
         """Begin to hire workers."""
         self._members = [asyncio.create_task(self._work(member)) for member in range(self._size)]
         return self
 
-    async def __aexit__(self, *_: object) -> None:
-        """Dismiss all workers."""
+    async def __aexit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Dismiss all workers.
+
+        Raises:
+            RceError: A worker could not be dismissed, and no other exception is under way.
+        """
         for member in self._members:
             member.cancel()
         await asyncio.gather(*self._members, return_exceptions=True)
+        if kind is None and self._kept:
+            raise next(iter(self._kept.values()))
 
     async def run(self, work: Work, is_needed: Callable[[], bool] = lambda: True) -> bytes | None:
         """Have a unit executed.
@@ -193,6 +200,8 @@ class Crew:
         try:
             while True:
                 task = await self._next()
+                if task.result.done():  # whoever waited for it was cancelled
+                    continue
                 if not task.is_needed():
                     _settle(task, None)
                     continue
@@ -203,10 +212,21 @@ class Crew:
                     await self._retry(task, error)
                     self.lost += 1
                     raise _Lost(error) from error
+                except Exception as error:  # a bug: nobody waits for ever
+                    _settle(task, error)
+                    raise
                 finally:
                     self._at_work.discard(task)
         finally:
+            await self._dismiss(member, worker)
+
+    async def _dismiss(self, member: int, worker: RemoteWorker) -> None:
+        try:
             await worker.close()
+        except RceError as error:
+            self._kept[member] = error
+        else:
+            self._kept.pop(member, None)
 
     async def _next(self) -> _Task:
         async with self._wakeup:
@@ -275,10 +295,10 @@ class Crew:
             self._waiting.clear()
 
 
-def _settle(task: _Task, result: bytes | RceError | None) -> None:
-    if task.result.done():  # whoever waited for it was cancelled
+def _settle(task: _Task, result: bytes | Exception | None) -> None:
+    if task.result.done():
         return
-    if isinstance(result, RceError):
+    if isinstance(result, Exception):
         task.result.set_exception(result)
     else:
         task.result.set_result(result)

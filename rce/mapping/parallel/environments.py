@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, suppress
 from typing import Any, Self
 
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
 from rce.client import Robot
-from rce.errors import RceError
+from rce.errors import NotFound
 from rce.mapping.guard import NodeGuard
 from rce.mapping.parallel.units import Answer, decode_answer
 from rce.mapping.robot import NODE, start_node
@@ -68,37 +68,31 @@ class EnvironmentWorker:
         return decode_answer(bytes_of(received)), len(received)
 
     async def close(self) -> None:
-        """Destroy the environment, unless it is lost already."""
+        """Destroy the environment, unless it is lost already.
+
+        Raises:
+            RceError: The environment may still exist.
+        """
         await self._stack.aclose()
 
     async def _start(self) -> None:
-        environment = await self._stack.enter_async_context(_Owned(self._robot, self._tag))
+        environment = self._robot.environment(self._tag, restart="no")
+        self._stack.push_async_callback(self._destroy)  # also if its creation is not acknowledged in time
+        await environment.__aenter__()
         self._guard = await self._stack.enter_async_context(NodeGuard(self._robot, environment, NODE, self._send_again))
         await start_node(environment, "worker", {})
         self._units = await environment.publisher("/units", TYPE, qos=QOS, raw=True)
         self._answers = await environment.subscriber("/answers", TYPE, qos=QOS, raw=True)
         await self._guard.wait(self._answers.get(), START_TIMEOUT, "a mapping worker to be ready")
 
+    async def _destroy(self) -> None:
+        with suppress(NotFound):
+            await self._robot.destroy_environment(self._tag)
+
     async def _send_again(self) -> None:
         """Send the current unit again; a worker ignores the one at which it works, and answers the last one again."""
         if self._last:
             await self._units.publish(self._last)
-
-
-class _Owned:
-    """Environment that is destroyed at the end, if it still exists."""
-
-    def __init__(self, robot: Robot, tag: str) -> None:
-        self._environment = robot.environment(tag, restart="no")
-
-    async def __aenter__(self) -> Any:
-        return await self._environment.__aenter__()
-
-    async def __aexit__(self, *_: object) -> None:
-        try:
-            await self._environment.destroy()
-        except RceError:  # it is lost; the platform has removed it
-            return
 
 
 def cdr(data: bytes) -> bytes:

@@ -17,7 +17,7 @@ from rce.mapping.scans import Scan
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """How recordings are mapped.
+    """Method of mapping recordings.
 
     Attributes:
         workers: Number of workers, each in an environment of its own.
@@ -59,7 +59,7 @@ async def run(
         robot: Connected robot.
         name: The environments are NAME_0, NAME_1 ...; see `environments`.
         recordings: The recordings.
-        method: How they are mapped.
+        method: Number of workers, mapper and settings.
         on_scans: Called with the number of scans mapped so far.
 
     Raises:

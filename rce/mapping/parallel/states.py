@@ -160,4 +160,4 @@ def unpack_state(data: bytes) -> Reader:
     Raises:
         InvalidRequest: The bytes are no state.
     """
-    return Reader(unpack_arrays(io.BytesIO(data), "the message of a mapping worker", field=""))
+    return Reader(unpack_arrays(io.BytesIO(data), "the message of a mapping worker", "a state of a map"))

@@ -207,7 +207,7 @@ class NotSubstitution(Substitution):
 
 
 class AndSubstitution(Substitution):
-    """Return True if two texts are true."""
+    """Text `true` if two texts are true, else `false`."""
 
     def __init__(self, left: Text, right: Text) -> None:
         self.sides = left, right
@@ -218,7 +218,7 @@ class AndSubstitution(Substitution):
 
 
 class OrSubstitution(AndSubstitution):
-    """Return True if one of two texts is true."""
+    """Text `true` if one of two texts is true, else `false`."""
 
     def perform(self, context: Context) -> str:
         """Return `true` or `false`."""
@@ -226,7 +226,7 @@ class OrSubstitution(AndSubstitution):
 
 
 class EqualsSubstitution(AndSubstitution):
-    """Return True if two texts are equal; numbers and truths count by their value."""
+    """Text `true` if two texts are equal, else `false`; numbers and truths count by their value."""
 
     def perform(self, context: Context) -> str:
         """Return `true` or `false`."""
@@ -235,7 +235,7 @@ class EqualsSubstitution(AndSubstitution):
 
 
 class NotEqualsSubstitution(EqualsSubstitution):
-    """Return True if two texts differ."""
+    """Text `true` if two texts differ, else `false`."""
 
     def perform(self, context: Context) -> str:
         """Return `true` or `false`."""

@@ -21,15 +21,15 @@ def test_arrays_survive_packing(tmp_path: Path, compress: bool) -> None:
     path = tmp_path / "file.npz"
     path.write_bytes(data)
     for source in (io.BytesIO(data), path):
-        found = unpack_arrays(source, "the file")
+        found = unpack_arrays(source, "the file", "a map")
         assert found.keys() == ARRAYS.keys()
         assert all(np.array_equal(found[name], array) for name, array in ARRAYS.items())
 
 
 @pytest.mark.parametrize("data", [b"", b"no archive", pack_arrays(ARRAYS)[:-30], pack_arrays(ARRAYS)[:40]])
 def test_other_bytes_are_refused(data: bytes) -> None:
-    with pytest.raises(InvalidRequest, match="the message is not") as refused:
-        unpack_arrays(io.BytesIO(data), "the message", field="state")
+    with pytest.raises(InvalidRequest, match="the message is not a map") as refused:
+        unpack_arrays(io.BytesIO(data), "the message", "a map", field="state")
     assert refused.value.field == "state"
 
 
@@ -37,10 +37,10 @@ def test_objects_are_refused() -> None:
     whole = io.BytesIO()
     np.savez(whole, objects=np.array([{}], object))
     with pytest.raises(InvalidRequest):
-        unpack_arrays(whole, "the message")
+        unpack_arrays(whole, "the message", "a map")
 
 
 def test_bomb_is_refused_before_it_is_unpacked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(arrays, "MAX_BYTES", 1000)
     with pytest.raises(InvalidRequest, match="more than 1,000 bytes"):
-        unpack_arrays(io.BytesIO(pack_arrays({"zeros": np.zeros(10_000)})), "the message")
+        unpack_arrays(io.BytesIO(pack_arrays({"zeros": np.zeros(10_000)})), "the message", "a map")

@@ -6,13 +6,13 @@ import asyncio
 
 import pytest
 
-from rce.errors import Died, InvalidRequest, LimitExceeded, NoCapacity, RceError
+from rce.errors import Died, InvalidRequest, LimitExceeded, NoCapacity, RceError, Unavailable
 from rce.mapping.evaluation.simulation import Simulation
 from rce.mapping.mapper import MapperSettings
 from rce.mapping.parallel.crew import MAX_ATTEMPTS, MAX_LOSSES, Crew, RemoteWorker
 from rce.mapping.parallel.scan_arrays import ScanArrays, pack_scans
 from rce.mapping.parallel.states import PartMap
-from rce.mapping.parallel.units import FindOverlaps, KeepPart, MapPart, Unit
+from rce.mapping.parallel.units import FindOverlaps, KeepPart, MapPart, MapSeed, Unit
 from tests.support.mapping_crew import LocalCrew, LocalWorker, dies
 
 SETTINGS = MapperSettings()
@@ -134,3 +134,46 @@ async def test_workers_are_dismissed_with_the_crew(scans: ScanArrays) -> None:
     assert local.workers[0].closed
     running.cancel()
     await asyncio.gather(running, return_exceptions=True)
+
+
+async def test_bug_fails_the_unit_instead_of_leaving_it_open() -> None:
+    local = LocalCrew({0: broken})
+    async with Crew(local.hire, 1) as crew:
+        with pytest.raises(ZeroDivisionError):
+            await crew.run(MapSeed(pack_scans([]), SETTINGS))
+
+
+def broken(unit: Unit) -> RceError | None:
+    raise ZeroDivisionError
+
+
+async def test_worker_that_cannot_be_dismissed_is_an_error(scans: ScanArrays, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its environment may be left on the platform."""
+
+    async def close(worker: LocalWorker) -> None:
+        raise Unavailable("no connection")
+
+    async def one_unit(failure: Exception | None) -> None:
+        async with Crew(LocalCrew().hire, 1) as crew:
+            await crew.run(MapPart(0, scans, SETTINGS))
+            if failure is not None:
+                raise failure
+
+    monkeypatch.setattr(LocalWorker, "close", close)
+    with pytest.raises(Unavailable):
+        await one_unit(None)
+    with pytest.raises(ZeroDivisionError):
+        await one_unit(ZeroDivisionError())
+
+
+async def test_unit_for_which_nobody_waits_any_more_is_not_executed(scans: ScanArrays) -> None:
+    local = LocalCrew()
+    async with Crew(local.hire, 1) as crew:
+        first = asyncio.create_task(crew.run(MapPart(0, scans, SETTINGS)))
+        await asyncio.sleep(0)
+        second = asyncio.create_task(crew.run(MapPart(1, scans, SETTINGS)))
+        await asyncio.sleep(0)
+        second.cancel()
+        await first
+        await crew.run(MapPart(2, scans, SETTINGS))
+    assert [unit.work.part for unit in local.workers[0].units if isinstance(unit.work, MapPart)] == [0, 2]

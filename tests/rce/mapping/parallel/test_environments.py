@@ -8,7 +8,7 @@ from typing import Any, Self, cast
 import pytest
 
 from rce.client import Reconnected, Robot
-from rce.errors import AlreadyExists, Died, NotFound, RceError
+from rce.errors import AlreadyExists, Died, NotFound, RceError, TimedOut, Unavailable
 from rce.mapping.parallel.environments import EnvironmentWorker, bytes_of, cdr
 from rce.mapping.parallel.units import Answer, Busy, encode
 from rce.mapping.robot import NODE
@@ -66,7 +66,8 @@ class Platform:
         self._call("create")
         return self
 
-    async def destroy(self) -> None:
+    async def destroy_environment(self, tag: str) -> None:
+        assert tag == self.tag
         self._call("destroy")
 
     async def add_node(self, tag: str, pkg: str, exe: str) -> None:
@@ -128,3 +129,16 @@ async def test_environment_is_destroyed_if_the_node_does_not_start(platform: Pla
     with pytest.raises(AlreadyExists):
         await platform.hire()
     assert platform.called == ["create", "add_node", "destroy"]
+
+
+@pytest.mark.parametrize("failing", ["create", "add_node"])
+async def test_environment_that_may_be_left_is_an_error_of_its_worker(platform: Platform, failing: str) -> None:
+    """Its creation may have been executed although the answer did not come; its removal must be known."""
+    platform.failures[failing] = TimedOut("no answer")
+    with pytest.raises(TimedOut):
+        await platform.hire()
+    assert platform.called[-1] == "destroy"
+    platform.failures = {"destroy": Unavailable("no connection")}
+    worker = await platform.hire()
+    with pytest.raises(Unavailable):
+        await worker.close()

@@ -67,7 +67,7 @@ def test_parts_of_other_workers_are_kept(scans: ScanArrays) -> None:
     ("work", "reason"),
     [
         (FindOverlaps(0, 5), "does not have part 0"),
-        (KeepPart(0, b"nothing"), "not a saved mapping session"),
+        (KeepPart(0, b"nothing"), "not a state of a map"),
         (ComparePlaces([1], b"", [0]), "does not have part 1"),
     ],
 )
