@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,7 +19,7 @@ from endpoints.data.interface import error_of
 from endpoints.data.link import Link
 from endpoints.environment.interfaces import RosContext, RosInterface, as_bytes
 from endpoints.environment.ros_actions import FEEDBACK_QOS, STATUS_QOS, part_of, with_goal_id, without_goal_id
-from endpoints.environment.ros_services import Header, RawService
+from endpoints.environment.ros_services import Header, RawService, ServiceType
 from endpoints.environment.ros_types import action_class
 from endpoints.environment.service_calls import TIMEOUT
 from rce.control.calls.endpoints import InterfaceSpec
@@ -74,9 +75,13 @@ class ActionProviderInterface(RosInterface):
     def _create_entities(self, kind: type[Any]) -> None:
         ros, impl, action = self._ros, kind.Impl, self.spec.addr
         self._kind = kind
-        self._send_goal = RawService(ros, impl.SendGoalService, part_of(action, "send_goal"), self._goal_requested)
-        self._get_result = RawService(ros, impl.GetResultService, part_of(action, "get_result"), self._result_requested)
-        self._cancel_goal = RawService(ros, CancelGoal, part_of(action, "cancel_goal"), self._cancel_requested)
+
+        def service(kind: ServiceType, part: str, requested: Callable[[Header, bytes], None]) -> RawService:
+            return RawService(ros, kind, part_of(action, part), requested, self._report_from_ros)
+
+        self._send_goal = service(impl.SendGoalService, "send_goal", self._goal_requested)
+        self._get_result = service(impl.GetResultService, "get_result", self._result_requested)
+        self._cancel_goal = service(CancelGoal, "cancel_goal", self._cancel_requested)
         create = ros.node.create_publisher
         self._feedback = create(impl.FeedbackMessage, part_of(action, "feedback"), FEEDBACK_QOS)
         self._status = create(GoalStatusArray, part_of(action, "status"), STATUS_QOS)

@@ -5,6 +5,7 @@ rclpy's services need message objects; the conversion from and to bytes costs 10
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -15,10 +16,12 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.service import Service
 
 from endpoints.environment.ros import RosThread
-from rce.errors import ConversionError
+from rce.errors import ConversionError, RceError, TimedOut
 
 MAX_BATCH = 16  # messages taken of one entity before others have their turn
 QOS = QoSProfile(depth=1000)  # with the default of ROS, all beyond 10 are lost
+PAUSES = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # seconds between attempts to send a response
+NO_READER = "failed to send response"  # how the warning of rclpy begins; see RawService.answer
 ServiceType = Any  # a generated service class, with Request and Response; its module is known only at run time
 Header = _rclpy.rmw_request_id_t
 
@@ -85,13 +88,24 @@ class RawService:
     services = 1
 
     def __init__(
-        self, ros: RosThread, kind: ServiceType, name: str, requested: Callable[[Header, bytes], None]
+        self,
+        ros: RosThread,
+        kind: ServiceType,
+        name: str,
+        requested: Callable[[Header, bytes], None],
+        lost: Callable[[type[RceError], str], None],
     ) -> None:
-        """Create the server; `requested` is called with the header of a request and the request."""
+        """Create the server.
+
+        `requested` is called with the header of a request and the request, `lost` with the error of a response that
+        could not be sent.
+        """
         self._ros = ros
         self._kind = kind
         self._name = name
         self._requested = requested
+        self._lost = lost
+        self._destroyed = False
         self._service: Service[Any, Any] = ros.node.create_service(
             kind, name, lambda request, response: response, qos_profile=QOS
         )
@@ -101,11 +115,33 @@ class RawService:
     def answer(self, header: Header, response: bytes) -> None:
         """Send a response.
 
+        A request may come before ROS has discovered the reader of its response. rmw then waits for 0.1 s, and would
+        drop the response with a warning. The response is sent again later.
+
         Raises:
             ConversionError: The bytes are not a response of this service.
         """
         answer = _object(response, self._kind.Response, f"the response of {self._name}")
-        self._handle.service_send_response(answer, header)
+        warnings.filterwarnings("error", NO_READER, RuntimeWarning)  # here, since test runners reset the filters
+        self._send(answer, header, PAUSES)
+
+    def _send(self, answer: Any, header: Header, pauses: tuple[float, ...]) -> None:
+        if self._destroyed or self._sent(answer, header):
+            return
+        if pauses:
+            self._ros.call_later(pauses[0], lambda: self._send(answer, header, pauses[1:]))
+        else:
+            self._lost(TimedOut, f"ROS has not found the client to which {self._name} should respond")
+
+    def _sent(self, answer: Any, header: Header) -> bool:
+        """Try to send a response; return True too if the client is gone."""
+        try:
+            self._handle.service_send_response(answer, header)
+        except SystemError as error:  # in this form, pybind11 raises the warning
+            if not isinstance(error.__cause__, RuntimeWarning):
+                raise
+            return False
+        return True
 
     def add(self, wait_set: _rclpy.WaitSet) -> None:
         """Add the server to the wait set."""
@@ -123,4 +159,5 @@ class RawService:
 
     def destroy(self) -> None:
         """Destroy the server."""
+        self._destroyed = True
         self._ros.node.destroy_service(self._service)

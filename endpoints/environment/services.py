@@ -112,6 +112,7 @@ class ServiceProviderInterface(RosInterface):
                 kind,
                 self.spec.addr,
                 lambda header, payload: self._ros.deliver(lambda: self._forward(header, payload)),
+                self._report_from_ros,
             )
         )
 

@@ -5,16 +5,19 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator
 from functools import partial
+from typing import Any
 
 import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from std_srvs.srv import SetBool
 
+from endpoints.environment import ros_services
 from endpoints.environment.ros_services import MAX_BATCH, Header, RawClient, RawService
-from rce.errors import ConversionError
+from rce.errors import ConversionError, RceError, TimedOut
 from tests.support.endpoints.ros_world import LIMIT, RosWorld
 
 COUNT = 3 * MAX_BATCH
@@ -27,6 +30,7 @@ class Pair:
         self._ros = world.ros
         self.requests: asyncio.Queue[tuple[Header, bytes]] = asyncio.Queue()
         self.responses: asyncio.Queue[tuple[int, bytes]] = asyncio.Queue()
+        self.lost: asyncio.Queue[RceError] = asyncio.Queue()
         self.service: RawService
         self.client: RawClient
 
@@ -34,13 +38,16 @@ class Pair:
         ros = self._ros
         self.client = await ros.run(lambda: RawClient(ros, SetBool, "/raw/flip", self._answered))
         assert not await ros.run(self.client.available), "there is no server yet"
-        self.service = await ros.run(lambda: RawService(ros, SetBool, "/raw/flip", self._requested))
+        self.service = await ros.run(lambda: RawService(ros, SetBool, "/raw/flip", self._requested, self._lost))
 
     def _answered(self, number: int, payload: bytes) -> None:
         self._ros.deliver(lambda: self.responses.put_nowait((number, payload)))
 
     def _requested(self, header: Header, payload: bytes) -> None:
         self._ros.deliver(lambda: self.requests.put_nowait((header, payload)))
+
+    def _lost(self, kind: type[RceError], reason: str) -> None:
+        self._ros.deliver(lambda: self.lost.put_nowait(kind(reason)))
 
     async def call(self, payload: bytes) -> int:
         return await self._ros.run(lambda: self.client.call(payload))
@@ -96,4 +103,38 @@ async def test_payload_of_another_type_is_refused(pair: Pair, payload: bytes) ->
 async def test_service_that_is_gone_is_not_available(pair: Pair, world: RosWorld) -> None:
     await world.ros.run(lambda: world.ros.remove_waitable(pair.service))
     await world.until(lambda: not pair.client.available())
-    pair.service = await world.ros.run(lambda: RawService(world.ros, SetBool, "/raw/flip", pair._requested))
+    pair.service = await world.ros.run(lambda: RawService(world.ros, SetBool, "/raw/flip", pair._requested, pair._lost))
+
+
+async def test_response_is_sent_again_until_ros_knows_its_reader(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ros_services, "PAUSES", (0.01,) * 3)
+    send, attempts = pair.service._sent, 0
+
+    def find_reader_late(answer: Any, header: Header) -> bool:
+        nonlocal attempts
+        attempts += 1
+        return attempts > 3 and send(answer, header)
+
+    monkeypatch.setattr(pair.service, "_sent", find_reader_late)
+    number = await pair.call(request(True))
+    header, _ = await asyncio.wait_for(pair.requests.get(), LIMIT)
+    await pair.answer(header, response("late"))
+    assert (await asyncio.wait_for(pair.responses.get(), LIMIT))[0] == number
+    assert pair.lost.empty()
+
+
+async def test_response_without_reader_is_reported(
+    pair: Pair, world: RosWorld, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ros_services, "PAUSES", (0.01,))
+    # Its requests match the server's reader; the responses that it wants do not match the server's writer.
+    durable = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+    client = world.other.create_client(SetBool, "/raw/flip", qos_profile=durable)
+    await world.until(lambda: world.ros.node.count_clients("/raw/flip") == 2)
+    client.call_async(SetBool.Request(data=True))
+    header, _ = await asyncio.wait_for(pair.requests.get(), LIMIT)
+    await pair.answer(header, response("nobody reads this"))
+    error = await asyncio.wait_for(pair.lost.get(), LIMIT)
+    assert isinstance(error, TimedOut)
+    assert str(error) == "ROS has not found the client to which /raw/flip should respond"
+    world.other.destroy_client(client)
