@@ -10,11 +10,13 @@ from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from endpoints.data.frames import Buffer
+from endpoints.environment.discovery import after_discovery
 from endpoints.environment.qos import for_publisher, is_latched, mismatch
 from endpoints.environment.ros import RosThread
-from endpoints.environment.ros_topics import MAX_BATCH, SETTLING_TIME, Message, Topic, TopicEnd, ignore
+from endpoints.environment.ros_topics import MAX_BATCH, Message, Topic, TopicEnd, ignore
 from rce.net.budget import INTERFACE
 from rce.protocol.messages.commands import DEEP
 
@@ -63,10 +65,12 @@ class RawPublisher(TopicEnd):
         self._clock = clock
         self._unacknowledged = self._unacknowledged_bytes = 0  # since nodes had acknowledged all messages
         self._waits_since: float | None = None  # time since which publishing waits, or would wait, for nodes
-        self._matched = self._settled = False  # there is a subscription; and it has been there for SETTLING_TIME
+        # A node that has just appeared may get our messages before its own publishers have discovered their
+        # subscriptions: its replies to these messages would be lost.
+        self._matched = self._settled = False  # there is a subscription; and its node has discovered ours
         self._last: Buffer | None = None  # of the published messages
         self._subscribed: dict[bytes, bool] = {}  # subscriptions by gid; True if they got the last message
-        self._create(for_publisher(topic.qos, self.without_own(ros.node.get_subscriptions_info_by_topic(topic.name))))
+        self._create(for_publisher(topic.qos, self._subscriptions()))
         ros.add_waitable(self)
         self.peers_changed()
 
@@ -77,6 +81,9 @@ class RawPublisher(TopicEnd):
         )
         self._profile = profile
         self.handlers = self._publisher.event_handlers
+
+    def _subscriptions(self) -> list[TopicEndpointInfo]:
+        return self.without_own(self.ros.node.get_subscriptions_info_by_topic(self.topic.name))
 
     def peers_changed(self) -> None:
         """Adapt the QoS to the subscriptions and publish what waits, if there are any."""
@@ -98,9 +105,9 @@ class RawPublisher(TopicEnd):
             self._matched = self._settled = False
         elif not self._matched:
             self._matched = True
-            self.ros.call_later(SETTLING_TIME, self._settling_over)
+            after_discovery(self.ros, self._subscriptions, self._settling_over)
         if self._last is not None and self._late():
-            self.ros.call_later(SETTLING_TIME, self._publish_again)
+            after_discovery(self.ros, self._subscriptions, self._publish_again)
         self.flush()
 
     def _settling_over(self) -> None:

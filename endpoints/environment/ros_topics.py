@@ -17,9 +17,6 @@ from endpoints.environment.ros import RosThread
 from rce.protocol.messages import Qos
 
 MAX_BATCH = 16  # messages taken of one entity before others have their turn
-# A node that has just appeared may get our messages before its own publishers have discovered their subscriptions: its
-# replies to these messages would be lost.
-SETTLING_TIME = 0.1  # seconds
 
 Message = Any  # an instance of a generated message class; their module is known only at run time
 Report = Callable[[str], None]
@@ -116,11 +113,11 @@ class RawSubscription(TopicEnd):
         self._active = False
         self._started = False
         self._seen: dict[bytes, int] = {}  # last sequence number of each publisher
-        publishers = self._publishers()
+        publishers = self.publishers()
         self.had_publishers = bool(publishers)
         self._create(for_subscription(topic.qos, publishers))
         ros.add_waitable(self)
-        self.check([(info.qos_profile, self._profile) for info in self._publishers()])
+        self.check([(info.qos_profile, self._profile) for info in self.publishers()])
 
     @property
     def latched(self) -> bool:
@@ -135,12 +132,13 @@ class RawSubscription(TopicEnd):
         self._profile = profile
         self.handlers = self._subscription.event_handlers
 
-    def _publishers(self) -> list[TopicEndpointInfo]:
+    def publishers(self) -> list[TopicEndpointInfo]:
+        """Return the publishers of the topic that are not of this process."""
         return self.without_own(self.ros.node.get_publishers_info_by_topic(self.topic.name))
 
     def peers_changed(self) -> None:
         """Adapt the QoS to the publishers."""
-        publishers = self._publishers()
+        publishers = self.publishers()
         gids = {bytes(info.endpoint_gid) for info in publishers}
         self._seen = {gid: number for gid, number in self._seen.items() if gid in gids}
         self._counted &= gids

@@ -7,9 +7,9 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from endpoints.environment.discovery import SETTLING_TIME
 from endpoints.environment.ros import RosThread
 from endpoints.environment.ros_services import RawClient, ServiceType
-from endpoints.environment.ros_topics import SETTLING_TIME
 from rce.errors import ConversionError, NotFound, RceError, TimedOut
 
 TIMEOUT = 30.0  # seconds for a response

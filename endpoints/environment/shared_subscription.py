@@ -16,8 +16,9 @@ from typing import Protocol
 
 from endpoints.data.frames import MAX_SENDERS, Buffer, Message
 from endpoints.data.link import Link
+from endpoints.environment.discovery import after_discovery
 from endpoints.environment.ros import RosThread
-from endpoints.environment.ros_topics import SETTLING_TIME, RawSubscription, Topic
+from endpoints.environment.ros_topics import RawSubscription, Topic
 from endpoints.environment.shared_topics import SharedTopics, topic_key
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import InvalidRequest, LimitExceeded, RceError
@@ -96,7 +97,14 @@ class SharedSubscription:
         self.opening.set_result(None)
         if self.subscription.had_publishers:
             # Messages that they publish before they discover the subscription would be lost after the status is true.
-            await asyncio.sleep(SETTLING_TIME)
+            await self._discovered()
+
+    async def _discovered(self) -> None:
+        """Wait until the publishers have discovered the subscription."""
+        done = asyncio.Event()
+        ros, publishers = self._ros, self.subscription.publishers
+        ros.post(lambda: after_discovery(ros, publishers, lambda: ros.deliver(done.set)))
+        await done.wait()
 
     def add(self, member: Member) -> None:
         """Add a member, which gets what the others get as soon as it has a peer."""

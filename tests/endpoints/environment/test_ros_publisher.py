@@ -12,6 +12,7 @@ pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 
 from std_msgs.msg import String
 
+from endpoints.environment import ros_publisher
 from endpoints.environment.ros import RosThread
 from endpoints.environment.ros_publisher import PATIENCE, SHORT_PATIENCE, WINDOW, RawPublisher
 from endpoints.environment.ros_topics import Topic
@@ -53,6 +54,12 @@ class Ros(InstantRos):
         self.posted.append(action)
 
     def add_waitable(self, waitable: object) -> None: ...
+
+
+@pytest.fixture(autouse=True)
+def discovered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every node has discovered this process."""
+    monkeypatch.setattr(ros_publisher, "after_discovery", lambda ros, nodes, action: action())
 
 
 class World:

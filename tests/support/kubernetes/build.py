@@ -70,7 +70,7 @@ def build() -> Path:
         "CGO_ENABLED": "0",
     }
     _generate(work, tree, environment)
-    version = f"-X k8s.io/component-base/version.gitVersion=v{VERSION}"
+    version = f"-X k8s.io/kubernetes/vendor/k8s.io/component-base/version.gitVersion=v{VERSION}"  # else v0.0.0
     for name in PROGRAMS:
         print(f"building {name}", flush=True)
         words = ["go", "build", "-ldflags", f"-s -w {version}", "-o", str(work / "bin" / name), f"./cmd/{name}"]

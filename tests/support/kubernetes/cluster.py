@@ -29,6 +29,7 @@ STOP_TIMEOUT = 60.0
 NAMESPACE = "rce-tests"
 PAUSE = "rce-test/pause:1"  # keeps the namespaces of a pod
 SERVICES, FIRST_SERVICE = "10.232.0.0/24", "10.232.0.1"
+DOMAIN = "cluster.local"
 TOKEN = "secret"
 # Inside another container runc can neither lower a process's score for the kernel's out-of-memory killer, nor give a
 # privileged container capabilities that this machine does not have.
@@ -126,7 +127,7 @@ class Cluster:
     def start_kubelet(self, node: Node) -> None:
         """Start the kubelet of a node, in its namespaces."""
         config = node.directory / "kubelet.json"
-        config.write_text(json.dumps(KUBELET))
+        config.write_text(json.dumps({**KUBELET, "clusterDomain": DOMAIN, "clusterDNS": [self.address]}))
         words = ["nsenter", f"--net=/run/netns/{node.name}", f"--mount=/proc/{self._docker(node)}/ns/mnt"]
         words += [
             "sh",
