@@ -30,6 +30,8 @@ HEARTBEAT = 20_000_000  # ns
 # of ten nodes that start beside an older endpoint needs the next announcement of that; by default it would come after
 # 3 s. An idle process with two others spends 0.2 % of a core on them.
 RANGE, NO_NETWORK = "ROS_AUTOMATIC_DISCOVERY_RANGE", "SYSTEM_DEFAULT"
+# Nodes are built with their types. With types in the announcements too, Fast DDS first asks for each one that a process
+# does not have, and only then tells of the endpoint: services of nodes were known 0.1 s later than topics.
 
 PROFILE = """\
 <?xml version="1.0" encoding="UTF-8" ?>
@@ -53,6 +55,14 @@ PROFILE = """\
           <transport_id>network</transport_id>
         </userTransports>
         <useBuiltinTransports>false</useBuiltinTransports>
+        <propertiesPolicy>
+          <properties>
+            <property>
+              <name>fastdds.type_propagation</name>
+              <value>disabled</value>
+            </property>
+          </properties>
+        </propertiesPolicy>
         <builtin>
           <discovery_config>
             <leaseAnnouncement>

@@ -16,8 +16,7 @@ from rclpy.node import Node
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import String
 
-from endpoints.environment import discovery
-from endpoints.environment.discovery import LIMIT, SETTLING_TIME, UNKNOWN, after_discovery
+from endpoints.environment.discovery import HEAD_START, LIMIT, SETTLING_TIME, _services, after_discovery
 from tests.support.endpoints.actions import spinning
 from tests.support.endpoints.ros_world import LIMIT as TEST_LIMIT
 from tests.support.endpoints.ros_world import RosWorld
@@ -53,6 +52,8 @@ class Waiting:
         self._world.ros.deliver(self.over.set)
 
     async def end(self) -> None:
+        """Let the request be sent, and wait for the end."""
+        self.now += HEAD_START
         await asyncio.wait_for(self.over.wait(), TEST_LIMIT)
 
     async def lasts(self) -> None:
@@ -69,8 +70,10 @@ async def node(world: RosWorld, topic: str) -> AsyncIterator[Node]:
     made = rclpy.create_node("asked", namespace="/here", context=world.other.context)
     made.create_subscription(String, topic, lambda message: None, 10)
     await world.until(lambda: bool(world.ros.node.get_subscriptions_info_by_topic(topic)))
+    await world.until(lambda: bool(_services(world.ros)))
     yield made
     made.destroy_node()
+    await world.until(lambda: not _services(world.ros))
 
 
 async def test_node_that_has_answered_sends_its_next_message_to_earlier_subscriptions(
@@ -122,18 +125,12 @@ async def test_node_without_parameter_services_is_given_a_pause(world: RosWorld,
 
 
 async def test_nodes_that_are_not_known_yet_are_given_a_pause(world: RosWorld, node: Node, topic: str) -> None:
-    """A node answers, and another one has not described itself."""
+    """A node answers, and the services of another one are not known yet."""
     async with spinning(node):
         waiting = await Waiting.begin(world, topic)
         (info,) = await world.ros.run(lambda: world.ros.node.get_subscriptions_info_by_topic(topic))
-        info.node_name = UNKNOWN
+        info.endpoint_gid = [1] * 16
         waiting.unknown = [info]
         await waiting.lasts()
         waiting.now = SETTLING_TIME
         await waiting.end()
-
-
-def test_names_have_their_namespaces() -> None:
-    for namespace, full in (("/", "/name"), ("/a/b", "/a/b/name")):
-        info = TopicEndpointInfo(node_name="name", node_namespace=namespace)
-        assert discovery._full_name(info) == full

@@ -20,6 +20,8 @@ COMMAND = "nox -s kubernetes"
 TO_RUN = {"etcd-server": "etcd", "kubernetes-client": "kubectl", "openssl": "openssl"}  # packages and their programs
 DEBIAN = {"golang-go": "go", "dpkg-dev": "dpkg-source", **TO_RUN}
 SOURCE = "kubernetes"
+VENDOR = "k8s.io/kubernetes/vendor/k8s.io"
+VERSIONS = (f"{VENDOR}/component-base/version", f"{VENDOR}/client-go/pkg/version")  # else these say v0.0.0
 SUITE = "bookworm"
 GENERATED = "+k8s:openapi-gen="  # marks the packages for which code is generated before the build
 WITHOUT = ("code-generator", "sample-apiserver", "_test.go", "zz_generated", "/cmd/openapi-gen", "/testdata/")
@@ -70,7 +72,7 @@ def build() -> Path:
         "CGO_ENABLED": "0",
     }
     _generate(work, tree, environment)
-    version = f"-X k8s.io/kubernetes/vendor/k8s.io/component-base/version.gitVersion=v{VERSION}"  # else v0.0.0
+    version = " ".join(f"-X {package}.gitVersion=v{VERSION}" for package in VERSIONS)
     for name in PROGRAMS:
         print(f"building {name}", flush=True)
         words = ["go", "build", "-ldflags", f"-s -w {version}", "-o", str(work / "bin" / name), f"./cmd/{name}"]

@@ -115,11 +115,13 @@ class Cluster:
             )
         self._start_servers()
         self.machines.wait()
-        for node in self.nodes:
-            for number, other in enumerate(self.nodes, 1):
+        for number, node in enumerate(self.nodes, 1):
+            pods = f"{self.machines.net}.{100 + number}.0/24"
+            run("ip", "route", "add", pods, "via", node.address)  # of the answers of the servers here
+            for other in self.nodes:
                 if other is not node:
-                    pods = f"{self.machines.net}.{100 + number}.0/24"
-                    run("ip", "-n", node.name, "route", "add", pods, "via", other.address)
+                    run("ip", "-n", other.name, "route", "add", pods, "via", node.address)
+        for node in self.nodes:
             # Docker drops what is forwarded to its bridge from outside.
             run("nsenter", f"--net=/run/netns/{node.name}", "iptables", "-w", "-P", "FORWARD", "ACCEPT")
             run("nsenter", f"--net=/run/netns/{node.name}", "iptables", "-w", "-I", "FORWARD", "-j", "ACCEPT")

@@ -28,7 +28,7 @@ set -e
 export PATH={programs}:/usr/bin LC_ALL=C
 if [ ! -e "$PGDATA" ]; then
     printf %s "$POSTGRES_PASSWORD" > /tmp/password
-    initdb --username="$POSTGRES_USER" --pwfile=/tmp/password --auth-host=scram-sha-256
+    initdb --encoding=UTF8 --username="$POSTGRES_USER" --pwfile=/tmp/password --auth-host=scram-sha-256
     echo "host all all all scram-sha-256" >> "$PGDATA/pg_hba.conf"
     echo "CREATE DATABASE $POSTGRES_DB" | postgres --single -D "$PGDATA" postgres
 fi
@@ -44,6 +44,9 @@ def load_postgresql(node: Node) -> None:
     }
     layer = io.BytesIO()
     with tarfile.open(fileobj=layer, mode="w") as archive:
+        shells = tarfile.TarInfo("bin")
+        shells.type, shells.linkname = tarfile.SYMTYPE, "usr/bin"
+        archive.addfile(shells)
         for name, text in files.items():
             entry = tarfile.TarInfo(name)
             entry.size = len(text.encode())
