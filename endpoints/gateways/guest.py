@@ -222,6 +222,7 @@ class Guest:
         format: str = "rosbridge",
         qos: m.Qos = m.Qos(),  # noqa: B008  # immutable
         delivery: m.Delivery = m.Delivery(),  # noqa: B008  # immutable
+        codec: str = "",
     ) -> Use:
         """Begin to use a topic, service or action.
 
@@ -235,6 +236,7 @@ class Guest:
             format: Its format.
             qos: Quality of service of the environment's interface; its depth is that of the guest's, too.
             delivery: Treatment of the messages on the line to the client.
+            codec: Codec of the messages, which are packets then.
 
         Raises:
             LimitExceeded: Too many operations are in progress.
@@ -244,7 +246,7 @@ class Guest:
         self._uses[use.tag] = use
         inner = m.AddInterface(self.environment, f"{self._tag}.{use.tag}", kind.environment, type, address, qos)
         depth = m.Qos(depth=qos.depth)
-        own = m.AddInterface(self._tag, use.tag, kind.own + form, type, "", depth, format, delivery)
+        own = m.AddInterface(self._tag, use.tag, kind.own + form, type, "", depth, format, delivery, codec)
         self.run(self._make(use, inner, own))
         return use
 

@@ -143,7 +143,11 @@ class Address:
         return {"key": self.key} if self.key is not None else {"password": _hash(self.password or "")}
 
     async def dial_gateway(
-        self, protocol: str, environment: str, subprotocols: Sequence[Subprotocol] | None = None
+        self,
+        protocol: str,
+        environment: str,
+        subprotocols: Sequence[Subprotocol] | None = None,
+        options: Sequence[tuple[str, str]] = (),
     ) -> ClientConnection:
         """Open a WebSocket of a gateway of the platform, whose messages are those of the protocol.
 
@@ -151,6 +155,7 @@ class Address:
             protocol: `rosbridge` or `foxglove`.
             environment: Tag of an environment of `owner`.
             subprotocols: Subprotocols to offer.
+            options: Options of the gateway, by name.
 
         Raises:
             Unavailable: The gateway cannot be reached, or refuses the connection.
@@ -159,7 +164,8 @@ class Address:
         endpoint = await self.locate()
         parts = urlsplit(endpoint)
         path = "/".join([parts.path.rstrip("/"), protocol, *filter(None, (quote(self.owner), quote(environment)))])
-        uri = urlunsplit((parts.scheme, parts.netloc, path, urlencode({"userID": self.user, **self._secret}), ""))
+        query = urlencode([("userID", self.user), *self._secret.items(), *options])
+        uri = urlunsplit((parts.scheme, parts.netloc, path, query, ""))
         try:
             return await connect(
                 uri,

@@ -209,7 +209,7 @@ class Environment:
             topic: ROS topic, for example `/scan`.
             type_name: ROS message type, for example `sensor_msgs/LaserScan`.
             qos: Quality of service of the ROS publisher, and history and depth of the queue at the platform.
-            raw: Send serialized ROS messages (CDR) as bytes instead of dicts.
+            raw: Send serialized ROS messages (CDR) as bytes instead of dicts; with a `codec`, packets as dicts.
             format: Encoding of `sensor_msgs/Image` messages: PNG or JPEG bytes, or dicts (`json`). Raw messages may be
                 `ros1`. Other formats are converters of the Robot endpoint.
             offline: What `publish(…, wait=False)` does with messages that cannot be sent: `drop`, keep the `newest`, or
@@ -257,7 +257,7 @@ class Environment:
             depth: Unread messages to keep; when there are more, the oldest is dropped. 0: 1000, of images and point
                 clouds 10.
             qos: Quality of service of the ROS subscription, and history and depth of the queue at the platform.
-            raw: Receive serialized ROS messages (CDR) as bytes instead of dicts.
+            raw: Receive serialized ROS messages (CDR) as bytes instead of dicts; with a `codec`, packets as dicts.
             format: Encoding in which `sensor_msgs/Image` messages arrive: PNG or JPEG bytes, or dicts (`json`); other
                 formats as for `publisher`.
             delivery: Priority, greatest age, rate, fields and decimation of messages on the line to the robot.

@@ -274,7 +274,7 @@ class Robot(Operations):
             type_name: ROS message type, for example `std_msgs/String`.
             to: Interface to connect it to, as `endpoint/interface`: one of an environment that publishes on a ROS
                 topic, or one of another robot that receives. Without it the interface is not connected yet.
-            raw: Send serialized ROS messages (CDR) as bytes instead of dicts.
+            raw: Send serialized ROS messages (CDR) as bytes instead of dicts; with a `codec`, packets as dicts.
             format: Encoding of `sensor_msgs/Image` messages: PNG or JPEG bytes, or dicts (`json`). Raw messages may be
                 `ros1`. Other formats are converters of the Robot endpoint.
             qos: History and depth of the queue at the platform.
@@ -325,7 +325,7 @@ class Robot(Operations):
                 messages are read from the subscriber.
             depth: Unread messages to keep; when there are more, the oldest is dropped. 0: 1000, of images and point
                 clouds 10.
-            raw: Receive serialized ROS messages (CDR) as bytes instead of dicts.
+            raw: Receive serialized ROS messages (CDR) as bytes instead of dicts; with a `codec`, packets as dicts.
             format: Encoding in which `sensor_msgs/Image` messages arrive: PNG or JPEG bytes, or dicts (`json`); other
                 formats as for `publisher`.
             qos: History and depth of the queue at the platform.
@@ -338,7 +338,7 @@ class Robot(Operations):
         Raises:
             RceError: The same errors as `publisher`, for the same reasons.
         """
-        subscriber = Subscriber(self, tag, type_name, depth, codec)
+        subscriber = Subscriber(self, tag, type_name, depth, "" if raw else codec)
         if callback is not None:
             subscriber.call(callback)
         return await self._add(subscriber, "Publisher", to, raw, format, qos, delivery, codec)
@@ -448,7 +448,7 @@ class Robot(Operations):
         if tag in interfaces:
             raise AlreadyExists(f"{self.name}/{tag} exists already: close it first or use another tag")
         interfaces[tag] = interface
-        kind += "Forwarder" if raw else "Converter"
+        kind += "Forwarder" if raw and not codec else "Converter"
         try:
             options = (qos or Qos(), format, delivery or Delivery(), codec)
             await self.configure(AddInterface(self.name, tag, kind, interface.type_name, "", *options))

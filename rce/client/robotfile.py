@@ -3,7 +3,8 @@
 Output lines are `{"iTag": …, "type": …, "msg": …}`. Input lines are `{"iTag": …, "msg": …}`: the message is published
 or, with a service client, calls the service; the response is written with the `msgID` of the call, if it had one, and
 `msg` or `error`. A request to a service that the robot provides is written with a `msgID`, and the input line that
-answers it repeats the `msgID` with `msg` or `error`. Blobs and the bytes of raw (Forwarder) interfaces are in base64.
+answers it repeats the `msgID` with `msg` or `error`. Blobs, the bytes of raw (Forwarder) interfaces and the data of
+packets (of an interface with a codec) are in base64.
 """
 
 from __future__ import annotations
@@ -165,7 +166,7 @@ class Runner:
         if entry.kind.startswith("Action"):
             raise InvalidRequest(f"interface {tag}: a robot file has no actions; use rce.client", field="interfaceType")
         if entry.kind.startswith("Subscriber"):
-            return await robot.publisher(tag, name, raw=raw, format=entry.format, delivery=entry.delivery)
+            return await robot.publisher(tag, name, raw=raw or bool(entry.codec), **_options(entry))
         if entry.kind.startswith("ServiceProvider"):
             return await robot.service_client(tag, name, raw=raw, format=entry.format)
         if entry.kind.startswith("ServiceClient"):
@@ -176,9 +177,8 @@ class Runner:
             tag,
             name,
             callback=lambda message: self._print(entry, msg=message),
-            raw=raw,
-            format=entry.format,
-            delivery=entry.delivery,
+            raw=raw or bool(entry.codec),
+            **_options(entry),
         )
 
     def _print(self, entry: InterfaceEntry, **content: Any) -> None:
@@ -207,7 +207,7 @@ class Runner:
         if line.iTag not in self._interfaces:
             raise NotFound(f"the robot has no interface {line.iTag!r}", field="iTag")
         entry, interface = self._interfaces[line.iTag]
-        value = _bytes_of(line) if entry.kind.endswith("Forwarder") and line.msg is not UNSET else line.msg
+        value = line.msg if line.msg is UNSET else _value_of(line, entry)
         if isinstance(interface, ServiceProvider):
             self._answer(line, value)
         elif value is UNSET:
@@ -246,11 +246,27 @@ async def _clean_up(undo: Callable[[], Awaitable[None]]) -> None:
         log.warning("clean-up: %s", error)
 
 
-def _bytes_of(line: Line) -> bytes:
+def _options(entry: InterfaceEntry) -> dict[str, Any]:
+    """Return the options of a topic."""
+    return {"format": entry.format, "delivery": entry.delivery, "codec": entry.codec}
+
+
+def _value_of(line: Line, entry: InterfaceEntry) -> Any:
+    """Return the message of a line; bytes of a raw interface and the data of a packet are in base64."""
+    if entry.kind.endswith("Forwarder"):
+        return _bytes_of(line.msg, f"msg for the raw interface {line.iTag}")
+    if not entry.codec:
+        return line.msg
+    if not isinstance(line.msg, dict) or "data" not in line.msg:
+        raise InvalidRequest(f"msg for interface {line.iTag} with a codec must be a packet, with data", field="msg")
+    return {**line.msg, "data": _bytes_of(line.msg["data"], f"msg.data for interface {line.iTag}")}
+
+
+def _bytes_of(value: Any, what: str) -> bytes:
     try:
-        return base64.b64decode(line.msg, validate=True)
+        return base64.b64decode(value, validate=True)
     except (TypeError, ValueError, binascii.Error):
-        raise InvalidRequest(f"msg for the raw interface {line.iTag} must be base64", field="msg") from None
+        raise InvalidRequest(f"{what} must be base64", field="msg") from None
 
 
 def _printable(value: Any) -> Any:

@@ -19,6 +19,7 @@ from rce.protocol.messages import (
     ALIASES,
     AddInterface,
     AddNode,
+    CodecName,
     Connect,
     ContainerData,
     CreateContainer,
@@ -90,6 +91,7 @@ class InterfaceEntry(Struct, frozen=True, forbid_unknown_fields=True):
     qos: Qos = Qos()
     format: Format = "png"
     delivery: Delivery = Delivery()
+    codec: CodecName = ""
 
     @property
     def kind(self) -> str:
@@ -99,7 +101,8 @@ class InterfaceEntry(Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def command(self) -> AddInterface:
         """Command that creates it."""
-        return AddInterface(self.eTag, self.iTag, self.kind, self.iCls, self.addr, self.qos, self.format, self.delivery)
+        options = self.qos, self.format, self.delivery, self.codec
+        return AddInterface(self.eTag, self.iTag, self.kind, self.iCls, self.addr, *options)
 
 
 class ConnectionEntry(Struct, frozen=True, forbid_unknown_fields=True):

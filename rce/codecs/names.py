@@ -12,6 +12,7 @@ DEPTH = ("palette", "ffv1", "png")
 QUANTISED, DRACO = "quantised", "draco"
 IMAGE, CLOUD = "sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2"
 FOXGLOVE, FFMPEG = "foxglove_msgs/msg/CompressedVideo", "ffmpeg_image_transport_msgs/msg/FFMPEGPacket"
+FOXGLOVE_CLOUD = "foxglove_msgs/msg/CompressedPointCloud"
 VIDEO = (FOXGLOVE, FFMPEG)  # types whose messages are packets themselves
 CODECS: dict[str, tuple[str, ...]] = {
     IMAGE: (*COLOR, *DEPTH),

@@ -7,6 +7,7 @@ and `mcap-play` are no clients.
 from __future__ import annotations
 
 import asyncio
+import base64
 import json
 import re
 import signal
@@ -16,14 +17,25 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import psutil
 import pytest
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.typing import Subprotocol
 
+pytest.importorskip("av", reason="needs PyAV: pip install '.[video]'")
+pytest.importorskip("DracoPy", reason="needs DracoPy: pip install '.[draco]'")
+
+import av
+import DracoPy
+
+from converters import TypeRegistry
 from rce.client import Environment
 from rce.protocol.messages import Qos
+from rce.protocol.names import parse_type
 from tests.support.e2e.consoles import rce
 from tests.support.e2e.foreign_suites import node_modules
-from tests.support.e2e.gateways import Gateway, open_gateway
+from tests.support.e2e.gateways import Gateway, open_gateway, publish_camera_and_cloud
 from tests.support.e2e.node import node_command
 from tests.support.e2e.real_platform import RealPlatform, until
 
@@ -110,6 +122,48 @@ async def test_publish_client(gateway: Gateway, examples: Path, encoding: str) -
     async with running(examples, "publish-client", "-e", encoding, gateway.foxglove):
         assert (await subscriber.get(WAIT))["data"].startswith("hello world")
     await subscriber.close()
+
+
+async def receive_packets(viewer: ClientConnection, topics: set[str]) -> dict[str, Any]:
+    """Subscribe to channels as they are advertised; return one message of each, decoded by its type."""
+    types: dict[int, tuple[str, str]] = {}
+    found: dict[str, Any] = {}
+    async for received in viewer:
+        if isinstance(received, bytes):
+            topic, type_name = types[int.from_bytes(received[1:5], "little")]
+            value = TypeRegistry().message(parse_type(type_name), "json").decode(received[13:]).raw
+            found.setdefault(topic, json.loads(bytes(value)))
+            if found.keys() == topics:
+                break
+            continue
+        for channel in json.loads(received).get("channels", []):
+            if channel["topic"] in topics:
+                number = channel["id"]
+                types[number] = channel["topic"], channel["schemaName"]
+                subscription = {"id": number, "channelId": number}
+                await viewer.send(json.dumps({"op": "subscribe", "subscriptions": [subscription]}))
+    return found
+
+
+async def test_viewer_gets_video_and_draco(gateway: Gateway) -> None:
+    publishing = asyncio.create_task(publish_camera_and_cloud(gateway.environment))
+    url = f"{gateway.foxglove}/?codec=h264,draco&size=32x24&rate=5"
+    try:
+        async with connect(url, subprotocols=[Subprotocol("foxglove.sdk.v1")]) as viewer, asyncio.timeout(WAIT):
+            found = await receive_packets(viewer, {"/camera", "/camera/h264", "/points/draco"})
+    finally:
+        publishing.cancel()
+        await asyncio.gather(publishing, return_exceptions=True)
+    video, cloud = found["/camera/h264"], found["/points/draco"]
+    assert [each["frame_id"] for each in (video, cloud)] == ["cam", "map"]
+    assert (found["/camera"]["width"], found["/camera"]["height"]) == (32, 24)
+    frames = av.CodecContext.create("h264", "r").decode(av.Packet(base64.b64decode(video["data"])))
+    frames += av.CodecContext.create("h264", "r").decode(None) if not frames else []
+    pixels = frames[0].to_ndarray(format="rgb24")
+    assert pixels.shape == (24, 32, 3)
+    assert np.abs(pixels.mean(axis=(0, 1)) - (255, 0, 0)).max() < 16
+    points = DracoPy.decode(base64.b64decode(cloud["data"])).points
+    assert np.abs(np.sort(points, axis=0) - [[1, 2, 3], [4, 5, 6]]).max() < 0.01
 
 
 async def test_service_client(gateway: Gateway, examples: Path) -> None:

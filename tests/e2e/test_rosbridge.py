@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import socket
 import subprocess
@@ -14,11 +15,18 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
 
+import cbor2
+import numpy as np
 import pytest
+from websockets.asyncio.client import connect
+
+pytest.importorskip("DracoPy", reason="needs DracoPy: pip install '.[draco]'")
+
+import DracoPy
 
 from tests.support.e2e.chromium import chromium, open_page
 from tests.support.e2e.foreign_suites import node_modules, source_distribution
-from tests.support.e2e.gateways import Gateway, open_gateway
+from tests.support.e2e.gateways import CLOUD, Gateway, open_gateway, publish_camera_and_cloud
 from tests.support.e2e.node import node_command
 from tests.support.e2e.real_platform import RealPlatform
 from tests.support.paths import TESTS
@@ -78,6 +86,21 @@ async def run(*words: str, cwd: Path, **environ: str) -> str:
             await process.wait()
     assert process.returncode == 0, output.decode()
     return output.decode()
+
+
+async def test_client_gets_packets_of_a_cloud(gateway: Gateway) -> None:
+    publishing = asyncio.create_task(publish_camera_and_cloud(gateway.environment))
+    wish = {"op": "subscribe", "topic": "/points", "type": CLOUD, "codec": "draco", "compression": "cbor"}
+    try:
+        async with connect(gateway.rosbridge) as client, asyncio.timeout(60):
+            await client.send(json.dumps(wish))
+            packet = cbor2.loads(await client.recv(decode=False))["msg"]
+    finally:
+        publishing.cancel()
+        await asyncio.gather(publishing, return_exceptions=True)
+    assert (packet["header"]["frame_id"], packet["width"]) == ("map", 2)
+    points = DracoPy.decode(packet["data"]).points
+    assert np.abs(np.sort(points, axis=0) - [[1, 2, 3], [4, 5, 6]]).max() < 0.01
 
 
 @pytest.mark.parametrize("transport", ["twisted", "asyncio"])

@@ -10,9 +10,12 @@ from msgspec import Raw
 from endpoints.gateways.foxglove import messages
 from endpoints.gateways.foxglove.messages import ClientChannel, ClientMessage, Subscription
 from endpoints.gateways.foxglove.offers import Offer
+from endpoints.gateways.foxglove.options import Options
+from endpoints.gateways.foxglove.packets import TYPES, Packing
 from endpoints.gateways.guest import Guest
 from endpoints.gateways.uses import PUBLISH, SUBSCRIBE, Arrived, Frame, Use
 from rce.errors import InvalidRequest, LimitExceeded, RceError
+from rce.protocol.blobs import Buffer
 from rce.protocol.names import parse_type
 
 MAX_SUBSCRIPTIONS = 10  # of one channel, each of which gets every message
@@ -22,8 +25,9 @@ Report = Callable[[RceError], None]
 class Subscriptions:
     """Channels that a client subscribes to; several subscriptions of a channel share one use."""
 
-    def __init__(self, guest: Guest, report: Report) -> None:
+    def __init__(self, guest: Guest, options: Options, report: Report) -> None:
         self._guest = guest
+        self._options = options
         self._report = report
         self._channels: dict[int, int] = {}  # by subscription
         self._uses: dict[int, Use] = {}  # by channel
@@ -39,19 +43,32 @@ class Subscriptions:
         number = self._channels[subscription.id] = subscription.channelId
         if number in self._uses:
             return
+        use = self._uses[number] = self._use_packets(number, offer) if offer.codec else self._use(number, offer)
+        use.ready.add_done_callback(lambda done: self._ready(number, use, done))
+
+    def _use(self, number: int, offer: Offer) -> Use:
+        def receive(arrived: Arrived) -> Sequence[Frame]:
+            return () if arrived.blob is None else self._frames(number, arrived.blob)
+
+        delivery = self._options.delivery(offer.type)
+        return self._guest.use(
+            SUBSCRIBE, offer.name, offer.type, receive, self._failed, form="Forwarder", format="cdr", delivery=delivery
+        )
+
+    def _use_packets(self, number: int, offer: Offer) -> Use:
+        packing, topic, (type, _) = Packing(offer.codec), offer.name.removesuffix(f"/{offer.codec}"), TYPES[offer.codec]
 
         def receive(arrived: Arrived) -> Sequence[Frame]:
-            if arrived.blob is None:
-                return ()
-            to = [id for id, channel in self._channels.items() if channel == number]
-            return [messages.message_data(id, arrived.blob) for id in to]
+            return () if arrived.blob is None else self._frames(number, packing.cdr(arrived))
 
-        def failed(_: str, error: RceError) -> None:
-            self._report(error)
+        delivery = self._options.delivery(type)
+        return self._guest.use(SUBSCRIBE, topic, type, receive, self._failed, delivery=delivery, codec=offer.codec)
 
-        use = self._guest.use(SUBSCRIBE, offer.name, offer.type, receive, failed, form="Forwarder", format="cdr")
-        self._uses[number] = use
-        use.ready.add_done_callback(lambda done: self._ready(number, use, done))
+    def _frames(self, number: int, cdr: Buffer) -> Sequence[Frame]:
+        return [messages.message_data(id, cdr) for id, channel in self._channels.items() if channel == number]
+
+    def _failed(self, _: str, error: RceError) -> None:
+        self._report(error)
 
     def _ready(self, number: int, use: Use, done: asyncio.Future[None]) -> None:
         if not done.cancelled() and isinstance(error := done.exception(), RceError):

@@ -6,7 +6,7 @@ import asyncio
 
 from twisted.logger import Logger
 
-from endpoints.gateways.foxglove import messages, offers
+from endpoints.gateways.foxglove import messages, offers, options
 from endpoints.gateways.foxglove.channels import Publications, Subscriptions
 from endpoints.gateways.foxglove.messages import ClientMessage, PlaybackCommand
 from endpoints.gateways.foxglove.offers import Connections, Offers
@@ -47,8 +47,9 @@ class FoxgloveClient:
     def __init__(self, endpoint: RobotEndpoint, graphs: Graphs, place: str) -> None:
         self._guest = guest = Guest(endpoint, graphs, "foxglove", place)
         self._limits = endpoint.limits
-        self._topics, self._services = Offers(guest, "msg"), Offers(guest, "srv")
-        self._subscriptions = Subscriptions(guest, self.report)
+        self._topics: Offers  # from the login on, which has the options
+        self._subscriptions: Subscriptions
+        self._services = Offers(guest, "srv")
         self._publications = Publications(guest, self.report)
         self._calls = Calls(guest)
         self._parameters = ClientParameters(guest, self.report)
@@ -67,13 +68,16 @@ class FoxgloveClient:
         """Log in as a guest.
 
         Raises:
-            InvalidRequest: The client offers no subprotocol of Foxglove.
+            InvalidRequest: The client offers no subprotocol of Foxglove, or an option of its URL is wrong.
             RceError: The login is refused.
         """
         offered = str(request.headers.get("sec-websocket-protocol", "")).replace(" ", "").split(",")
         chosen = next((each for each in offered if each in SUBPROTOCOLS), None)
         if chosen is None:
             raise InvalidRequest(f"offer a subprotocol of Foxglove: {' or '.join(SUBPROTOCOLS)}")
+        chosen_options = options.parse(request)
+        self._topics = Offers(self._guest, "msg", chosen_options.codecs)
+        self._subscriptions = Subscriptions(self._guest, chosen_options, self.report)
         await self._guest.login(request)
         return Accepted(subprotocol=chosen)
 

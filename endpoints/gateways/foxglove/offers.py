@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
 from endpoints.gateways.definitions import message_text
+from endpoints.gateways.foxglove.packets import TYPES
 from endpoints.gateways.guest import Guest
 from rce.control.calls.robots import Sort
 from rce.control.calls.watching import RosGraph, RosName
@@ -19,11 +21,15 @@ RETRY = 30.0  # seconds until a type that nobody could describe is asked for aga
 
 
 class Offer(NamedTuple):
-    """Topic or service: its ROS name, its type, and the schemas of its messages."""
+    """Topic or service: its ROS name, its type, and the schemas of its messages.
+
+    With a `codec` it is the packets of a topic, whose name is that of the topic and the codec.
+    """
 
     name: str
     type: str
     schemas: tuple[str, ...]
+    codec: str = ""
 
 
 class Changes(NamedTuple):
@@ -39,11 +45,13 @@ class Offers:
     Args:
         guest: The client's guest.
         sort: `msg` for topics, `srv` for services.
+        codecs: Codecs whose packets of topics are offered, too.
     """
 
-    def __init__(self, guest: Guest, sort: Sort) -> None:
+    def __init__(self, guest: Guest, sort: Sort, codecs: Sequence[str] = ()) -> None:
         self._guest = guest
         self._sort: Sort = sort
+        self._codecs = codecs
         self._numbers = itertools.count(1)
         self._schemas: dict[str, tuple[str, ...]] = {}
         self._unknown: dict[str, float] = {}  # types that nobody can describe, with the time at which to ask again
@@ -53,17 +61,30 @@ class Offers:
     async def update(self, graph: RosGraph) -> Changes:
         """Compare with the graph, and return what has changed."""
         every = graph.topics if self._sort == "msg" else graph.services
-        wanted = {(each.name, each.types[0]) for each in every if self._is_shown(each)}
+        wanted = self._with_packets({each.name: each.types[0] for each in every if self._is_shown(each)})
         present = {(offer.name, offer.type): number for number, offer in self.by_number.items()}
         removed = [number for key, number in present.items() if key not in wanted]
         for number in removed:
             del self.by_number[number]
-        missing = sorted(wanted - present.keys())
+        missing = sorted(wanted.keys() - present.keys())
         await self._describe({type for _, type in missing})
-        known = (Offer(name, type, self._schemas[type]) for name, type in missing if type in self._schemas)
+        known = [
+            Offer(name, type, self._schemas[type], wanted[name, type])
+            for name, type in missing
+            if type in self._schemas
+        ]
         added = {next(self._numbers): offer for offer in known}
         self.by_number |= added
         return Changes(added, removed)
+
+    def _with_packets(self, shown: Mapping[str, str]) -> dict[tuple[str, str], str]:
+        """Return names and types with their codec: those that are there, without any, and the packets of topics."""
+        wanted = dict.fromkeys(shown.items(), "")
+        for codec in self._codecs:
+            topic_type, packet_type = TYPES[codec]
+            names = [name for name, type in shown.items() if parse_type(type).msg == topic_type]
+            wanted |= {(f"{name}/{codec}", packet_type): codec for name in names if f"{name}/{codec}" not in shown}
+        return wanted
 
     def _is_shown(self, each: RosName) -> bool:
         return bool(each.types) and (self._sort == "srv" or each.publishers > 0)

@@ -54,6 +54,24 @@ def with_value(name: str, value: Buffer, form: Form = PLAIN, **fields: object) -
     return encoded(head + value, form)
 
 
+def packet(name: str, head: Buffer, data: Buffer, form: Form = PLAIN, **fields: object) -> Sequence[Frame]:
+    """Return the frames of an operation whose last field is a packet of a codec.
+
+    Args:
+        name: Name of the last field.
+        head: JSON of the packet, in which `data*` is the id of its data, and the closing brace of the operation.
+        data: The data, which is `data` in the operation: base64 in JSON, bytes in CBOR.
+        form: How to send it.
+        fields: The other fields.
+    """
+    value: dict[str, object] = msgspec.json.decode(memoryview(head)[:-1])
+    del value["data*"]
+    value["data"] = bytes(data)
+    if form.compression == "cbor":
+        return cbor(name, cbor2.dumps(value), **fields)
+    return with_value(name, msgspec.json.encode(value) + b"}", form, **fields)
+
+
 def encoded(operation: bytes, form: Form) -> Sequence[Frame]:
     """Return the frames of an operation given as JSON."""
     if form.compression == "png" and len(operation) <= MAX_PNG:

@@ -46,7 +46,10 @@ class Publish(Operation, frozen=True, kw_only=True, tag="publish"):
 
 
 class Subscribe(Operation, frozen=True, kw_only=True, tag="subscribe"):
-    """Subscribe to a topic; times in milliseconds, sizes in bytes. `fields` and `decimate` are additions of RCE."""
+    """Subscribe to a topic; times in milliseconds, sizes in bytes.
+
+    `fields`, `decimate` and `codec` are additions of RCE.
+    """
 
     topic: str
     type: str | None = None
@@ -56,6 +59,7 @@ class Subscribe(Operation, frozen=True, kw_only=True, tag="subscribe"):
     compression: Compression | None = "none"
     fields: tuple[FieldPath, ...] | None = None
     decimate: Decimation | None = None
+    codec: str | None = None
 
 
 class Unsubscribe(Operation, frozen=True, kw_only=True, tag="unsubscribe"):

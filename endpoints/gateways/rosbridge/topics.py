@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from msgspec import Raw
 
@@ -22,7 +22,6 @@ from rce.protocol.names import parse_type
 
 MAX_DEPTH = 10_000
 MAX_IDS = 1000  # of one topic
-EVERYTHING = Delivery()
 FORMATS: dict[str, tuple[Literal["Converter", "Forwarder"], str]] = {
     "cbor": ("Converter", "cbor"),
     "cbor-raw": ("Forwarder", "cdr"),
@@ -121,6 +120,21 @@ class Publications:
         self._guest.data(publication.use, "", message, self._peer.report)
 
 
+class _Options(NamedTuple):
+    """Options of the use of a topic."""
+
+    form: Literal["Converter", "Forwarder"]
+    format: str
+    delivery: Delivery
+    codec: str
+
+
+def _options(merged: Subscribe) -> _Options:
+    form, format = FORMATS.get(merged.compression or "none", ("Converter", "rosbridge"))
+    delivery = Delivery(fields=merged.fields or (), decimate=merged.decimate or Decimation())
+    return _Options(form, format, delivery, merged.codec or "")
+
+
 @dataclass
 class _Subscription:
     """Subscriptions of one topic by their ids, which share one use."""
@@ -130,7 +144,7 @@ class _Subscription:
     asked: dict[bytes, Subscribe] = field(default_factory=dict)
     use: Use | None = None
     form: Form = encoding.PLAIN
-    delivery: Delivery = EVERYTHING
+    options: _Options | None = None
 
     def merged(self) -> Subscribe:
         """Return what all of them get: the fastest, longest and least fragmented of what they asked for."""
@@ -145,6 +159,7 @@ class _Subscription:
             compression=next(kind for kind in ("cbor-raw", "cbor", "png", "none") if kind in kinds),
             fields=_merged_fields(every),
             decimate=_merged_decimation(every),
+            codec=every[0].codec,
         )
 
 
@@ -175,12 +190,13 @@ class Subscriptions:
         """Subscribe to a topic, or change an earlier subscription of the same id.
 
         Raises:
-            InvalidRequest: The topic is subscribed to as another type.
+            InvalidRequest: The topic is subscribed to as another type or with another codec.
             LimitExceeded: It is subscribed to with too many ids.
         """
         if op.type:
             parse_type(op.type)
         found = self._by_topic.get(op.topic)
+        _check_codec(op, found.asked if found is not None else {})
         if found is None:
             found = self._by_topic[op.topic] = _Subscription(op.topic, op.type or "")
         elif op.type and found.type and parse_type(op.type) != parse_type(found.type):
@@ -222,28 +238,25 @@ class Subscriptions:
 
     def _update(self, subscription: _Subscription) -> None:
         merged = subscription.merged()
-        kind = merged.compression or "none"
-        form, old = FORMATS.get(kind, ("Converter", "rosbridge")), subscription.use
-        before = FORMATS.get(subscription.form.compression, ("Converter", "rosbridge")), subscription.delivery
-        delivery = Delivery(fields=merged.fields or (), decimate=merged.decimate or Decimation())
-        if old is None or (form, delivery) != before:
+        options, old = _options(merged), subscription.use
+        if old is None or options != subscription.options:
             if old is not None:
                 self._guest.drop(old)
-            subscription.delivery = delivery
-            self._begin(subscription, kind, form)
-        subscription.form = Form(kind, merged.fragment_size or 0)
+            subscription.options = options
+            self._begin(subscription, options)
+        subscription.form = Form(merged.compression or "none", merged.fragment_size or 0)
         assert subscription.use is not None
         self._pace(subscription.use, merged)
 
-    def _begin(
-        self, subscription: _Subscription, kind: str, form: tuple[Literal["Converter", "Forwarder"], str]
-    ) -> None:
+    def _begin(self, subscription: _Subscription, options: _Options) -> None:
         fields = {"op": "publish", "topic": subscription.topic}
 
         def receive(arrived: Arrived) -> Sequence[Frame]:
             if arrived.blob is None:
                 return encoding.with_value("msg", arrived.value, subscription.form, **fields)
-            if kind == "cbor":
+            if options.codec:
+                return encoding.packet("msg", arrived.value, arrived.blob, subscription.form, **fields)
+            if options.format == "cbor":
                 return encoding.cbor("msg", arrived.blob, **fields)
             return encoding.cbor_raw(arrived.blob, **fields)
 
@@ -253,9 +266,7 @@ class Subscriptions:
             subscription.type,
             receive,
             lambda _, error: self._peer.report(error),
-            form=form[0],
-            format=form[1],
-            delivery=subscription.delivery,
+            **options._asdict(),
         )
         subscription.use = use
         use.ready.add_done_callback(lambda done: self._ready(subscription, use, done))
@@ -279,6 +290,15 @@ class Subscriptions:
 def _check_ids(topic: str, ids: Collection[bytes], id: Id) -> None:
     if len(ids) >= MAX_IDS and key(id) not in ids:
         raise LimitExceeded(f"topic {topic} has {MAX_IDS} ids already: use one of them")
+
+
+def _check_codec(op: Subscribe, asked: Mapping[bytes, Subscribe]) -> None:
+    """Check that a subscription shares the codec of the others of its topic; raises InvalidRequest."""
+    if op.codec and op.compression == "cbor-raw":
+        raise InvalidRequest(f"topic {op.topic}: cbor-raw are the bytes of ROS, without a codec: use cbor")
+    for id, other in asked.items():
+        if id != key(op.id) and (other.codec or "") != (op.codec or ""):
+            raise InvalidRequest(f"topic {op.topic} is subscribed to with the codec {other.codec!r}: use the same one")
 
 
 def _nothing(_: Arrived) -> Sequence[Frame]:

@@ -8,6 +8,7 @@ import signal
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from functools import partial
+from urllib.parse import parse_qsl, urlsplit
 
 from websockets.asyncio.client import ClientConnection
 from websockets.asyncio.connection import Connection
@@ -28,15 +29,15 @@ SUBPROTOCOLS = {
 REFUSED = 1011  # close code of a connection that cannot be forwarded
 
 
-Dial = Callable[[Sequence[Subprotocol] | None], Awaitable[ClientConnection]]
-"""Opens a connection to the gateway; raises RceError."""
+Dial = Callable[[Sequence[Subprotocol] | None, Sequence[tuple[str, str]]], Awaitable[ClientConnection]]
+"""Opens a connection to the gateway, given subprotocols and options; raises RceError."""
 
 
 async def forward(dial: Dial, client: ServerConnection) -> None:
     """Connect a client with the gateway until one of the two closes its connection."""
     offered = [Subprotocol(client.subprotocol)] if client.subprotocol else None
     try:
-        gateway = await dial(offered)
+        gateway = await dial(offered, _options(client))
     except RceError as error:
         print(f"a client was refused: {error}", flush=True)
         await client.close(REFUSED, str(error).encode()[:120].decode(errors="ignore"))
@@ -47,6 +48,12 @@ async def forward(dial: Dial, client: ServerConnection) -> None:
     finally:
         for way in ways:
             way.cancel()
+
+
+def _options(client: ServerConnection) -> list[tuple[str, str]]:
+    """Return the options in the URL of a client, as `codec` in `ws://127.0.0.1:8765/?codec=draco`."""
+    request = client.request
+    return parse_qsl(urlsplit(request.path).query) if request is not None else []
 
 
 async def _pass(source: Connection, sink: Connection) -> None:

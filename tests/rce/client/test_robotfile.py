@@ -90,6 +90,29 @@ async def test_robot_is_set_up_in_order_processes_lines_and_is_cleaned_up(fake: 
     assert not fake.peers
 
 
+async def test_packets_of_a_codec_are_lines_with_base64(fake: FakePlatform, tmp_path: Path) -> None:
+    file = {"url": fake.url, "userID": "testUser", "robotID": "a", "password": "testUser"}
+    kinds = {"out": "SubscriberConverter", "in": "PublisherConverter"}
+    file["interfaces"] = [  # type: ignore[assignment]
+        {"eTag": "a", "iTag": tag, "iType": kind, "iCls": "sensor_msgs/PointCloud2", "codec": "draco"}
+        for tag, kind in kinds.items()
+    ]
+    file["connections"] = [{"tagA": "a/out", "tagB": "a/in"}]  # type: ignore[assignment]
+    path, console = tmp_path / "robot.json", Console()
+    path.write_text(json.dumps(file))
+    running = asyncio.create_task(run_file(path, lines=console.lines(), write=console.write))
+    try:
+        packet = {"header": {"frame_id": "map"}, "codec": "draco", "data": base64.b64encode(b"\0points").decode()}
+        for wrong in ({"codec": "draco"}, {**packet, "data": "?"}, "points"):
+            console.input.put_nowait(json.dumps({"iTag": "out", "msg": wrong}).encode())
+        assert (await console.exchange({"iTag": "out", "msg": packet}))["msg"] == packet
+        assert fake.interfaces["a/in"]["codec"] == fake.interfaces["a/out"]["codec"] == "draco"
+        assert fake.interfaces["a/in"]["interfaceType"] == "PublisherConverter"
+    finally:
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+
+
 async def test_failed_set_up_is_cleaned_up(fake: FakePlatform, tmp_path: Path) -> None:
     path = tmp_path / "robot.json"
     path.write_text(json.dumps(robot_file(fake.url) | {"connections": [{"tagA": "a/out", "tagB": "a/nothing"}]}))

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from rce.client import Environment
 from tests.support.e2e.consoles import running, user_environ
 from tests.support.e2e.real_platform import RealPlatform
 from tests.support.e2e.traffic import call
+
+IMAGE, CLOUD = "sensor_msgs/Image", "sensor_msgs/PointCloud2"
 
 
 class Gateway(NamedTuple):
@@ -38,3 +43,17 @@ async def open_gateway(platform: RealPlatform, home: Path, tag: str, rosbridge_p
             rosbridge = (await command.expect_line("rosbridge: ws://")).split()[1]
             foxglove = (await command.expect_line("foxglove: ws://")).split()[1]
             yield Gateway(rosbridge, foxglove, environment, env)
+
+
+async def publish_camera_and_cloud(environment: Environment) -> None:
+    """Publish a red image of 64 x 48 pixels and a cloud of two points, ten times a second."""
+    camera = await environment.publisher("/camera", IMAGE, format="json")
+    cloud = await environment.publisher("/points", CLOUD)
+    image = {"height": 48, "width": 64, "encoding": "rgb8", "step": 192, "data": bytes([255, 0, 0]) * 64 * 48}
+    points = np.array([[1, 2, 3], [4, 5, 6]], "<f4")
+    fields = [{"name": name, "offset": 4 * n, "datatype": 7, "count": 1} for n, name in enumerate("xyz")]
+    sizes = {"height": 1, "width": 2, "point_step": 12, "row_step": 24}
+    while True:
+        await camera.publish({"header": {"frame_id": "cam"}, **image})
+        await cloud.publish({"header": {"frame_id": "map"}, **sizes, "fields": fields, "data": points.tobytes()})
+        await asyncio.sleep(0.1)

@@ -7,15 +7,19 @@ import pytest
 from endpoints.gateways.foxglove.channels import MAX_SUBSCRIPTIONS, Publications, Subscriptions
 from endpoints.gateways.foxglove.messages import ClientChannel, ClientMessage, Subscription
 from endpoints.gateways.foxglove.offers import Offer
+from endpoints.gateways.foxglove.options import Options
+from rce.codecs.names import FOXGLOVE, IMAGE
 from rce.errors import InvalidRequest, LimitExceeded, RceError
+from rce.protocol.messages import Delivery
 from tests.support.endpoints.fake_guest import FakeGuest, FakePeer
 
 OFFER = Offer("/chat", "std_msgs/String", ("string data\n",))
+OPTIONS = Options({IMAGE: Delivery(rate=5)}, ("h264",))
 
 
 @pytest.fixture
 def subscriptions(guest: FakeGuest, peer: FakePeer) -> Subscriptions:
-    return Subscriptions(guest.as_guest(), peer.report)
+    return Subscriptions(guest.as_guest(), OPTIONS, peer.report)
 
 
 @pytest.fixture
@@ -27,7 +31,7 @@ async def test_subscriptions_of_a_channel_share_one_use(guest: FakeGuest, subscr
     subscriptions.add(Subscription(1, 5), OFFER)
     subscriptions.add(Subscription(2, 5), OFFER)
     (use,) = guest.uses.values()
-    assert guest.options["u0"] == {"form": "Forwarder", "format": "cdr"}
+    assert guest.options["u0"] == {"form": "Forwarder", "format": "cdr", "delivery": Delivery()}
     frames = guest.deliver(use, "id", blob=b"cdr")
     assert [(frame[1], frame[13:]) for frame in frames] == [(1, b"cdr"), (2, b"cdr")]
     subscriptions.remove(1)
@@ -35,6 +39,21 @@ async def test_subscriptions_of_a_channel_share_one_use(guest: FakeGuest, subscr
     subscriptions.remove(2)
     subscriptions.remove(2)
     assert guest.dropped == ["/chat"]
+
+
+async def test_options_reduce_what_a_channel_sends(guest: FakeGuest, subscriptions: Subscriptions) -> None:
+    subscriptions.add(Subscription(1, 5), Offer("/camera", "sensor_msgs/Image", ("",)))
+    assert guest.options["u0"]["delivery"] == Delivery(rate=5)
+
+
+async def test_channel_of_packets_uses_the_topic_with_a_codec(guest: FakeGuest, subscriptions: Subscriptions) -> None:
+    subscriptions.add(Subscription(1, 5), Offer("/camera/h264", FOXGLOVE, ("",), "h264"))
+    (use,) = guest.uses.values()
+    assert (use.address, use.type) == ("/camera", IMAGE)
+    assert guest.options["u0"] == {"delivery": Delivery(rate=5), "codec": "h264"}
+    (frame,) = guest.deliver(use, {"header": {}, "data*": "0" * 32}, blob=b"video")
+    assert (frame[1], b"video" in frame[13:]) == (1, True)
+    assert not guest.deliver(use, {})
 
 
 async def test_channel_that_is_not_offered_is_refused(subscriptions: Subscriptions) -> None:

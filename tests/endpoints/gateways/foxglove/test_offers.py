@@ -9,6 +9,7 @@ import pytest
 from converters.definition import Definition
 from endpoints.gateways.foxglove import offers
 from endpoints.gateways.foxglove.offers import Offers
+from rce.codecs.names import FOXGLOVE, FOXGLOVE_CLOUD
 from rce.control.calls.robots import Sort
 from rce.control.calls.watching import RosGraph, RosName, RosNode
 from rce.errors import Unavailable
@@ -41,6 +42,18 @@ async def test_channels_come_and_go_with_their_publishers(guest: FakeGuest) -> N
     assert await topics.update(RosGraph([], [])) == ({}, [number])
     again = await topics.update(RosGraph([CHAT], []))
     assert list(again.added) == [number + 1], "numbers are not used twice"
+
+
+async def test_topics_are_offered_as_packets_too(guest: FakeGuest) -> None:
+    camera, cloud = RosName("/camera", ["sensor_msgs/msg/Image"], 1), RosName("/points", ["sensor_msgs/PointCloud2"], 1)
+    taken = RosName("/taken", ["sensor_msgs/msg/Image"], 1), RosName("/taken/h264", ["std_msgs/msg/String"], 1)
+    topics = Offers(guest.as_guest(), "msg", ("h264", "draco"))
+    changes = await topics.update(RosGraph([CHAT, camera, cloud, *taken], []))
+    packed = {each.name: (each.type, each.codec) for each in changes.added.values() if each.codec}
+    assert packed == {"/camera/h264": (FOXGLOVE, "h264"), "/points/draco": (FOXGLOVE_CLOUD, "draco")}
+    assert len(changes.added) == 7, "with the topics themselves"
+    gone = await topics.update(RosGraph([CHAT, cloud, *taken], []))
+    assert {changes.added[number].name for number in gone.removed} == {"/camera", "/camera/h264"}
 
 
 async def test_type_that_takes_long_does_not_delay_others(guest: FakeGuest, monkeypatch: pytest.MonkeyPatch) -> None:

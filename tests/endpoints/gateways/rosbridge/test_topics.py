@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import base64
+import json
+from typing import Any
+
 import cbor2
+import cv2
+import numpy as np
 import pytest
 from msgspec import Raw
 
@@ -13,7 +19,7 @@ from rce.errors import InvalidRequest, LimitExceeded, NotFound, RceError
 from rce.protocol.messages import Decimation, Delivery
 from tests.support.endpoints.fake_guest import FakeGuest, FakePeer
 
-STRING = "std_msgs/String"
+STRING, CLOUD = "std_msgs/String", "sensor_msgs/PointCloud2"
 ONE, TWO = Raw(b'"one"'), Raw(b'"two"')
 HELLO = Raw(b'{"data":"hello"}')
 
@@ -162,6 +168,32 @@ async def test_compression_decides_the_interface(guest: FakeGuest, subscriptions
     assert guest.options["u2"]["form"] == "Forwarder"
     (frame,) = guest.deliver(guest.uses["SubscriberInterface", "/a"], "id", blob=b"\0\1\0\0")
     assert cbor2.loads(frame)["msg"]["bytes"] == b"\0\1\0\0"
+
+
+@pytest.mark.parametrize("compression", ["none", "png", "cbor"])
+async def test_packets_come_with_their_data(guest: FakeGuest, subscriptions: Subscriptions, compression: Any) -> None:
+    subscriptions.subscribe(Subscribe(topic="/a", type=CLOUD, compression=compression, codec="draco"))
+    assert guest.options["u0"]["codec"] == "draco"
+    head = {"header": {"frame_id": "map"}, "codec": "draco", "width": 7, "data*": "0" * 32}
+    (frame,) = guest.deliver(guest.uses["SubscriberInterface", "/a"], head, blob=b"\0\1")
+    if compression == "png":
+        pixels = cv2.imdecode(np.frombuffer(base64.b64decode(frame["data"]), np.uint8), cv2.IMREAD_COLOR_RGB)
+        frame = json.loads(pixels.tobytes())
+    message = (cbor2.loads(frame) if compression == "cbor" else frame)["msg"]
+    data = b"\0\1" if compression == "cbor" else base64.b64encode(b"\0\1").decode()
+    assert message == {"header": {"frame_id": "map"}, "codec": "draco", "width": 7, "data": data}
+
+
+async def test_subscriptions_of_a_topic_have_one_codec(guest: FakeGuest, subscriptions: Subscriptions) -> None:
+    subscriptions.subscribe(Subscribe(topic="/a", type=CLOUD, id=ONE, codec="draco"))
+    subscriptions.subscribe(Subscribe(topic="/a", type=CLOUD, id=TWO, codec="draco"))
+    with pytest.raises(InvalidRequest, match="codec 'draco': use the same one"):
+        subscriptions.subscribe(Subscribe(topic="/a", type=CLOUD, id=TWO))
+    with pytest.raises(InvalidRequest, match="without a codec: use cbor"):
+        subscriptions.subscribe(Subscribe(topic="/b", type=CLOUD, codec="draco", compression="cbor-raw"))
+    subscriptions.unsubscribe(Unsubscribe(topic="/a", id=ONE))
+    subscriptions.subscribe(Subscribe(topic="/a", type=CLOUD, id=TWO, codec="quantised"))
+    assert [each["codec"] for each in guest.options.values()] == ["draco", "quantised"]
 
 
 async def test_subscription_without_a_type_takes_that_of_the_topic(

@@ -15,6 +15,8 @@ from websockets.typing import Subprotocol
 from rce.cli.lazy.gateway import opened
 from rce.errors import NotFound, Unavailable
 
+Options = Sequence[tuple[str, str]]
+
 
 async def echo(client: ServerConnection) -> None:
     async for message in client:
@@ -28,7 +30,7 @@ async def forwarding() -> AsyncIterator[int]:
     async with serve(echo, "127.0.0.1", 0) as server:
         port = next(iter(server.sockets)).getsockname()[1]
 
-        async def dial(subprotocols: Sequence[Subprotocol] | None = None) -> ClientConnection:
+        async def dial(subprotocols: Sequence[Subprotocol] | None, options: Options) -> ClientConnection:
             return await connect(f"ws://127.0.0.1:{port}")
 
         async with opened(dial, 0) as forwarded:
@@ -51,12 +53,24 @@ async def test_reason_of_a_closure_passes() -> None:
 
 
 async def test_refusal_of_the_platform_closes_the_client_with_the_reason() -> None:
-    async def dial(subprotocols: Sequence[Subprotocol] | None = None) -> ClientConnection:
+    async def dial(subprotocols: Sequence[Subprotocol] | None, options: Options) -> ClientConnection:
         raise NotFound("there is no environment brain")
 
     async with opened(dial, 0) as port, connect(f"ws://127.0.0.1:{port}") as client:
         await asyncio.wait_for(client.wait_closed(), 30)
         assert client.close_reason == "there is no environment brain"
+
+
+async def test_options_in_the_url_of_a_client_pass() -> None:
+    dialled: list[Options] = []
+
+    async def dial(subprotocols: Sequence[Subprotocol] | None, options: Options) -> ClientConnection:
+        dialled.append(options)
+        raise NotFound("enough")
+
+    async with opened(dial, 0) as port, connect(f"ws://127.0.0.1:{port}/?codec=draco&size=640x480") as client:
+        await asyncio.wait_for(client.wait_closed(), 30)
+    assert dialled == [[("codec", "draco"), ("size", "640x480")]]
 
 
 async def test_port_in_use_is_an_error() -> None:
@@ -68,7 +82,7 @@ async def test_port_in_use_is_an_error() -> None:
 
 @asynccontextmanager
 async def forwarding_at(port: int) -> AsyncIterator[None]:
-    async def dial(subprotocols: Sequence[Subprotocol] | None = None) -> ClientConnection:
+    async def dial(subprotocols: Sequence[Subprotocol] | None, options: Options) -> ClientConnection:
         raise NotFound("nothing is dialled")
 
     async with opened(dial, port):
