@@ -1,4 +1,8 @@
-"""Interfaces and connections of a robot, recorded so that they can be declared again."""
+"""Interfaces and connections of a robot, recorded so that they can be declared again.
+
+The platform removes the interfaces that a robot has added to environments when the robot leaves for good, if it is
+connected with them and nobody else is. They are recorded with its own.
+"""
 
 from __future__ import annotations
 
@@ -27,13 +31,15 @@ class Declarations:
 
     robot: str
     interfaces: dict[str, AddInterface] = field(default_factory=dict)
+    counterparts: dict[str, AddInterface] = field(default_factory=dict)  # in environments
     connections: dict[frozenset[str], Connect] = field(default_factory=dict)
     services: dict[str, UseService] = field(default_factory=dict)
 
     def record(self, command: Command) -> None:
         """Update the record after a command was executed."""
-        if isinstance(command, AddInterface) and self._is_own(command.endpointTag, command.interfaceTag):
-            self.interfaces[f"{command.endpointTag}/{command.interfaceTag}"] = command
+        if isinstance(command, AddInterface):
+            of = self.interfaces if self._is_own(command) else self.counterparts
+            of[f"{command.endpointTag}/{command.interfaceTag}"] = command
         elif isinstance(command, RemoveInterface):
             self._forget(lambda tag: tag == f"{command.endpointTag}/{command.interfaceTag}")
         elif isinstance(command, DestroyContainer):
@@ -45,17 +51,25 @@ class Declarations:
         elif isinstance(command, Connect | Disconnect):
             self._record_connection(command)
 
+    def record_existing(self, command: Command) -> None:
+        """Update the record after a command failed because what it adds exists already."""
+        if isinstance(command, AddInterface) and not self._is_own(command):
+            self.record(command)
+
     def connection_gone(self, one: str, other: str) -> None:
         """Update the record after the platform removed a connection."""
         self.connections.pop(frozenset((one, other)), None)
 
     def commands(self) -> list[Command]:
         """Return the commands that declare everything again, in a valid order."""
-        return [*self.interfaces.values(), *self.connections.values(), *self.services.values()]
+        connected = {tag for pair in self.connections for tag in pair}
+        counterparts = [command for tag, command in self.counterparts.items() if tag in connected]
+        return [*self.interfaces.values(), *counterparts, *self.connections.values(), *self.services.values()]
 
-    def _is_own(self, endpoint: str, interface: str) -> bool:
+    def _is_own(self, command: AddInterface) -> bool:
         """Return True for interfaces that end with the robot: its own and, for a guest, its own in environments."""
-        return endpoint == self.robot or (is_guest(self.robot) and interface.startswith(f"{self.robot}."))
+        is_guests = is_guest(self.robot) and command.interfaceTag.startswith(f"{self.robot}.")
+        return command.endpointTag == self.robot or is_guests
 
     def _record_connection(self, command: Connect | Disconnect) -> None:
         tags = frozenset((command.tagA, command.tagB))
@@ -65,7 +79,8 @@ class Declarations:
             self.connections[tags] = command
 
     def _forget(self, is_removed: Callable[[str], bool]) -> None:
-        for tag in [tag for tag in self.interfaces if is_removed(tag)]:
-            del self.interfaces[tag]
+        for recorded in (self.interfaces, self.counterparts):
+            for tag in [tag for tag in recorded if is_removed(tag)]:
+                del recorded[tag]
         for tags in [tags for tags in self.connections if any(is_removed(tag) for tag in tags)]:
             del self.connections[tags]

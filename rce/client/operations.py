@@ -372,6 +372,8 @@ class Operations:
         outcomes = await asyncio.gather(*map(self._session.execute, commands), return_exceptions=True)
         failed: list[BaseException] = []
         for index, (command, outcome) in enumerate(zip(commands, outcomes, strict=True)):
+            if isinstance(outcome, AlreadyExists):
+                self._declarations.record_existing(command)
             if not isinstance(outcome, BaseException):
                 self._declarations.record(command)
             else:

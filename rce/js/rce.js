@@ -21,7 +21,7 @@ const EVENT_BACKLOG = 1000; // unread events that one reader may have
 export class Robot {
   #session;
   #interfaces = new Map();
-  #declared = { interfaces: new Map(), connections: new Map(), services: new Map() };
+  #declared = { interfaces: new Map(), counterparts: new Map(), connections: new Map(), services: new Map() };
   #early = new Map(); // what came for interfaces that the platform makes, by the prefix of their tags
   #readers = new Set();
 
@@ -151,6 +151,7 @@ export class Robot {
     let first = null;
     outcomes.forEach(({ reason }, index) => {
       if (!reason) return this.#record(commands[index]);
+      if (reason instanceof AlreadyExists) this.#recordExisting(commands[index]);
       if (commands.length > 1) reason.item = `commands[${index}]`;
       first ??= reason;
     });
@@ -284,8 +285,10 @@ export class Robot {
   }
 
   declarations() {
-    const { interfaces, connections, services } = this.#declared;
-    return [...interfaces.values(), ...connections.values(), ...services.values()];
+    const { interfaces, counterparts, connections, services } = this.#declared;
+    const connected = new Set([...connections.values()].flatMap(([, { tagA, tagB }]) => [tagA, tagB]));
+    const added = [...counterparts].filter(([tag]) => connected.has(tag)).map(([, command]) => command);
+    return [...interfaces.values(), ...added, ...connections.values(), ...services.values()];
   }
 
   ended(error) {
@@ -304,24 +307,37 @@ export class Robot {
     for (const reader of this.#readers) reader.put(event);
   }
 
-  /** Record what belongs to this robot after a command was executed, so that a new session can restore it. */
+  /**
+   * Record what belongs to this robot after a command was executed, so that a new session can restore it: its own
+   * interfaces, those that it is connected with in environments, and its connections.
+   */
   #record(command) {
     const [list, item] = command;
-    const { interfaces, connections } = this.#declared;
+    const { interfaces, counterparts, connections } = this.#declared;
     const forget = (isRemoved) => {
-      for (const tag of interfaces.keys()) if (isRemoved(tag)) interfaces.delete(tag);
+      for (const of of [interfaces, counterparts]) for (const tag of of.keys()) if (isRemoved(tag)) of.delete(tag);
       for (const [pair, [, { tagA, tagB }]] of connections) {
         if (isRemoved(tagA) || isRemoved(tagB)) connections.delete(pair);
       }
     };
-    const own = () => item.endpointTag === this.name || (this.isGuest && item.interfaceTag.startsWith(`${this.name}.`));
-    if (list === "addInterfaces" && own()) interfaces.set(`${item.endpointTag}/${item.interfaceTag}`, command);
-    else if (list === "removeInterfaces") forget((tag) => tag === `${item.endpointTag}/${item.interfaceTag}`);
+    if (list === "addInterfaces") {
+      (this.#isOwn(item) ? interfaces : counterparts).set(`${item.endpointTag}/${item.interfaceTag}`, command);
+    } else if (list === "removeInterfaces") forget((tag) => tag === `${item.endpointTag}/${item.interfaceTag}`);
     else if (list === "DC") forget((tag) => tag.startsWith(`${item.containerTag}/`));
     else if (list === "disconnect") connections.delete(pairOf(item));
     else if (list === "connect" && [item.tagA, item.tagB].some((tag) => tag.startsWith(`${this.name}/`))) {
       connections.set(pairOf(item), command);
     }
+  }
+
+  /** Record an interface of an environment that could not be added because it exists. */
+  #recordExisting([list, item]) {
+    if (list === "addInterfaces" && !this.#isOwn(item)) this.#record([list, item]);
+  }
+
+  /** Whether an interface ends with the robot: its own and, for a guest, its own in environments. */
+  #isOwn({ endpointTag, interfaceTag }) {
+    return endpointTag === this.name || (this.isGuest && interfaceTag.startsWith(`${this.name}.`));
   }
 }
 

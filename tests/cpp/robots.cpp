@@ -86,18 +86,24 @@ void environmentIsCreatedUsedAndDestroyed(World& world) {
   land.addNode("echo", "rce_demo", "echo.py").get();
   auto heard = land.subscriber("/heard", STRING);
   auto say = land.publisher("/say", STRING);
-  std::optional<Value> answer;
-  for (int tries = 0; !answer && tries < 120; ++tries) {  // until the node is running
-    say->publish(text("hello"));
-    try {
-      answer = heard->get(rce::Seconds(0.5));
-    } catch (const rce::TimedOut&) {
+  const auto echo = [&](const Value& message) {
+    Value answer;
+    for (int tries = 0; answer != message && tries < 120; ++tries) {  // until the node is running
+      say->publish(message, WAIT);
+      try {
+        answer = heard->get(rce::Seconds(0.5));
+      } catch (const rce::TimedOut&) {
+      }
     }
-  }
-  equal(answer.value_or(nullptr), text("hello"));
+    equal(answer, message);
+  };
+  echo(text("hello"));
+  equal(event(*events, "environment")["containerTag"], Value(land.tag()));
+  rce::ClientAccess::endSession(a);
+  equal(event(*events, "reconnected"), Value{{"resumed", false}});
+  echo(text("again"));
   land.removeNode("echo").get();
   land.destroy().get();
-  equal(event(*events, "environment")["containerTag"], Value(land.tag()));
 }
 
 }  // namespace

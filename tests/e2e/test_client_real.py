@@ -6,10 +6,11 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from rce.client import Robot
+from rce.client import Reconnected, Robot
 from rce.errors import AlreadyExists
 from tests.support.client_contract import ClientContract, Platform
 from tests.support.e2e.real_platform import USER, RealPlatform
+from tests.support.e2e.traffic import Echo, next_event
 
 GRACE = 60.0  # seconds in which a robot resumes its session, also on a busy machine
 
@@ -54,3 +55,15 @@ async def test_environment_with_the_name_of_its_robot_is_refused(running: RealPl
     async with Robot(running.url, user=USER, robot="same", password=USER) as robot:
         with pytest.raises(AlreadyExists, match="in use by a robot of yours"):
             await robot.environment("same").__aenter__()
+
+
+async def test_robot_uses_its_environment_again_in_a_new_session(running: RealPlatform) -> None:
+    """The platform removes what a robot added to an environment when the robot has left for good."""
+    world = RealWorld(running)
+    async with world.robot("wanderer") as robot, robot.environment("wandered") as environment:
+        echo = await Echo.of(environment)
+        await echo.answers()
+        events = robot.events()
+        await world.end_session("wanderer")
+        assert await next_event(events, Reconnected) == Reconnected(resumed=False)
+        await echo.answers()

@@ -441,16 +441,22 @@ const tests = {
       await environment.addNode("echo", "rce_demo", "echo.py");
       const subscriber = await environment.subscriber("/heard", STRING);
       const publisher = await environment.publisher("/say", STRING);
-      let answer = null;
-      for (let tries = 0; !answer && tries < 60; tries += 1) { // until the node is running
-        await publisher.publish({ data: "hello" });
-        answer = await subscriber.get(0.5).catch(() => null);
-      }
-      equal(answer, { data: "hello" });
+      const echo = async (data) => {
+        let answer = null;
+        for (let tries = 0; answer?.data !== data && tries < 60; tries += 1) { // until the node is running
+          await publisher.publish({ data });
+          answer = await subscriber.get(0.5).catch(() => null);
+        }
+        equal(answer, { data });
+      };
+      await echo("hello");
+      equal((await event(events, "environment")).containerTag, `${tag}_land`);
+      breakSocket(a, 1000); // ends the session
+      equal((await event(events, "reconnected")).resumed, false);
+      await echo("again");
       await environment.removeNode("echo");
     } finally {
       await environment.destroy();
     }
-    equal((await event(events, "environment")).containerTag, `${tag}_land`);
   },
 };

@@ -38,7 +38,7 @@ CASES = {
     "configure executes commands in order": "The connection of two interfaces that were added before it.",
     "goals end as their server says": "Succeeded, rejected, canceled, aborted, and canceled after a reconnection.",
     "refused robots get the reason": "Wrong password, invalid name, two credentials.",
-    "environment is created used and destroyed": "With a parameter and a node.",
+    "environment is created used and destroyed": "With a parameter and a node, and used again in a new session.",
 }
 """Demand of each case, by its name."""
 
@@ -48,7 +48,7 @@ ABSENT: dict[str, dict[str, str]] = {
         "dead line is noticed by the robot's own traffic": "tests/e2e/test_bench_network.py cuts lines",
         "goals end as their server says": "tests/e2e/test_actions.py tests goals",
         "refused robots get the reason": "tests/rce/client tests refusals by the fake platform",
-        "environment is created used and destroyed": "tests/e2e/test_real_platform.py tests environments",
+        "environment is created used and destroyed": "tests/e2e/test_client_real.py tests environments",
     },
     JAVASCRIPT: {
         "restarted robot waits for its name": "robots do not wait for a name",

@@ -1,6 +1,7 @@
 #include "core.hpp"
 
 #include <boost/asio/post.hpp>
+#include <set>
 
 namespace rce::detail {
 namespace {
@@ -128,6 +129,7 @@ void Core::execute(Command command, Done done, Acknowledged acknowledged) {
       command,
       [this, command, done = std::move(done)](const std::optional<ErrorInfo>& error) {
         if (!error) record(command);
+        else if (error->code == "already_exists") recordExisting(command);
         done(error);
       },
       std::move(acknowledged));
@@ -202,6 +204,13 @@ void Core::reconnected(bool isResumed, const Value& statuses) {
 std::vector<Command> Core::declarations() const {
   std::vector<Command> commands;
   for (const auto& [tag, command] : interfacesDeclared_) commands.push_back(command);
+  std::set<std::string> connected;
+  for (const auto& [tags, command] : connectionsDeclared_) {
+    connected.insert({textOf(command.item, "tagA"), textOf(command.item, "tagB")});
+  }
+  for (const auto& [tag, command] : counterpartsDeclared_) {
+    if (connected.count(tag) != 0) commands.push_back(command);
+  }
   for (const auto& [tags, command] : connectionsDeclared_) commands.push_back(command);
   for (const auto& [tag, command] : servicesDeclared_) commands.push_back(command);
   return commands;
@@ -218,13 +227,27 @@ void Core::ended(const std::optional<ErrorInfo>& error) {
   }
 }
 
-/** Record what belongs to this robot after a command was executed, so that a new session can restore it. */
+/** Whether an interface ends with the robot: its own and, for a guest, its own in environments. */
+bool Core::isOwn(const Value& item) const {
+  const std::string& robot = options_.robotID;
+  const bool isGuests = robot[0] == '@' && beginsWith(textOf(item, "interfaceTag"), robot + '.');
+  return isGuests || textOf(item, "endpointTag") == robot;
+}
+
+/** Record an interface of an environment that could not be added because it exists. */
+void Core::recordExisting(const Command& command) {
+  if (command.list == "addInterfaces" && !isOwn(command.item)) record(command);
+}
+
+/**
+ * Record what belongs to this robot after a command was executed, so that a new session can restore it: its own
+ * interfaces, those that it is connected with in environments, and its connections.
+ */
 void Core::record(const Command& command) {
   const auto& [list, item] = command;
   const std::string& robot = options_.robotID;
   if (list == "addInterfaces") {
-    const bool isGuests = robot[0] == '@' && beginsWith(textOf(item, "interfaceTag"), robot + '.');
-    if (isGuests || textOf(item, "endpointTag") == robot) interfacesDeclared_.insert_or_assign(placeOf(item), command);
+    (isOwn(item) ? interfacesDeclared_ : counterpartsDeclared_).insert_or_assign(placeOf(item), command);
   } else if (list == "removeInterfaces") {
     forget([place = placeOf(item)](const std::string& tag) { return tag == place; });
   } else if (list == "DC") {
@@ -241,8 +264,10 @@ void Core::record(const Command& command) {
 }
 
 void Core::forget(const std::function<bool(const std::string&)>& isRemoved) {
-  for (auto each = interfacesDeclared_.begin(); each != interfacesDeclared_.end();) {
-    each = isRemoved(each->first) ? interfacesDeclared_.erase(each) : std::next(each);
+  for (auto* of : {&interfacesDeclared_, &counterpartsDeclared_}) {
+    for (auto each = of->begin(); each != of->end();) {
+      each = isRemoved(each->first) ? of->erase(each) : std::next(each);
+    }
   }
   for (auto each = connectionsDeclared_.begin(); each != connectionsDeclared_.end();) {
     const Value& item = each->second.item;

@@ -68,6 +68,8 @@ class Core : private Session::Listener, public std::enable_shared_from_this<Core
   std::vector<Command> declarations() const override;
   void ended(const std::optional<ErrorInfo>& error) override;
   void record(const Command& command);
+  void recordExisting(const Command& command);
+  bool isOwn(const Value& item) const;
   void forget(const std::function<bool(const std::string&)>& isRemoved);
   void drain();
 
@@ -77,6 +79,7 @@ class Core : private Session::Listener, public std::enable_shared_from_this<Core
   std::atomic<bool> isOnline_{false};
   std::map<std::string, std::shared_ptr<Interface>> interfaces_;
   std::map<std::string, Command> interfacesDeclared_;  // by `endpoint/interface`
+  std::map<std::string, Command> counterpartsDeclared_;  // in environments
   std::map<std::string, Command> connectionsDeclared_;
   std::map<std::string, Command> servicesDeclared_;  // of the catalogue, by tag
   std::map<std::string, std::vector<std::pair<Value, BlobsById>>> early_;  // messages by prefix of their interfaces

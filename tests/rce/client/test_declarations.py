@@ -32,10 +32,33 @@ def test_only_own_interfaces_and_connections_are_recorded() -> None:
         CreateContainer("brain"),
         AddInterface("brain", "scan", "PublisherInterface", STRING),
         own("out"),
-        Connect("a/out", "brain/scan"),
         Connect("b/out", "brain/scan"),
     )
-    assert commands == [own("out"), Connect("a/out", "brain/scan")]
+    assert commands == [own("out")]
+
+
+def test_interfaces_of_environments_are_recorded_while_connected() -> None:
+    declarations, scan = Declarations("a"), AddInterface("brain", "scan", "PublisherInterface", STRING)
+    connect = Connect("a/out", "brain/scan")
+    assert recorded(declarations, own("out"), scan, connect) == [own("out"), scan, connect]
+    assert recorded(declarations, Disconnect("a/out", "brain/scan")) == [own("out")]
+    assert recorded(declarations, connect) == [own("out"), scan, connect]
+    assert recorded(declarations, RemoveInterface("brain", "scan")) == [own("out")]
+    recorded(declarations, scan, connect)
+    assert recorded(declarations, DestroyContainer("brain"), connect) == [own("out"), connect]
+
+
+def test_interface_of_an_environment_that_exists_is_recorded() -> None:
+    declarations, scan, connect = (
+        Declarations("a"),
+        AddInterface("brain", "scan", "PublisherInterface", STRING),
+        Connect("a/out", "brain/scan"),
+    )
+    declarations.record_existing(scan)
+    declarations.record_existing(AddInterface("a", "out", "PublisherConverter", STRING))
+    declarations.record_existing(connect)
+    assert recorded(declarations, own("out")) == [own("out")]
+    assert recorded(declarations, connect) == [own("out"), scan, connect]
 
 
 def test_removals_are_forgotten_with_their_connections() -> None:
