@@ -60,7 +60,8 @@ class Signal {
 /** The robots of one case. */
 class World {
  public:
-  World(std::string url, std::string tag) : url_(std::move(url)), tag_(std::move(tag)) {}
+  World(std::string url, std::string tag, std::string caFile = "")
+      : url_(std::move(url)), tag_(std::move(tag)), caFile_(std::move(caFile)) {}
 
   std::string name(const std::string& letter) const { return tag_ + letter; }
 
@@ -68,6 +69,7 @@ class World {
     rce::Options options;
     options.userID = options.password = "testUser";
     options.robotID = name(letter);
+    options.caFile = caFile_;
     return options;
   }
 
@@ -91,7 +93,7 @@ class World {
   const std::string& url() const { return url_; }
 
  private:
-  std::string url_, tag_;
+  std::string url_, tag_, caFile_;
   std::list<Signal> signals_;
   std::list<rce::Client> robots_;  // destroyed before the signals: their callbacks have ended then
 };

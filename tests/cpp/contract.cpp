@@ -1,5 +1,8 @@
 // contract --list: prints the names of the cases. contract URL TAG [CASE...]: runs all cases or these at a real
-// platform, and prints the names of those that passed. TAG makes the names of robots unique to a run.
+// platform, and prints the names of those that passed. TAG makes the names of robots unique to a run. RCE_TEST_CA names
+// a file of certificates to trust.
+
+#include <cstdlib>
 
 #include "check.hpp"
 
@@ -16,12 +19,13 @@ int main(int count, char** words) {
     std::cerr << "usage: contract --list | contract URL TAG [CASE...]\n";
     return 2;
   }
+  const char* caFile = std::getenv("RCE_TEST_CA");
   int number = 0, failures = 0;
   for (const auto& [name, run] : cases) {
     ++number;
     if (arguments.size() > 2 && std::find(arguments.begin() + 2, arguments.end(), name) == arguments.end()) continue;
     try {
-      World world(arguments[0], arguments[1] + std::to_string(number));
+      World world(arguments[0], arguments[1] + std::to_string(number), caFile ? caFile : "");
       run(world);
       std::cout << name << std::endl;
     } catch (const std::exception& error) {

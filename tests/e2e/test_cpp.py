@@ -16,6 +16,9 @@ import pytest
 
 from rce.api.client import ApiClient
 from rce.api.views import NewOffer, OfferedNode, OfferView
+from rce.net.certificates import Authority
+from rce.net.tls import CA, CERTIFICATE, KEY
+from tests.support.certificates import certify
 from tests.support.client_cases import CPP, expected
 from tests.support.e2e.real_platform import USER, RealPlatform
 from tests.support.paths import TESTS
@@ -61,15 +64,15 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory / "build"
 
 
-async def output_of(*words: object) -> str:
-    """Run a program beside the platform; return its output."""
+async def run_beside(*words: object, **environ: str) -> tuple[int | None, str, str]:
+    """Run a program beside the platform; return its status, its output and its errors."""
     pipe = asyncio.subprocess.PIPE
     options = {
         "UBSAN_OPTIONS": "halt_on_error=1",
         "TSAN_OPTIONS": f"halt_on_error=1 suppressions={TESTS / 'cpp' / 'tsan.supp'}",
     }
     process = await asyncio.create_subprocess_exec(
-        *map(str, words), stdout=pipe, stderr=pipe, env={**os.environ, **options}
+        *map(str, words), stdout=pipe, stderr=pipe, env={**os.environ, **options, **environ}
     )
     try:
         out, err = await asyncio.wait_for(process.communicate(), TIMEOUT)
@@ -77,8 +80,14 @@ async def output_of(*words: object) -> str:
         if process.returncode is None:
             process.kill()
             await process.wait()
-    assert process.returncode == 0, err.decode()[-6000:]
-    return out.decode()
+    return process.returncode, out.decode(), err.decode()
+
+
+async def output_of(*words: object, **environ: str) -> str:
+    """Run a program beside the platform; return its output."""
+    status, out, err = await run_beside(*words, **environ)
+    assert status == 0, err[-6000:]
+    return out
 
 
 async def test_client_contract(programs: Path, platform: RealPlatform) -> None:
@@ -88,6 +97,22 @@ async def test_client_contract(programs: Path, platform: RealPlatform) -> None:
 
 async def test_robot_reconnects_many_times(programs: Path, platform: RealPlatform) -> None:
     assert "50 reconnections" in await output_of(programs / "reconnect", platform.url, "cppr", "50")
+
+
+async def test_robot_uses_tls(programs: Path, arguments: list[str], tmp_path: Path) -> None:
+    """With a file of certificates or those of the system; a certificate that nobody has signed is refused."""
+    keys = certify(tmp_path / "keys", Authority.make("platform"), ["127.0.0.1"])
+    options = "--certificate", str(keys / CERTIFICATE), "--private-key", str(keys / KEY)
+    cases = ["raw bytes of any size arrive unchanged", "resumed session keeps interfaces and connections"]
+    (tmp_path / "platform").mkdir()
+    async with RealPlatform(tmp_path / "platform", *arguments, *options) as platform:
+        assert platform.url.startswith("https://127.0.0.1:")
+        out = await output_of(programs / "contract", platform.url, "tls", *cases, RCE_TEST_CA=str(keys / CA))
+        assert out.splitlines() == cases
+        robot = programs / "rce" / "examples" / "rce_robot", platform.url, USER, USER
+        assert await output_of(*robot, SSL_CERT_FILE=str(keys / CA)) == "the node answered: hello\n"
+        status, _, err = await run_beside(*robot)
+        assert (status, "certificate verify failed" in err) == (1, True), err
 
 
 async def test_service_of_the_catalogue_is_used(programs: Path, platform: RealPlatform) -> None:

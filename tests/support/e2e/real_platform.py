@@ -89,7 +89,7 @@ class RealPlatform:
             self._process = await asyncio.create_subprocess_exec(*words, stdout=asyncio.subprocess.PIPE, stderr=log)
         assert self._process.stdout is not None
         line = ""
-        while not line.startswith("ready http://"):
+        while not line.startswith(("ready http://", "ready https://")):
             line = (await asyncio.wait_for(self._process.stdout.readline(), START_TIMEOUT)).decode()
             assert line, f"{self.output}\n{self.log}"
             self.output += line
