@@ -22,7 +22,7 @@ const char* variable(const char* name) {
 rce::Bytes cdr(std::size_t size) {
   rce::Bytes bytes(16 + size, 0);
   bytes[1] = 1;
-  for (int place = 0; place < 4; ++place) bytes[12 + place] = static_cast<std::uint8_t>(size >> (8 * place));
+  for (std::size_t place = 0; place < 4; ++place) bytes[12 + place] = static_cast<std::uint8_t>(size >> (8 * place));
   return bytes;
 }
 

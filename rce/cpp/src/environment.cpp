@@ -10,8 +10,8 @@ namespace {
 /** The name of a topic or service as a part of a tag. */
 std::string wordOf(const std::string& address) {
   std::string word;
-  for (const unsigned char letter : address) {
-    if (std::isalnum(letter) || letter == '_') word += static_cast<char>(letter);
+  for (const char letter : address) {
+    if (std::isalnum(static_cast<unsigned char>(letter)) || letter == '_') word += letter;
     else if (!word.empty() && word.back() != '_') word += '_';
   }
   const auto first = word.find_first_not_of('_'), last = word.find_last_not_of('_');

@@ -17,9 +17,10 @@ std::string hex(unsigned char byte) { return {DIGITS[byte >> 4], DIGITS[byte & 1
 
 std::string percentEncoded(const std::string& text) {
   std::string encoded;
-  for (const unsigned char byte : text) {
+  for (const char letter : text) {
+    const auto byte = static_cast<unsigned char>(letter);
     if (std::isalnum(byte) || byte == '-' || byte == '_' || byte == '.' || byte == '~') {
-      encoded += static_cast<char>(byte);
+      encoded += letter;
     } else {
       encoded += '%' + hex(byte);
     }
