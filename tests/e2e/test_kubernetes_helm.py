@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,9 +16,11 @@ pytest.importorskip("kubernetes_asyncio", reason="needs kubernetes_asyncio: pip 
 pytest.importorskip("docker", reason="nodes of the tests need docker-py: pip install '.[docker]'")
 
 from provisioning.kubernetes import CHART
+from rce.api.client import ApiClient
+from rce.api.views import MachineView, NewUser
 from rce.client import Robot
+from rce.errors import Unavailable
 from tests.support.containers.stand_in_image import stand_in_layer
-from tests.support.e2e.real_platform import until
 from tests.support.e2e.traffic import Echo
 from tests.support.kubernetes import platform_images
 from tests.support.kubernetes.cluster import Cluster, cluster_of
@@ -30,7 +32,9 @@ from tests.support.swarm_nodes import HOST_IMAGE, Node
 
 NAMESPACE = "rce-helm"
 PROGRAMS = {"rce-database", "rce-master", "rce-robot", "rce-tasks"}
+JOINED = {"container", "robot"}
 START_TIMEOUT = 180.0  # seconds
+USER_PASSWORD = "a long password"
 PASSWORD = re.compile(r"with password '([^']+)'")
 
 
@@ -52,8 +56,8 @@ class Installation:
         return output.decode()
 
     def state(self) -> str:
-        """Return what is known about the pods, for a failed test."""
-        return self.cluster.kubectl("describe", "pods", f"--namespace={NAMESPACE}", check=False)
+        """Return the pods and what they have written, for a failed test."""
+        return "\n".join(f"--- {pod}\n{self.log(f'pod/{pod}')}" for pod in sorted(self.get("pods")))
 
     def get(self, kind: str) -> dict[str, Any]:
         """Return the objects of a kind by name."""
@@ -64,9 +68,9 @@ class Installation:
         port = self.get("services")[service]["spec"]["ports"][0]["nodePort"]
         return f"{self.cluster.nodes[0].address}:{port}"
 
-    def log(self, program: str) -> str:
-        """Return the log of a program."""
-        return self.cluster.kubectl("logs", f"--namespace={NAMESPACE}", f"deployment/{program}")
+    def log(self, name: str) -> str:
+        """Return what a pod has written, or that of a Deployment."""
+        return self.cluster.kubectl("logs", f"--namespace={NAMESPACE}", name, check=False)
 
     def ready(self) -> set[str]:
         """Return the programs that are ready."""
@@ -118,6 +122,24 @@ def mounts(place: Path) -> str:
     return f"--post-renderer={script}"
 
 
+async def eventually(condition: Callable[[], bool], what: str) -> None:
+    """Poll a condition in a thread: kubectl takes a while, in which the robot has to answer pings."""
+    try:
+        async with asyncio.timeout(START_TIMEOUT):
+            while not await asyncio.to_thread(condition):  # noqa: ASYNC110
+                await asyncio.sleep(0.2)
+    except TimeoutError:
+        raise AssertionError(f"not within {START_TIMEOUT:g} s: {what}") from None
+
+
+def joined(admin: ApiClient) -> set[str]:
+    """Return the roles of the programs that have joined the Master; none while it does not answer."""
+    try:
+        return {each.role for each in admin.items(MachineView, "machines") if each.state == "joined"}
+    except Unavailable:
+        return set()
+
+
 async def test_platform_runs_as_pods_and_outlives_its_master(
     one_node: Cluster, services: Services, tmp_path: Path
 ) -> None:
@@ -128,18 +150,25 @@ async def test_platform_runs_as_pods_and_outlives_its_master(
     await installation.helm("install", "rce", chart, "--create-namespace", *values(cluster), mounts(tmp_path))
     try:
         services.publish(NAMESPACE)
-        await until(lambda: installation.ready() == PROGRAMS, START_TIMEOUT, "all programs are ready")
+        await eventually(lambda: installation.ready() == PROGRAMS, "all programs are ready")
         public = f"--set-string=publicUrl=ws://{installation.address('rce-robot')}/"
-        await installation.helm("upgrade", "rce", chart, "--reuse-values", public, mounts(tmp_path))
-        await until(lambda: installation.ready() == PROGRAMS, START_TIMEOUT, "all programs are ready again")
-        found = PASSWORD.search(installation.log("rce-master"))
-        assert found, installation.log("rce-master")
+        await installation.helm("upgrade", "rce", chart, "--reuse-values", public, mounts(tmp_path), "--wait")
         url = f"http://{installation.address('rce-master')}/"
-        async with Robot(url, user="admin", robot="r1", password=found[1]) as robot, robot.environment("e1") as one:
+        found = PASSWORD.search(installation.log("deployment/rce-master"))
+        assert found, installation.log("deployment/rce-master")
+        admin = ApiClient(url, user="admin", password=found[1])
+        await asyncio.to_thread(admin.post, dict, "users", body=NewUser("ann", USER_PASSWORD))
+        await eventually(lambda: joined(admin) == JOINED, "the programs have joined")
+        async with Robot(url, user="ann", robot="r1", password=USER_PASSWORD) as robot, robot.environment("e1") as one:
             echo = await Echo.of(one)
             await echo.answers()
-            cluster.kubectl("delete", "pod", f"--namespace={NAMESPACE}", "--selector=app.kubernetes.io/name=rce-master")
-            await until(lambda: installation.ready() == PROGRAMS, START_TIMEOUT, "the Master is ready again")
+            (pod,) = (name for name in installation.get("pods") if name.startswith("rce-master"))
+            await asyncio.to_thread(
+                cluster.kubectl, "delete", "pod", pod, f"--namespace={NAMESPACE}", "--grace-period=0", "--force"
+            )
+            await eventually(lambda: pod not in installation.get("pods"), "the pod of the Master is gone")
+            await eventually(lambda: installation.ready() == PROGRAMS, "the Master is ready again")
+            await eventually(lambda: joined(admin) == JOINED, "the programs have joined the new Master")
             await echo.answers()
             async with robot.environment("e2") as two:
                 await (await Echo.of(two)).answers()

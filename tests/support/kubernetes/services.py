@@ -11,7 +11,8 @@ import sys
 from pathlib import Path
 
 from tests.support.kubernetes.build import directory
-from tests.support.kubernetes.cluster import DOMAIN, Cluster
+from tests.support.kubernetes.cluster import DOMAIN, SERVICES, Cluster
+from tests.support.swarm_nodes import run
 
 # These settings of the kernel are read-only in a container, in which the tests may run.
 AS_THEY_ARE = (
@@ -33,6 +34,8 @@ class Services:
         for node in cluster.nodes:
             proxy = [str(directory() / "kube-proxy"), f"--kubeconfig={cluster.kubeconfig}", "--proxy-mode=iptables"]
             proxy += [f"--hostname-override={node.name}", "--healthz-bind-address=", "--metrics-bind-address=127.0.0.1"]
+            # A node chooses a route before kube-proxy's rules change the address.
+            run("ip", "-n", node.name, "route", "add", SERVICES, "via", cluster.address)
             words = ["nsenter", f"--net=/run/netns/{node.name}", *proxy, *AS_THEY_ARE]
             self._programs.append(self._spawn(place / f"{node.name}-proxy.log", words))
 
