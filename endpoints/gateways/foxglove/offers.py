@@ -82,7 +82,8 @@ class Offers:
         wanted = dict.fromkeys(shown.items(), "")
         for codec in self._codecs:
             topic_type, packet_type = TYPES[codec]
-            names = [name for name, type in shown.items() if parse_type(type).msg == topic_type]
+            spellings = topic_type, topic_type.replace("/msg/", "/")  # other participants of DDS may have any name
+            names = [name for name, type in shown.items() if type in spellings]
             wanted |= {(f"{name}/{codec}", packet_type): codec for name in names if f"{name}/{codec}" not in shown}
         return wanted
 

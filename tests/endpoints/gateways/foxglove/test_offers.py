@@ -48,7 +48,8 @@ async def test_topics_are_offered_as_packets_too(guest: FakeGuest) -> None:
     camera, cloud = RosName("/camera", ["sensor_msgs/msg/Image"], 1), RosName("/points", ["sensor_msgs/PointCloud2"], 1)
     taken = RosName("/taken", ["sensor_msgs/msg/Image"], 1), RosName("/taken/h264", ["std_msgs/msg/String"], 1)
     topics = Offers(guest.as_guest(), "msg", ("h264", "draco"))
-    changes = await topics.update(RosGraph([CHAT, camera, cloud, *taken], []))
+    odd = RosName("/dds", ["no type of ROS"], 1)
+    changes = await topics.update(RosGraph([CHAT, camera, cloud, odd, *taken], []))
     packed = {each.name: (each.type, each.codec) for each in changes.added.values() if each.codec}
     assert packed == {"/camera/h264": (FOXGLOVE, "h264"), "/points/draco": (FOXGLOVE_CLOUD, "draco")}
     assert len(changes.added) == 7, "with the topics themselves"
