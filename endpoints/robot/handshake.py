@@ -54,17 +54,17 @@ def parse_login(request: Request) -> LoginRequest:
     Raises:
         InvalidRequest: A parameter is missing, repeated or has an unknown value.
     """
-    offered = _optional(request, "features").split(",")
+    offered = optional(request, "features").split(",")
     user = _one(request, "userID")
     return LoginRequest(
         user=user,
         robot=_one(request, "robotID"),
         secret=_secret(request),
         features=FEATURES & frozenset(offered),
-        resume=_optional(request, "resume"),
-        compress=_compress(_optional(request, "compress")),
+        resume=optional(request, "resume"),
+        compress=_compress(optional(request, "compress")),
         address=str(request.peer),
-        owner=_optional(request, "owner") or user,
+        owner=optional(request, "owner") or user,
     )
 
 
@@ -85,7 +85,8 @@ def _one(request: Request, *names: str) -> str:
     return str(values[0])
 
 
-def _optional(request: Request, name: str) -> str:
+def optional(request: Request, name: str) -> str:
+    """Return a parameter, or an empty string; raises InvalidRequest if it is given more than once."""
     values = request.params.get(name, [""])
     if len(values) != 1:
         raise InvalidRequest(f"parameter {name} must be given at most once, not {len(values)} times")

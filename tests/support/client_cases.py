@@ -48,7 +48,7 @@ ABSENT: dict[str, dict[str, str]] = {
         "dead line is noticed by the robot's own traffic": "tests/e2e/test_bench_network.py cuts lines",
         "goals end as their server says": "tests/e2e/test_actions.py tests goals",
         "refused robots get the reason": "tests/rce/client tests refusals by the fake platform",
-        "environment is created used and destroyed": "tests/e2e/test_client_real.py tests environments",
+        "environment is created used and destroyed": "tests/e2e/test_{real_platform,client_real}.py test environments",
     },
     JAVASCRIPT: {
         "restarted robot waits for its name": "robots do not wait for a name",

@@ -23,7 +23,7 @@ RETRY = 30.0  # seconds until a type that nobody could describe is asked for aga
 class Offer(NamedTuple):
     """Topic or service: its ROS name, its type, and the schemas of its messages.
 
-    With a `codec` it is the packets of a topic, whose name is that of the topic and the codec.
+    With a `codec` it is an additional channel for the packets of a topic, with the name `TOPIC/CODEC`.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Offers:
     Args:
         guest: The client's guest.
         sort: `msg` for topics, `srv` for services.
-        codecs: Codecs whose packets of topics are offered, too.
+        codecs: Codecs for which topics get an additional channel.
     """
 
     def __init__(self, guest: Guest, sort: Sort, codecs: Sequence[str] = ()) -> None:
@@ -78,7 +78,7 @@ class Offers:
         return Changes(added, removed)
 
     def _with_packets(self, shown: Mapping[str, str]) -> dict[tuple[str, str], str]:
-        """Return names and types with their codec: those that are there, without any, and the packets of topics."""
+        """Return the codec of each channel by name and type, empty for what the environment itself has."""
         wanted = dict.fromkeys(shown.items(), "")
         for codec in self._codecs:
             topic_type, packet_type = TYPES[codec]

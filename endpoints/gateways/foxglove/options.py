@@ -11,7 +11,7 @@ from msgspec import Struct
 
 from converters.decimation import CLOUD, SCAN
 from endpoints.gateways.foxglove.packets import TYPES
-from endpoints.robot.handshake import Request
+from endpoints.robot.handshake import Request, optional
 from rce.codecs.names import IMAGE, check
 from rce.errors import InvalidRequest
 from rce.protocol.messages import Delivery
@@ -23,11 +23,11 @@ SIZE = re.compile(r"([0-9]{1,5})x([0-9]{1,5})")
 
 
 class Options(Struct, frozen=True):
-    """What a client gets in place of whole messages.
+    """Options that a client has chosen for its channels.
 
     Attributes:
         deliveries: Delivery of the messages of a type, by its name.
-        codecs: Codecs in which topics are offered besides.
+        codecs: Codecs for which topics get an additional channel.
     """
 
     deliveries: Mapping[str, Delivery] = {}
@@ -44,13 +44,14 @@ def parse(request: Request) -> Options:
     Raises:
         InvalidRequest: An option has no such value, or this endpoint lacks a codec.
     """
-    delivery = {"rate": _one(request, "rate", "0"), "decimate": {"step": _one(request, "step", "1")}}
+    step = optional(request, "step") or "1"
+    delivery = {"rate": optional(request, "rate") or "0", "decimate": {"step": step}}
     deliveries = dict.fromkeys(REDUCED, delivery)
-    if size := _one(request, "size", ""):
+    if size := optional(request, "size"):
         found = SIZE.fullmatch(size)
         if found is None:
             raise InvalidRequest(f"size is {size[:40]!r}: write WIDTHxHEIGHT, as 640x480", field="size")
-        deliveries[IMAGE] = delivery | {"decimate": {"step": _one(request, "step", "1"), "size": found.groups()}}
+        deliveries[IMAGE] = delivery | {"decimate": {"step": step, "size": found.groups()}}
     codecs = tuple(filter(None, ",".join(map(str, request.params.get("codec", []))).split(",")))
     for codec in codecs:
         if codec not in TYPES:
@@ -64,10 +65,3 @@ def _delivery(fields: Mapping[str, Any]) -> Delivery:
         return msgspec.convert(fields, Delivery, strict=False)
     except msgspec.ValidationError as error:
         raise InvalidRequest(f"options of the URL: {error}") from None
-
-
-def _one(request: Request, name: str, default: str) -> str:
-    values = request.params.get(name, [default])
-    if len(values) != 1:
-        raise InvalidRequest(f"parameter {name} must be given at most once, not {len(values)} times", field=name)
-    return str(values[0])

@@ -295,10 +295,11 @@ def _check_ids(topic: str, ids: Collection[bytes], id: Id) -> None:
 def _check_codec(op: Subscribe, asked: Mapping[bytes, Subscribe]) -> None:
     """Check that a subscription shares the codec of the others of its topic; raises InvalidRequest."""
     if op.codec and op.compression == "cbor-raw":
-        raise InvalidRequest(f"topic {op.topic}: cbor-raw are the bytes of ROS, without a codec: use cbor")
+        raise InvalidRequest(f"topic {op.topic}: cbor-raw passes the bytes of ROS without a codec: use cbor")
     for id, other in asked.items():
         if id != key(op.id) and (other.codec or "") != (op.codec or ""):
-            raise InvalidRequest(f"topic {op.topic} is subscribed to with the codec {other.codec!r}: use the same one")
+            present = f"the codec {other.codec!r}" if other.codec else "no codec"
+            raise InvalidRequest(f"topic {op.topic} is subscribed to with {present}: use the same one")
 
 
 def _nothing(_: Arrived) -> Sequence[Frame]:

@@ -189,11 +189,14 @@ async def test_subscriptions_of_a_topic_have_one_codec(guest: FakeGuest, subscri
     subscriptions.subscribe(Subscribe(topic="/a", type=CLOUD, id=TWO, codec="draco"))
     with pytest.raises(InvalidRequest, match="codec 'draco': use the same one"):
         subscriptions.subscribe(Subscribe(topic="/a", type=CLOUD, id=TWO))
+    subscriptions.subscribe(Subscribe(topic="/c", type=CLOUD, id=ONE))
+    with pytest.raises(InvalidRequest, match="with no codec: use the same one"):
+        subscriptions.subscribe(Subscribe(topic="/c", type=CLOUD, id=TWO, codec="draco"))
     with pytest.raises(InvalidRequest, match="without a codec: use cbor"):
         subscriptions.subscribe(Subscribe(topic="/b", type=CLOUD, codec="draco", compression="cbor-raw"))
     subscriptions.unsubscribe(Unsubscribe(topic="/a", id=ONE))
     subscriptions.subscribe(Subscribe(topic="/a", type=CLOUD, id=TWO, codec="quantised"))
-    assert [each["codec"] for each in guest.options.values()] == ["draco", "quantised"]
+    assert [each["codec"] for each in guest.options.values()] == ["draco", "", "quantised"]
 
 
 async def test_subscription_without_a_type_takes_that_of_the_topic(
