@@ -150,11 +150,11 @@ async def test_viewer_gets_video_and_draco(gateway: Gateway) -> None:
     url = f"{gateway.foxglove}/?codec=h264,draco&size=32x24&rate=5"
     try:
         async with connect(url, subprotocols=[Subprotocol("foxglove.sdk.v1")]) as viewer, asyncio.timeout(WAIT):
-            found = await receive_packets(viewer, {"/camera", "/camera/h264", "/points/draco"})
+            found = await receive_packets(viewer, {"/camera", "/camera/h264", "/cloud/draco"})
     finally:
         publishing.cancel()
         await asyncio.gather(publishing, return_exceptions=True)
-    video, cloud = found["/camera/h264"], found["/points/draco"]
+    video, cloud = found["/camera/h264"], found["/cloud/draco"]
     assert [each["frame_id"] for each in (video, cloud)] == ["cam", "map"]
     assert (found["/camera"]["width"], found["/camera"]["height"]) == (32, 24)
     frames = av.CodecContext.create("h264", "r").decode(av.Packet(base64.b64decode(video["data"])))

@@ -90,7 +90,7 @@ async def run(*words: str, cwd: Path, **environ: str) -> str:
 
 async def test_client_gets_packets_of_a_cloud(gateway: Gateway) -> None:
     publishing = asyncio.create_task(publish_camera_and_cloud(gateway.environment))
-    wish = {"op": "subscribe", "topic": "/points", "type": CLOUD, "codec": "draco", "compression": "cbor"}
+    wish = {"op": "subscribe", "topic": "/cloud", "type": CLOUD, "codec": "draco", "compression": "cbor"}
     try:
         async with connect(gateway.rosbridge) as client, asyncio.timeout(60):
             await client.send(json.dumps(wish))

@@ -101,7 +101,7 @@ def test_type_hashes_are_those_of_public_packages(typesupport: TypeSupport) -> N
     for name, path in own.items():
         hashes = json.loads(path.with_suffix(".json").read_text())["type_hashes"]
         assert store.hash_rihs01(name) == next(entry["hash_string"] for entry in hashes if entry["type_name"] == name)
-    assert len(own) == 26
+    assert len(own) == 27
 
 
 def test_key_depends_on_definitions(make_package: MakePackage) -> None:

@@ -48,7 +48,7 @@ async def open_gateway(platform: RealPlatform, home: Path, tag: str, rosbridge_p
 async def publish_camera_and_cloud(environment: Environment) -> None:
     """Publish a red image of 64 x 48 pixels and a cloud of two points, ten times a second."""
     camera = await environment.publisher("/camera", IMAGE, format="json")
-    cloud = await environment.publisher("/points", CLOUD)
+    cloud = await environment.publisher("/cloud", CLOUD)
     image = {"height": 48, "width": 64, "encoding": "rgb8", "step": 192, "data": bytes([255, 0, 0]) * 64 * 48}
     points = np.array([[1, 2, 3], [4, 5, 6]], "<f4")
     fields = [{"name": name, "offset": 4 * n, "datatype": 7, "count": 1} for n, name in enumerate("xyz")]
