@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Thread
@@ -11,6 +12,7 @@ from threading import Thread
 from rce.api.knowledge_requests import KnowledgeAnswer, KnowledgeRequest
 from rce.client.environment_knowledge import EnvironmentKnowledge
 from rce.control.calls.knowledge import AnswerKnowledge
+from rce.errors import Unavailable
 from tests.support.knowledge import Service
 
 
@@ -22,7 +24,10 @@ class DirectKnowledge(EnvironmentKnowledge):
 
     def ask(self, request: KnowledgeRequest) -> KnowledgeAnswer:
         answer = self._service.service.environments.answer(AnswerKnowledge("ann/brain", request))
-        return asyncio.run_coroutine_threadsafe(answer, self._loop).result(60)
+        try:
+            return asyncio.run_coroutine_threadsafe(answer, self._loop).result(60)
+        except CancelledError:
+            raise Unavailable("the knowledge service has stopped") from None
 
 
 @contextmanager
@@ -35,6 +40,12 @@ def direct_knowledge(directory: Path) -> Iterator[EnvironmentKnowledge]:
     def run(work: object) -> None:
         asyncio.run_coroutine_threadsafe(work, loop).result(60)  # type: ignore[arg-type]
 
+    async def cancel_requests() -> None:
+        others = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in others:
+            task.cancel()
+        await asyncio.gather(*others, return_exceptions=True)
+
     async def make() -> Service:
         return Service(directory)
 
@@ -44,6 +55,7 @@ def direct_knowledge(directory: Path) -> Iterator[EnvironmentKnowledge]:
         yield DirectKnowledge(service, loop)
     finally:
         run(service.stop())
+        run(cancel_requests())
         loop.call_soon_threadsafe(loop.stop)
         thread.join()
         loop.close()

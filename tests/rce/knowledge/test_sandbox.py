@@ -90,7 +90,7 @@ def test_work_that_needs_too_much_memory_ends() -> None:
 
 
 def test_work_that_dies_is_a_failure() -> None:
-    answer = done(sandbox.in_fork(lambda: os.abort(), 30, MEMORY))
+    answer = done(sandbox.in_fork(lambda: os.kill(os.getpid(), signal.SIGKILL), 30, MEMORY))
     assert isinstance(answer, Failed)
 
 
