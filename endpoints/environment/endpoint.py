@@ -15,6 +15,7 @@ from endpoints.data.switchboard import Switchboard
 from endpoints.environment.action_client import ActionClientInterface
 from endpoints.environment.action_provider import ActionProviderInterface
 from endpoints.environment.dead_participants import tell_of_dead
+from endpoints.environment.dead_ports import lock_dead_ports
 from endpoints.environment.definitions import InstalledTypes
 from endpoints.environment.interfaces import RosContext, RosInterface
 from endpoints.environment.live_parameters import LiveParameters
@@ -75,6 +76,7 @@ KINDS: dict[str, type[RosInterface]] = {
     "ActionProviderInterface": ActionProviderInterface,
 }
 TICK = 1.0  # seconds
+PORTS_LOCKED = 30.0  # seconds for which the ports of killed nodes are not used again
 MAX_ASSET, ASSET_PIECE = 64 * 1024 * 1024, 512 * 1024  # bytes of a file of a package, and of one answer
 
 log = Logger()
@@ -255,6 +257,7 @@ class Environment:
         self._send_report(report)
 
     def _tell_of_dead(self) -> None:
+        self._ros.call_later(PORTS_LOCKED, lock_dead_ports().close)
         tell_of_dead(self._ros.node, self._ros.prefix, self._hosts)
 
     def _report_error(self, spec: InterfaceSpec, error: RceError) -> None:

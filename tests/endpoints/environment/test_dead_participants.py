@@ -89,7 +89,9 @@ async def test_messages_after_the_death_of_a_node_wait_for_its_successor(master:
         while back.received.empty():
             there.publish(serialize_message(String(data="ready")))
             await asyncio.sleep(0.1)
-    os.kill(pid_of(f"__ns:=/{place}"), signal.SIGKILL)
+    killed = pid_of(f"__ns:=/{place}")
+    dead_ports = ports_of(killed)
+    os.kill(killed, signal.SIGKILL)
     assert (await master.died()).node == "killed"
     async with asyncio.timeout(15):  # less than the lease
         while await has_subscription(master, f"/{place}/there"):  # noqa: ASYNC110  # of another process
@@ -102,11 +104,20 @@ async def test_messages_after_the_death_of_a_node_wait_for_its_successor(master:
     while received[-1:] != numbers[-1:]:
         received.append(deserialize_message(await back.next(), String).data)
     assert received[-10:] == numbers[-10:]
+    assert dead_ports
+    assert not dead_ports & ports_of(pid_of(f"__ns:=/{place}"))  # through them it would hear nothing for seconds
     await master.call(StopNode("killed"))
 
 
 async def has_subscription(master: FakeMaster, topic: str) -> bool:
     return any(each.name == topic and each.subscribers for each in (await master.call(ReadGraph())).topics)
+
+
+def ports_of(pid: int) -> set[str]:
+    """Return the ports in shared memory through which a process receives: it has locked their files."""
+    locks = [line.split() for line in Path("/proc/locks").read_text().splitlines()]
+    locked = {int(lock[5].rpartition(":")[2]) for lock in locks if lock[1] == "FLOCK" and lock[4] == str(pid)}
+    return {path.name for path in Path("/dev/shm").glob("fastdds_port*_el") if path.stat().st_ino in locked}
 
 
 def pid_of(word: str) -> int:
