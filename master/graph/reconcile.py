@@ -289,7 +289,7 @@ def robot_arrived(
     state.robots.put(replace(robot, previous=resume))
     if moved:
         plan += [
-            [Send(robot.endpoint, Bind(interface_spec(each)), interface_ref(each))]
+            [Send(robot.endpoint, Bind(interface_spec(each)), interface_ref(each)), MarkReady(ref(each))]
             for each in state.interfaces.by(name)
         ]
         plan += bring_up(state, [name], ids)

@@ -307,6 +307,16 @@ async def test_new_process_gets_new_links_after_a_restart_of_the_master(furnishe
     assert (await west.next(OpenLink)).link.name != furnished.link
 
 
+async def test_interfaces_of_a_robot_that_resumes_after_both_restarted_are_ready(furnished: Furnished) -> None:
+    run = furnished.platform.master.state.environments["ann/brain"].run
+    platform = await restart(furnished)
+    await platform.process("environment", "ann/brain", run, token=furnished.brain.credential)
+    west = await platform.endpoint(token=furnished.west.credential, incarnation="2")  # without its robots
+    assert (await login(west, "ann/r1", furnished.session.token)).resumed
+    pose = platform.master.state.interfaces["ann/r1/pose"]
+    assert platform.master.presenter.interface(pose).state == "ready"
+
+
 async def test_processes_that_do_not_return_after_a_restart_are_removed(furnished: Furnished) -> None:
     furnished.platform.grace = 0.0
     platform = await restart(furnished)
