@@ -29,6 +29,10 @@ JOIN_TIMEOUT = 20.0  # seconds until a peer asks to join
 MAX_ITEMS = 300  # of a message: a call has 20 and its pages
 SLICE = 32  # messages that are handled before other connections get a turn
 
+# Types of values that peers may send, besides bytes and numbers. They join with a reference to the receiver of calls.
+_PLAIN = frozenset({b"None", b"boolean", b"list", b"tuple", b"unicode"})
+_REFERENCE = b"remote"
+_NO_KEYWORDS = [b"dictionary"]
 _COMMANDS = frozenset({b"version", b"message", b"answer", b"error", b"decref", b"ping"})  # that we use
 
 log = Logger()
@@ -148,6 +152,24 @@ class Broker(LiveBroker):
             raise pb.Error("the name of an object has another type")  # Twisted would log the TypeError
         super().expressionReceived(sexp)  # type: ignore[no-untyped-call]
 
+    def unserialize(self, sexp: Any, perspective: Any = None) -> Any:
+        """Return the value of a part of a message.
+
+        Raises:
+            pb.Error: It has more than plain values. Twisted would make objects of some classes, even half of one.
+        """
+        parts = [sexp]
+        while parts:
+            part = parts.pop()
+            if not isinstance(part, list) or part == _NO_KEYWORDS:
+                continue
+            if part[0] == _REFERENCE and [type(each) for each in part[1:]] == [int]:
+                continue
+            if part[0] not in _PLAIN:
+                raise pb.Error("a value has another type")
+            parts += part[1:]
+        return super().unserialize(sexp, perspective)  # type: ignore[no-untyped-call]
+
     def proto_ping(self) -> None:
         """Answer a ping of a peer that has joined.
 
@@ -167,7 +189,7 @@ class Broker(LiveBroker):
         answer = self._end_call(requestID)
         result: Any = None
         try:
-            result = self.unserialize(netResult)  # type: ignore[no-untyped-call]
+            result = self.unserialize(netResult)
         finally:
             if isinstance(result, tuple):
                 answer.callback(result)

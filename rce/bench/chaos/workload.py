@@ -105,7 +105,7 @@ class Worker:
 
         Raises:
             Violation: It fails for a reason that faults do not explain, or for longer than DEADLINE. So does one that
-                was refused because a disk was full, but executed.
+                adds something and was refused because a disk was full, but executed.
         """
         executed_already = AlreadyExists if step.verb == "add" else NotFound
         uncertain = False
@@ -121,7 +121,7 @@ class Worker:
                 if not full and not isinstance(error, FAULTS):
                     raise Violation(f"{self._name} {step}: {type(error).__name__}: {error}") from None
                 self._refused(step, error)
-                uncertain = uncertain or not full
+                uncertain = uncertain or not full or step.verb == "remove"  # a removal is executed, but not stored
                 if time.monotonic() > until:
                     raise Violation(f"{self._name} {step} fails for {DEADLINE:g} s: {error}") from None
             await asyncio.sleep(RETRY_INTERVAL)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import gc
+import sys
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -61,6 +63,21 @@ async def test_unjoined_peer_that_exceeds_the_limits_is_disconnected(listener: L
     await send_until_closed(listener.port, data)
     client, server = await listener.pair(Handlers())
     await closed(client, server)
+
+
+@pytest.mark.parametrize(
+    "reference", [[b"remote"], [b"remote", b"x"], [b"remote", 1, 2], [b"twisted.spread.pb.Root", 1]]
+)
+async def test_malformed_reference_makes_no_object(
+    listener: Listener, reference: list[object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Half of one would be made, and its end logged with a traceback."""
+    ignored: list[object] = []
+    monkeypatch.setattr(sys, "unraisablehook", ignored.append)
+    join = [b"message", 1, b"root", b"join", 1, [b"tuple", [b"list", b"hello"], reference], [b"dictionary"]]
+    await send_until_closed(listener.port, PB + encode(join) + encode([b"no call"]))
+    gc.collect()
+    assert not ignored
 
 
 async def test_unjoined_connection_is_closed_after_the_timeout(

@@ -54,6 +54,7 @@ class Scripted(Worker):
         (ADD, [Unavailable("away"), Unavailable("away")]),
         (ADD, [Unavailable("away"), AlreadyExists("e")]),
         (REMOVE, [Unavailable("away"), NotFound("e")]),
+        (REMOVE, [DiskFull.at("database"), NotFound("e")]),
         (ADD, [NoCapacity("no machine takes environments at present")]),
         (ADD, [DiskFull.at("database"), LimitExceeded("disk full: room for 0 bytes")]),
     ],
