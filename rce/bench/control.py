@@ -1,6 +1,8 @@
 """Benchmark of the control plane: commands of one robot and of many at once, and logins, on a running platform.
 
-Beside them, in the same run: a round trip of bare Perspective Broker, and a bare transaction of the database.
+Commands are those of the client library, one after the other, and frames with many items over bare sockets. Logins use
+bare sockets, since a client library takes as much time as the platform. Beside them, in the same run: a round trip of
+bare Perspective Broker, and a bare transaction of the database.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Sequen
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlencode
 
 import sqlalchemy as sa
 from msgspec import Struct, field
@@ -23,7 +26,9 @@ from twisted.spread import pb
 from rce.bench.floors import server
 from rce.bench.report import MILLI, aligned, machine
 from rce.bench.statistics import percentile
+from rce.bench.traffic.socket import BareRobot, connect
 from rce.client import Robot
+from rce.client.address import Address, password_digest
 from rce.control.connection import disable_nagle
 
 TYPE = "std_msgs/String"
@@ -41,17 +46,24 @@ class Phase(Struct):
         kind: What was done.
         elapsed: Seconds from the first operation to the end of the last.
         seconds: Time of each operation.
+        items: Number of things that each operation adds or removes.
     """
 
     robots: int
     kind: str
     elapsed: float = 0.0
     seconds: list[float] = field(default_factory=list)
+    items: int = 1
+
+    @property
+    def number(self) -> int:
+        """Return the number of things that were added or removed."""
+        return len(self.seconds) * self.items
 
     @property
     def each(self) -> float:
-        """Return the seconds of the platform's time that an operation takes."""
-        return self.elapsed / len(self.seconds)
+        """Return the seconds of the platform's time that each of them takes."""
+        return self.elapsed / self.number
 
 
 class Credentials(Struct, frozen=True):
@@ -72,37 +84,81 @@ async def measure(credentials: Credentials, crowds: Sequence[int], count: int) -
         count: Number of interfaces and of connections of each robot.
     """
     phases: list[Phase] = []
+    url = await Address(credentials.url, credentials.user, "bench", key=credentials.key).locate()
     for size in crowds:
-        phases += await _logins(credentials, size, count)
+        phases += await _logins(url, credentials, size, count)
         phases += await _commands(credentials, size, count)
+        phases += await _frames(url, credentials, size, count)
     return phases
 
 
-async def _logins(credentials: Credentials, size: int, count: int) -> list[Phase]:
+async def _logins(url: str, credentials: Credentials, size: int, count: int) -> list[Phase]:
     """Log in and out, each time with another robotID."""
     phases: list[Phase] = []
-    leaving: list[Robot] = []
-    kinds: dict[str, Callable[[], Robot]] = {
-        "log in by password": lambda: _robot(credentials, password=credentials.password),
-        "log in by key": lambda: _robot(credentials, key=credentials.key),
+    secrets_of = {
+        "log in by password": {"password": password_digest(credentials.password)},
+        "log in by key": {"key": credentials.key},
     }
-    for kind, make in kinds.items():
+    for kind, secret in secrets_of.items():
+        robots: list[BareRobot] = []
 
-        async def login(make: Callable[[], Robot] = make) -> None:
-            robot = make()
-            await robot.open()
-            leaving.append(robot)
+        async def login(secret: dict[str, str] = secret, robots: list[BareRobot] = robots) -> None:
+            robots.append(await _bare_robot(url, credentials.user, secret))
 
         phases.append(await _phase(size, kind, [[login] * count for _ in range(size)]))
-        await asyncio.gather(*(robot.close() for robot in leaving))
-        leaving.clear()
+        for robot in robots:
+            robot.socket.close()
     return phases
+
+
+async def _bare_robot(url: str, user: str, secret: dict[str, str]) -> BareRobot:
+    robot = BareRobot(f"bench_{secrets.token_hex(5)}")
+    query = urlencode({"userID": user, "robotID": robot.name, "features": "ack", **secret})
+    robot.socket = await connect(url, query, robot.received)
+    return robot
+
+
+async def _frames(url: str, credentials: Credentials, size: int, count: int) -> list[Phase]:
+    """Add and remove `count` interfaces and connections of each robot, in one frame each."""
+    robots = [await _bare_robot(url, credentials.user, {"key": credentials.key}) for _ in range(size)]
+    frames: dict[str, Callable[[str], tuple[str, str, list[dict[str, str]]]]] = {
+        "add interfaces": lambda robot: ("CN", "addInterfaces", [*map(_added, _tags(robot, 2 * count))]),
+        "connect": lambda robot: ("CX", "connect", _pairs(robot, count)),
+        "disconnect": lambda robot: ("CX", "disconnect", _pairs(robot, count)),
+        "remove interfaces": lambda robot: ("CN", "removeInterfaces", _tags(robot, 2 * count)),
+    }
+    phases = []
+    for kind, frame in frames.items():
+        items = len(frame("")[2])
+        works = [[_later(_send, robot, *frame(robot.name))] for robot in robots]
+        phases.append(await _phase(size, f"{kind}, {items} a frame", works, items))
+    for robot in robots:
+        robot.socket.close()
+    return phases
+
+
+async def _send(robot: BareRobot, kind: str, name: str, items: list[dict[str, str]]) -> None:
+    await robot.command(kind, {name: items})
+
+
+def _tags(robot: str, count: int) -> list[dict[str, str]]:
+    return [{"endpointTag": robot, "interfaceTag": f"i{index}"} for index in range(count)]
+
+
+def _added(interface: dict[str, str]) -> dict[str, str]:
+    """Return the data of a new interface: those with an even number send, the others receive."""
+    sends = int(interface["interfaceTag"][1:]) % 2 == 0
+    return interface | {"interfaceType": f"{'Subscriber' if sends else 'Publisher'}Converter", "className": TYPE}
+
+
+def _pairs(robot: str, count: int) -> list[dict[str, str]]:
+    return [{"tagA": f"{robot}/i{2 * index}", "tagB": f"{robot}/i{2 * index + 1}"} for index in range(count)]
 
 
 async def _commands(credentials: Credentials, size: int, count: int) -> list[Phase]:
     """Create environments, nodes, interfaces and connections, and remove them in the reverse order."""
     async with AsyncExitStack() as stack:
-        robots = [await stack.enter_async_context(_robot(credentials, key=credentials.key)) for _ in range(size)]
+        robots = [await stack.enter_async_context(_robot(credentials)) for _ in range(size)]
         steps: list[tuple[str, list[list[Work]]]] = [
             (kind, [works(robot, number) for number, robot in enumerate(robots)])
             for kind, works in _operations(count).items()
@@ -153,15 +209,13 @@ def _later(function: Callable[..., Awaitable[object]], *arguments: Any, **option
     return lambda: function(*arguments, **options)
 
 
-def _robot(credentials: Credentials, password: str | None = None, key: str | None = None) -> Robot:
-    return Robot(
-        credentials.url, user=credentials.user, robot=f"bench_{secrets.token_hex(5)}", password=password, key=key
-    )
+def _robot(credentials: Credentials) -> Robot:
+    return Robot(credentials.url, user=credentials.user, robot=f"bench_{secrets.token_hex(5)}", key=credentials.key)
 
 
-async def _phase(robots: int, kind: str, works: Iterable[Sequence[Work]]) -> Phase:
+async def _phase(robots: int, kind: str, works: Iterable[Sequence[Work]], items: int = 1) -> Phase:
     """Do the works of all robots at once, those of one robot one after the other."""
-    phase = Phase(robots, kind)
+    phase = Phase(robots, kind, items=items)
 
     async def one(own: Sequence[Work]) -> None:
         for work in own:
@@ -240,7 +294,7 @@ def _row(phase: Phase) -> list[str]:
     return [
         phase.kind,
         str(phase.robots or ""),
-        str(len(phase.seconds)),
+        str(phase.number),
         f"{median * MILLI:.2f}",
         f"{tail * MILLI:.2f}",
         f"{1 / phase.each:.0f}" if phase.each < 1 else f"{1 / phase.each:.2f}",
@@ -250,6 +304,13 @@ def _row(phase: Phase) -> list[str]:
 def as_data(phases: Sequence[Phase]) -> dict[str, Any]:
     """Return all samples in seconds, for JSON."""
     kinds = [
-        {"robots": each.robots, "kind": each.kind, "elapsed": each.elapsed, "seconds": each.seconds} for each in phases
+        {
+            "robots": each.robots,
+            "kind": each.kind,
+            "items": each.items,
+            "elapsed": each.elapsed,
+            "seconds": each.seconds,
+        }
+        for each in phases
     ]
     return {"machine": machine(), "phases": kinds}

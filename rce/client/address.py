@@ -140,7 +140,7 @@ class Address:
 
     @property
     def _secret(self) -> dict[str, str]:
-        return {"key": self.key} if self.key is not None else {"password": _hash(self.password or "")}
+        return {"key": self.key} if self.key is not None else {"password": password_digest(self.password or "")}
 
     async def dial_gateway(
         self,
@@ -237,7 +237,8 @@ class Address:
         return connection
 
 
-def _hash(password: str) -> str:
+def password_digest(password: str) -> str:
+    """Return what is sent in place of a password."""
     return hashlib.sha256(password.encode()).hexdigest()
 
 

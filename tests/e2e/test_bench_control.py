@@ -26,6 +26,10 @@ async def test_each_kind_is_measured_for_each_number_of_robots() -> None:
                 "remove interface": 4,
                 "remove node": NODES,
                 "destroy environment": 1,
+                "add interfaces, 4 a frame": 1,
+                "connect, 2 a frame": 1,
+                "disconnect, 2 a frame": 1,
+                "remove interfaces, 4 a frame": 1,
             }.items()
         }
     )

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import re
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import psutil
 from msgspec import Struct, field
@@ -16,8 +15,8 @@ from msgspec import Struct, field
 from rce.api.http import EntryClient, basic
 from rce.api.joining import sibling_name
 from rce.bench.traffic.login import Login
-from rce.bench.traffic.socket import BareSocket, connect
-from rce.errors import InvalidRequest, RceError
+from rce.bench.traffic.socket import BareRobot, connect
+from rce.errors import RceError
 
 TYPE = "std_msgs/String"
 TOGETHER = 50  # robots that log in at the same time
@@ -136,37 +135,22 @@ async def crowd(login: Login, directory: Path, load: Load, processes: int) -> Cr
     return result
 
 
-class Member:
+class Member(BareRobot):
     """Robot of a crowd."""
 
     def __init__(self, number: int, result: Crowd) -> None:
-        self.name = f"crowd{number}"
-        self.socket: BareSocket
-        self._answer: asyncio.Future[None] | None = None
+        super().__init__(f"crowd{number}")
         self._result = result
-
-    async def command(self, kind: str, data: dict[str, Any]) -> None:
-        """Give a command; return when it is acknowledged.
-
-        Raises:
-            InvalidRequest: It failed.
-        """
-        self._answer = asyncio.get_running_loop().create_future()
-        self.socket.send(json.dumps({"type": kind, "id": 1, "data": data}).encode())
-        await self._answer
 
     def received(self, text: bytes) -> None:
         """Take a message, or the answer to a command."""
         begin = BEGIN.search(text)
-        if begin is not None:
-            sent = int(text[begin.end() : begin.end() + STAMP])
-            self._result.latencies.append((time.perf_counter_ns() - sent) / 1e9)
-            self._result.received += 1
-        elif self._answer is not None and not self._answer.done():
-            if b'"ack"' in text and b'"id"' in text:
-                self._answer.set_result(None)
-            elif b'"ER"' in text:
-                self._answer.set_exception(InvalidRequest(f"{self.name}: {text[:300].decode(errors='replace')}"))
+        if begin is None:
+            super().received(text)
+            return
+        sent = int(text[begin.end() : begin.end() + STAMP])
+        self._result.latencies.append((time.perf_counter_ns() - sent) / 1e9)
+        self._result.received += 1
 
 
 async def _log_in(login: Login, robots: int, result: Crowd) -> list[Member]:

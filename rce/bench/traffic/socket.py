@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import json
 import os
 import struct
 from collections.abc import Callable
-from typing import cast
+from typing import Any, cast
 from urllib.parse import urlsplit
 
 from rce.errors import InvalidRequest, Lost
@@ -122,3 +123,36 @@ async def connect(url: str, query: str, received: Callable[[bytes], None]) -> Ba
     )
     await protocol.opened
     return protocol
+
+
+class BareRobot:
+    """Robot that gives one command after the other, with the feature `ack`.
+
+    Attributes:
+        name: Its robotID.
+        socket: Its socket, once it is connected.
+    """
+
+    socket: BareSocket
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._answer: asyncio.Future[None] | None = None
+
+    async def command(self, kind: str, data: dict[str, Any]) -> None:
+        """Give a command; return when it is acknowledged.
+
+        Raises:
+            InvalidRequest: It failed.
+        """
+        self._answer = asyncio.get_running_loop().create_future()
+        self.socket.send(json.dumps({"type": kind, "id": 1, "data": data}).encode())
+        await self._answer
+
+    def received(self, text: bytes) -> None:
+        """Take the answer to a command; other messages are ignored."""
+        if self._answer is not None and not self._answer.done():
+            if b'"ack"' in text and b'"id"' in text:
+                self._answer.set_result(None)
+            elif b'"ER"' in text:
+                self._answer.set_exception(InvalidRequest(f"{self.name}: {text[:300].decode(errors='replace')}"))

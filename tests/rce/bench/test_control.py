@@ -19,8 +19,15 @@ async def test_lower_bounds_are_measured(reactor: ReactorBase, tmp_path: Path, m
 
 
 def test_table_has_medians_and_rates() -> None:
-    phases = [Phase(0, "bare call", 0.5, [0.001] * 100), Phase(20, "create environment", 40.0, [2.0, 4.0])]
+    phases = [
+        Phase(0, "bare call", 0.5, [0.001] * 100),
+        Phase(20, "create environment", 40.0, [2.0, 4.0]),
+        Phase(2, "connect, 50 a frame", 1.0, [0.5, 1.0], items=50),
+    ]
     rows = [line.split() for line in control.as_text(phases).splitlines()[3:]]
     assert rows[0] == ["bare", "call", "100", "1.00", "1.00", "200"]
     assert rows[1] == ["create", "environment", "20", "2", "3000.00", "4000.00", "0.05"]
-    assert [each["kind"] for each in control.as_data(phases)["phases"]] == ["bare call", "create environment"]
+    assert rows[2][-5:] == ["2", "100", "750.00", "1000.00", "100"], "a rate of connections, times of frames"
+    assert [(each["kind"], each["items"]) for each in control.as_data(phases)["phases"]] == [
+        *[("bare call", 1), ("create environment", 1), ("connect, 50 a frame", 50)]
+    ]

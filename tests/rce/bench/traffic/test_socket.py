@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import http
+import json
 
 import pytest
 from websockets.asyncio.server import Request, Response, ServerConnection, serve
 
-from rce.bench.traffic.socket import connect
+from rce.bench.traffic.socket import BareRobot, connect
 from rce.errors import InvalidRequest, Lost
 
 SIZES = (1, 125, 126, 65_535, 65_536, 300_000)
@@ -67,3 +68,20 @@ async def test_lost_connection_is_told() -> None:
         port = server.sockets[0].getsockname()[1]
         with pytest.raises(Lost):
             await connect(f"ws://127.0.0.1:{port}/", "", lambda text: None)
+
+
+async def test_command_is_answered_or_refused() -> None:
+    async def answer(server: ServerConnection) -> None:
+        async for message in server:
+            kind = json.loads(message)["type"]
+            await server.send('{"type":"DM","data":{}}')  # a message is no answer
+            error = '{"type":"ER","data":"no such robot"}'
+            await server.send('{"type":"ST","data":{"topic":"ack","id":1}}' if kind == "CN" else error)
+
+    async with serve(answer, "127.0.0.1", 0) as server:
+        robot = BareRobot("r1")
+        robot.socket = await connect(f"ws://127.0.0.1:{server.sockets[0].getsockname()[1]}/", "", robot.received)
+        await robot.command("CN", {"addInterfaces": []})
+        with pytest.raises(InvalidRequest, match=r"r1: .*no such robot"):
+            await robot.command("CX", {"connect": []})
+        robot.socket.close()
