@@ -1,35 +1,30 @@
 """Many viewers of one camera beside a control loop.
 
-A robot sends VGA images at 30 Hz to an environment, where nobody sees them at first, then many viewers, guests in a
-program of their own. Another robot sends velocity commands all the time, whose round trips are measured.
+A robot in a program of its own sends VGA images at 30 Hz to an environment, where nobody sees them at first, then many
+viewers, guests in another program. The robot of this process sends velocity commands all the time, whose round trips
+are measured.
 """
 
 from __future__ import annotations
 
 import asyncio
 import sys
-import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import Any
 
 import msgspec
 from msgspec import Struct
 
-from rce.bench import viewer_program
+from rce.bench import camera_program, viewer_program
 from rce.bench.nodes import PACKAGE, Place
 from rce.bench.overtake import CommandStream
-from rce.bench.payloads import HEIGHT, IMAGE, ROW, WIDTH, image_cdr
 from rce.bench.report import aligned
 from rce.bench.statistics import percentile
-from rce.bench.viewer_program import TOPIC, TYPE, Seen, Task
-from rce.client import Publisher, Robot
+from rce.bench.viewer_program import Seen, Task
 from rce.errors import InvalidRequest
 
-FREQUENCY = 30.0  # images per second
 SETTLING = 2.0  # seconds for which viewers watch before the loop is measured
-HEAD = image_cdr(IMAGE)[:-IMAGE]
-STRIPE = 2 * bytes(each for x in range(WIDTH) for each in (x % 256, x // 3 % 256, 128))  # two rows
+ENDING = 30.0  # seconds until a program is killed that should end
 
 
 class Phase(Struct, frozen=True):
@@ -71,56 +66,88 @@ async def measure(place: Place, task: Task, samples: int) -> list[Phase]:
     )
     await commands.wait_for_node()
     quiet = await _phase("quiet", commands, samples)
-    access: dict[str, Any] = {"user": address.user, "password": address.password, "key": address.key}
-    async with Robot(address.url, robot=f"{place.robot.name}_camera", **access) as robot:
-        camera = Camera(await robot.environment(environment.tag).publisher(TOPIC, TYPE, raw=True))
-        filming = asyncio.create_task(camera.film())
-        try:
-            alone = await _phase("one camera", commands, samples, camera)
-            where = {"url": address.url, "environment": environment.tag, **access}
-            before = camera.sent
-            async with crowd(msgspec.structs.replace(task, **where)) as seen:
-                await asyncio.sleep(SETTLING)
-                beside = await _phase(f"and {task.count} viewers", commands, samples, camera)
-                await asyncio.sleep(SETTLING)
-                images = camera.sent - before
-            found = await seen
-        finally:
-            filming.cancel()
-            await asyncio.gather(filming, return_exceptions=True)
+    where = {"url": address.url, "environment": environment.tag, "user": address.user}
+    access = {"password": address.password, "key": address.key}
+    async with film(
+        msgspec.convert({**where, **access, "robot": f"{place.robot.name}_camera"}, camera_program.Place)
+    ) as camera:
+        alone = await _phase("one camera", commands, samples, camera)
+        before = await camera.sent()
+        async with crowd(msgspec.structs.replace(task, **where, **access)) as seen:
+            await asyncio.sleep(SETTLING)
+            beside = await _phase(f"and {task.count} viewers", commands, samples, camera)
+            await asyncio.sleep(SETTLING)
+            images = await camera.sent() - before
+        found = await seen
     return [quiet, alone, msgspec.structs.replace(beside, images=images, seen=found)]
 
 
 async def _phase(name: str, commands: CommandStream, samples: int, camera: Camera | None = None) -> Phase:
-    before = camera.sent if camera is not None else 0
+    before = await camera.sent() if camera is not None else 0
     taken = sorted(each.back for each in await commands.measure(samples))
-    images = camera.sent - before if camera is not None else 0
+    images = await camera.sent() - before if camera is not None else 0
     return Phase(name, percentile(taken, 50), percentile(taken, 99), images)
 
 
+class Program:
+    """A program of the bench, which reads and writes lines."""
+
+    def __init__(self, process: asyncio.subprocess.Process) -> None:
+        self._process = process
+
+    async def ask(self, line: bytes = b"") -> bytes:
+        """Send a line; return the next one that the program writes, which is empty if it has ended."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(line + b"\n")
+        return await self._process.stdout.readline()
+
+    async def end(self) -> bytes:
+        """End its standard input; return the next line that it writes."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.close()
+        return await self._process.stdout.readline()
+
+
+@asynccontextmanager
+async def program(module: str) -> AsyncIterator[Program]:
+    """Run a module until its standard input ends, or kill it."""
+    pipe = asyncio.subprocess.PIPE
+    process = await asyncio.create_subprocess_exec(sys.executable, "-P", "-m", module, stdin=pipe, stdout=pipe)
+    assert process.stdin is not None
+    try:
+        yield Program(process)
+        process.stdin.close()
+        await asyncio.wait_for(process.wait(), ENDING)
+    finally:
+        if process.returncode is None:
+            process.kill()
+        await process.wait()
+
+
 class Camera:
-    """Camera whose images move.
+    """Camera of another process."""
 
-    Attributes:
-        sent: Number of images.
+    def __init__(self, program: Program) -> None:
+        self._program = program
+
+    async def sent(self) -> int:
+        """Return the number of images that it has sent."""
+        return int(await self._program.ask())
+
+
+@asynccontextmanager
+async def film(place: camera_program.Place) -> AsyncIterator[Camera]:
+    """Run the camera.
+
+    Raises:
+        InvalidRequest: It could not connect.
     """
-
-    def __init__(self, publisher: Publisher) -> None:
-        self.sent = 0
-        self._publisher = publisher
-
-    async def film(self) -> None:
-        """Send images until cancelled."""
-        begun = time.monotonic()
-        while True:
-            self._publisher.offer(moving_image(self.sent))
-            self.sent += 1
-            await asyncio.sleep(max(0.0, begun + self.sent / FREQUENCY - time.monotonic()))
-
-
-def moving_image(number: int) -> bytes:
-    """Return CDR of an rgb8 image of 640 x 480: slanted stripes that move from image to image."""
-    return HEAD + b"".join(STRIPE[3 * (shift := (number * 4 + y) % WIDTH) : 3 * shift + ROW] for y in range(HEIGHT))
+    async with program(camera_program.__name__) as camera:
+        if await camera.ask(msgspec.json.encode(place)) != b"0\n":
+            raise InvalidRequest("the camera could not connect: see its error above")
+        yield Camera(camera)
 
 
 @asynccontextmanager
@@ -130,23 +157,12 @@ async def crowd(task: Task) -> AsyncIterator[asyncio.Future[Seen]]:
     Raises:
         InvalidRequest: They could not connect.
     """
-    words = (sys.executable, "-P", "-m", viewer_program.__name__)
-    pipe = asyncio.subprocess.PIPE
-    program = await asyncio.create_subprocess_exec(*words, stdin=pipe, stdout=pipe)
-    assert program.stdin is not None
-    assert program.stdout is not None
     seen: asyncio.Future[Seen] = asyncio.get_running_loop().create_future()
-    try:
-        program.stdin.write(msgspec.json.encode(task) + b"\n")
-        if await program.stdout.readline() != b"ready\n":
+    async with program(viewer_program.__name__) as viewers:
+        if await viewers.ask(msgspec.json.encode(task)) != b"ready\n":
             raise InvalidRequest("the viewers could not connect: see their error above")
         yield seen
-        program.stdin.close()
-        seen.set_result(msgspec.json.decode(await program.stdout.readline(), type=Seen))
-    finally:
-        if program.returncode is None and not seen.done():
-            program.kill()
-        await program.wait()
+        seen.set_result(msgspec.json.decode(await viewers.end(), type=Seen))
 
 
 def as_text(phases: list[Phase]) -> str:

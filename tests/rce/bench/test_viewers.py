@@ -2,46 +2,20 @@
 
 from __future__ import annotations
 
-import asyncio
 from contextlib import AsyncExitStack
 from pathlib import Path
-from typing import cast
+from types import ModuleType
 
 import pytest
 
 from rce.bench import viewers
-from rce.bench.payloads import IMAGE
+from rce.bench.camera_program import Place
 from rce.bench.viewer_program import Seen, Task
-from rce.bench.viewers import Camera, Phase, as_text, crowd, moving_image
-from rce.client import Publisher
+from rce.bench.viewers import Phase, as_text, crowd, film
 from rce.errors import InvalidRequest
 from tests.support.bench import fake_place
 
-
-class Offered:
-    """Publisher that keeps what it is offered."""
-
-    def __init__(self) -> None:
-        self.images: list[bytes] = []
-        self.some = asyncio.Event()
-
-    def offer(self, image: bytes) -> bool:
-        self.images.append(image)
-        if len(self.images) > 2:
-            self.some.set()
-        return True
-
-
-async def test_camera_sends_images_that_move() -> None:
-    offered = Offered()
-    camera = Camera(cast(Publisher, offered))
-    filming = asyncio.create_task(camera.film())
-    await asyncio.wait_for(offered.some.wait(), 30)
-    filming.cancel()
-    assert camera.sent >= len(offered.images) - 1
-    assert len(set(offered.images[:3])) == 3
-    assert {len(each) for each in offered.images} == {len(moving_image(0))}
-    assert len(moving_image(7)) > IMAGE
+PLACE = Place("http://127.0.0.1:1/", "brain", "camera", "ann", "secret")
 
 
 async def test_place_without_an_address_is_refused() -> None:
@@ -51,25 +25,39 @@ async def test_place_without_an_address_is_refused() -> None:
             await viewers.measure(place._replace(address=None), Task(1), 1)
 
 
+async def test_camera_says_how_many_images_it_has_sent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    script = "import sys\nfor count, _ in enumerate(sys.stdin):\n    print(30 * count, flush=True)\n"
+    stand_in(script, tmp_path, monkeypatch, viewers.camera_program)
+    async with film(PLACE) as camera:
+        assert [await camera.sent(), await camera.sent()] == [30, 60]
+
+
+async def test_camera_that_cannot_connect_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stand_in("import sys\nsys.exit('cannot connect')\n", tmp_path, monkeypatch, viewers.camera_program)
+    with pytest.raises(InvalidRequest, match="camera could not connect"):
+        async with film(PLACE):
+            pass
+
+
 READY = "import sys\nsys.stdin.readline()\nprint('ready', flush=True)\nsys.stdin.read()\nprint('{\"messages\":1}')\n"
 
 
-def stand_in(script: str, directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let a script take the place of the program."""
+def stand_in(script: str, directory: Path, monkeypatch: pytest.MonkeyPatch, program: ModuleType) -> None:
+    """Let a script take the place of a program."""
     (directory / "stand_in.py").write_text(script)
     monkeypatch.setenv("PYTHONPATH", str(directory))
-    monkeypatch.setattr(viewers.viewer_program, "__name__", "stand_in")
+    monkeypatch.setattr(program, "__name__", "stand_in")
 
 
 async def test_viewers_say_in_the_end_what_they_have_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    stand_in(READY, tmp_path, monkeypatch)
+    stand_in(READY, tmp_path, monkeypatch, viewers.viewer_program)
     async with crowd(Task(1)) as seen:
         pass
     assert await seen == Seen(messages=1)
 
 
 async def test_viewers_that_cannot_connect_are_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    stand_in("import sys\nsys.exit('cannot connect')\n", tmp_path, monkeypatch)
+    stand_in("import sys\nsys.exit('cannot connect')\n", tmp_path, monkeypatch, viewers.viewer_program)
     with pytest.raises(InvalidRequest, match="could not connect"):
         async with crowd(Task(1)):
             pass
