@@ -61,7 +61,7 @@ class Asker:
 
     def _use_of(self, service: str, type: str) -> Use:
         present = self._uses.get(service)
-        if present is not None and not (present.ready.done() and present.ready.exception()):
+        if present is not None and not present.ended.done():
             return present
         if present is None and len(self._uses) >= MAX_SERVICES:
             idle = next(name for name in self._uses if name not in self._busy)

@@ -35,7 +35,7 @@ from rce.control.calls.robots import ReadAssetFor, ReadRobotsFor, RobotInterface
 from rce.control.calls.watching import RosGraph
 from rce.errors import InvalidRequest, NotFound, RceError, TimedOut, Unavailable
 from rce.protocol import messages as m
-from rce.protocol.blobs import PART, BinaryFrame, Buffer
+from rce.protocol.blobs import PART, BinaryFrame, Buffer, TextFrame
 
 FEATURES = frozenset({"ack", "events"})
 CHECK = 3.0  # seconds; an environment that is still starting is not waited for longer
@@ -119,8 +119,10 @@ class Guest:
         self._work.cancel()
         for removal in self._removals:
             removal.cancel()
-        for waiting in (*(use.ready for use in self._uses.values()), *self._commands.values()):
-            waiting.cancel()
+        for use in self._uses.values():
+            use.cancel()
+        for command in self._commands.values():
+            command.cancel()
         if self._session.detach(self):
             self.endpoint.finished(self._session)
 
@@ -158,7 +160,7 @@ class Guest:
 
     def send(self, *frames: Frame) -> None:
         """Queue frames that are never dropped; while too many wait, the client is not read."""
-        self._session.send(Sealed(frames))
+        self._session.send(Sealed(frames), sum(map(_size, frames)))
 
     async def wait_for_room(self) -> None:
         """Wait while too many frames wait for the client."""
@@ -204,7 +206,8 @@ class Guest:
         own = {side.rpartition("/")[2] for side in (event.tagA, event.tagB) if side.startswith(f"{self._tag}/")}
         for use in [self._uses[tag] for tag in own.intersection(self._uses)]:
             if use.robot:  # the robot removed it: the rest of what the client uses goes on
-                use.failed("", NotFound(f"{use.address}: the robot removed its interface {use.robot}"))
+                self.drop(use)
+                use.end(NotFound(f"{use.address}: the robot removed its interface {use.robot}"))
             else:
                 self.end(f"{use.address}: environment {self.environment}, or its interface, was removed")
 
@@ -269,8 +272,7 @@ class Guest:
                 step.result()
         except RceError as error:
             self.drop(use)
-            if not use.ready.done():
-                use.ready.set_exception(error)
+            use.end(error)
         else:
             if not use.ready.done():
                 use.ready.set_result(None)
@@ -393,9 +395,18 @@ class Guest:
         """
         self._work.run(work, size)
 
+    def check_room(self) -> None:
+        """Raise LimitExceeded if too many coroutines run: `use` and `run` would refuse another."""
+        self._work.check_room()
+
 
 BLOB = "0" * 32
 _BLOB_VALUE = Raw(b'"' + BLOB.encode() + b'"')
+
+
+def _size(frame: Frame) -> int:
+    parts = (frame.head, frame.data) if isinstance(frame, BinaryFrame | TextFrame) else (frame,)
+    return sum(map(len, parts))
 
 
 def _retrieve(done: asyncio.Future[None]) -> None:

@@ -43,7 +43,8 @@ class Parameters:
             RceError: The node does not answer.
         """
         node, parameter = _split(name)
-        (value,) = (await self._call(node, "get_parameters", "GetParameters", names=[parameter]))["values"] or [{}]
+        answer = await self._call(node, "get_parameters", "GetParameters", names=[parameter])
+        value = _only(answer["values"] or [{}], node)
         if not value.get("type"):
             raise NotFound(f"parameter {name[:200]} is not set", field="name")
         return value_of(value)
@@ -57,7 +58,8 @@ class Parameters:
         """
         node, parameter = _split(name)
         change = {"name": parameter, "value": _typed(value)}
-        (result,) = (await self._call(node, "set_parameters", "SetParameters", parameters=[change]))["results"]
+        answer = await self._call(node, "set_parameters", "SetParameters", parameters=[change])
+        result = _only(answer["results"], node)
         if not result["successful"]:
             raise InvalidRequest(result["reason"] or f"{name} was refused")
 
@@ -102,6 +104,12 @@ def _split(name: str) -> tuple[str, str]:
     if not colon or not parameter or not node.strip("/"):
         raise InvalidRequest(f"{name[:200]!r} is not a parameter: write NODE:NAME, as /camera:rate", field="name")
     return "/" + node.lstrip("/"), parameter
+
+
+def _only(items: list[Any], node: str) -> Any:
+    if len(items) != 1:
+        raise RceError(f"node {node[:200]} answered for {len(items)} parameters when it was asked for one")
+    return items[0]
 
 
 def value_of(value: dict[str, Any]) -> Any:

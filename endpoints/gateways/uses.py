@@ -54,6 +54,7 @@ class Use:
         type: Type, as it was asked for.
         robot: The interface of a robot that is used, as `ROBOT/TAG`; empty for what the environment has.
         ready: Done when it is connected; has the error if it could not be made.
+        ended: Has the error once the use could not be made, or came to an end without the client's doing.
     """
 
     def __init__(
@@ -71,4 +72,26 @@ class Use:
         self.receive = receive
         self.failed = failed
         self.ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self.ready.add_done_callback(lambda done: done.cancelled() or done.exception())
+        self.ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        for future in (self.ready, self.ended):
+            future.add_done_callback(lambda done: done.cancelled() or done.exception())
+
+    def end(self, error: RceError) -> None:
+        """End the use with an error."""
+        for future in (self.ready, self.ended):
+            if not future.done():
+                future.set_exception(error)
+
+    def cancel(self) -> None:
+        """Forget the use: its client has left."""
+        self.ready.cancel()
+        self.ended.cancel()
+
+    def on_end(self, handle: Callable[[RceError], None]) -> None:
+        """Call a function with the error once the use has ended."""
+
+        def done(ended: asyncio.Future[None]) -> None:
+            if not ended.cancelled() and isinstance(error := ended.exception(), RceError):
+                handle(error)
+
+        self.ended.add_done_callback(done)

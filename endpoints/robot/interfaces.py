@@ -23,7 +23,7 @@ from endpoints.data.interface import Interface, error_of
 from endpoints.data.link import Link
 from endpoints.robot.conversion import FromRobot, Outgoing, ToRobot
 from endpoints.robot.formats import Codecs
-from endpoints.robot.pace import Pace
+from endpoints.robot.pace import SHORTEST, Pace
 from endpoints.robot.session import Piece, RobotSession
 from endpoints.robot.workers import Workers
 from rce.control.calls.endpoints import InterfaceSpec
@@ -225,12 +225,12 @@ class Publisher(RobotInterface):
         """Send one message in an interval at most.
 
         Args:
-            interval: Seconds; 0 to send every message.
+            interval: Seconds; less than a millisecond to send every message.
             length: Number of messages that may wait, the newest; 0 to leave it as it is.
         """
         if self._pace is not None:
             self._pace.close()
-        self._pace = Pace(interval, length, self.budget) if interval else None
+        self._pace = Pace(interval, length, self.budget) if interval >= SHORTEST else None
         if length:
             self.keep = length
 

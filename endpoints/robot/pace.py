@@ -15,6 +15,7 @@ from endpoints.data.frames import Message
 from rce.net.budget import OVERHEAD, Budget
 
 EARLY = 0.05  # intervals
+SHORTEST = 0.001  # seconds; a shorter interval is none
 
 
 class Pace:

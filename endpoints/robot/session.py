@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
+import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import islice
@@ -104,7 +105,7 @@ class RobotSession:
         self.socket: Socket | None = None
         self.token = ""
         self.connection = ""
-        self.budget = budget
+        self.budget = budget or Budget(sys.maxsize)
         self.limit = limit
         self.streams = streams
         self.outbox: Outbox[Piece] = Outbox(self._write)
@@ -183,13 +184,23 @@ class RobotSession:
         """Send an ER about a malformed or rejected frame of the robot."""
         self.send(self.error_piece(error, id))
 
-    def send(self, piece: Piece) -> None:
-        """Send a status, an error or the like, which is never dropped; while too many wait, the robot is not read."""
-        self.outbox.put(CONTROL, iter([piece]), None)
+    def send(self, piece: Piece, size: int = 0) -> None:
+        """Send a status, an error or the like, which is never dropped; while too many wait, the robot is not read.
+
+        Args:
+            piece: The piece.
+            size: Bytes that are charged to the session's budget while the piece waits; 0 for a small one.
+        """
+        self.evicted(self.outbox.put(CONTROL, iter([piece]), None, size, self))
         if (room := self.outbox.wait_for_room(CONTROL)) is not None:
             self.pause_reading(room)
         if self.socket is not None and self.outbox.backlog(CONTROL) > MAX_STATUSES:
             self.socket.end(f"the robot has not read its last {MAX_STATUSES} statuses and errors")
+
+    def evicted(self, count: int) -> None:
+        """Close the socket: a budget was exceeded so far that statuses or answers were dropped."""
+        if count and self.socket is not None:
+            self.socket.end("the robot has not read its answers, which take too much memory")
 
     def error_piece(self, error: RceError, id: m.FrameId | UnsetType = UNSET) -> Piece:
         """Return the ER for an error that this endpoint found; the original protocol prefixes invalid requests."""

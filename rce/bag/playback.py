@@ -6,15 +6,17 @@ hidden ones in ROS.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 STATE, CONTROL = "/_rce/playback/state", "/_rce/playback/control"
 TYPE = "std_msgs/msg/String"
 STATE_PERIOD = 0.1  # seconds between two states while nothing else changes
 
+Time = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+Speed = Annotated[float, Meta(gt=0, le=1e6)]
 Status = Literal["playing", "paused", "buffering", "ended"]
 
 
@@ -32,10 +34,10 @@ class PlaybackState(Struct, frozen=True, omit_defaults=True):
     """
 
     status: Status
-    time: int
-    speed: float
-    start: int
-    end: int
+    time: Time
+    speed: Speed
+    start: Time
+    end: Time
     request: str = ""
     seeked: bool = False
 

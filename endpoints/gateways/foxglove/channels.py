@@ -33,18 +33,18 @@ class Subscriptions:
         self._uses: dict[int, Use] = {}  # by channel
 
     def add(self, subscription: Subscription, offer: Offer | None) -> None:
-        """Subscribe to a channel; raises InvalidRequest."""
+        """Subscribe to a channel; raises InvalidRequest or LimitExceeded."""
         if offer is None:
             raise InvalidRequest(f"channel {subscription.channelId} is not offered")
         if subscription.id in self._channels:
             raise InvalidRequest(f"subscription {subscription.id} exists already: use a new id")
         if list(self._channels.values()).count(subscription.channelId) >= MAX_SUBSCRIPTIONS:
             raise LimitExceeded(f"channel {subscription.channelId} has {MAX_SUBSCRIPTIONS} subscriptions already")
-        number = self._channels[subscription.id] = subscription.channelId
-        if number in self._uses:
-            return
-        use = self._uses[number] = self._use_packets(number, offer) if offer.codec else self._use(number, offer)
-        use.ready.add_done_callback(lambda done: self._ready(number, use, done))
+        number = subscription.channelId
+        if number not in self._uses:
+            use = self._uses[number] = self._use_packets(number, offer) if offer.codec else self._use(number, offer)
+            use.on_end(lambda error: self._ended(number, use, error))
+        self._channels[subscription.id] = number
 
     def _use(self, number: int, offer: Offer) -> Use:
         def receive(arrived: Arrived) -> Sequence[Frame]:
@@ -70,11 +70,10 @@ class Subscriptions:
     def _failed(self, _: str, error: RceError) -> None:
         self._report(error)
 
-    def _ready(self, number: int, use: Use, done: asyncio.Future[None]) -> None:
-        if not done.cancelled() and isinstance(error := done.exception(), RceError):
-            if self._uses.get(number) is use:
-                self.remove_channel(number)
-            self._report(error)
+    def _ended(self, number: int, use: Use, error: RceError) -> None:
+        if self._uses.get(number) is use:
+            self.remove_channel(number)
+        self._report(error)
 
     def remove(self, subscription: int) -> None:
         """End a subscription."""
@@ -100,7 +99,7 @@ class Publications:
         self._waiting: dict[int, list[ClientMessage]] = {}
 
     def add(self, channel: ClientChannel) -> None:
-        """Begin to publish; raises InvalidRequest."""
+        """Begin to publish; raises InvalidRequest or LimitExceeded."""
         if channel.id in self._uses:
             raise InvalidRequest(f"channel {channel.id} is advertised already")
         if channel.encoding not in ("cdr", "json"):
@@ -118,19 +117,22 @@ class Publications:
         )
         self._uses[channel.id] = use, is_json
         use.ready.add_done_callback(lambda done: self._ready(channel.id, use, done))
+        use.on_end(lambda error: self._ended(channel.id, use, error))
 
     def _ready(self, number: int, use: Use, done: asyncio.Future[None]) -> None:
-        is_present = self._uses.get(number, (None, False))[0] is use  # else the client has taken it back
-        waiting = self._waiting.pop(number, []) if is_present else []
-        if done.cancelled():
-            return
-        if isinstance(error := done.exception(), RceError):
-            if is_present:
-                del self._uses[number]
-            self._report(error)
+        waiting = self._waiting.pop(number, []) if self._is_present(number, use) else []
+        if done.cancelled() or done.exception() is not None:
             return
         for message in waiting:
             self.publish(message)
+
+    def _ended(self, number: int, use: Use, error: RceError) -> None:
+        if self._is_present(number, use):
+            del self._uses[number]
+        self._report(error)
+
+    def _is_present(self, number: int, use: Use) -> bool:
+        return self._uses.get(number, (None, False))[0] is use  # else the client has taken it back
 
     def publish(self, message: ClientMessage) -> None:
         """Publish a message; raises InvalidRequest."""

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Awaitable, Callable, Iterable
+from functools import partial
+from typing import TypeVar
 
 from twisted.logger import Logger
 
@@ -28,7 +31,10 @@ from rce.process.metrics import errors
 SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 CAPABILITIES = ["clientPublish", "parameters", "parametersSubscribe", "services", "connectionGraph", "assets", "time"]
 INTERVAL = 1.0  # seconds between two looks at the graph
+MAX_ANSWERS = 8  # about parameters that one client is given at once
+MAX_ASSETS = 2  # that one client is given at once
 ERROR = 2  # level of a status
+T = TypeVar("T")
 
 log = Logger()
 
@@ -54,6 +60,8 @@ class FoxgloveClient:
         self._calls = Calls(guest)
         self._parameters = ClientParameters(guest, self.report)
         self._playback = Playback(guest, self._greeting, self.report)
+        self._answering = asyncio.Semaphore(MAX_ANSWERS)
+        self._fetching = asyncio.Semaphore(MAX_ASSETS)
         self._looking = asyncio.Lock()
         self._connections: Connections | None = None  # as the client knows them, if it asked
 
@@ -142,21 +150,19 @@ class FoxgloveClient:
     def _handle(self, message: messages.AnyMessage) -> None:
         match message:
             case messages.Subscribe(subscriptions):
-                for each in subscriptions:
-                    self._subscriptions.add(each, self._topics.by_number.get(each.channelId))
+                self._each(subscriptions, self._subscribe)
             case messages.Unsubscribe(ids):
                 for id in ids:
                     self._subscriptions.remove(id)
             case messages.Advertise(channels):
-                for channel in channels:
-                    self._publications.add(channel)
+                self._each(channels, self._publications.add)
             case messages.Unadvertise(numbers):
                 for number in numbers:
                     self._publications.remove(number)
             case messages.GetParameters(names, id):
-                self._guest.run(self._parameters.get(names, id))
+                self._guest.run(self._answer(self._answering, partial(self._parameters.get, names, id)))
             case messages.SetParameters(parameters, id):
-                self._guest.run(self._parameters.set(parameters, id))
+                self._guest.run(self._answer(self._answering, partial(self._parameters.set, parameters, id)))
             case messages.SubscribeParameters(names):
                 self._parameters.subscribe(names)
             case messages.UnsubscribeParameters(names):
@@ -167,7 +173,24 @@ class FoxgloveClient:
             case messages.UnsubscribeGraph():
                 self._connections = None
             case messages.FetchAsset(uri, number):
-                self._guest.run(self._fetch(uri, number))
+                self._guest.run(self._answer(self._fetching, partial(self._fetch, uri, number)))
+
+    def _subscribe(self, subscription: messages.Subscription) -> None:
+        self._subscriptions.add(subscription, self._topics.by_number.get(subscription.channelId))
+
+    def _each(self, items: Iterable[T], handle: Callable[[T], None]) -> None:
+        """Handle the items of a message; report the errors of those that are refused."""
+        for item in items:
+            try:
+                handle(item)
+            except RceError as error:
+                self.report(error)
+
+    async def _answer(self, turns: asyncio.Semaphore, answer: Callable[[], Awaitable[None]]) -> None:
+        """Give an answer when it is its turn, which lasts until the client has read enough."""
+        async with turns:
+            await answer()
+            await self._guest.wait_for_room()
 
     async def _fetch(self, uri: str, number: int) -> None:
         try:
@@ -192,16 +215,14 @@ class FoxgloveClient:
     async def _look(self) -> None:
         try:
             graph = await self._guest.graph()
-        except RceError as error:  # the environment is away: what the client knows may come back
-            log.info("the graph for {client} cannot be read: {error}", client=self._guest.name, error=str(error))
-            return
-        async with self._looking:  # one after the other: a type may have to be asked for
-            await self._compare(graph)
+            async with self._looking:  # one after the other: a type may have to be asked for
+                await self._compare(graph)
+        except RceError as error:  # the environment is away, or the client has too much in progress: look again later
+            log.info("the graph for {client} cannot be shown: {error}", client=self._guest.name, error=str(error))
 
     async def _compare(self, graph: RosGraph) -> None:
         topics = await self._topics.update(graph)
         services = await self._services.update(graph)
-        self._playback.update(graph)
         for number in topics.removed:
             self._subscriptions.remove_channel(number)
         records = [offers.channel(*each) for each in topics.added.items()]
@@ -211,6 +232,7 @@ class FoxgloveClient:
         self._tell("advertiseServices", "services", [offers.service(*each) for each in services.added.items()])
         if self._connections is not None:
             self._tell_connections(graph, self._connections)
+        self._playback.update(graph)  # last, because it may raise LimitExceeded
 
     def _tell(self, op: str, field: str, items: list[int] | list[dict[str, object]]) -> None:
         if items:

@@ -56,16 +56,21 @@ class ClientParameters:
         """Send the changes of these parameters from now on.
 
         Raises:
-            LimitExceeded: The client asked for too many.
+            LimitExceeded: The client asked for too many, or too many operations are in progress.
         """
         wanted = self._wanted.union(names)
         if len(wanted) > MAX_WANTED or any(len(name) > MAX_NAME for name in names):
             raise LimitExceeded(f"subscribe to {MAX_WANTED} parameters at most, with names of {MAX_NAME} characters")
-        self._wanted = wanted
-        if self._wanted and self._events is None:
-            self._events = self._guest.use(
+        if wanted and self._events is None:
+            self._events = use = self._guest.use(
                 SUBSCRIBE, EVENTS, EVENT, self._changed, lambda _, error: self._report(error)
             )
+            use.on_end(self._ended)
+        self._wanted = wanted
+
+    def _ended(self, error: RceError) -> None:
+        self._events = None
+        self._report(error)
 
     def unsubscribe(self, names: Iterable[str]) -> None:
         """Send the changes of these parameters no more."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import struct
 from collections.abc import Callable, Sequence
 
@@ -57,7 +58,7 @@ class Playback:
         self, topic: str, type: str, present: bool, receive: Callable[[Arrived], Sequence[Frame]], **form: str
     ) -> None:
         use = self._uses.get(topic)
-        if use is not None and (not present or (use.ready.done() and use.ready.exception())):
+        if use is not None and (not present or use.ended.done()):
             self._guest.drop(self._uses.pop(topic))
         elif use is None and present:
             self._uses[topic] = self._guest.use(SUBSCRIBE, topic, type, receive, self._failed, **form)  # type: ignore[arg-type]
@@ -99,14 +100,19 @@ class Playback:
         self._guest.run(self._send(request))
 
     async def _send(self, request: PlaybackRequest) -> None:
-        if self._control is None:
-            self._control = self._guest.use(PUBLISH, CONTROL, TYPE, lambda _: (), self._failed)
-        use = self._control
         try:
-            await use.ready
+            use = self._control or self._begin_control()
+            await asyncio.shield(use.ready)
         except RceError as error:
-            self._control = None
             self._report(error)
             return
         value = Raw(msgspec.json.encode(_Text(encode(request))))
         self._guest.data(use, "", value, self._report)
+
+    def _begin_control(self) -> Use:
+        def ended(_: RceError) -> None:
+            self._control = None
+
+        self._control = use = self._guest.use(PUBLISH, CONTROL, TYPE, lambda _: (), self._failed)
+        use.on_end(ended)
+        return use

@@ -62,7 +62,10 @@ class SentGoals:
             self._answer(goal, LimitExceeded(f"{MAX_GOALS} goals are unfinished: wait for their ends"))
             return
         self._goals[id] = goal
-        self._guest.run(self._send(id, goal, op), len(memoryview(op.args)))
+        try:
+            self._guest.run(self._send(id, goal, op), len(memoryview(op.args)))
+        except LimitExceeded as error:
+            self._fail(id, error)
 
     async def _send(self, id: str, goal: _Goal, op: SendActionGoal) -> None:
         try:
@@ -79,12 +82,14 @@ class SentGoals:
         if named in self._uses:
             return self._uses[named]
         use = self._uses[named] = self._guest.use(ASK, action, type, self._arrived, self._fail)
-        use.ready.add_done_callback(lambda done: self._forget_failed(named, use, done))
+        use.on_end(lambda error: self._ended(named, use, error))
         return use
 
-    def _forget_failed(self, named: tuple[str, str], use: Use, done: asyncio.Future[None]) -> None:
-        if not done.cancelled() and done.exception() is not None and self._uses.get(named) is use:
+    def _ended(self, named: tuple[str, str], use: Use, error: RceError) -> None:
+        if self._uses.get(named) is use:
             del self._uses[named]
+        for id in [id for id, goal in self._goals.items() if goal.use is use]:
+            self._fail(id, error)
 
     def _arrived(self, arrived: Arrived) -> Sequence[Frame]:
         message = arrived.message
@@ -147,8 +152,9 @@ class ServedActions:
         self._uses: dict[str, Use] = {}
 
     def advertise(self, op: AdvertiseAction) -> None:
-        """Begin to carry out goals of an action; raises InvalidRequest."""
+        """Begin to carry out goals of an action; raises InvalidRequest or LimitExceeded."""
         parse_type(op.type)
+        self._guest.check_room()  # before the earlier one is dropped
         self._drop(op.action)
         use = self._guest.use(
             ACT,
@@ -158,13 +164,12 @@ class ServedActions:
             lambda _, error: self._peer.report(error),
         )
         self._uses[op.action] = use
-        use.ready.add_done_callback(lambda done: self._ready(op, use, done))
+        use.on_end(lambda error: self._ended(op, use, error))
 
-    def _ready(self, op: AdvertiseAction, use: Use, done: asyncio.Future[None]) -> None:
-        if not done.cancelled() and isinstance(error := done.exception(), RceError):
-            if self._uses.get(op.action) is use:
-                del self._uses[op.action]
-            self._peer.report(error, op.id)
+    def _ended(self, op: AdvertiseAction, use: Use, error: RceError) -> None:
+        if self._uses.get(op.action) is use:
+            del self._uses[op.action]
+        self._peer.report(error, op.id)
 
     def _arrived(self, op: AdvertiseAction, arrived: Arrived) -> Sequence[Frame]:
         message, use = arrived.message, self._uses.get(op.action)

@@ -104,6 +104,7 @@ class RosbridgeClient:
 
     def closed(self, normal: bool, reason: str) -> None:
         """End the session."""
+        self._calls.close()
         self._guest.closed(normal, reason)
 
     def text(self, payload: bytes) -> None:

@@ -15,7 +15,7 @@ from endpoints.gateways.parameters import Parameters
 from rce.control.calls.robots import Sort
 from rce.control.calls.watching import RosAction, RosGraph, RosName, RosNode
 from rce.errors import MALFORMED, InvalidRequest, NotFound, RceError
-from rce.protocol.names import parse_type
+from rce.protocol.names import TypeName, parse_type
 
 PREFIX = "/rosapi/"
 Arguments = dict[str, Any]
@@ -167,7 +167,14 @@ def _named(service: str, values: Any) -> Arguments:
 
 def _of_type(every: list[RosName], type: str) -> list[str]:
     wanted = parse_type(type)
-    return [each.name for each in every if any(parse_type(own) == wanted for own in each.types)]
+    return [each.name for each in every if any(_is_type(own, wanted) for own in each.types)]
+
+
+def _is_type(type: str, wanted: TypeName) -> bool:
+    try:
+        return parse_type(type) == wanted
+    except InvalidRequest:  # nodes may have given it any name
+        return False
 
 
 def _type_of(every: list[RosName] | list[RosAction], name: str) -> str:

@@ -27,6 +27,7 @@ from rce.errors import InvalidRequest, LimitExceeded, NotConnected, NotFound, Rc
 from rce.protocol.names import parse_type
 
 MAX_SERVICES = 200  # services of one client that are kept for further calls
+MAX_TIMEOUT = 86_400.0  # seconds
 
 
 @dataclass(eq=False)
@@ -59,8 +60,17 @@ class ServiceCalls:
         self._calls[number] = call
         if op.timeout:
             error = TimedOut(f"service {op.service} did not answer within {op.timeout:g} s")
-            call.timer = asyncio.get_running_loop().call_later(op.timeout, self.fail, number, error)
-        self._guest.run(self._call(number, op), len(memoryview(op.args)))
+            delay = min(op.timeout, MAX_TIMEOUT)
+            call.timer = asyncio.get_running_loop().call_later(delay, self.fail, number, error)
+        try:
+            self._guest.run(self._call(number, op), len(memoryview(op.args)))
+        except LimitExceeded as error:
+            self.fail(number, error)
+
+    def close(self) -> None:
+        """Forget all calls: the client has left."""
+        for number in list(self._calls):
+            self._pop(number)
 
     async def _call(self, number: str, op: CallService) -> None:
         try:
@@ -89,21 +99,26 @@ class ServiceCalls:
         present = self._uses.get(key)
         if present is not None and parse_type(present.type) == parse_type(type):
             return present
+        use = self._guest.use(CALL, service, type, self._answered, self.fail, format=format)
         if present is not None or len(self._uses) >= MAX_SERVICES:
             self._drop(self._uses.pop(key if present is not None else next(iter(self._uses))))
-        use = self._uses[key] = self._guest.use(CALL, service, type, self._answered, self.fail, format=format)
-        use.ready.add_done_callback(lambda done: self._forget_failed(key, use, done))
+        self._uses[key] = use
+        use.on_end(lambda error: self._ended(key, use, error))
         return use
 
     def _drop(self, use: Use) -> None:
         self._guest.drop(use)
         error = NotConnected(f"service {use.address} is called with another type now, or too many others are called")
+        self._fail_calls(use, error)
+
+    def _ended(self, key: tuple[str, str], use: Use, error: RceError) -> None:
+        if self._uses.get(key) is use:
+            del self._uses[key]
+        self._fail_calls(use, error)
+
+    def _fail_calls(self, use: Use, error: RceError) -> None:
         for number in [number for number, call in self._calls.items() if call.use is use]:
             self.fail(number, error)
-
-    def _forget_failed(self, key: tuple[str, str], use: Use, done: asyncio.Future[None]) -> None:
-        if not done.cancelled() and done.exception() is not None and self._uses.get(key) is use:
-            del self._uses[key]
 
     def _answered(self, arrived: Arrived) -> Sequence[Frame]:
         call = self._pop(arrived.message.msgID)
@@ -149,8 +164,9 @@ class ServedServices:
         self._numbers = itertools.count(1)
 
     def advertise(self, op: AdvertiseService) -> None:
-        """Begin to serve a service, in place of an earlier one of this name; raises InvalidRequest."""
+        """Begin to serve a service, in place of an earlier one of this name; raises InvalidRequest or LimitExceeded."""
         parse_type(op.type)
+        self._guest.check_room()  # before the earlier one is dropped
         self._drop(op.service)
 
         def receive(arrived: Arrived) -> Sequence[Frame]:
@@ -162,13 +178,12 @@ class ServedServices:
 
         use = self._guest.use(SERVE, op.service, op.type, receive, lambda _, error: self._peer.report(error))
         self._uses[op.service] = use
-        use.ready.add_done_callback(lambda done: self._ready(op, use, done))
+        use.on_end(lambda error: self._ended(op, use, error))
 
-    def _ready(self, op: AdvertiseService, use: Use, done: asyncio.Future[None]) -> None:
-        if not done.cancelled() and isinstance(error := done.exception(), RceError):
-            if self._uses.get(op.service) is use:
-                del self._uses[op.service]
-            self._peer.report(error, op.id)
+    def _ended(self, op: AdvertiseService, use: Use, error: RceError) -> None:
+        if self._uses.get(op.service) is use:
+            del self._uses[op.service]
+        self._peer.report(error, op.id)
 
     def unadvertise(self, op: UnadvertiseService) -> None:
         """Serve a service no more."""

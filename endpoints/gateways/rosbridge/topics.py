@@ -63,7 +63,8 @@ class Publications:
         qos = Qos(durability="transient_local" if op.latch else "auto", depth=depth)
         use = self._guest.use(PUBLISH, op.topic, type, _nothing, lambda _, error: self._peer.report(error), qos=qos)
         added = self._by_topic[op.topic] = _Publication(use, {key(op.id)})
-        use.ready.add_done_callback(lambda done: self._ready(op, added, done))
+        use.ready.add_done_callback(lambda done: self._ready(added, done))
+        use.on_end(lambda error: self._ended(op, added, error))
         return added
 
     async def _infer(self, op: Advertise) -> None:
@@ -74,18 +75,17 @@ class Publications:
         except RceError as error:
             self._peer.report(error, op.id)
 
-    def _ready(self, op: Advertise, publication: _Publication, done: asyncio.Future[None]) -> None:
+    def _ready(self, publication: _Publication, done: asyncio.Future[None]) -> None:
         waiting, publication.waiting = publication.waiting, []
-        if done.cancelled():
-            return
-        error = done.exception()
-        if isinstance(error, RceError):
-            if self._by_topic.get(op.topic) is publication:
-                del self._by_topic[op.topic]
-            self._peer.report(error, op.id)
+        if done.cancelled() or done.exception() is not None:
             return
         for message in waiting:
             self._send(publication, message)
+
+    def _ended(self, op: Advertise, publication: _Publication, error: RceError) -> None:
+        if self._by_topic.get(op.topic) is publication:
+            del self._by_topic[op.topic]
+        self._peer.report(error, op.id)
 
     def unadvertise(self, op: Unadvertise) -> None:
         """Publish no more on a topic, once none of its ids is advertised; without an id at once."""
@@ -191,10 +191,11 @@ class Subscriptions:
 
         Raises:
             InvalidRequest: The topic is subscribed to as another type or with another codec.
-            LimitExceeded: It is subscribed to with too many ids.
+            LimitExceeded: It is subscribed to with too many ids, or too many operations are in progress.
         """
         if op.type:
             parse_type(op.type)
+        self._guest.check_room()  # before anything is changed
         found = self._by_topic.get(op.topic)
         _check_codec(op, found.asked if found is not None else {})
         if found is None:
@@ -240,10 +241,10 @@ class Subscriptions:
         merged = subscription.merged()
         options, old = _options(merged), subscription.use
         if old is None or options != subscription.options:
+            self._begin(subscription, options)
+            subscription.options = options
             if old is not None:
                 self._guest.drop(old)
-            subscription.options = options
-            self._begin(subscription, options)
         subscription.form = Form(merged.compression or "none", merged.fragment_size or 0)
         assert subscription.use is not None
         self._pace(subscription.use, merged)
@@ -270,16 +271,19 @@ class Subscriptions:
         )
         subscription.use = use
         use.ready.add_done_callback(lambda done: self._ready(subscription, use, done))
+        use.on_end(lambda error: self._ended(subscription, use, error))
 
     def _ready(self, subscription: _Subscription, use: Use, done: asyncio.Future[None]) -> None:
-        if done.cancelled() or self._by_topic.get(subscription.topic) is not subscription:
-            return
-        error = done.exception()
-        if isinstance(error, RceError) and subscription.use is use:
+        if not done.cancelled() and done.exception() is None and self._is_present(subscription):
+            self._pace(use, subscription.merged())
+
+    def _ended(self, subscription: _Subscription, use: Use, error: RceError) -> None:
+        if subscription.use is use and self._is_present(subscription):
             del self._by_topic[subscription.topic]
             self._peer.report(error, next(iter(subscription.asked.values())).id)
-        elif error is None:
-            self._pace(use, subscription.merged())
+
+    def _is_present(self, subscription: _Subscription) -> bool:
+        return self._by_topic.get(subscription.topic) is subscription
 
     def _pace(self, use: Use, merged: Subscribe) -> None:
         interface = self._guest.interface(use)

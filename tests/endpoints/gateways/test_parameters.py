@@ -79,3 +79,16 @@ async def test_values_of_all_parameters_are_read_at_once(parameters: Parameters)
     await parameters.set("/camera:on", True)
     assert await parameters.values() == {"/camera:rate": 5, "/camera:on": True}
     assert await parameters.values(["/camera:on", "/camera:none", "/dead:x"]) == {"/camera:on": True}
+
+
+@pytest.mark.parametrize("count", [0, 2])
+async def test_node_that_answers_for_other_parameters_is_named(count: int) -> None:
+    async def ask(*_: Any) -> bytes:
+        value = {"type": 2, "integer_value": 5}
+        return msgspec.json.encode({"values": [value] * count, "results": [{"successful": True}] * count})
+
+    parameters = Parameters(Node().graph, ask)
+    with pytest.raises(RceError, match=f"node /odd answered for {count} parameters"):
+        await parameters.set("/odd:rate", 5)
+    with pytest.raises(RceError, match="not set" if count == 0 else "node /odd answered for 2 parameters"):
+        await parameters.get("/odd:rate")

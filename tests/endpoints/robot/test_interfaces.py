@@ -365,6 +365,15 @@ async def test_change_of_the_pace_drops_what_waits(platform: Platform) -> None:
     assert interface.budget.used == 0
 
 
+async def test_pace_of_less_than_a_millisecond_is_none(platform: Platform) -> None:
+    a, b = await pair(platform)
+    interface = platform.endpoint.sessions[f"{USER}/b"].interfaces["in"]
+    assert isinstance(interface, Publisher)
+    interface.set_pace(1e-311, 0)
+    await a.data("out", {"data": "hi"})
+    assert await b.receive() == dm("in", {"data": "hi"})
+
+
 async def with_delivery(platform: Platform, **delivery: Any) -> tuple[Robot, Robot]:
     """Return two robots; `little` of b has a delivery."""
     a, b = await platform.robot("a", "events,parts"), await platform.robot("b", "events,parts")

@@ -15,14 +15,19 @@ from endpoints.gateways.guest import Guest
 from endpoints.gateways.uses import Arrived, Kind, Use
 from rce.control.calls.robots import Sort
 from rce.control.calls.watching import RosGraph
-from rce.errors import RceError
+from rce.errors import LimitExceeded, RceError
 from rce.protocol.blobs import BinaryFrame, TextFrame
 from rce.protocol.messages import DataMessage
 from rce.protocol.names import parse_type
 
 
 class FakeGuest:
-    """Guest that records its uses and what it sends; `fails` is the error of uses that are begun."""
+    """Guest that records its uses and what it sends.
+
+    Attributes:
+        fails: Error of uses that are begun.
+        full: Too many operations are in progress.
+    """
 
     name = "ann/@rosbridge_1"
     user = "ann"
@@ -34,6 +39,7 @@ class FakeGuest:
         self.sent: list[tuple[str, str, Any, dict[str, Any]]] = []  # address, msgID, value, fields
         self.frames: list[Any] = []
         self.fails: RceError | None = None
+        self.full = False
         self.refuses: RceError | None = None
         self.paused: asyncio.Future[None] | None = None
         self.ros = graph or RosGraph([], [])
@@ -44,11 +50,12 @@ class FakeGuest:
         return cast(Guest, self)
 
     def use(self, kind: Kind, address: str, type: str, receive: Any, failed: Any, **options: Any) -> Use:
+        self.check_room()
         use = Use(f"u{len(self.options)}", address, type, receive, failed)
         self.uses[kind.environment, address] = use
         self.options[use.tag] = options
         if self.fails is not None:
-            use.ready.set_exception(self.fails)
+            use.end(self.fails)
         elif self.auto:
             use.ready.set_result(None)
         return use
@@ -79,9 +86,21 @@ class FakeGuest:
         return TypeRegistry().definitions(parse_type(type), sort)
 
     def run(self, work: Coroutine[Any, Any, None], size: int = 0) -> None:
+        try:
+            self.check_room()
+        except LimitExceeded:
+            work.close()
+            raise
         task = asyncio.create_task(work)
         self.tasks.add(task)
         task.add_done_callback(self.tasks.discard)
+
+    def check_room(self) -> None:
+        if self.full:
+            raise LimitExceeded("too many operations are in progress")
+
+    async def wait_for_room(self) -> None:
+        """Return at once: the client reads everything."""
 
     async def settle(self) -> None:
         """Wait until everything that was begun is done."""

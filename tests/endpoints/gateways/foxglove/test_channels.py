@@ -9,7 +9,7 @@ from endpoints.gateways.foxglove.messages import ClientChannel, ClientMessage, S
 from endpoints.gateways.foxglove.offers import Offer
 from endpoints.gateways.foxglove.options import Options
 from rce.codecs.names import FOXGLOVE, IMAGE
-from rce.errors import InvalidRequest, LimitExceeded, RceError
+from rce.errors import InvalidRequest, LimitExceeded, NotFound, RceError
 from rce.protocol.messages import Delivery
 from tests.support.endpoints.fake_guest import FakeGuest, FakePeer
 
@@ -118,9 +118,32 @@ async def test_channel_outlives_the_failure_of_an_earlier_one_with_its_id(
     publications.remove(1)
     publications.add(ClientChannel(1, "/chat", "cdr", "std_msgs/String"))
     publications.publish(ClientMessage(1, memoryview(b"cdr")))
-    guest.uses["PublisherInterface", "/odd"].ready.set_exception(RceError("no such type"))
+    guest.uses["PublisherInterface", "/odd"].end(RceError("no such type"))
     await guest.settle()
     guest.uses["PublisherInterface", "/chat"].ready.set_result(None)
     await guest.settle()
     assert [address for address, *_ in guest.sent] == ["/chat"]
     assert peer.errors == [("no such type", None)]
+
+
+async def test_channel_whose_use_ended_may_be_used_anew(
+    guest: FakeGuest, peer: FakePeer, subscriptions: Subscriptions, publications: Publications
+) -> None:
+    subscriptions.add(Subscription(1, 5), OFFER)
+    publications.add(ClientChannel(3, "/chat", "json", "std_msgs/String"))
+    for use in guest.uses.values():
+        use.end(NotFound("the robot removed it"))
+    await guest.settle()
+    assert [error for error, _ in peer.errors] == ["the robot removed it"] * 2
+    subscriptions.add(Subscription(1, 5), OFFER)
+    publications.add(ClientChannel(3, "/chat", "json", "std_msgs/String"))
+    assert len(guest.options) == 4
+
+
+async def test_subscription_that_is_refused_leaves_nothing(guest: FakeGuest, subscriptions: Subscriptions) -> None:
+    guest.full = True
+    with pytest.raises(LimitExceeded):
+        subscriptions.add(Subscription(1, 5), OFFER)
+    guest.full = False
+    subscriptions.add(Subscription(1, 5), OFFER)
+    assert len(guest.uses) == 1

@@ -14,7 +14,9 @@ from websockets.typing import Subprotocol
 
 from endpoints.gateways.foxglove.client import SUBPROTOCOLS
 from endpoints.gateways.graphs import Graphs
+from endpoints.gateways.guest import Guest
 from rce.control.calls.watching import RosGraph, RosName
+from rce.net.budget import MB
 from tests.support.endpoints.platforms import Platform
 from tests.support.endpoints.raw_robot import PASSWORD, USER, eventually
 
@@ -97,3 +99,39 @@ async def test_flood_of_bad_messages_closes_the_socket(socket: ClientConnection)
         await socket.send("?")
     await socket.wait_closed()
     assert socket.close_code == 1008
+
+
+async def test_items_of_a_message_are_handled_apart(socket: ClientConnection) -> None:
+    bad = {"id": 1, "topic": "/a", "encoding": "protobuf", "schemaName": "a/B"}
+    good = {"id": 2, "topic": "/a", "encoding": "json", "schemaName": "std_msgs/String"}
+    await socket.send(json.dumps({"op": "advertise", "channels": [bad, good]}))
+    assert "protobuf" in (await receive(socket))["message"]
+    await socket.send(json.dumps({"op": "advertise", "channels": [good]}))
+    answers = [await receive(socket), await receive(socket)]  # the other is that there is no environment
+    assert any("channel 2 is advertised already" in each["message"] for each in answers)
+
+
+async def test_assets_for_a_client_that_does_not_read_are_bounded(
+    platform: Platform, socket: ClientConnection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fetched: list[str] = []
+
+    async def asset(self: Guest, uri: str) -> bytes:
+        fetched.append(uri)
+        return bytes(32 * MB)
+
+    monkeypatch.setattr(Guest, "asset", asset)
+    (session,) = platform.endpoint.sessions.values()
+    socket.transport.pause_reading()
+    for number in range(20):
+        await socket.send(json.dumps({"op": "fetchAsset", "uri": f"package://a/{number}", "requestId": number}))
+    await eventually(lambda: session.outbox.waiting > 0)
+    before = -1
+    while before != len(fetched):
+        before = len(fetched)
+        await asyncio.sleep(0.5)
+    assert before < 10
+    assert session.budget.used > 0
+    socket.transport.resume_reading()
+    for _ in range(20):
+        assert len(await asyncio.wait_for(socket.recv(), 30)) > 32 * MB

@@ -9,7 +9,7 @@ import pytest
 
 from endpoints.gateways.foxglove.messages import Parameter
 from endpoints.gateways.foxglove.parameters import MAX_NAME, MAX_WANTED, ClientParameters
-from rce.errors import LimitExceeded
+from rce.errors import LimitExceeded, RceError
 from tests.support.endpoints.fake_guest import FakeGuest, FakePeer
 
 
@@ -75,3 +75,19 @@ async def test_names_that_are_subscribed_to_are_bounded(parameters: ClientParame
 async def test_number_that_no_float_holds_is_refused(peer: FakePeer, parameters: ClientParameters) -> None:
     await parameters.set([Parameter("/n.rate", 10**400, "float64")], None)
     assert len(peer.errors) == 1
+
+
+async def test_changes_may_be_asked_for_again_after_a_failure(
+    guest: FakeGuest, peer: FakePeer, parameters: ClientParameters
+) -> None:
+    guest.full = True
+    with pytest.raises(LimitExceeded):
+        parameters.subscribe(["/n.rate"])
+    guest.full = False
+    guest.fails = RceError("no environment")
+    parameters.subscribe(["/n.rate"])
+    await guest.settle()
+    assert peer.errors == [("no environment", None)]
+    guest.fails = None
+    parameters.subscribe(["/n.rate"])
+    assert len(guest.options) == 2

@@ -92,3 +92,16 @@ async def test_client_that_may_only_read_cannot_control(client: Client, guest: F
     client.playback.control(PlaybackCommand(False, 1.0, None, ""))
     await guest.settle()
     assert [str(error) for error in client.errors] == ["data.write"]
+
+
+async def test_command_is_refused_while_too_much_is_in_progress(client: Client, guest: FakeGuest) -> None:
+    client.playback.update(PLAYED)
+    client.told(STATE_OF_PLAY)
+    client.playback.control(PlaybackCommand(True, 1.0, None, "r"))
+    guest.full = True
+    await guest.settle()
+    assert [str(error) for error in client.errors] == ["too many operations are in progress"]
+    guest.full = False
+    client.playback.control(PlaybackCommand(True, 1.0, None, "r"))
+    await guest.settle()
+    assert ("PublisherInterface", CONTROL) in guest.uses

@@ -9,7 +9,7 @@ import pytest
 from endpoints.gateways.foxglove.messages import ServiceRequest
 from endpoints.gateways.foxglove.offers import Offer
 from endpoints.gateways.foxglove.services import Calls
-from rce.errors import RceError
+from rce.errors import NotFound, RceError
 from tests.support.endpoints.fake_guest import FakeGuest
 
 OFFER = Offer("/set", "std_srvs/SetBool", ("", ""))
@@ -61,3 +61,31 @@ async def test_unanswered_call_does_not_keep_its_request(guest: FakeGuest) -> No
     await guest.settle()
     assert len(calls._calls) == 1
     assert sys.getrefcount(payload) == before
+
+
+async def test_calls_end_with_the_use_of_their_service(guest: FakeGuest) -> None:
+    calls = Calls(guest.as_guest())
+    calls.call(CDR, OFFER)
+    await guest.settle()
+    guest.uses["ServiceClientInterface", "/set"].end(NotFound("the robot removed it"))
+    await guest.settle()
+    assert [(each["callId"], each["message"]) for each in guest.frames] == [(10, "the robot removed it")]
+    calls.call(CDR, OFFER)
+    await guest.settle()
+    assert len(guest.options) == 2, "the service is used anew"
+
+
+async def test_service_that_has_another_type_now_is_used_with_it(guest: FakeGuest) -> None:
+    calls = Calls(guest.as_guest())
+    calls.call(CDR, OFFER)
+    calls.call(CDR, OFFER._replace(type="std_srvs/Empty"))
+    await guest.settle()
+    assert guest.uses["ServiceClientInterface", "/set"].type == "std_srvs/Empty"
+
+
+async def test_call_fails_while_too_much_is_in_progress(guest: FakeGuest) -> None:
+    calls = Calls(guest.as_guest())
+    guest.full = True
+    calls.call(CDR, OFFER)
+    assert [each["callId"] for each in guest.frames] == [10]
+    assert not calls._calls

@@ -17,7 +17,7 @@ from endpoints.gateways.rosbridge.operations import (
     UnadvertiseAction,
 )
 from rce.control.calls.watching import RosAction, RosGraph
-from rce.errors import InvalidRequest, NotFound, RceError
+from rce.errors import InvalidRequest, LimitExceeded, NotFound, RceError
 from tests.support.endpoints.fake_guest import FakeGuest, FakePeer
 
 TYPE = "example_interfaces/Fibonacci"
@@ -134,3 +134,38 @@ async def test_action_of_two_types_has_one_use_for_each(guest: FakeGuest, goals:
         goals.send(SendActionGoal(action="/f", action_type="other_msgs/F"))
         await guest.settle()
     assert len(guest.options) == 2
+
+
+async def test_goals_end_with_the_use_of_their_action(guest: FakeGuest, goals: SentGoals) -> None:
+    use, _ = await send(guest, goals)
+    use.end(NotFound("the robot removed it"))
+    await guest.settle()
+    assert [(each["result"], each["values"]) for each in guest.frames] == [(False, "the robot removed it")]
+    await send(guest, goals)
+    assert len(guest.options) == 2, "the action is used anew"
+
+
+async def test_goal_is_answered_although_too_much_is_in_progress(guest: FakeGuest, goals: SentGoals) -> None:
+    guest.full = True
+    goals.send(SendActionGoal(action="/f", action_type=TYPE, id=ID))
+    assert [(each["id"], each["result"]) for each in guest.frames] == [("goal", False)]
+    assert not goals._goals
+
+
+async def test_action_is_kept_if_its_successor_is_refused(guest: FakeGuest, served: ServedActions) -> None:
+    served.advertise(AdvertiseAction(action="/f", type=TYPE))
+    guest.full = True
+    with pytest.raises(LimitExceeded):
+        served.advertise(AdvertiseAction(action="/f", type=TYPE))
+    assert guest.dropped == []
+
+
+async def test_action_that_ended_is_reported_and_carried_out_no_more(
+    guest: FakeGuest, peer: FakePeer, served: ServedActions
+) -> None:
+    served.advertise(AdvertiseAction(action="/f", type=TYPE, id=ID))
+    guest.uses["ActionProviderInterface", "/f"].end(NotFound("the robot removed it"))
+    await guest.settle()
+    assert peer.errors == [("the robot removed it", "goal")]
+    with pytest.raises(InvalidRequest, match="not advertised"):
+        served.feedback(ActionFeedback(action="/f", id=ID))

@@ -92,3 +92,9 @@ async def test_unknown_services_and_bad_arguments_are_refused() -> None:
 async def test_malformed_arguments_are_refused(args: bytes) -> None:
     with pytest.raises(InvalidRequest):
         await Rosapi(FakeGuest(GRAPH).as_guest()).call("/rosapi/topic_type", args)
+
+
+async def test_topic_with_a_type_that_nobody_can_parse_is_passed_over() -> None:
+    graph = RosGraph([RosName("/old", ["a type", "std_msgs/msg/String"]), RosName("/bad", ["?"])], [])
+    answer = await Rosapi(FakeGuest(graph).as_guest()).call("/rosapi/topics_for_type", b'{"type":"std_msgs/String"}')
+    assert answer == {"topics": ["/old"]}

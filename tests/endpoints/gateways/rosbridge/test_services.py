@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import cbor2
 import pytest
 from msgspec import Raw
@@ -12,10 +14,10 @@ from endpoints.gateways.rosbridge.operations import (
     ServiceResponse,
     UnadvertiseService,
 )
-from endpoints.gateways.rosbridge.services import ServedServices, ServiceCalls, find_service_type
+from endpoints.gateways.rosbridge.services import MAX_TIMEOUT, ServedServices, ServiceCalls, find_service_type
 from endpoints.robot.services import MAX_PENDING
 from rce.control.calls.watching import RosGraph, RosName
-from rce.errors import InvalidRequest, NotFound, RceError
+from rce.errors import InvalidRequest, LimitExceeded, NotFound, RceError
 from tests.support.endpoints.fake_guest import FakeGuest, FakePeer
 from tests.support.endpoints.raw_robot import eventually
 
@@ -132,3 +134,52 @@ async def test_calls_of_a_service_that_is_dropped_for_another_are_answered(
     await guest.settle()
     assert guest.dropped == ["/set"]
     assert [(each["id"], each["result"]) for each in guest.frames] == [("call", False)]
+
+
+async def test_calls_of_a_client_that_left_keep_no_timer(guest: FakeGuest, calls: ServiceCalls) -> None:
+    calls.call(CallService(service="/set", timeout=1e300))
+    (call,) = calls._calls.values()
+    timer = call.timer
+    assert timer is not None
+    assert timer.when() <= asyncio.get_running_loop().time() + MAX_TIMEOUT + 1
+    calls.close()
+    await guest.settle()
+    assert timer.cancelled()
+    assert guest.frames == []
+
+
+async def test_calls_end_with_the_use_of_their_service(guest: FakeGuest, calls: ServiceCalls) -> None:
+    calls.call(CALL)
+    await guest.settle()
+    guest.uses["ServiceClientInterface", "/set"].end(NotFound("the robot removed it"))
+    await guest.settle()
+    assert [(each["result"], each["values"]) for each in guest.frames] == [(False, "the robot removed it")]
+    calls.call(CALL)
+    await guest.settle()
+    assert len(guest.options) == 2, "the service is used anew"
+
+
+async def test_call_is_answered_although_too_much_is_in_progress(guest: FakeGuest, calls: ServiceCalls) -> None:
+    guest.full = True
+    calls.call(CALL)
+    assert [(each["id"], each["result"]) for each in guest.frames] == [("call", False)]
+    assert not calls._calls
+
+
+async def test_service_is_kept_if_its_successor_is_refused(guest: FakeGuest, served: ServedServices) -> None:
+    served.advertise(AdvertiseService(service="/give", type=BOOL))
+    guest.full = True
+    with pytest.raises(LimitExceeded):
+        served.advertise(AdvertiseService(service="/give", type=BOOL))
+    assert guest.dropped == []
+
+
+async def test_service_that_ended_is_reported_and_served_no_more(guest: FakeGuest) -> None:
+    peer = FakePeer()
+    served = ServedServices(guest.as_guest(), peer)
+    served.advertise(AdvertiseService(service="/give", type=BOOL, id=ID))
+    guest.uses["ServiceProviderInterface", "/give"].end(NotFound("the robot removed it"))
+    await guest.settle()
+    assert peer.errors == [("the robot removed it", "call")]
+    served.unadvertise(UnadvertiseService(service="/give"))
+    assert guest.dropped == []

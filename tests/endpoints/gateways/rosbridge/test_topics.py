@@ -238,3 +238,57 @@ async def test_type_of_a_later_subscription_serves_an_earlier_one(
     assert not peer.errors
     subscriptions.unsubscribe(Unsubscribe(topic="/unknown", id=TWO))
     assert not guest.dropped
+
+
+async def test_topic_whose_use_ended_is_subscribed_to_anew(
+    guest: FakeGuest, peer: FakePeer, subscriptions: Subscriptions
+) -> None:
+    subscriptions.subscribe(Subscribe(topic="/r/a", type=STRING, id=ONE))
+    guest.uses["SubscriberInterface", "/r/a"].end(NotFound("the robot removed it"))
+    await guest.settle()
+    assert peer.errors == [("the robot removed it", "one")]
+    subscriptions.subscribe(Subscribe(topic="/r/a", type=STRING, id=ONE))
+    assert len(guest.options) == 2
+
+
+async def test_topic_whose_use_ended_is_advertised_anew(
+    guest: FakeGuest, peer: FakePeer, publications: Publications
+) -> None:
+    publications.advertise(Advertise(topic="/r/a", type=STRING, id=ONE))
+    guest.uses["PublisherInterface", "/r/a"].end(NotFound("the robot removed it"))
+    await guest.settle()
+    assert peer.errors == [("the robot removed it", "one")]
+    publications.advertise(Advertise(topic="/r/a", type=STRING, id=ONE))
+    assert len(guest.options) == 2
+
+
+async def test_subscription_that_is_refused_leaves_what_there_was(
+    guest: FakeGuest, subscriptions: Subscriptions
+) -> None:
+    guest.full = True
+    with pytest.raises(LimitExceeded):
+        subscriptions.subscribe(Subscribe(topic="/a", type=STRING, id=ONE))
+    guest.full = False
+    subscriptions.subscribe(Subscribe(topic="/a", type=STRING, id=ONE))
+    guest.full = True
+    with pytest.raises(LimitExceeded):
+        subscriptions.subscribe(Subscribe(topic="/a", type=STRING, id=TWO, compression="cbor"))
+    assert guest.dropped == []
+    guest.full = False
+    subscriptions.subscribe(Subscribe(topic="/a", type=STRING, id=TWO, compression="cbor"))
+    assert guest.dropped == ["/a"], "one use has taken the place of the other"
+    assert guest.options["u1"]["format"] == "cbor"
+
+
+async def test_change_of_a_topic_that_is_refused_is_made_with_the_next_one(
+    guest: FakeGuest, subscriptions: Subscriptions
+) -> None:
+    subscriptions.subscribe(Subscribe(topic="/a", type=STRING, id=ONE))
+    subscriptions.subscribe(Subscribe(topic="/a", type=STRING, id=TWO, compression="cbor"))
+    guest.full = True
+    with pytest.raises(LimitExceeded):
+        subscriptions.unsubscribe(Unsubscribe(topic="/a", id=TWO))
+    assert len(guest.dropped) == 1, "the use by cbor goes on"
+    guest.full = False
+    subscriptions.subscribe(Subscribe(topic="/a", type=STRING, id=ONE))
+    assert [each["format"] for each in guest.options.values()] == ["rosbridge", "cbor", "rosbridge"]
