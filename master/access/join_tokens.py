@@ -44,6 +44,16 @@ class JoinTokens:
 
         await self._store.run(put)
 
+    async def renew(self, process: str, role: Role, token: str) -> None:
+        """Allow a process to join with this token, and with none of its earlier tokens and credentials."""
+
+        def put(connection: sa.Connection) -> None:
+            _drop(connection, [process])
+            row = {"digest": digest(token), "process": process, "role": role, "used": False}
+            connection.execute(db.tokens.insert(), row)
+
+        await self._store.run(put, repeatable=True)
+
     async def invite(self, machine: str, invitation: str, key: str = "") -> None:
         """Store the invitation of a machine by its digest; an earlier unused one is revoked.
 

@@ -24,7 +24,7 @@ from rce.control.calls.call import Call, Nothing
 from rce.control.calls.endpoints import PutSecrets, Secret
 from rce.control.calls.environments import StartEnvironment
 from rce.control.calls.robots import SendStatus
-from rce.errors import ErrorInfo, NotFound, RceError, Unavailable
+from rce.errors import ErrorInfo, NotFound, RceError, StartFailed, Unavailable
 from rce.process.metrics import Family, gauge_family
 from rce.protocol.messages import StatusData
 
@@ -153,8 +153,11 @@ class EffectRunner:
         if not isinstance(call, StartEnvironment):
             return call
         token = secrets.token_hex(32)
-        await self._tokens.forget(call.environment.name)
-        await self._tokens.allow(call.environment.name, "environment", token)
+        name = call.environment.name
+        try:
+            await self._tokens.renew(name, "environment", token)
+        except RceError as error:  # Unavailable would mean that the machine is away
+            raise StartFailed(f"environment {name} did not start: its join token cannot be stored: {error}") from None
         return StartEnvironment(replace(call.environment, token=token))
 
     # --- records ------------------------------------------------------------------------------------------------------

@@ -32,14 +32,14 @@ class NodeEnds:
         self._runner = runner
         self._state = runner.state
         self._apply = apply
-        self._waiting: set[str] = set()  # nodes that ended, until they are started again
+        self._waiting: dict[str, Node] = {}  # nodes that ended, by key, until they are started again
         self._backoff = Backoff(PAUSE_FIRST, PAUSE_MOST, PAUSE_RESET)
 
     async def node_died(self, process: Process, call: NodeDied) -> Nothing:
         """Handle the report of an Environment endpoint."""
         node = self._state.nodes.get(f"{process.name}/{call.node}")
         environment = self._state.environments.get(process.name)
-        if node is None or environment is None or node.key in self._waiting:
+        if node is None or environment is None or self._waiting.get(node.key) is node:
             return Nothing()
         if process.incarnation != environment.run:
             return Nothing()  # a report of an earlier life: the next one has its own node of this tag
@@ -50,7 +50,7 @@ class NodeEnds:
         if node.part_of and call.again:
             self._runner.readiness.forget(ref(node))
         elif is_restarted(node, environment, call):
-            self._waiting.add(node.key)
+            self._waiting[node.key] = node
             self._runner.readiness.forget(ref(node))
             pause = max(PAUSE, self._backoff.after_failure(node.key))
             self._runner.later(pause, lambda: self._restart(node))
@@ -85,7 +85,9 @@ class NodeEnds:
             self._state.ends.drop(end.key)
 
     async def _restart(self, node: Node) -> None:
-        self._waiting.discard(node.key)
+        if self._waiting.get(node.key) is not node:
+            return  # another node of its tag ended meanwhile
+        del self._waiting[node.key]
         if self._state.nodes.get(node.key) != node:
             return  # it was removed or replaced
         try:

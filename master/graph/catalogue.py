@@ -101,6 +101,12 @@ def offer_of(user: str, wanted: views.NewOffer, revision: str) -> Offer:
     _check_bounds(wanted.robots, wanted.least, wanted.most)
     if wanted.environment.group or wanted.environment.restart != "always":
         raise InvalidRequest("environment: a service has neither a group nor a restart of its own", field="environment")
+    if wanted.environment.secrets and wanted.robots == 1:
+        raise InvalidRequest(
+            "environment.secrets: an instance for one robot belongs to the robot's user, so these would be secrets of "
+            "that user; a service with secrets of yours is one with robots of more than 1, whose instances are yours",
+            field="environment",
+        )
     check_variables(wanted.environment.env | secrets.variables(wanted.environment.secrets))
     ports = list(_ports(wanted))
     names = [port.name for port in ports]

@@ -93,7 +93,7 @@ def create_container(context: CommandContext, command: m.CreateContainer) -> Out
     check_tag(command.containerTag, "containerTag")
     name = f"{user}/{command.containerTag}"
     if context.repeated and name in state.environments:
-        return Outcome([], [ref(state.environments[name])])
+        return Outcome([], needs=[ref(state.environments[name])])
     if name in state.environments or name in state.robots:
         kind = "environment" if name in state.environments else "robot"
         raise AlreadyExists(
@@ -133,7 +133,7 @@ def add_node(context: CommandContext, command: m.AddNode) -> Outcome:
     node = node_from(owner, command)
     present = state.nodes.get(node.key)
     if present == node and (context.repeated or command.existOk):
-        return Outcome([], [ref(node)])
+        return Outcome([], needs=[ref(node)])
     if present is not None and not command.existOk:
         raise AlreadyExists(f"nodeTag {command.nodeTag} is in use in {command.containerTag}", field="nodeTag")
     if present is None:
@@ -207,7 +207,7 @@ def add_recorder(context: CommandContext, command: m.AddRecorder) -> Outcome:
     recorder = recorder_from(owner, command)
     present = state.recorders.get(recorder.key)
     if present == recorder and (context.repeated or command.existOk):
-        return Outcome([], [ref(recorder)])
+        return Outcome([], needs=[ref(recorder)])
     if present is not None and not command.existOk:
         raise AlreadyExists(
             f"recorderTag {command.recorderTag} is in use in {command.containerTag}", field="recorderTag"
@@ -244,7 +244,7 @@ def add_interface(context: CommandContext, command: m.AddInterface) -> Outcome:
     present = state.interfaces.get(interface.key)
     if present is not None:
         if context.repeated and (present.kind, present.type) == (kind, command.className):
-            return Outcome([], [ref(present)])
+            return Outcome([], needs=[ref(present)])
         raise AlreadyExists(
             f"interfaceTag {command.interfaceTag} is in use at {command.endpointTag}", field="interfaceTag"
         )
@@ -326,7 +326,7 @@ def connect(context: CommandContext, command: m.Connect) -> Outcome:
             state.connections.put(replace(present, restored=False, by=by if by == present.by else ""))
         elif not context.repeated:
             raise AlreadyExists(f"{command.tagA} and {command.tagB} are connected already")
-        return Outcome([], [ref(connection)])
+        return Outcome([], needs=[ref(connection)])
     connections.check_new(state, connection, context.policy)
     connection = replace(connection, by=by)
     state.connections.put(connection)

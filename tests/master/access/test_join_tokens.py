@@ -156,6 +156,17 @@ async def test_forgetting_tells_whether_there_was_anything(processes: JoinTokens
     assert not await processes.forget("east", "west")
 
 
+async def test_renewed_token_is_the_only_one_with_which_a_process_may_join(processes: JoinTokens) -> None:
+    await processes.allow("ann/brain", "environment", "unused")
+    await processes.allow("ann/brain", "environment", "used")
+    credential = await processes.admit("ann/brain", "environment", "used")
+    await processes.renew("ann/brain", "environment", "new")
+    for secret in ("unused", "used", credential):
+        with pytest.raises(Unauthorized):
+            await processes.admit("ann/brain", "environment", secret)
+    await processes.admit("ann/brain", "environment", "new")
+
+
 async def test_names_are_of_processes_that_have_joined(processes: JoinTokens) -> None:
     roles: dict[str, Role] = {"west": "robot", "m1": "container", "ann/brain": "environment"}
     for name, role in roles.items():

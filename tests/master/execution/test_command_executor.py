@@ -122,6 +122,37 @@ def test_environment_that_does_not_come_up_in_time_is_removed(desk: Desk) -> Non
     assert m1.got(StopEnvironment) == [StopEnvironment("ann/brain")]
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        m.CreateContainer("brain"),
+        m.AddNode("brain", "n", "p", "e", existOk=True),
+        m.AddRecorder("brain", "r", existOk=True),
+        interface("brain", "x", "PublisherInterface", "a/B"),
+        m.Connect("r1/x", "brain/x"),
+    ],
+    ids=lambda command: type(command).__name__,
+)
+def test_what_a_repeated_declaration_finds_is_kept_if_it_is_not_ready_in_time(desk: Desk, command: m.Command) -> None:
+    desk.robot()
+    m1 = desk.machine("m1")
+    brain = desk.made("brain")
+    desk.do(
+        m.AddNode("brain", "n", "p", "e"),
+        m.AddRecorder("brain", "r"),
+        interface("r1", "x", "SubscriberConverter", "a/B"),
+        interface("brain", "x", "PublisherInterface", "a/B"),
+        m.Connect("r1/x", "brain/x"),
+    )
+    before = [[*table] for table in desk.state.tables()]
+    brain.leave()
+    m1.leave(silently=True)
+    repeated = desk.hand.begin(desk.master.commands.execute("ann", command, repeated=True))
+    if not repeated.done():
+        desk.turn(START_TIMEOUT)
+    assert [[*table] for table in desk.state.tables()] == before
+
+
 def test_refused_value_of_a_new_parameter_is_removed(desk: Desk, brain: Peer) -> None:
     error = brain.refuse[PutParameter] = InvalidRequest("all items of a list must be of the same type")
     assert desk.do(m.SetParameter("brain", "rates", [1, "two"])).exception() is error

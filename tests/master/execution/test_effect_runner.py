@@ -16,7 +16,7 @@ from rce.control.calls.call import Call, Nothing
 from rce.control.calls.endpoints import CloseLink, StopNode, Sync, Unbind
 from rce.control.calls.environments import EnvironmentSpec, StartEnvironment
 from rce.control.connection import Control
-from rce.errors import InvalidRequest, Lost, NotFound, RceError, StartFailed, Unavailable
+from rce.errors import DiskFull, InvalidRequest, Lost, NotFound, RceError, StartFailed, Unavailable
 from rce.protocol.messages import ContainerData
 from tests.support.hand_turned import HandTurnedLoop
 
@@ -48,12 +48,15 @@ class Tokens:
 
     def __init__(self) -> None:
         self.issued: list[tuple[str, str]] = []
+        self.fails: RceError | None = None
 
     async def forget(self, process: str) -> None:
         self.issued.append(("forget", process))
 
-    async def allow(self, process: str, role: str, token: str) -> None:
-        self.issued.append(("allow", token))
+    async def renew(self, process: str, role: str, token: str) -> None:
+        if self.fails is not None:
+            raise self.fails
+        self.issued.append((process, token))
 
 
 class Storage:
@@ -238,8 +241,19 @@ def test_start_of_an_environment_gets_a_new_join_token(desk: Desk) -> None:
     desk.run([Send("a", StartEnvironment(spec), Ref("environment", "ann/brain"))])
     (call,) = desk.a.arrived
     assert isinstance(call, StartEnvironment)
-    assert desk.tokens.issued == [("forget", "ann/brain"), ("allow", call.environment.token)]
+    assert desk.tokens.issued == [("ann/brain", call.environment.token)]
     assert len(call.environment.token) == 64
+
+
+def test_start_fails_if_its_join_token_cannot_be_stored(desk: Desk) -> None:
+    """Or else the start would be taken for one at a machine that is away, and never be made again."""
+    desk.tokens.fails = DiskFull.at("the database")
+    spec = EnvironmentSpec("ann/brain", "1" * 32, "", ContainerData())
+    task = desk.run([Send("a", StartEnvironment(spec), Ref("environment", "ann/brain"))])
+    assert desk.a.arrived == []
+    (answer,) = task.result()
+    assert isinstance(answer.result, StartFailed)
+    assert "join token cannot be stored: disk full" in str(answer.result)
 
 
 def test_start_at_a_machine_that_is_away_keeps_the_token_of_the_earlier_life(desk: Desk) -> None:

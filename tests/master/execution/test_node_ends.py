@@ -85,6 +85,21 @@ def test_node_that_was_removed_meanwhile_is_not_started_again(desk: Desk) -> Non
     assert len(brain.got(StartNode)) == 1
 
 
+def test_node_that_took_the_place_of_one_that_waits_is_started_again_as_well(desk: Desk) -> None:
+    _, brain = desk.wired()
+    desk.do(m.AddNode("brain", "n", "p", "e", restart="always"))
+    for _ in range(3):
+        die(desk, 1)  # its pauses grow
+        desk.turn(5.0)
+    die(desk, 1)
+    desk.do(m.AddNode("brain", "n", "p", "e", "--fixed", restart="always", existOk=True))
+    starts = len(brain.got(StartNode))
+    die(desk, 2)
+    assert desk.state.ends["ann/brain/n"].status == 2
+    desk.turn(60.0)
+    assert [call.node.args for call in brain.got(StartNode)[starts:]] == ["--fixed"]
+
+
 def test_reason_of_a_failed_restart_is_kept(desk: Desk) -> None:
     _, brain = desk.wired()
     desk.do(m.AddNode("brain", "n", "p", "e", restart="always"))

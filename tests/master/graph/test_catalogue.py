@@ -49,6 +49,14 @@ def test_declaration_is_returned_as_it_was_given() -> None:
     assert again == offer
 
 
+def test_service_gets_secrets_of_its_publisher_only() -> None:
+    environment = m.ContainerData(secrets={"database": "URL"})
+    with pytest.raises(InvalidRequest, match=r"environment\.secrets: .* belongs to the robot's user"):
+        catalogue.offer_of("ann", declared(environment=environment, robots=1, most=1), "1")
+    offer = catalogue.offer_of("ann", declared(environment=environment), "1")
+    assert offer.options.secrets == {"database": "URL"}
+
+
 def test_packages_of_the_publisher_are_resolved_once_and_kept() -> None:
     fleet = furnished()
     add(fleet.state, "ann", "nodes", Version("a" * 64, 1, ["p"], 0))
