@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
+from weakref import WeakValueDictionary
 
 import msgspec
 from msgspec import Meta, Struct
@@ -69,6 +70,7 @@ class Agent:
         self._places = Places(settings.root)
         self._records: dict[str, Record] = {}  # by run
         self._furnishing: dict[str, asyncio.Task[None]] = {}  # by run
+        self._connecting: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()  # by run
         self._services = NodeServices(reactor, settings, self._welcomed, self._families)
         self._reporting: set[asyncio.Task[None]] = set()
         handlers = self._services.handlers
@@ -169,12 +171,14 @@ class Agent:
             shutil.rmtree(directory)
 
     async def _connect_group(self, call: ConnectGroup) -> Nothing:
-        record = self._records.get(call.run)
-        if record is None or record.call.environment.group is None:
-            raise NotFound(f"run {call.run} is not served here, or is in no group")
-        spec, group = record.call.environment, record.call.environment.group
-        self._places.hosts(call.run).write_text(hosts(HOSTS, group.subnet, call.members))  # in place: it is mounted
-        await self._in_thread(lambda: network.connect(record.process, spec.egress, group, call.peers))
+        turn = self._connecting.setdefault(call.run, asyncio.Lock())
+        async with turn:  # an earlier call may still be carried out, although nobody waits for its answer any more
+            record = self._records.get(call.run)
+            if record is None or record.call.environment.group is None:
+                raise NotFound(f"run {call.run} is not served here, or is in no group")
+            spec, group = record.call.environment, record.call.environment.group
+            self._places.hosts(call.run).write_text(hosts(HOSTS, group.subnet, call.members))  # in place: it is mounted
+            await self._in_thread(lambda: network.connect(record.process, spec.egress, group, call.peers))
         return Nothing()
 
     async def _measure_usage(self, _: MeasureUsage) -> Usage:

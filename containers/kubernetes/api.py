@@ -11,12 +11,13 @@ import os
 from collections.abc import AsyncIterator, Mapping
 
 import aiohttp
+import msgspec
 from kubernetes_asyncio.client import ApiClient, Configuration
 from kubernetes_asyncio.config import ConfigException, load_incluster_config, load_kube_config
 from msgspec import Struct
 
 from containers.kubernetes.objects import Object
-from rce.errors import NotFound, Unavailable
+from rce.errors import MALFORMED, NotFound, Unavailable
 
 FIELD_MANAGER = "rce"  # owner of the fields that `apply` sets
 APPLY = "application/apply-patch+yaml"  # server-side apply; JSON is YAML
@@ -129,12 +130,12 @@ class Api:
         timeout = aiohttp.ClientTimeout(connect=CONNECT_TIMEOUT, sock_read=WATCH_SECONDS + CONNECT_TIMEOUT)
         response = await self._send("GET", path, query, None, timeout)
         try:
-            while line := await response.content.readline():
-                event = Event(**json.loads(line))
+            async for line in _lines(response.content):
+                event = msgspec.json.decode(line, type=Event)
                 if event.type == "ERROR":
                     raise Refused(str(event.object.get("message")), int(event.object.get("code", 0)))
                 yield event
-        except (aiohttp.ClientError, TimeoutError, ValueError) as error:
+        except (aiohttp.ClientError, TimeoutError, *MALFORMED) as error:
             raise Unavailable(f"Kubernetes does not answer: {error!r}") from None
         finally:
             response.close()
@@ -185,6 +186,16 @@ class Api:
         if response.status == 404:
             raise NotFound(f"Kubernetes: {message}")
         raise Refused(f"Kubernetes refuses {method} {path}: {message}", response.status)
+
+
+async def _lines(content: aiohttp.StreamReader) -> AsyncIterator[bytes]:
+    """Yield lines of any length: `readline` fails for those of more than 128 kB, and objects may be larger."""
+    rest = bytearray()
+    async for chunk in content.iter_any():
+        rest += chunk
+        *lines, rest = rest.split(b"\n") if b"\n" in chunk else [rest]
+        for line in lines:
+            yield bytes(line)
 
 
 def _message(text: str) -> str:

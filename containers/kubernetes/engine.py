@@ -26,7 +26,7 @@ from containers.kubernetes.fleet import Fleet
 from containers.kubernetes.groups import Groups
 from containers.kubernetes.mirror import Mirror
 from containers.kubernetes.namespaces import Namespaces
-from containers.kubernetes.objects import ENVIRONMENT, RUN, TASK_SET, Object, Pod, identity, read_pod, task_set_id
+from containers.kubernetes.objects import ENVIRONMENT, RUN, TASK_SET, Pod, identity, read_pod, task_set_id
 from containers.kubernetes.places import SOCKETS
 from containers.kubernetes.pod import PodSetup, environment_pod
 from containers.kubernetes.setup import ClusterSetup
@@ -99,8 +99,9 @@ class KubernetesEngine(FleetEngine):
         file = setup.directory / "kubernetes.json"
         self._fleet = Fleet(self._api, cluster, self._task_set, features, file, self._node_changed)
         self._namespaces = Namespaces(self._api, cluster, self._task_set)
-        self._groups = Groups(self._call_agent)
-        self._pods = Mirror(self._api, self._namespaces.pods, self._selector(RUN), self._pod_changed, self._pod_gone)
+        self._groups = Groups(self._group_members, self._call_agent)
+        pods, selector = self._namespaces.pods, self._selector(RUN)
+        self._pods = Mirror(self._api, pods, selector, read_pod, self._pod_changed, self._pod_gone)
         self._placements: dict[str, _Placement] = {}  # by name
         self._background: set[asyncio.Task[None]] = set()
         self._adopted = False
@@ -157,7 +158,7 @@ class KubernetesEngine(FleetEngine):
         self._node_changed("")
         await self._pods.open()
         adopted: dict[str, RunningEnvironment] = {}
-        for pod in map(read_pod, list(self._pods.objects.values())):
+        for pod in list(self._pods.objects.values()):
             if pod.running and not pod.deleted and pod.node in self._fleet.usable:
                 placement = self._placements[pod.spec.name] = _Placement(pod.spec.run, pod)
                 placement.settle()
@@ -229,7 +230,7 @@ class KubernetesEngine(FleetEngine):
                     while await self._exists(pod):
                         change.clear()
                         known = self._pods.objects.get(pod.uid)
-                        if known is not None and read_pod(known).end is not None:
+                        if known is not None and known.end is not None:
                             await self._api.delete(pod.path, 0, pod.uid)  # old kubelets let the object stay for 10 s
                         elif known is not None:
                             await change.wait()
@@ -253,8 +254,7 @@ class KubernetesEngine(FleetEngine):
         placement = self._placements.get(pod.spec.name)
         return placement if placement is not None and placement.run == pod.spec.run else None
 
-    def _pod_changed(self, found: Object) -> None:
-        pod = read_pod(found)
+    def _pod_changed(self, pod: Pod) -> None:
         placement = self._placement(pod)
         if placement is None:
             if self._adopted and not pod.deleted:
@@ -270,8 +270,7 @@ class KubernetesEngine(FleetEngine):
         elif pod.running:
             self._furnish_later(placement)
 
-    def _pod_gone(self, found: Object) -> None:
-        pod = read_pod(found)
+    def _pod_gone(self, pod: Pod) -> None:
         self._update_group(pod)
         placement = self._placement(pod)
         if placement is not None and placement.pod is not None and placement.pod.uid == pod.uid:
@@ -331,7 +330,7 @@ class KubernetesEngine(FleetEngine):
                 else:
                     placement.furnishing = False
                     self._furnish_later(placement)
-        present = {each["metadata"]["labels"][RUN] for each in self._pods.objects.values()}
+        present = {each.spec.run for each in self._pods.objects.values()}
         for run in set(report.runs) - present:
             self._spawn_background(self._remove_run(node, run))
 
@@ -363,20 +362,18 @@ class KubernetesEngine(FleetEngine):
                 except TimeoutError:
                     self._fail(placement, error)
                     return
-        await self._groups.update(self._group_members(pod))
+        if pod.spec.group is not None:
+            await self._groups.update(pod.spec.group.name)
         placement.settle()
 
-    def _group_members(self, pod: Pod) -> Sequence[Pod]:
-        """Return the running pods of a pod's group."""
-        if pod.spec.group is None:
-            return []
-        pods = map(read_pod, self._pods.objects.values())
-        name = pod.spec.group.name
-        return [each for each in pods if each.spec.group is not None and each.spec.group.name == name and each.running]
+    def _group_members(self, group: str) -> Sequence[Pod]:
+        """Return the running pods of a group."""
+        pods = self._pods.objects.values()
+        return [each for each in pods if each.spec.group is not None and each.spec.group.name == group and each.running]
 
     def _update_group(self, pod: Pod) -> None:
-        if members := self._group_members(pod):
-            self._spawn_background(self._groups.update(members))
+        if pod.spec.group is not None:
+            self._spawn_background(self._groups.update(pod.spec.group.name))
 
     def _spawn_background(self, work: Coroutine[object, object, None]) -> None:
         task = asyncio.ensure_future(work)

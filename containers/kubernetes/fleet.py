@@ -49,7 +49,7 @@ class Fleet(NodeFleet[Node]):
         self._task_set = task_set
         self._file = file
         self._notify = changed
-        self._mirror = Mirror(api, "/api/v1/nodes", "", self._changed, self._gone)
+        self._mirror = Mirror(api, "/api/v1/nodes", "", read_node, self._changed, self._gone)
 
     async def open(
         self,
@@ -149,16 +149,13 @@ class Fleet(NodeFleet[Node]):
             return ""
         return f", {lines[-1]}" if lines else ""
 
-    def _changed(self, found: Object) -> None:
-        node = read_node(found)
-        if self.nodes.get(node.name) != node:
-            self.nodes[node.name] = node
-            self._notify(node.name)
+    def _changed(self, node: Node) -> None:
+        self.nodes[node.name] = node
+        self._notify(node.name)
 
-    def _gone(self, found: Object) -> None:
-        name = found["metadata"]["name"]
-        self.nodes.pop(name, None)
-        self._notify(name)
+    def _gone(self, node: Node) -> None:
+        self.nodes.pop(node.name, None)
+        self._notify(node.name)
 
 
 def _failure(pod: Object) -> str:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable, Sequence
+from weakref import WeakValueDictionary
 
 from twisted.logger import Logger
 
@@ -14,18 +16,29 @@ log = Logger()
 
 
 class Groups:
-    """Tells agents of the members of groups, each only what is new; `call` makes a call to the agent of a node."""
+    """Tells agents of the members of groups.
 
-    def __init__(self, call: Callable[[str, ConnectGroup], Awaitable[None]]) -> None:
+    Args:
+        members: Returns the running members of a group.
+        call: Makes a call to the agent of a node.
+    """
+
+    def __init__(
+        self, members: Callable[[str], Sequence[Pod]], call: Callable[[str, ConnectGroup], Awaitable[None]]
+    ) -> None:
+        self._members = members
         self._call = call
+        self._updates: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()  # by group
 
-    async def update(self, members: Sequence[Pod]) -> None:
-        """Connect all running members of one group with each other."""
-        for pod, call in connections(members):
-            try:
-                await self._call(pod.node, call)
-            except RceError as error:  # its agent serves it again later, or it has ended
-                log.info("{name} was not connected to its group: {error}", name=pod.spec.name, error=str(error))
+    async def update(self, group: str) -> None:
+        """Connect all members of a group with each other as they are when this update has its turn."""
+        turn = self._updates.setdefault(group, asyncio.Lock())
+        async with turn:  # one after the other, so that an agent is not told of an earlier state after a later one
+            for pod, call in connections(self._members(group)):
+                try:
+                    await self._call(pod.node, call)
+                except RceError as error:  # its agent serves it again later, or it has ended
+                    log.info("{name} was not connected to its group: {error}", name=pod.spec.name, error=str(error))
 
 
 def connections(members: Sequence[Pod]) -> list[tuple[Pod, ConnectGroup]]:

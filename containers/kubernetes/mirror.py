@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Generic, TypeVar
 
 from twisted.logger import Logger
 
@@ -14,21 +15,30 @@ from rce.errors import RceError
 
 log = Logger()
 RETRY_DELAY = 1.0  # seconds until the next try after Kubernetes did not answer
+T = TypeVar("T")
 
 
-class Mirror:
-    """The objects at `path` that match a label selector, by uid.
+class Mirror(Generic[T]):
+    """The objects at `path` that match a label selector, by uid, as `read` reads them.
 
-    `changed` is called with each object that is new or other than before, and `gone` with the last state of each that
-    was removed. After an interruption of the watch all differences are found, so nothing is missed but what has come
-    and gone meanwhile.
+    An object that `read` fails for is left out: anybody who may write to the cluster may have made it. `changed` is
+    called with each object that is new or other than before, and `gone` with the last state of each that was removed.
+    After an interruption of the watch all differences are found, so nothing is missed but what has come and gone
+    meanwhile.
     """
 
     def __init__(
-        self, api: Api, path: str, selector: str, changed: Callable[[Object], None], gone: Callable[[Object], None]
+        self,
+        api: Api,
+        path: str,
+        selector: str,
+        read: Callable[[Object], T],
+        changed: Callable[[T], None],
+        gone: Callable[[T], None],
     ) -> None:
-        self.objects: dict[str, Object] = {}
+        self.objects: dict[str, T] = {}
         self._api = api
+        self._read = read
         self._path = path
         self._query = {"labelSelector": selector} if selector else {}
         self._changed = changed
@@ -69,8 +79,8 @@ class Mirror:
         self._version = found["metadata"]["resourceVersion"]
         for uid in self.objects.keys() - present.keys():
             self._remove(uid)
-        for object in present.values():
-            self._set(object)
+        for uid, object in present.items():
+            self._set(uid, object)
 
     async def _follow(self) -> None:
         listed = True
@@ -85,27 +95,41 @@ class Mirror:
                 if listed:
                     log.warn("{path} is not watched: {error}", path=self._path, error=str(error))
                     await asyncio.sleep(RETRY_DELAY)
+            except Exception:  # noqa: BLE001  # a defect must not end the watch, on which all environments depend
+                log.failure("{path} is listed anew", path=self._path)
+                listed = False
+                await asyncio.sleep(RETRY_DELAY)
 
     async def _watch(self) -> None:
         async for event in self._api.watch(self._path, self._version, **self._query):
             metadata = event.object["metadata"]
             self._version = metadata["resourceVersion"]
             if event.type == "DELETED":
-                self.objects[metadata["uid"]] = event.object
+                if (last := self._try_to_read(event.object)) is not None:
+                    self.objects[metadata["uid"]] = last
                 self._remove(metadata["uid"])
             elif event.type in ("ADDED", "MODIFIED"):
-                self._set(event.object)
+                self._set(metadata["uid"], event.object)
 
-    def _set(self, object: Object) -> None:
-        before = self.objects.get(object["metadata"]["uid"])
-        self.objects[object["metadata"]["uid"]] = object
-        if before != object:
-            self._changed(object)
+    def _set(self, uid: str, object: Object) -> None:
+        found, before = self._try_to_read(object), self.objects.get(uid)
+        if found is not None and found != before:
+            self.objects[uid] = found
+            self._changed(found)
             self._wake()
 
+    def _try_to_read(self, object: Object) -> T | None:
+        try:
+            return self._read(object)
+        except Exception as error:  # noqa: BLE001  # whatever a malformed object leads to
+            name = object["metadata"].get("name")
+            log.warn("{path}: {name} is malformed: {error!r}", path=self._path, name=name, error=error)
+            return None
+
     def _remove(self, uid: str) -> None:
-        self._gone(self.objects.pop(uid))
-        self._wake()
+        if (last := self.objects.pop(uid, None)) is not None:
+            self._gone(last)
+            self._wake()
 
     def _wake(self) -> None:
         for event in self._waiting:

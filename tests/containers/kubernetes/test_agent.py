@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -131,6 +132,29 @@ async def test_group_has_names_and_peers(reactor: ReactorBase, tmp_path: Path, s
     await made._remove_run(RemoveRun(RUN))
     with pytest.raises(NotFound, match="no group"):
         await made._connect_group(ConnectGroup(RUN, members, []))
+
+
+async def test_later_members_of_a_group_follow_earlier_ones(
+    reactor: ReactorBase, tmp_path: Path, steps: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = agent(reactor, tmp_path)
+    await made._furnish(replace(CALL, environment=replace(CALL.environment, group=GROUP)))
+    going = threading.Event()
+
+    def connect(*given: Any) -> None:
+        if given[3] == ["10.1.0.5"]:
+            assert going.wait(10)
+        steps.append(f"connect to {given[3]}")
+
+    monkeypatch.setattr(network, "connect", connect)
+    first = asyncio.create_task(made._connect_group(ConnectGroup(RUN, {}, ["10.1.0.5"])))
+    await asyncio.sleep(0)
+    second = asyncio.create_task(made._connect_group(ConnectGroup(RUN, {}, ["10.1.0.6"])))
+    await asyncio.sleep(0.1)  # in which the second would have been carried out
+    going.set()
+    await asyncio.gather(first, second)
+    assert steps[-2:] == ["connect to ['10.1.0.5']", "connect to ['10.1.0.6']"]
+    await made._remove_run(RemoveRun(RUN))
 
 
 async def test_usage_leaves_out_what_has_ended(reactor: ReactorBase, tmp_path: Path, steps: list[str]) -> None:

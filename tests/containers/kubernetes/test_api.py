@@ -109,6 +109,23 @@ async def test_watch_yields_events_until_the_server_ends_it(api: Api, server: Se
     assert "resourceVersion=7" in server.requests[0][2]
 
 
+async def test_watch_takes_objects_of_any_size(api: Api, server: Server) -> None:
+    long = "x" * 1_000_000
+    server.answer = (200, f'{{"type": "ADDED", "object": {{"a": "{long}"}}}}\n{{"type": "DELETED", "object": {{}}}}\n')
+    assert [each async for each in api.watch("/api/v1/pods", "7")] == [
+        Event("ADDED", {"a": long}),
+        Event("DELETED", {}),
+    ]
+
+
+@pytest.mark.parametrize("line", ["?", "[]", '{"type": "ADDED"}', '{"type": 1, "object": {}}'])
+async def test_malformed_event_is_an_error(api: Api, server: Server, line: str) -> None:
+    server.answer = (200, line + "\n")
+    with pytest.raises(Unavailable, match="does not answer"):
+        async for _ in api.watch("/api/v1/pods", "7"):
+            pass
+
+
 async def test_expired_watch_is_an_error_with_its_status(api: Api, server: Server) -> None:
     server.answer = (200, '{"type": "ERROR", "object": {"code": 410, "message": "too old"}}\n')
     with pytest.raises(Refused, match="too old") as error:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+
 import msgspec
 
 from containers.kubernetes.groups import Groups, connections
@@ -42,5 +44,29 @@ async def test_agent_that_is_away_does_not_keep_the_others_from_being_told() -> 
             raise Lost("node n1 has no agent")
         told.append(call.run)
 
-    await Groups(call).update([LEFT, RIGHT])
+    await Groups(lambda group: [LEFT, RIGHT], call).update("ann/pair")
     assert told == ["r" * 32]
+
+
+async def test_agent_is_not_told_of_an_earlier_state_after_a_later_one() -> None:
+    members = [LEFT]
+    told: list[ConnectGroup] = []
+    answered = asyncio.Event()
+
+    async def call(node: str, call: ConnectGroup) -> None:
+        if not told:
+            told.append(call)
+            await answered.wait()
+        else:
+            told.append(call)
+
+    groups = Groups(lambda group: list(members), call)
+    first = asyncio.create_task(groups.update("ann/pair"))
+    await asyncio.sleep(0)
+    second = asyncio.create_task(groups.update("ann/pair"))
+    await asyncio.sleep(0)
+    members.append(RIGHT)
+    third = asyncio.create_task(groups.update("ann/pair"))
+    answered.set()
+    await asyncio.gather(first, second, third)
+    assert [each.peers for each in told if each.run == LEFT.spec.run] == [[], ["10.1.1.6"], ["10.1.1.6"]]

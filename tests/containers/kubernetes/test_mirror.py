@@ -12,10 +12,15 @@ pytest.importorskip("kubernetes_asyncio", reason="needs kubernetes_asyncio: pip 
 from containers.kubernetes import mirror as module
 from containers.kubernetes.api import GONE, Event, Refused
 from containers.kubernetes.mirror import Mirror
+from containers.kubernetes.objects import Object
 from rce.errors import Unavailable
 from tests.support.kubernetes.fake_api import FakeApi, thing
 
 PATH = "/api/v1/pods"
+
+
+def read(found: Object) -> tuple[str, int]:
+    return found["metadata"]["uid"], int(found["metadata"]["resourceVersion"])
 
 
 class Followed:
@@ -28,9 +33,15 @@ class Followed:
             self.api,
             PATH,
             "",
-            lambda each: self.reports.append(f"{each['metadata']['uid']} {each['metadata']['resourceVersion']}"),
-            lambda each: self.reports.append(f"{each['metadata']['uid']} gone"),
+            read,
+            self._changed,
+            lambda each: self.reports.append(f"{each[0]} gone"),
         )
+
+    def _changed(self, found: tuple[str, int]) -> None:
+        self.reports.append(f"{found[0]} {found[1]}")
+        if found[0] == "defect":
+            raise TypeError("a defect")
 
     async def until(self, report: str) -> None:
         with self.mirror.changes() as change:
@@ -80,4 +91,23 @@ async def test_expired_watch_finds_all_differences_by_a_list(followed: Followed)
 async def test_error_of_the_first_list_is_raised() -> None:
     api = FakeApi()
     with pytest.raises(Exception, match="not found"):
-        await Mirror(api, PATH, "", lambda each: None, lambda each: None).open()
+        await Mirror(api, PATH, "", read, lambda each: None, lambda each: None).open()
+
+
+async def test_object_that_cannot_be_read_is_passed_over(followed: Followed) -> None:
+    bad = thing("a")
+    bad["metadata"]["resourceVersion"] = "?"
+    for event in (Event("MODIFIED", bad), Event("DELETED", thing("?", 3)), Event("ADDED", thing("c", 5))):
+        followed.api.events.put_nowait(event)
+    await followed.until("c 5")
+    assert followed.mirror.objects["a"] == ("a", 1), "as it was last"
+    followed.api.events.put_nowait(Event("DELETED", bad))
+    await followed.until("a gone")
+
+
+async def test_defect_ends_neither_the_watch_nor_what_follows(followed: Followed) -> None:
+    followed.api.lists[PATH] = [thing("a"), thing("b"), thing("d", 9)]
+    followed.api.events.put_nowait(Event("ADDED", thing("defect")))
+    await followed.until("d 9")
+    followed.api.events.put_nowait(Event("MODIFIED", thing("d", 10)))
+    await followed.until("d 10")
