@@ -70,6 +70,7 @@ class SharedSubscription:
         self.budget = Budget(INTERFACE, within, spare=1)
         self.members: list[Member] = []
         self.opening: asyncio.Future[None] | None = None
+        self._discovery: asyncio.Future[None] | None = None  # done when the publishers have discovered it
         self._ros = ros
         self._qos = qos
         self._keep = keep
@@ -83,9 +84,15 @@ class SharedSubscription:
 
     async def open(self, kind: type[object], create: Create) -> None:
         """Create the ROS entity; a member that comes meanwhile waits for it too."""
-        if self.opening is not None:
+        if self.opening is None:
+            await self._create(kind, create)
+        else:
             await asyncio.shield(self.opening)
-            return
+        if self._discovery is not None:
+            # Messages that they publish before they discover the subscription would be lost after the status is true.
+            await asyncio.shield(self._discovery)
+
+    async def _create(self, kind: type[object], create: Create) -> None:
         self.opening = asyncio.get_running_loop().create_future()
         topic = Topic(kind, self.spec.addr, self._qos, self._mismatch)
         try:
@@ -94,17 +101,16 @@ class SharedSubscription:
             self.opening.set_exception(error if isinstance(error, RceError) else InvalidRequest("not created"))
             self.opening.exception()  # nobody else may wait for it
             raise
-        self.opening.set_result(None)
         if self.subscription.had_publishers:
-            # Messages that they publish before they discover the subscription would be lost after the status is true.
-            await self._discovered()
+            self._discovery = self._discovered()
+        self.opening.set_result(None)
 
-    async def _discovered(self) -> None:
-        """Wait until the publishers have discovered the subscription."""
-        done = asyncio.Event()
+    def _discovered(self) -> asyncio.Future[None]:
+        """Return a future that is done when the publishers have discovered the subscription."""
+        done: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         ros, publishers = self._ros, self.subscription.publishers
-        ros.post(lambda: after_discovery(ros, publishers, lambda: ros.deliver(done.set)))
-        await done.wait()
+        ros.post(lambda: after_discovery(ros, publishers, lambda: ros.deliver(lambda: done.set_result(None))))
+        return done
 
     def add(self, member: Member) -> None:
         """Add a member, which gets what the others get as soon as it has a peer."""

@@ -96,7 +96,8 @@ class ClientSession:
         self._endpoint = ""
         self._opened = False
         self._keeper: asyncio.Task[None] | None = None
-        self._restoring: set[asyncio.Task[None]] = set()
+        self._restoring: dict[asyncio.Task[None], Command] = {}
+        self._unrestored: list[Command] = []  # declarations that were not answered when the socket broke
         self._error: RceError = Unavailable("the robot is not connected: call open() first")
 
     async def open(self, wait: float) -> None:
@@ -232,18 +233,21 @@ class ClientSession:
         for number, request in list(self._requests.items()):
             if request.restores:  # the next connection determines anew which declarations are missing
                 del self._requests[number]
+        self._unrestored = list(self._restoring.values())
         self._stop_restoring()
         self._listener.disconnected(reason)
 
     def _restore(self, connection: Connection) -> None:
         """Declare again what the platform no longer has, then repeat the pending commands, all in their order."""
         pending = list(self._requests.items())
-        if not connection.session.resumed:
-            for command in self._listener.declarations():
-                number, request = self._submit(command, restores=True)
-                task = asyncio.create_task(self._redeclare(number, request))
-                self._restoring.add(task)
-                task.add_done_callback(self._restoring.discard)
+        missing = list(self._listener.declarations())
+        if connection.session.resumed:
+            missing = [command for command in self._unrestored if command in missing]
+        for command in missing:
+            number, request = self._submit(command, restores=True)
+            task = asyncio.create_task(self._redeclare(number, request))
+            self._restoring[task] = command
+            task.add_done_callback(self._restoring.pop)
         for number, request in pending:
             self._send(connection, number, request)
 

@@ -141,10 +141,12 @@ export type Event =
 
 /** Bounded queue that keeps the newest items, read with `for await` or `get`. */
 export class Stream<T> implements AsyncIterable<T> {
-  /** Create an empty stream that keeps `depth` unread items. */
-  constructor(depth: number);
+  /** Create an empty stream that keeps `depth` unread items; `left` is called when a `for await` loop is left. */
+  constructor(depth: number, left?: () => void);
   /** Number of items that were dropped because too many were unread. */
   readonly dropped: number;
+  /** True after `end`. */
+  readonly ended: boolean;
   /** Add an item, and drop the oldest one if there are too many. */
   put(item: T): void;
   /** End the stream: readers get the remaining items, then the end of the iteration or `error`. */
@@ -415,7 +417,7 @@ export class Robot {
   open(): Promise<void>;
   /** Send the queued messages and leave. Environments stay until they are destroyed. It cannot be opened again. */
   close(): Promise<void>;
-  /** A new stream of the events from now on. */
+  /** A new stream of the events from now on. It ends with its `end`, and when a `for await` loop over it is left. */
   events(): Stream<Event>;
   /** A handle of an environment, which may exist already; nothing is sent. */
   environment(tag: string, options?: EnvironmentOptions): Environment;

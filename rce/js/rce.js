@@ -69,9 +69,12 @@ export class Robot {
     return this.connection?.features ?? new Set();
   }
 
-  /** A new stream of the events from now on: objects, distinguished by their `topic`; see rce.d.ts. */
+  /**
+   * A new stream of the events from now on: objects, distinguished by their `topic`; see rce.d.ts. It ends with its
+   * `end`, and when a `for await` loop over it is left.
+   */
   events() {
-    const stream = new Stream(EVENT_BACKLOG);
+    const stream = new Stream(EVENT_BACKLOG, () => stream.end());
     this.#readers.add(stream);
     return stream;
   }
@@ -304,7 +307,10 @@ export class Robot {
   }
 
   #publish(event) {
-    for (const reader of this.#readers) reader.put(event);
+    for (const reader of this.#readers) {
+      if (reader.ended) this.#readers.delete(reader);
+      else reader.put(event);
+    }
   }
 
   /**

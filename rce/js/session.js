@@ -14,6 +14,7 @@ const VERSION = "20130902";
 const FEATURES = "ack,events,parts,resume";
 const COMMANDS = " commands"; // their source in the outbox; a tag cannot contain a space
 const MAY_COME_BACK = [NotFound, UnknownType, TimedOut]; // errors of declarations whose peer or environment is away
+const FINAL = [Unauthorized, Forbidden, NotFound]; // refusals that no further attempt resolves
 const [MIN_DELAY, MAX_DELAY] = [0.1, 10]; // seconds between attempts to reconnect; the first attempt is immediate
 const ATTEMPT = 3; // seconds, and five round trips, of an attempt while the session may be resumed
 const RESUME_DELAY = 0.4; // seconds between these attempts at most
@@ -30,6 +31,7 @@ export class ClientSession {
   #lastId = 0;
   #token = "";
   #endpoint = "";
+  #unrestored = new Set(); // declarations of the session that are not answered yet, or that are to be repeated
   #roundTrip = 0; // seconds, of the last connection
   #resumable = 0; // time until which the platform keeps the session
   #state = "new"; // then "open", "ended"
@@ -183,6 +185,7 @@ export class ClientSession {
     } catch (error) {
       throw new Unavailable(`cannot reach ${url.origin}: ${error.message}`);
     }
+    if (answer.status === 404) throw new Unavailable(`${url.origin} has no entry of an RCE platform at ${url.pathname}`);
     if (!answer.ok) throw refusal(answer.status, await answer.text());
     const endpoint = (await answer.json().catch(() => ({}))).url;
     if (!endpoint) {
@@ -222,7 +225,7 @@ export class ClientSession {
         this.#restore(Boolean(resumed));
         return;
       } catch (error) {
-        if (error instanceof Unauthorized || error instanceof Forbidden || !(error instanceof RceError)) {
+        if (FINAL.some((kind) => error instanceof kind) || !(error instanceof RceError)) {
           this.#end(error);
           return;
         }
@@ -237,7 +240,10 @@ export class ClientSession {
   /** Declare again what the platform no longer has, then repeat the pending commands, all in their order. */
   #restore(resumed) {
     const pending = [...this.#requests.values()];
-    if (!resumed) for (const command of this.#listener.declarations()) this.#redeclare(this.#submit(command, true));
+    const declarations = this.#listener.declarations();
+    const missing = resumed ? declarations.filter((command) => this.#unrestored.has(command)) : declarations;
+    this.#unrestored = new Set(missing);
+    for (const command of missing) this.#redeclare(this.#submit(command, true));
     for (const request of pending) this.#send(request);
   }
 
@@ -246,16 +252,17 @@ export class ClientSession {
     const { connection } = this;
     let [delay, reported] = [MIN_DELAY, false];
     for (;;) {
-      try {
-        await this.#outcome(request);
+      let error = null;
+      await this.#outcome(request).catch((reason) => { error = reason; });
+      if (this.connection !== connection) return; // it is declared on the next connection
+      const isAway = error instanceof Unavailable;
+      if (error && !isAway) {
+        if (!reported) this.#listener.errorReceived(error);
+        reported = true;
+      }
+      if (!isAway && !MAY_COME_BACK.some((kind) => error instanceof kind)) {
+        this.#unrestored.delete(request.command);
         return;
-      } catch (error) {
-        if (this.connection !== connection) return; // the next connection declares anew
-        if (!(error instanceof Unavailable)) {
-          if (!reported) this.#listener.errorReceived(error);
-          reported = true;
-          if (!MAY_COME_BACK.some((kind) => error instanceof kind)) return;
-        }
       }
       await new Promise((resolve) => { setTimeout(resolve, delay * 1000); });
       delay = Math.min(2 * delay, MAX_DELAY);

@@ -8,10 +8,18 @@ export class Stream {
   #readers = [];
   #depth;
   #end = null; // {error} after the end
+  #left;
 
-  constructor(depth) {
+  /** `left` is called when a `for await` loop is left before the end. */
+  constructor(depth, left = () => {}) {
     this.#depth = depth;
+    this.#left = left;
     this.dropped = 0;
+  }
+
+  /** True after `end`. */
+  get ended() {
+    return this.#end !== null;
   }
 
   /** Add an item; the oldest is dropped if more than the depth are unread. */
@@ -48,7 +56,13 @@ export class Stream {
   }
 
   [Symbol.asyncIterator]() {
-    return { next: () => this.#read().promise };
+    return {
+      next: () => this.#read().promise,
+      return: async () => {
+        this.#left();
+        return { value: undefined, done: true };
+      },
+    };
   }
 
   #read() {

@@ -80,6 +80,7 @@ void environmentIsCreatedUsedAndDestroyed(World& world) {
   land.create();
   throws<rce::AlreadyExists>([&] { land.create(); });
   land.create(true);
+  throws<rce::AlreadyExists>([&] { a.environment(a.robotID()).create(true); });
   land.addParameter("rate", 10).get();
   land.removeParameter("rate").get();
   throws<rce::NotFound>([&] { land.removeParameter("rate").get(); });

@@ -62,6 +62,20 @@ void newSessionConnectsWhenTheOtherRobotIsBack(World& world) {
   equal(subscriber->get(WAIT), text("again"));
 }
 
+void resumedSessionConnectsWhenTheOtherRobotIsBack(World& world) {
+  Pair pair(world);
+  pair.b.disconnect();
+  auto events = pair.a.events();
+  rce::ClientAccess::endSession(pair.a);
+  while (event(*events, "error")["code"] != "not_found") {
+  }
+  rce::ClientAccess::breakSocket(pair.a);
+  equal(event(*events, "reconnected"), Value{{"resumed", true}});
+  auto subscriber = world.robot("b").subscriber("in", STRING);
+  pair.publisher->publish(text("again"), WAIT);
+  equal(subscriber->get(WAIT), text("again"));
+}
+
 void connectionToARemovedInterfaceIsGone(World& world) {
   Pair pair(world);
   auto events = pair.a.events();
@@ -122,6 +136,7 @@ Cases sessions() {
           {"new session restores interfaces and connections", newSessionRestoresInterfacesAndConnections},
           {"connection is back when the other robot is", connectionIsBackWhenTheOtherRobotIs},
           {"new session connects when the other robot is back", newSessionConnectsWhenTheOtherRobotIsBack},
+          {"resumed session connects when the other robot is back", resumedSessionConnectsWhenTheOtherRobotIsBack},
           {"connection to a removed interface is gone", connectionToARemovedInterfaceIsGone},
           {"commands issued while offline are executed", commandsIssuedWhileOfflineAreExecuted},
           {"no message is delivered twice across reconnections", noMessageIsDeliveredTwiceAcrossReconnections},

@@ -362,6 +362,20 @@ const tests = {
     equal(await subscriber.get(60), { data: "again" });
   },
 
+  async "resumed session connects when the other robot is back"(make, rce) {
+    const { a, b, publisher } = await pair(make, STRING);
+    await b.close();
+    const events = a.events();
+    breakSocket(a, 1000); // ends the session
+    equal((await event(events, "error")).error instanceof rce.NotFound, true);
+    breakSocket(a);
+    equal((await event(events, "reconnected")).resumed, true);
+    const again = await make("b");
+    const subscriber = await again.subscriber("in", STRING);
+    await publisher.publish({ data: "again" });
+    equal(await subscriber.get(60), { data: "again" });
+  },
+
   async "connection to a removed interface is gone"(make) {
     const { a, subscriber } = await pair(make, STRING);
     const events = a.events();
@@ -435,6 +449,7 @@ const tests = {
     try {
       await throws(rce.AlreadyExists, environment.create());
       await environment.create({ existOk: true });
+      await throws(rce.AlreadyExists, a.environment(a.name).create({ existOk: true }));
       await environment.setParameter("rate", 10);
       await environment.deleteParameter("rate");
       await throws(rce.NotFound, environment.deleteParameter("rate"));

@@ -25,6 +25,7 @@ CASES = {
     "new session restores interfaces and connections": "All that were not removed.",
     "connection is back when the other robot is": "The events say waiting, then restored.",
     "new session connects when the other robot is back": "The first attempt is reported as an error.",
+    "resumed session connects when the other robot is back": "After the first attempt of the session before failed.",
     "connection to a removed interface is gone": "An event says so.",
     "commands issued while offline are executed": "On the next connection.",
     "service call raises unavailable when socket breaks": "It is not known whether it was executed.",

@@ -281,6 +281,23 @@ class ClientContract:
                 await publisher.publish({"data": "again"})
                 assert await subscriber.get(WAIT) == {"data": "again"}
 
+    async def test_resumed_session_connects_when_the_other_robot_is_back(self, platform: Platform) -> None:
+        async with platform.robot("a") as a:
+            async with platform.robot("b") as b:
+                await b.subscriber("in", STRING)
+                publisher = await a.publisher("out", STRING, to="b/in")
+            events = a.events()
+            await platform.end_session("a")
+            while not isinstance(await events.get(WAIT), NotFound):
+                pass  # a was told that b/in does not exist
+            platform.break_socket("a")
+            while await events.get(WAIT) != Reconnected(resumed=True):
+                pass
+            async with platform.robot("b") as b:
+                subscriber = await b.subscriber("in", STRING)
+                await publisher.publish({"data": "again"})
+                assert await subscriber.get(WAIT) == {"data": "again"}
+
     async def test_connection_to_a_removed_interface_is_gone(self, platform: Platform) -> None:
         async with platform.robot("a") as a, platform.robot("b") as b:
             subscriber = await b.subscriber("in", STRING)

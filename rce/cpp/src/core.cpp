@@ -7,6 +7,7 @@ namespace rce::detail {
 namespace {
 
 constexpr std::size_t EVENT_BACKLOG = 1000;  // unread events that one reader may have
+constexpr std::size_t EARLY = 1000;          // newest messages and statuses that are kept for the interfaces of a service
 
 /** Key of a connection, whatever the order of its ends. */
 std::string pairOf(const Value& item) {
@@ -148,13 +149,23 @@ void Core::remove(const std::string& tag) {
   held->end(std::nullopt);
 }
 
-/** Deliver the messages that came early, to those of their interfaces that exist now. */
+/** Keep what came for an interface that does not exist yet, if such ones are expected. */
+void Core::keep(const std::string& tag, std::function<void()> again) {
+  for (auto& [prefix, kept] : early_) {
+    if (!beginsWith(tag, prefix)) continue;
+    kept.push_back(std::move(again));
+    if (kept.size() > EARLY) kept.pop_front();
+    return;
+  }
+}
+
+/** Deliver what came early, to those of the interfaces that exist now. */
 void Core::adopt(const std::string& prefix) {
   const auto found = early_.find(prefix);
   if (found == early_.end()) return;
   const auto held = std::move(found->second);
   early_.erase(found);
-  for (const auto& [data, blobs] : held) messageReceived(data, blobs);
+  for (const auto& again : held) again();
 }
 
 // --- called by the session
@@ -163,16 +174,16 @@ void Core::messageReceived(Value data, BlobsById blobs) {
   const std::string tag = textOf(data, "iTag");
   const auto found = interfaces_.find(tag);
   if (found != interfaces_.end()) return found->second->receive(std::move(data), std::move(blobs));
-  for (auto& [prefix, messages] : early_) {
-    if (beginsWith(tag, prefix)) return void(messages.emplace_back(std::move(data), std::move(blobs)));
-  }
+  keep(tag, [this, data = std::move(data), blobs = std::move(blobs)] { messageReceived(data, blobs); });
 }
 
 void Core::statusReceived(Value data) {
   const std::string topic = textOf(data, "topic");
   if (topic == "iu") {
-    const auto found = interfaces_.find(textOf(data, "iTag"));
+    const std::string tag = textOf(data, "iTag");
+    const auto found = interfaces_.find(tag);
     if (found != interfaces_.end()) found->second->setStatus(data.value("status", false));
+    else keep(tag, [this, data] { statusReceived(data); });
     return;
   }
   if (topic == "connection" && textOf(data, "state") == "gone") connectionsDeclared_.erase(pairOf(data));

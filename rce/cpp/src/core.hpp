@@ -3,6 +3,8 @@
 
 #include <atomic>
 #include <boost/asio/executor_work_guard.hpp>
+#include <deque>
+#include <functional>
 #include <thread>
 
 #include "session.hpp"
@@ -54,7 +56,7 @@ class Core : private Session::Listener, public std::enable_shared_from_this<Core
   bool hasInterface(const std::string& tag) const { return interfaces_.count(tag) != 0; }
   bool isUsed(const std::string& service) const { return servicesDeclared_.count(service) != 0; }
 
-  /** Keep messages for interfaces that begin with this until `adopt`: they may come before it is known which these are. */
+  /** Keep what comes for interfaces that begin with this until `adopt`: it may come before it is known which these are. */
   void expect(const std::string& prefix) { early_[prefix]; }
   void adopt(const std::string& prefix);
   bool isDeclared(const std::string& tag) const { return interfacesDeclared_.count(tag) != 0; }
@@ -71,6 +73,7 @@ class Core : private Session::Listener, public std::enable_shared_from_this<Core
   void recordExisting(const Command& command);
   bool isOwn(const Value& item) const;
   void forget(const std::function<bool(const std::string&)>& isRemoved);
+  void keep(const std::string& tag, std::function<void()> again);
   void drain();
 
   const Options options_;
@@ -82,7 +85,7 @@ class Core : private Session::Listener, public std::enable_shared_from_this<Core
   std::map<std::string, Command> counterpartsDeclared_;  // in environments
   std::map<std::string, Command> connectionsDeclared_;
   std::map<std::string, Command> servicesDeclared_;  // of the catalogue, by tag
-  std::map<std::string, std::vector<std::pair<Value, BlobsById>>> early_;  // messages by prefix of their interfaces
+  std::map<std::string, std::deque<std::function<void()>>> early_;  // what came, by prefix of the interfaces' tags
 
   std::mutex readersMutex_;
   std::vector<std::weak_ptr<Stream<Event>>> readers_;

@@ -77,6 +77,7 @@ void locateAt(Transport& transport, const std::string& url, const std::string& u
   const Url parsed = Url::parse(url, "http", "https");
   const std::string target = parsed.target({{"userID", user}, {"version", VERSION}});
   auto answered = [url, found = std::move(found), failed](unsigned status, const std::string& body) {
+    if (status == 404) return failed({"unavailable", url + " is not the entry of an RCE platform"});
     if (status != 200) return failed(refusal(status, body));
     const std::string endpoint = textOf(Value::parse(body, nullptr, false), "url");
     if (!endpoint.empty()) return found(endpoint);

@@ -2,6 +2,7 @@
 
 #include <cctype>
 
+#include "codec.hpp"
 #include "rce/client.hpp"
 
 namespace rce {
@@ -26,8 +27,8 @@ Environment::Environment(Client& client, std::string tag, Value options)
 void Environment::create(bool existOk) {
   try {
     client_.createContainer(tag_, options_).get();
-  } catch (const AlreadyExists&) {
-    if (!existOk) throw;
+  } catch (const AlreadyExists& error) {
+    if (!existOk || detail::textOf(error.info().fields, "kind") == "robot") throw;
   }
 }
 

@@ -203,19 +203,28 @@ void Session::connectionClosed(Connection& connection, std::string reason) {
 void Session::restore(bool isResumed) {
   std::vector<int> pending;
   for (const auto& [id, request] : requests_) pending.push_back(id);
-  if (!isResumed) {
-    for (const Command& command : listener_.declarations()) redeclare(command, MIN_DELAY, false);
+  std::vector<Command> missing;
+  for (Command& command : listener_.declarations()) {
+    if (!isResumed || isUnrestored(command)) missing.push_back(std::move(command));
   }
+  unrestored_ = missing;
+  for (const Command& command : missing) redeclare(command, MIN_DELAY, false);
   for (const int id : pending) send(id);
+}
+
+bool Session::isUnrestored(const Command& command) const {
+  return std::find(unrestored_.begin(), unrestored_.end(), command) != unrestored_.end();
 }
 
 /** Send a declaration; repeat it while what it needs, as the peer, is not back yet. */
 void Session::redeclare(const Command& command, Seconds delay, bool isReported) {
   submit(command, [=, epoch = epoch_](const std::optional<ErrorInfo>& error) {
-    if (!error || epoch != epoch_ || state_ != State::open) return;
-    const bool isAway = error->code == "unavailable";
-    if (!isReported && !isAway) listener_.errorReceived(*error);
-    if (!isAway && !isOneOf(error->code, {"not_found", "unknown_type", "timed_out"})) return;
+    if (epoch != epoch_ || state_ != State::open) return;
+    if (error && !isReported && error->code != "unavailable") listener_.errorReceived(*error);
+    if (!error || !isOneOf(error->code, {"unavailable", "not_found", "unknown_type", "timed_out"})) {
+      unrestored_.erase(std::remove(unrestored_.begin(), unrestored_.end(), command), unrestored_.end());
+      return;
+    }
     auto timer = std::make_shared<std::shared_ptr<boost::asio::steady_timer>>();
     *timer = after(delay, [=] {
       timer->reset();

@@ -82,6 +82,7 @@ class Session : private Connection::Listener {
   void failed(const ErrorInfo& error);
   void retry();
   void restore(bool isResumed);
+  bool isUnrestored(const Command& command) const;
   void redeclare(const Command& command, Seconds delay, bool isReported);
   void end(const std::optional<ErrorInfo>& error);
 
@@ -102,6 +103,7 @@ class Session : private Connection::Listener {
   Seconds delay_{0};
   int epoch_ = 0;  // number of the connection
   std::map<int, Request> requests_;
+  std::vector<Command> unrestored_;  // declarations that are not answered yet, or that are to be repeated
   int lastId_ = 0;
   bool asksEntry_ = false;  // the endpoint that had the session did not answer
   std::string token_;

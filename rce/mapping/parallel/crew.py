@@ -126,6 +126,7 @@ class Crew:
         self._open, self._phase = 0, 0  # units that somebody waits for; number of the current phase
         self._left: RceError | None = None  # reason of the last member that left
         self._kept: dict[int, RceError] = {}  # errors of workers that could not be dismissed, by member
+        self._dismissed = False
 
     async def __aenter__(self) -> Self:
         """Begin to hire workers."""
@@ -138,6 +139,7 @@ class Crew:
         Raises:
             RceError: A worker could not be dismissed, and no other exception is under way.
         """
+        self._dismissed = True
         for member in self._members:
             member.cancel()
         await asyncio.gather(*self._members, return_exceptions=True)
@@ -182,6 +184,8 @@ class Crew:
             try:
                 await self._work_with(member, await self._hired(member))
             except _Lost as lost:
+                if self._dismissed:
+                    return
                 losses = 1 if any(record.member == member for record in self.records[before:]) else losses + 1
                 if losses >= MAX_LOSSES or not isinstance(lost.error, PASSING):
                     self._leave(member, lost.error)
@@ -192,6 +196,8 @@ class Crew:
         try:
             return await self._hire(member)
         except RceError as error:
+            if self._dismissed:  # a worker that was cancelled while it was hired, and whose environment may be left
+                self._kept[member] = error
             raise _Lost(error) from error
 
     async def _work_with(self, member: int, worker: RemoteWorker) -> None:

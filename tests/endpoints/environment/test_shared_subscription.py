@@ -15,6 +15,7 @@ from endpoints.data import frames
 from endpoints.data.frames import MAX_SENDERS, Message
 from endpoints.data.hops import HopRecorder
 from endpoints.data.link import Link
+from endpoints.environment import shared_subscription
 from endpoints.environment.ros import RosThread
 from endpoints.environment.ros_topics import RawSubscription
 from endpoints.environment.shared_subscription import SharedSubscription, SharedSubscriptions
@@ -190,6 +191,29 @@ async def test_mismatch_is_reported_to_members_that_come_later_too() -> None:
     first._subscription._mismatch("the publisher is volatile")
     await bench.interface(2)
     assert [str(error) for error in bench.reports] == [f"interface i{n}: the publisher is volatile" for n in (1, 2)]
+
+
+async def test_every_member_waits_until_the_publishers_have_discovered_the_subscription(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    discovered: list[Callable[[], None]] = []
+    monkeypatch.setattr(shared_subscription, "after_discovery", lambda ros, peers, action: discovered.append(action))
+    bench = Bench()
+
+    async def create(_: Callable[[], RawSubscription]) -> RawSubscription:
+        return cast(RawSubscription, Mock(latched=False, had_publishers=True))
+
+    monkeypatch.setattr(bench, "create", create)
+    first = asyncio.create_task(bench.interface(1))
+    second = asyncio.create_task(bench.interface(2))
+    done, _ = await asyncio.wait({first, second}, timeout=0.1)
+    assert not done
+    first.cancel()
+    (found,) = discovered
+    found()
+    await asyncio.wait({first, second})
+    assert second.result()
+    await bench.interface(3)
 
 
 async def test_subscription_that_ros_refuses_fails_for_all_who_wait_and_is_tried_again() -> None:

@@ -177,3 +177,26 @@ async def test_unit_for_which_nobody_waits_any_more_is_not_executed(scans: ScanA
         await first
         await crew.run(MapPart(2, scans, SETTINGS))
     assert [unit.work.part for unit in local.workers[0].units if isinstance(unit.work, MapPart)] == [0, 2]
+
+
+async def test_worker_that_fails_while_the_crew_is_dismissed_is_not_hired_again() -> None:
+    asked = 0
+    hiring = asyncio.Event()
+
+    async def hire(member: int) -> RemoteWorker:
+        nonlocal asked
+        asked += 1
+        hiring.set()
+        try:
+            await asyncio.Event().wait()
+        except asyncio.CancelledError:
+            raise Unavailable("its environment may be left") from None
+        raise AssertionError
+
+    async def dismiss() -> None:
+        async with Crew(hire, 1, pause=at_once):
+            await hiring.wait()
+
+    with pytest.raises(Unavailable, match="may be left"):
+        await asyncio.wait_for(dismiss(), 10)
+    assert asked == 1
