@@ -10,23 +10,21 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
-from twisted.internet.defer import Deferred
 from twisted.logger import Logger
 from twisted.python.failure import Failure
 from twisted.spread import pb
 
+from rce.control.base_broker import BaseBroker
 from rce.control.connection import disable_nagle
-from rce.control.decoder import INCOMPLETE, Decoder
-from rce.control.limits import BYTES_PER_CALL, Budget
-from rce.control.liveness import LiveBroker
+from rce.control.decoder import INCOMPLETE
+from rce.control.limits import BYTES_PER_CALL, MAX_ITEMS, Budget
 from rce.process.logs import RateLimitedLogger
 
 # Limits for a peer that has not joined:
 MAX_UNJOINED_BYTES = 4 * 1024 * 1024  # the Hello of a Robot endpoint names all of its robots
 MAX_UNJOINED_ITEMS = 100  # strings, numbers and lists; each page of a Hello is one item
 JOIN_TIMEOUT = 20.0  # seconds until a peer asks to join
-# Limits for all peers:
-MAX_ITEMS = 300  # of a message: a call has 20 and its pages
+# Limit for all peers:
 SLICE = 32  # messages that are handled before other connections get a turn
 
 # Types of values that peers may send, besides bytes and numbers. They join with a reference to the receiver of calls.
@@ -39,7 +37,7 @@ log = Logger()
 warnings = RateLimitedLogger(log)
 
 
-class Broker(LiveBroker):
+class Broker(BaseBroker):
     """Broker of one connection. `rce.control.server` calls `admit` once the peer has joined."""
 
     joined = False
@@ -47,13 +45,13 @@ class Broker(LiveBroker):
     def connectionMade(self) -> None:
         """Start the timeout for joining."""
         disable_nagle(self.transport)
-        self._decoder = Decoder(MAX_UNJOINED_BYTES, MAX_UNJOINED_ITEMS)
         self._budget: Budget | None = None
         self._next_ping = 0.0  # when a ping is free again
         self._ended = False
         self._paused: asyncio.TimerHandle | None = None
         self._timer = asyncio.get_running_loop().call_later(JOIN_TIMEOUT, self._join_timed_out)
-        super().connectionMade()  # type: ignore[no-untyped-call]  # Twisted's, as are those below
+        super().connectionMade()
+        self._decoder.max_bytes, self._decoder.max_items = MAX_UNJOINED_BYTES, MAX_UNJOINED_ITEMS
 
     def connectionLost(self, reason: Failure) -> None:  # type: ignore[override]  # Twisted always passes it
         """Stop the timers."""
@@ -63,7 +61,7 @@ class Broker(LiveBroker):
             self._paused.cancel()
         if self._budget is not None:
             self._budget.connections -= 1
-        super().connectionLost(reason)  # type: ignore[no-untyped-call]
+        super().connectionLost(reason)  # type: ignore[no-untyped-call]  # Twisted's, as are those below
 
     def stop_timeout(self) -> None:
         """Stop the timeout of a peer that has asked to join; when many do, it may be long until all are answered."""
@@ -168,7 +166,7 @@ class Broker(LiveBroker):
             if part[0] not in _PLAIN:
                 raise pb.Error("a value has another type")
             parts += part[1:]
-        return super().unserialize(sexp, perspective)  # type: ignore[no-untyped-call]
+        return super().unserialize(sexp, perspective)
 
     def proto_ping(self) -> None:
         """Answer a ping of a peer that has joined.
@@ -197,14 +195,6 @@ class Broker(LiveBroker):
                 answer.errback(Failure(pb.PBConnectionLost("the answer is malformed")))
         if not isinstance(result, tuple):
             raise pb.Error("the answer to a call is malformed")
-
-    def proto_error(self, requestID: int, fail: Any) -> None:
-        """Fail a call of ours; errors of handlers are results, so this one is of Perspective Broker itself."""
-        self._end_call(requestID).errback(Failure(pb.Error("the call was not understood")))
-
-    def _end_call(self, request: int) -> Deferred[Any]:
-        waiting: dict[int, Deferred[Any]] = self.waitingForAnswers  # type: ignore[assignment]  # None without a connection
-        return waiting.pop(request)
 
     # --- end ----------------------------------------------------------------------------------------------------------
 

@@ -20,19 +20,12 @@ from twisted.logger import Logger
 from twisted.python.failure import Failure
 from twisted.spread import pb
 
+from rce.control.base_broker import BaseBroker
 from rce.control.calls.call import Call
 from rce.control.calls.joining import Hello, Welcome
-from rce.control.connection import (
-    CallReceiver,
-    Control,
-    Handlers,
-    abort,
-    decode_pages,
-    disable_nagle,
-    encode_pages,
-)
+from rce.control.connection import CallReceiver, Control, Handlers, abort, disable_nagle
 from rce.control.limits import max_message
-from rce.control.liveness import LiveBroker
+from rce.control.pages import decode_pages, encode_pages
 from rce.control.term import Fence, KnownTerm, Unfenced
 from rce.errors import ErrorInfo, InvalidRequest, RceError, Unavailable
 from rce.net.tls import Tls
@@ -80,7 +73,7 @@ async def connect(
     """
     loop = asyncio.get_running_loop()
     factory = pb.PBClientFactory()
-    factory.protocol = LiveBroker
+    factory.protocol = BaseBroker
     fence = fence or Unfenced()
     broker: pb.Broker | None = None
     limit = CONNECT_TIMEOUT

@@ -1,8 +1,8 @@
 """Control connections: typed two-way calls between processes, carried by Twisted's Perspective Broker.
 
 Each process has one Referenceable per connection, and there is no object graph. A call is the name of its type and its
-fields as msgpack, split into pages because Perspective Broker refuses strings of more than 640 KiB. Errors cross as
-`ErrorInfo`. Each side notices a connection that broke silently (`rce.control.liveness`).
+fields as msgpack (`rce.control.pages`). Errors cross as `ErrorInfo`. Each side notices a connection that broke silently
+(`rce.control.liveness`).
 
 `rce.control.server` accepts connections, `rce.control.client` opens them.
 """
@@ -15,7 +15,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any, TypeVar, cast
 
 import msgspec
-from msgspec import Struct
+from msgspec import Raw, Struct
 from twisted.internet.defer import Deferred
 from twisted.logger import Logger
 from twisted.spread import pb
@@ -25,13 +25,13 @@ from rce.control.calls.call import Call, Nothing, result_type
 from rce.control.calls.watching import Metrics, ReadMetrics
 from rce.control.limits import MAX_MESSAGE
 from rce.control.liveness import Liveness
+from rce.control.pages import MALFORMED_PAGES, Answer, Question, decode_pages, encode, encode_pages
 from rce.control.term import Fence, Unfenced
 from rce.errors import (
     MALFORMED,
     ErrorInfo,
     InternalError,
     InvalidRequest,
-    LimitExceeded,
     Lost,
     RceError,
     TimedOut,
@@ -40,40 +40,9 @@ from rce.errors import (
 )
 from rce.process import logs, metrics
 
-PAGE_SIZE = 500_000  # bytes
-OVERHEAD = 1000  # bytes of a message beside the encoded value
-
 log = Logger()
 _call_seconds = metrics.Timing("rce_control_call_seconds", "Time to answer a call of another process", "call")
 R = TypeVar("R")
-Pages = list[bytes]
-MALFORMED_PAGES = (*MALFORMED, TypeError)  # raised by `decode_pages`
-
-
-def encode_pages(value: Struct, max_size: int = MAX_MESSAGE) -> Pages:
-    """Encode a value as msgpack, split into pages that Perspective Broker accepts.
-
-    Raises:
-        LimitExceeded: It is larger than the peer accepts.
-    """
-    data = msgspec.msgpack.encode(value)
-    if len(data) > max_size - OVERHEAD:
-        raise LimitExceeded(
-            f"{type(value).__name__} has {len(data)} bytes, more than the {max_size - OVERHEAD} that a process of this "
-            "role may send: ask for less at a time"
-        )
-    return [data[start : start + PAGE_SIZE] for start in range(0, len(data), PAGE_SIZE)]
-
-
-def decode_pages(pages: Pages, kind: type[R]) -> R:
-    """Decode pages as a `kind`.
-
-    Raises:
-        msgspec.DecodeError: The pages are not a `kind`.
-        TypeError: The pages are not a list of bytes.
-        RecursionError: They are nested too deeply.
-    """
-    return msgspec.msgpack.decode(b"".join(pages), type=kind)
 
 
 class Handlers:
@@ -97,20 +66,14 @@ class Handlers:
 
         self.on(kind, handler)
 
-    async def answer(
-        self, name: str, pages: Pages, request: str = "", max_size: int = MAX_MESSAGE
-    ) -> tuple[bool, Pages]:
-        """Run the handler of a call.
+    async def answer(self, question: Question, max_size: int = MAX_MESSAGE) -> Answer:
+        """Run the handler of a call; return its result, or its error.
 
         Args:
-            name: The name of the call's type.
-            pages: The call.
-            request: Id of the robot's command or HTTP request that caused the call, for the log; empty for none.
+            question: The call.
             max_size: Limit of the size of the answer.
-
-        Returns:
-            True and the result, or False and the ErrorInfo.
         """
+        name, request = question.name, question.request
         if request:
             logs.set_request_id(request)
         began = time.perf_counter()
@@ -119,8 +82,8 @@ class Handlers:
                 raise InvalidRequest(f"this process does not answer {name}")
             kind, handler = self._handlers[name]
             try:
-                call = decode_pages(pages, kind)
-            except MALFORMED_PAGES as error:
+                call = msgspec.msgpack.decode(question.call, type=kind)
+            except MALFORMED as error:
                 raise InvalidRequest(f"{name}: {error}") from None
             try:
                 result = await handler(call)
@@ -128,17 +91,17 @@ class Handlers:
                 raise disk_full(error) or error from None
             if request and isinstance(result, Nothing):  # calls with a result only read, and there may be many of them
                 log.info("{call} is done in {seconds:.3f} s", call=name, seconds=time.perf_counter() - began)
-            return True, encode_pages(result, max_size)
+            return Answer(True, encode(result, max_size))
         except RceError as error:
             if request:
                 log.info("{call} failed: {error}", call=name[:80], error=str(error), code=error.info.code)
             metrics.errors.add("process", error.info.code)
-            return False, encode_pages(error.info)
+            return Answer(False, encode(error.info))
         except Exception:  # noqa: BLE001  # the caller gets an InternalError, this process's log has the traceback
             log.failure("unhandled exception while answering {name}", name=name)
             metrics.errors.add("process", InternalError.code)
-            return False, encode_pages(
-                InternalError(f"internal error while answering {name}: see the server's log").info
+            return Answer(
+                False, encode(InternalError(f"internal error while answering {name}: see the server's log").info)
             )
         finally:
             if name in self._handlers:  # an unknown name would become a metric label of the peer's choice
@@ -177,19 +140,19 @@ class CallReceiver(Receiver):
         self._max_size = max_size
         self._fence = fence or Unfenced()
 
-    def remote_call(self, name: str, pages: Pages, request: str = "", term: int = 0) -> Deferred[tuple[bool, Pages]]:
+    def remote_call(self, *pages: bytes) -> Deferred[tuple[bytes, ...]]:
         """Answer a call of the peer; see `Handlers.answer`."""
-        if not (isinstance(name, str) and isinstance(pages, list) and isinstance(request, str)):
-            raise TypeError("the arguments of a call have other types")
-        if not isinstance(term, int):
-            raise TypeError("the term of a call is no number")
+        question = decode_pages(pages, Question)
         try:
-            self._fence.check(term)
+            self._fence.check(question.term)
         except RceError as error:
-            refused: Deferred[tuple[bool, Pages]] = Deferred()
-            refused.callback((False, encode_pages(error.info)))
+            refused: Deferred[tuple[bytes, ...]] = Deferred()
+            refused.callback(tuple(encode_pages(Answer(False, encode(error.info)))))
             return refused
-        return Deferred.fromFuture(asyncio.ensure_future(self.handlers.answer(name, pages, request, self._max_size)))
+        return Deferred.fromFuture(asyncio.ensure_future(self._answer(question)))
+
+    async def _answer(self, question: Question) -> tuple[bytes, ...]:
+        return tuple(encode_pages(await self.handlers.answer(question, self._max_size)))
 
 
 class Control:
@@ -243,7 +206,7 @@ class Control:
         name, seconds = type(call).__name__, seconds or call.timeout
         try:
             async with asyncio.timeout(seconds):
-                good, pages = await self._call_remote(name, encode_pages(call, self._max_size))
+                pages = await self._call_remote(name, encode(call, self._max_size))
         except TimeoutError:
             raise TimedOut(f"{self.address} did not answer {name} within {seconds:g} s") from None
         except (pb.DeadReferenceError, pb.PBConnectionLost):
@@ -251,16 +214,17 @@ class Control:
         except (pb.Error, RemoteError, ValueError) as wrong:
             raise InvalidRequest(f"{self.address} did not understand {name}: {wrong}") from None
         try:
-            if good:
-                return decode_pages(pages, result_type(type(call)))
-            error = RceError.from_info(clipped(decode_pages(pages, ErrorInfo)))
+            answer = decode_pages(pages, Answer)
+            if answer.good:
+                return msgspec.msgpack.decode(answer.value, type=result_type(type(call)))
+            error = RceError.from_info(clipped(msgspec.msgpack.decode(answer.value, type=ErrorInfo)))
         except MALFORMED_PAGES as wrong:
             error = InvalidRequest(f"{self.address} answered {name} with something else: {wrong}")
         raise error
 
-    def _call_remote(self, name: str, pages: Pages) -> asyncio.Future[tuple[bool, Pages]]:
-        arguments = name, pages, logs.request_id.get(), self._fence.term
-        deferred: Deferred[tuple[bool, Pages]] = self._receiver.callRemote("call", *arguments)
+    def _call_remote(self, name: str, call: Raw) -> asyncio.Future[tuple[bytes, ...]]:
+        pages = encode_pages(Question(name, logs.request_id.get(), self._fence.term, call))
+        deferred: Deferred[tuple[bytes, ...]] = self._receiver.callRemote("call", *pages)
         return deferred.asFuture(asyncio.get_running_loop())
 
     def close(self) -> None:

@@ -15,6 +15,8 @@ from twisted.spread import banana
 MAX_DEPTH = 32  # nested lists
 MAX_PREFIX = 64  # bytes of a number
 INCOMPLETE: Final = object()
+_BEGUN: Final = object()  # the beginning of a list
+_TYPES = 0x80  # bytes from this one on are types, those below it digits of numbers
 _LIST, _INT, _STRING, _NEG, _FLOAT, _LONG, _LONG_NEG, _VOCAB = (
     kind[0]
     for kind in (
@@ -77,70 +79,68 @@ class Decoder:
 
     def _finish(self, item: object) -> bool:
         """Add an item to the innermost list; return True if it completes a message, which is then `_result`."""
-        if isinstance(item, _List):
-            self._open.append((item.length, []))
-        elif self._open:
-            self._open[-1][1].append(item)
-        else:
-            self._result = item
-            return True
-        while len(self._open[-1][1]) == self._open[-1][0]:
-            self._result = self._open.pop()[1]
-            if not self._open:
+        lists = self._open
+        if item is not _BEGUN:
+            if not lists:
+                self._result = item
                 return True
-            self._open[-1][1].append(self._result)
+            lists[-1][1].append(item)
+        while (innermost := lists[-1])[0] == len(innermost[1]):
+            lists.pop()
+            if not lists:
+                self._result = innermost[1]
+                return True
+            lists[-1][1].append(innermost[1])
         return False
 
     def _item(self) -> object:
-        """Decode the next string or number, or the beginning of a list."""
+        """Decode the next string or number, or begin a list: then return _BEGUN."""
         buffer, start = self._buffer, self._position
-        found = _TYPE_BYTE.search(buffer, start, start + MAX_PREFIX + 1)
-        if found is None:
-            if len(buffer) - start > MAX_PREFIX:
-                raise MalformedMessage("a number is too long")
+        if len(buffer) > start + 1 and buffer[start] < _TYPES <= buffer[start + 1]:  # most numbers have one digit
+            end, number = start + 2, buffer[start]
+        elif (found := _TYPE_BYTE.search(buffer, start, start + MAX_PREFIX + 1)) is not None:
+            end = found.end()
+            number = _number(buffer, start, end - 1)
+        elif len(buffer) - start > MAX_PREFIX:
+            raise MalformedMessage("a number is too long")
+        else:
             return INCOMPLETE
-        end = found.end()
         kind = buffer[end - 1]
-        number = _number(buffer, start, end - 1)
         body = number if kind == _STRING else 8 if kind == _FLOAT else 0
         if body > banana.SIZE_LIMIT:
             raise MalformedMessage("a string is too long")
-        if len(buffer) < end + body:
+        after = end + body
+        if len(buffer) < after:
             return INCOMPLETE
         self._count += 1
         if self._count > self.max_items:
             raise MalformedMessage("a message has too many items")
-        self._position = end + body
-        self._taken += end + body - start
-        return self._value(kind, number, bytes(buffer[end : end + body]))
-
-    def _value(self, kind: int, number: int, body: bytes) -> object:
+        self._position = after
+        self._taken += after - start
         if kind == _STRING:
-            return body
+            return bytes(buffer[end:after])
+        return self._value(kind, number, buffer[end:after] if body else b"")
+
+    def _value(self, kind: int, number: int, body: bytes | bytearray) -> object:
         if kind in (_INT, _LONG):
             return number
-        if kind in (_NEG, _LONG_NEG):
-            return -number
         if kind == _VOCAB and number in _WORDS:
             return _WORDS[number]
+        if kind == _LIST:
+            self._begin(number)
+            return _BEGUN
+        if kind in (_NEG, _LONG_NEG):
+            return -number
         if kind == _FLOAT:
             return struct.unpack("!d", body)[0]
-        if kind != _LIST:
-            raise MalformedMessage("it is no message of Perspective Broker")
-        if number > self.max_items:
+        raise MalformedMessage("it is no message of Perspective Broker")
+
+    def _begin(self, length: int) -> None:
+        if length > self.max_items:
             raise MalformedMessage("a message has too many items")
         if len(self._open) >= MAX_DEPTH:
             raise MalformedMessage("lists are nested too deeply")
-        return _List(number)
-
-
-class _List:
-    """Beginning of a list of this length."""
-
-    __slots__ = ("length",)
-
-    def __init__(self, length: int) -> None:
-        self.length = length
+        self._open.append((length, []))
 
 
 def _number(buffer: bytearray, start: int, end: int) -> int:

@@ -14,6 +14,7 @@ from rce.control.calls.joining import Hello
 
 MAX_ENVIRONMENT_MESSAGE = 1024 * 1024  # bytes
 MAX_MESSAGE = 64 * 1024 * 1024  # bytes, of all other roles
+MAX_ITEMS = 300  # strings, numbers and lists of a message: a call has 10 and its pages
 CALLS_PER_SECOND = 100  # of all environments of a user, and for each of them
 CALLS_PER_CONNECTION = 0.5  # more a second
 BURST = 500  # calls

@@ -9,37 +9,9 @@ import asyncio
 from collections.abc import Callable
 from typing import Any
 
-from twisted.spread import pb
-
 CHECK_INTERVAL = 2.5  # seconds
 PING_EVERY = 2  # checks
 SILENT_CHECKS = 5  # after which the connection is closed: 12.5 to 15 s after the last bytes
-
-
-class LiveBroker(pb.Broker):
-    """Broker that answers pings, and notices that something was received.
-
-    Attributes:
-        heard: Something was received since this was set to False.
-    """
-
-    heard = False
-
-    def dataReceived(self, data: bytes) -> None:
-        """Note and handle received bytes."""
-        self.heard = True
-        super().dataReceived(data)  # type: ignore[no-untyped-call]  # Twisted's, as are those below
-
-    def ping(self) -> None:
-        """Ask the peer for a sign of life."""
-        self.sendCall(b"ping")  # type: ignore[no-untyped-call]
-
-    def proto_ping(self) -> None:
-        """Answer a ping."""
-        self.sendCall(b"pong")  # type: ignore[no-untyped-call]
-
-    def proto_pong(self) -> None:
-        """Take the answer to a ping: `heard` is all that counts."""
 
 
 class Liveness:
@@ -52,7 +24,7 @@ class Liveness:
         """Start to check.
 
         Args:
-            broker: The LiveBroker of the connection.
+            broker: The BaseBroker of the connection.
             pings: This side sends the pings.
             silent: Called once when the peer has been silent for too long.
         """

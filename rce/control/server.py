@@ -16,17 +16,9 @@ from twisted.spread import pb
 
 from rce.control.broker import Broker
 from rce.control.calls.joining import Hello, Welcome
-from rce.control.connection import (
-    MALFORMED_PAGES,
-    CallReceiver,
-    Control,
-    Handlers,
-    Pages,
-    Receiver,
-    decode_pages,
-    encode_pages,
-)
+from rce.control.connection import CallReceiver, Control, Handlers, Receiver
 from rce.control.limits import Budgets, max_message
+from rce.control.pages import MALFORMED_PAGES, Pages, decode_pages, encode_pages
 from rce.control.term import Fence, Unfenced
 from rce.errors import InternalError, InvalidRequest, RceError
 from rce.net.listener import BACKLOG

@@ -32,8 +32,10 @@ CONVERSATION: list[Any] = [
     b"pb",
     [b"version", 6],
     [b"message", 1, b"root", b"join", 1, HELLO, [b"dictionary"]],
-    [b"message", 2, 1, b"call", 1, [b"tuple", b"ReadMetrics", [b"list", b"\x80"], b""], [b"dictionary"]],
+    [b"message", 2, 1, b"call", 1, [b"tuple", b"\x94\xabReadMetrics\xa0\x00\x80"], [b"dictionary"]],
+    [b"message", 3, 1, b"call", 1, [b"tuple", b"\x94", b"\xa0\xa0\x00\x80", 7], [b"dictionary", [b"x", 1]]],
     [b"answer", 1, [b"tuple", [b"boolean", b"true"], [b"list"]]],
+    [b"answer", 1, [b"tuple", b"\x92\xc3\x80"]],
     [b"error", 1, [b"unicode", b"x"]],
     [b"decref", 1],
     [b"ping"],
@@ -108,12 +110,12 @@ async def test_each_call_of_a_process_is_answered(
 
 async def _call(control: Control, mutator: Mutator, name: str, value: Any) -> bool:
     """Send one mutated call; return True if the Master closes the connection for it."""
-    content = calls.pages(mutator.structure(value))
+    content = calls.pages(name, mutator.structure(value))
     if mutator.chance(0.1):
         content = [mutator.damage(content[0])]
     try:
         async with asyncio.timeout(PATIENCE):
-            await control._receiver.callRemote("call", name, content, "").asFuture(asyncio.get_running_loop())
+            await control._receiver.callRemote("call", *content).asFuture(asyncio.get_running_loop())
     except (pb.DeadReferenceError, pb.PBConnectionLost):
         return True
     except (pb.Error, pb.RemoteError, RceError, ValueError):

@@ -7,6 +7,7 @@ from typing import get_args
 
 import msgspec
 import pytest
+from msgspec import Raw
 from msgspec.structs import replace
 
 import rce
@@ -30,6 +31,7 @@ from rce.control.calls.environments import (
 from rce.control.calls.joining import Hello
 from rce.control.calls.robots import DescribeType, Login, ReadGraphFor, ReadRobotsFor, SendStatus
 from rce.control.calls.watching import RosNode
+from rce.control.pages import Question
 from rce.errors import AlreadyExists, ErrorInfo, InvalidRequest, NotFound, Unauthorized, Unavailable, UnknownType
 from rce.protocol import messages as m
 from tests.support.master.peers import Furnished, Platform, execute, login, told
@@ -115,9 +117,9 @@ async def test_process_may_make_the_calls_of_its_role_only(platform: Platform, r
     handlers = platform.master._handlers(Process("name", role, "1"))
     answered = set()
     for call in set().union(*CALLS_OF_ROLES.values()):
-        good, pages = await handlers.answer(call, [b"no call"])
-        assert not good
-        if "does not answer" not in msgspec.msgpack.decode(b"".join(pages), type=ErrorInfo).message:
+        answer = await handlers.answer(Question(call, "", 0, Raw(b"no call")))
+        assert not answer.good
+        if "does not answer" not in msgspec.msgpack.decode(answer.value, type=ErrorInfo).message:
             answered.add(call)
     assert answered == CALLS_OF_ROLES[role]
 

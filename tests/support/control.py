@@ -5,21 +5,27 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from typing import TypeVar
 
+import msgspec
 from twisted.internet.base import ReactorBase
 from twisted.internet.interfaces import IListeningPort
 
+from rce.control.calls.call import Call, result_type
 from rce.control.calls.joining import Hello, Welcome
 from rce.control.calls.robots import Execute
 from rce.control.client import connect
-from rce.control.connection import Control, Handlers, decode_pages, encode_pages
+from rce.control.connection import Control, Handlers
+from rce.control.pages import Question, decode_pages, encode, encode_pages
 from rce.control.server import listen
+from rce.errors import ErrorInfo, RceError
 from rce.net.tls import Tls
 from rce.protocol.messages import Command
 
 HELLO = Hello("container", "m1", "token", "1")
 LOOPBACK = "tcp:0:interface=127.0.0.1"
 TIMEOUT = 20.0
+R = TypeVar("R")
 
 
 class OpenJoiner:
@@ -71,6 +77,14 @@ async def closed(client: Control, server: Control) -> None:
     """Close the connecting end and wait until the accepting end has noticed."""
     client.close()
     await asyncio.wait_for(server.lost, TIMEOUT)
+
+
+async def answer(handlers: Handlers, call: Call[R]) -> R:
+    """Return the answer to a call without a connection; raise its error."""
+    found = await handlers.answer(Question(type(call).__name__, "", 0, encode(call)))
+    if not found.good:
+        raise RceError.from_info(msgspec.msgpack.decode(found.value, type=ErrorInfo))
+    return msgspec.msgpack.decode(found.value, type=result_type(type(call)))
 
 
 def execute_round_trip(command: Command) -> Command:

@@ -7,7 +7,7 @@ from typing import Any
 
 from containers.recordings.calls import RecordingCalls
 from containers.recordings.store import MAGIC, RecordingStore
-from rce.control.calls.call import Call, result_type
+from rce.control.calls.call import Call
 from rce.control.calls.recordings import (
     AnnounceRecording,
     AppendRecording,
@@ -16,7 +16,8 @@ from rce.control.calls.recordings import (
     RecordingQuota,
     RemoveRecording,
 )
-from rce.control.connection import Handlers, decode_pages, encode_pages
+from rce.control.connection import Handlers
+from tests.support.control import answer
 
 
 async def test_calls_are_answered_from_the_store(tmp_path: Path) -> None:
@@ -24,9 +25,7 @@ async def test_calls_are_answered_from_the_store(tmp_path: Path) -> None:
     RecordingCalls(RecordingStore(tmp_path)).add_to(handlers)
 
     async def ask(call: Call[Any]) -> Any:
-        good, pages = await handlers.answer(type(call).__name__, encode_pages(call))
-        assert good, pages
-        return decode_pages(pages, result_type(type(call)))
+        return await answer(handlers, call)
 
     content = MAGIC + bytes(10)
     made = await ask(AnnounceRecording("ann", "a.mcap", len(content), "", RecordingQuota()))

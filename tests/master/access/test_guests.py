@@ -15,7 +15,7 @@ from master.graph.limits import Policy, usage
 from master.graph.records import Robot
 from rce.api.roles import Principal
 from rce.control.calls.robots import Execute, Login
-from rce.errors import AlreadyExists, InvalidName, LimitExceeded
+from rce.errors import AlreadyExists, InvalidName, LimitExceeded, RceError
 from rce.protocol import messages as m
 from tests.support.master.fleet import furnished, interface
 from tests.support.master.served import PASSWORD, Served, serve
@@ -89,8 +89,9 @@ async def test_only_a_guest_may_have_another_owner(served: Served) -> None:
         (visit(owner="ann/brain"), "invalid_name"),
         (visit(owner="ann\0"), "invalid_name"),
     ):
-        with pytest.raises(AssertionError, match=code):
+        with pytest.raises(RceError) as refused:
             await served.call_master("west", login)
+        assert refused.value.info.code == code
     assert not list(served.master.state.robots)
 
 

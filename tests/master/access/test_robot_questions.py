@@ -10,12 +10,12 @@ from msgspec.structs import replace
 from master.access.robot_questions import RobotQuestions
 from master.graph.records import Environment, Process
 from rce.api.roles import Principal, Scopes
-from rce.control.calls.call import result_type
 from rce.control.calls.robots import Definitions, DescribeType, ReadAssetFor, ReadGraphFor, ReadRobotsFor
 from rce.control.calls.watching import Asset, ReadAsset, ReadGraph, RosGraph
-from rce.control.connection import Handlers, decode_pages, encode_pages
-from rce.errors import ErrorInfo, NotFound, RceError, UnknownType
+from rce.control.connection import Handlers
+from rce.errors import NotFound, UnknownType
 from rce.protocol import messages as m
+from tests.support.control import answer
 from tests.support.master.fleet import Fleet, interface, wired
 
 
@@ -47,10 +47,7 @@ class Site:
     async def call(self, call: Any, endpoint: str = "west") -> Any:
         handlers = Handlers()
         self.questions.add_handlers(handlers, self.process(endpoint))
-        done, pages = await handlers.answer(type(call).__name__, encode_pages(call))
-        if not done:
-            raise RceError.from_info(decode_pages(pages, ErrorInfo))
-        return decode_pages(pages, result_type(type(call)))
+        return await answer(handlers, call)
 
 
 @pytest.fixture

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import asyncio
 
-import msgspec
+import pytest
 
 from rce.api.views import Event
 from rce.control.calls.endpoints import RecorderEnded, RecorderSpec, StartRecorder, StopRecorder
-from rce.control.calls.recordings import BeginRecording, RecordingQuota
-from rce.control.connection import decode_pages
-from rce.errors import ErrorInfo, LimitExceeded
+from rce.control.calls.recordings import BeginRecording
+from rce.errors import LimitExceeded, NotFound
 from tests.support.master.served import Served
 
 PATH = "/environments/brain/recorders"
@@ -59,18 +58,14 @@ async def _next(events: object, kind: str) -> Event:
 
 async def test_machine_may_record_what_a_user_asked_for_alone(populated: Served) -> None:
     await populated.ask("POST", PATH, body={"recorderTag": "box"})
-    pages = await populated.call_master("m1", BeginRecording("ann/brain", "box"))
-    assert decode_pages(pages, RecordingQuota).bytes is None
+    assert (await populated.call_master("m1", BeginRecording("ann/brain", "box"))).bytes is None
     await populated.master.limits.change("ann", {"recording_bytes": 7})
-    pages = await populated.call_master("m1", BeginRecording("ann/brain", "box"))
-    assert decode_pages(pages, RecordingQuota).bytes == 7
+    assert (await populated.call_master("m1", BeginRecording("ann/brain", "box"))).bytes == 7
     await populated.process("container", "m2", capacity=1)
     for machine, call in (
         ("m1", BeginRecording("ann/brain", "other")),
         ("m1", BeginRecording("ann/nothing", "box")),
         ("m2", BeginRecording("ann/brain", "box")),
     ):
-        handlers = populated.peers[machine].handlers
-        good, pages = await handlers.answer("BeginRecording", [msgspec.msgpack.encode(call)])
-        assert not good
-        assert decode_pages(pages, ErrorInfo).code == "not_found"
+        with pytest.raises(NotFound):
+            await populated.call_master(machine, call)

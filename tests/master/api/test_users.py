@@ -131,7 +131,7 @@ async def test_wrong_limits_are_refused(served: Served, change: Any) -> None:
 async def test_robots_and_connections_are_limited(served: Served) -> None:
     await served.master.limits.change("ann", {"robots": 1, "connections": 1})
     await served.robot("ann", "r1")
-    with pytest.raises(AssertionError, match="robots: 2 with this one"):
+    with pytest.raises(LimitExceeded, match="robots: 2 with this one"):
         await served.robot("ann", "r2")
     await served.master.commands.execute("ann", m.CreateContainer("brain"))
     for tag in ("a", "b"):

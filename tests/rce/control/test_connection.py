@@ -5,16 +5,21 @@ from __future__ import annotations
 import asyncio
 import errno
 from collections.abc import Awaitable, Callable
+from typing import Any
 
+import msgspec
 import pytest
+from msgspec import Raw
 from twisted.internet.base import ReactorBase
 from twisted.logger import Logger
+from twisted.spread import pb
 
 import rce
 from rce.control.calls.call import Nothing
 from rce.control.calls.endpoints import StopNode
 from rce.control.calls.watching import Log, ReadLog, ReadMetrics
-from rce.control.connection import Handlers, decode_pages
+from rce.control.connection import Handlers
+from rce.control.pages import Question
 from rce.errors import ErrorInfo, InternalError, InvalidRequest, NotFound, Unavailable
 from rce.process import logs, metrics
 from tests.support.control import TIMEOUT, closed, listening
@@ -97,9 +102,20 @@ async def test_result_of_a_wrong_type_is_an_error(reactor: ReactorBase) -> None:
     "page", [b"\x81\xa4node\xa1\xff", b"\xff", b"\x91" * 5000 + b"\x01"], ids=["no UTF-8", "no map", "deep"]
 )
 async def test_malformed_call_is_refused_without_a_traceback(page: bytes) -> None:
-    good, answer = await answering(never).answer("ReadLog", [page])
-    assert not good
-    assert decode_pages(answer, ErrorInfo).code == InvalidRequest.code
+    answer = await answering(never).answer(Question("ReadLog", "", 0, Raw(page)))
+    assert not answer.good
+    assert msgspec.msgpack.decode(answer.value, type=ErrorInfo).code == InvalidRequest.code
+
+
+@pytest.mark.parametrize("end", [0, 1], ids=["connecting", "accepting"])
+@pytest.mark.parametrize("pages", [(), (b"\xff",), (7,), (b"\x94", [b"x"])], ids=str)
+async def test_call_that_the_peer_does_not_understand_fails(reactor: ReactorBase, end: int, pages: Any) -> None:
+    async with listening(reactor) as listener:
+        client, server = await listener.pair(Handlers())
+        call = (client, server)[end]._receiver.callRemote("call", *pages).asFuture(asyncio.get_running_loop())
+        with pytest.raises(pb.Error, match="not understood"):
+            await asyncio.wait_for(call, TIMEOUT)
+        await closed(client, server)
 
 
 async def never(call: ReadLog) -> Log:

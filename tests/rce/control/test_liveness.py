@@ -8,8 +8,9 @@ import pytest
 from twisted.internet.base import ReactorBase
 
 from rce.control import liveness
+from rce.control.base_broker import BaseBroker
 from rce.control.connection import Handlers
-from rce.control.liveness import LiveBroker, Liveness
+from rce.control.liveness import Liveness
 from tests.support.control import TIMEOUT, closed, listening
 from tests.support.hand_turned import HandTurnedLoop
 
@@ -71,7 +72,7 @@ async def test_ping_is_heard_on_both_sides(reactor: ReactorBase, monkeypatch: py
     """With frequent checks the connection would be closed at once if pings or their answers were lost."""
     monkeypatch.setattr(liveness, "CHECK_INTERVAL", 0.05)
     pongs: asyncio.Queue[None] = asyncio.Queue()
-    monkeypatch.setattr(LiveBroker, "proto_pong", lambda _: pongs.put_nowait(None))
+    monkeypatch.setattr(BaseBroker, "proto_pong", lambda _: pongs.put_nowait(None))
     async with listening(reactor) as listener:
         client, server = await listener.pair(Handlers())
         async with asyncio.timeout(TIMEOUT):
@@ -86,7 +87,7 @@ async def test_peer_that_stopped_is_noticed_on_both_sides(
     reactor: ReactorBase, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(liveness, "CHECK_INTERVAL", 0.02)
-    monkeypatch.setattr(LiveBroker, "ping", lambda _: None)
+    monkeypatch.setattr(BaseBroker, "ping", lambda _: None)
     async with listening(reactor) as listener:
         client, server = await listener.pair(Handlers())
         await asyncio.wait_for(asyncio.gather(client.lost, server.lost), TIMEOUT)

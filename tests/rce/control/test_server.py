@@ -16,7 +16,8 @@ from rce.control.calls.call import Nothing
 from rce.control.calls.endpoints import StopNode
 from rce.control.calls.joining import Hello, Welcome
 from rce.control.client import client_endpoint, connect
-from rce.control.connection import CallReceiver, Control, Handlers, Pages, decode_pages, encode_pages
+from rce.control.connection import CallReceiver, Control, Handlers
+from rce.control.pages import Pages, decode_pages, encode_pages
 from rce.control.server import listen
 from rce.errors import ErrorInfo, InvalidRequest, Unauthorized
 from tests.support.control import HELLO, TIMEOUT, Listener, OpenJoiner, listening

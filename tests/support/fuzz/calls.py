@@ -10,12 +10,12 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import msgspec
-from msgspec import Struct, UnsetType
+from msgspec import Raw, Struct, UnsetType
 from twisted.spread import banana
 
 from rce.control import calls
 from rce.control.calls.call import Call
-from rce.control.connection import PAGE_SIZE
+from rce.control.pages import Question, encode_pages
 
 MAX_NESTING = 3
 TEXT = "testUser/fuzz"
@@ -57,13 +57,13 @@ def _example_struct(kind: type[Struct], nesting: int) -> dict[str, Any]:
     return found | ({str(config.tag_field): config.tag} if config.tag_field else {})
 
 
-def pages(value: Any) -> list[bytes]:
+def pages(name: str, value: Any) -> list[bytes]:
     """Return a mutated value as the pages of a call; what msgpack cannot express becomes text."""
     try:
         data = msgspec.msgpack.encode(value)
-        return [data[start : start + PAGE_SIZE] for start in range(0, len(data), PAGE_SIZE)] or [b""]
     except (OverflowError, UnicodeEncodeError, RecursionError, TypeError):
-        return [repr(value).encode(errors="replace")[:10_000]]
+        data = repr(value).encode(errors="replace")[:10_000]
+    return encode_pages(Question(name, "", 0, Raw(data)))
 
 
 def encode(value: Any) -> bytes:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import argon2
-import msgspec
 from twisted.internet.base import ReactorBase
 
 import rce
@@ -30,7 +29,7 @@ from rce.control.calls.endpoints import Sync
 from rce.control.calls.environments import StartEnvironment, StopEnvironment
 from rce.control.calls.joining import Hello
 from rce.control.calls.recordings import AnnounceRecording, ListRecordings, RecordingInfo, Recordings
-from rce.control.calls.robots import Definitions, DescribeType, Execute, Executed, Login
+from rce.control.calls.robots import Definitions, DescribeType, Executed, Login
 from rce.control.calls.watching import (
     CountTraffic,
     Log,
@@ -43,9 +42,10 @@ from rce.control.calls.watching import (
     Traffic,
     Usage,
 )
-from rce.control.connection import Control, Handlers, decode_pages
+from rce.control.connection import Control, Handlers
 from rce.errors import RceError
 from rce.web.server import Endpoint, parse_endpoint
+from tests.support.control import answer
 
 PASSWORD = "secret"
 
@@ -138,12 +138,10 @@ class Served:
     async def call_master(self, process: str, call: Call[Any]) -> Any:
         """Call the Master as a process does."""
         handlers = self.peers[process].handlers
-        good, pages = await handlers.answer(type(call).__name__, [msgspec.msgpack.encode(call)])
-        assert good, pages
-        if isinstance(call, Execute):
-            failed = decode_pages(pages, Executed).failed
-            assert not failed, failed
-        return pages
+        found = await answer(handlers, call)
+        if isinstance(found, Executed):
+            assert not found.failed, found.failed
+        return found
 
     async def wait_for_call(self, process: str, call: Call[Any]) -> None:
         """Return once the Master has made this call to a process."""

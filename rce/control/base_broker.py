@@ -1,0 +1,69 @@
+"""Perspective Broker as both sides of a control connection use it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from twisted.internet.defer import Deferred
+from twisted.python.failure import Failure
+from twisted.spread import pb
+
+from rce.control.decoder import INCOMPLETE, Decoder
+from rce.control.limits import MAX_ITEMS, MAX_MESSAGE
+
+
+class BaseBroker(pb.Broker):
+    """Broker that answers pings, notices that something was received, and takes little time for calls and answers.
+
+    Attributes:
+        heard: Something was received since this was set to False.
+    """
+
+    heard = False
+
+    def connectionMade(self) -> None:
+        """Begin to decode."""
+        self._decoder = Decoder(MAX_MESSAGE, MAX_ITEMS)
+        super().connectionMade()  # type: ignore[no-untyped-call]  # Twisted's, as are those below
+
+    def dataReceived(self, data: bytes) -> None:
+        """Note and handle received bytes."""
+        self.heard = True
+        self._decoder.feed(data)
+        while (message := self._decoder.next()) is not INCOMPLETE:
+            self.callExpressionReceived(message)  # type: ignore[no-untyped-call]
+
+    def serialize(self, object: Any, *more: Any, **options: Any) -> Any:
+        """Return the form of a value for the line; Twisted takes long for those of which calls and answers consist."""
+        if type(object) is tuple and all(type(each) is bytes for each in object):
+            return [b"tuple", *object]
+        if type(object) is dict and not object:
+            return [b"dictionary"]
+        return super().serialize(object, *more, **options)  # type: ignore[no-untyped-call]
+
+    def unserialize(self, sexp: Any, perspective: Any = None) -> Any:
+        """Return the value of a part of a message."""
+        if type(sexp) is list and sexp and sexp[0] == b"tuple" and all(type(each) is bytes for each in sexp):
+            return tuple(sexp[1:])
+        if sexp == [b"dictionary"]:
+            return {}
+        return super().unserialize(sexp, perspective)  # type: ignore[no-untyped-call]
+
+    def proto_error(self, requestID: int, fail: Any) -> None:
+        """Fail a call of ours; errors of handlers are results, so this one is of Perspective Broker itself."""
+        self._end_call(requestID).errback(Failure(pb.Error("the call was not understood")))
+
+    def _end_call(self, request: int) -> Deferred[Any]:
+        waiting: dict[int, Deferred[Any]] = self.waitingForAnswers  # type: ignore[assignment]  # None without a connection
+        return waiting.pop(request)
+
+    def ping(self) -> None:
+        """Ask the peer for a sign of life."""
+        self.sendCall(b"ping")  # type: ignore[no-untyped-call]
+
+    def proto_ping(self) -> None:
+        """Answer a ping."""
+        self.sendCall(b"pong")  # type: ignore[no-untyped-call]
+
+    def proto_pong(self) -> None:
+        """Take the answer to a ping: `heard` is all that counts."""
