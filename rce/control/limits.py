@@ -20,6 +20,7 @@ CALLS_PER_CONNECTION = 0.5  # more a second
 BURST = 500  # calls
 BYTES_PER_CALL = 10_000  # a larger call counts as several
 JOIN = 2  # calls that a join counts as
+MAX_JOINED = 10_000  # environments whose first join is remembered
 
 
 class Budget:
@@ -33,7 +34,7 @@ class Budget:
         self.connections = 0
         self._now = now
         self._used = 0.0  # calls that count at present
-        self._joined: set[str] = set()  # environments
+        self._joined: dict[str, None] = {}  # environments; the one that joined first is the first to be forgotten
         self._since = now()
 
     def use(self, calls: float) -> float:
@@ -50,7 +51,9 @@ class Budget:
         """
         if environment in self._joined:
             return self.use(JOIN)
-        self._joined.add(environment)
+        self._joined[environment] = None
+        if len(self._joined) > MAX_JOINED:
+            del self._joined[next(iter(self._joined))]
         return 0.0
 
 

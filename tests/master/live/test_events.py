@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import AsyncIterator
 from typing import Any
 
+import msgspec
 import pytest
 
 from master.graph.records import Connection, Environment, EnvironmentOptions, Interface, Process, Record, Robot, Role
@@ -49,7 +50,7 @@ class Story:
 
     def seen(self) -> list[Event]:
         """Return all events so far."""
-        return list(self.events._kept.values())
+        return [msgspec.msgpack.decode(event, type=Event) for event in self.events._kept]
 
 
 @pytest.fixture
@@ -183,7 +184,7 @@ def test_id_of_the_notice_leads_to_the_oldest_event(story: Story, monkeypatch: p
     assert story.objects(story.follow(missed.id), 2) == ["ann/b", "ann/c"]
 
 
-def test_text_of_kept_events_is_bounded(story: Story, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_kept_events_are_bounded_by_bytes(story: Story, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(events_module, "MAX_SIZE", 9000)
     lines = [f"{number:<999}" for number in range(50)]
     for _ in range(5):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import pytest
+
+from rce.control import limits
 from rce.control.calls.joining import Hello
 from rce.control.limits import BURST, CALLS_PER_CONNECTION, CALLS_PER_SECOND, Budget, Budgets
 
@@ -31,6 +34,14 @@ def test_all_environments_of_a_user_join_at_once_but_none_again_and_again() -> N
     waits = [budget.join("ann/0") for _ in range(BURST)]
     assert waits[0] == 0.0
     assert waits[-1] > 0.0
+
+
+def test_environments_that_joined_are_forgotten_in_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "MAX_JOINED", 3)
+    budget = Budget(lambda: 100.0)
+    for number in range(1000):
+        budget.join(f"ann/{number}")
+    assert list(budget._joined) == ["ann/997", "ann/998", "ann/999"]
 
 
 def test_environments_of_a_user_share_a_budget() -> None:
