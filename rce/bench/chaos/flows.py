@@ -19,7 +19,8 @@ PACKAGE, NODE = "rce_bench", "numbered"
 TOPIC = "/numbers"
 PERIOD = 0.05  # seconds between messages
 KEEP = 1000  # messages that may wait in each queue
-DEEP = Qos(reliability="reliable", depth=KEEP)
+# volatile: else a node that is started again gets the last message once more, as every late node does
+DEEP = Qos(reliability="reliable", durability="volatile", depth=KEEP)
 POLL_INTERVAL = 0.01  # seconds
 AFTER = 1.0  # seconds after a fault in which messages may still be sent to the process that failed
 START_TIMEOUT = 60.0  # seconds until the first message of a flow has arrived

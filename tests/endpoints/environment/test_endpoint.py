@@ -38,9 +38,9 @@ from rce.control.calls.endpoints import (
     Unbind,
 )
 from rce.control.calls.robots import DescribeType
-from rce.control.calls.watching import Log, ReadGraph, ReadLog, ReadPackages, RosName
-from rce.control.connection import decode_pages, encode_pages
-from rce.errors import ErrorInfo, InvalidRequest
+from rce.control.calls.watching import ReadGraph, ReadLog, ReadPackages, RosName
+from rce.errors import InvalidRequest, RceError
+from tests.support.control import answer
 from tests.support.endpoints.environment_driver import FakeMaster, is_alive, wait_for_line
 from tests.support.endpoints.fake_ros import InstantRos
 
@@ -89,12 +89,12 @@ class Trial:
         self.environment._live_parameters = cast(LiveParameters, self.parameters)
         self.handlers = self.environment.handlers()
 
-    async def call(self, call: Call[Any], result: type[Any] = msgspec.Struct) -> Any:
+    async def call(self, call: Call[Any]) -> Any:
         """Answer a call of the Master; return its result, or the error of a call that fails."""
-        done, pages = await self.handlers.answer(type(call).__name__, encode_pages(call))
-        if not done:
-            return decode_pages(pages, ErrorInfo)
-        return decode_pages(pages, result) if result is not msgspec.Struct else None
+        try:
+            return await answer(self.handlers, call)
+        except RceError as error:
+            return error.info
 
     def run_a_node(self) -> None:
         """Let the environment believe that a node runs."""
@@ -174,9 +174,9 @@ async def test_refused_parameter_keeps_its_former_value(trial: Trial) -> None:
 
 async def test_own_log_can_be_read_and_followed(trial: Trial) -> None:
     trial.log.write(b"one\ntwo\n")
-    first = await trial.call(ReadLog("", lines=1), Log)
+    first = await trial.call(ReadLog("", lines=1))
     assert first.lines == ["two"]
-    follower = asyncio.ensure_future(trial.call(ReadLog("", after=first.next, wait=10), Log))
+    follower = asyncio.ensure_future(trial.call(ReadLog("", after=first.next, wait=10)))
     await asyncio.sleep(0)
     assert not follower.done()
     trial.log.write(b"three\n")

@@ -27,9 +27,9 @@ from rce.control.calls.robots import (
     SocketStatus,
 )
 from rce.control.client import ControlClient
-from rce.control.connection import decode_pages, encode_pages
-from rce.errors import ErrorInfo, NotFound, Unauthorized, Unavailable
+from rce.errors import NotFound, Unauthorized, Unavailable
 from rce.protocol.messages import DataMessage, InterfaceStatus, NodeEvent
+from tests.support.control import answer
 from tests.support.hand_turned import HandTurnedLoop
 
 GRACE = 10.0
@@ -102,12 +102,9 @@ class Trial:
         session.detach(socket)
         self.hand.do(lambda: self.endpoint.disconnected(session))
 
-    def call(self, call: Call[Any], result: type[Any] = msgspec.Struct) -> Any:
+    def call(self, call: Call[Any]) -> Any:
         """Answer a call of the Master; raise the error of a call that fails."""
-        done, pages = self.hand.begin(self.handlers.answer(type(call).__name__, encode_pages(call))).result()
-        if not done:
-            raise AssertionError(decode_pages(pages, ErrorInfo))
-        return decode_pages(pages, result) if result is not msgspec.Struct else None
+        return self.hand.begin(answer(self.handlers, call)).result()
 
 
 @pytest.fixture

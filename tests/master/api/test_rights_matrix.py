@@ -19,6 +19,7 @@ from master.storage.depot import Depot
 from rce.api.roles import Scopes
 from rce.control.calls.call import Call
 from rce.control.calls.robots import Execute, Login, SessionExpired
+from rce.errors import RceError
 from rce.protocol import messages as m
 from tests.support.master.rights_matrix import (
     ACTORS,
@@ -175,7 +176,9 @@ async def outcome(world: World, call: Call[Any]) -> str:
     """`ok`, or what is said."""
     try:
         await world.served.call_master("west", call)
-    except AssertionError as error:
+    except RceError as error:
+        return f"{error.info.code}: {error}"
+    except AssertionError as error:  # a command that was refused
         return str(error)
     return "ok"
 

@@ -10,12 +10,12 @@ import pytest
 from twisted.logger import LogEvent
 
 from rce.control.calls.services import Authenticate, InvalidateAuthentication
-from rce.control.connection import encode_pages
 from rce.errors import Unavailable
 from rce.mapservice.server import MapService
 from rce.mapservice.uploads import Uploads
 from rce.process.metrics import collect_families
 from rce.web import requests, server
+from tests.support.control import answer
 from tests.support.map_service import LIMITS, LOG, FakeRunner, Service
 
 
@@ -82,8 +82,8 @@ async def test_silent_body_is_refused_in_time(service: Service, monkeypatch: pyt
         f"POST /map-service{path} HTTP/1.1\r\nHost: x\r\n{headers}\r\n\r\n".encode()
         for path in ("/jobs", "/uploads?filename=a.log", "/soap")
     ]
-    for answer in await asyncio.gather(*(raw(service, head) for head in heads)):
-        assert b"came too slowly" in answer
+    for answered in await asyncio.gather(*(raw(service, head) for head in heads)):
+        assert b"came too slowly" in answered
 
 
 @pytest.mark.parametrize("path", ["/jobs", "/uploads?filename=a.log", "/soap"])
@@ -130,9 +130,7 @@ def metric_values(service: Service) -> dict[str, dict[tuple[str, ...], float]]:
 async def test_master_can_invalidate_the_authentication_of_a_user(service: Service) -> None:
     for _ in range(2):
         await service.request("GET", "/jobs")
-    call = InvalidateAuthentication("ann")
-    answered, _ = await service.service.handlers().answer(type(call).__name__, encode_pages(call))
-    assert answered
+    await answer(service.service.handlers(), InvalidateAuthentication("ann"))
     await service.request("GET", "/jobs")
     assert len([call for call in service.master.calls if isinstance(call, Authenticate)]) == 2
 

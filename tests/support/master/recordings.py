@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 from containers.recordings.calls import RecordingCalls
 from containers.recordings.store import RecordingStore
-from rce.control.calls.call import Call, result_type
 from rce.control.calls.recordings import (
     AnnounceRecording,
     AppendRecording,
@@ -15,8 +15,8 @@ from rce.control.calls.recordings import (
     RecordingQuota,
     RemoveRecording,
 )
-from rce.control.connection import Handlers, decode_pages, encode_pages
-from rce.errors import ErrorInfo, RceError
+from rce.control.connection import Handlers
+from tests.support.control import answer
 from tests.support.master.served import Served
 
 CALLS = (ListRecordings, ReadRecording, RemoveRecording, AnnounceRecording, AppendRecording)
@@ -27,13 +27,7 @@ def keep_recordings(served: Served, machine: str, directory: Path) -> RecordingS
     store, handlers = RecordingStore(directory), Handlers()
     RecordingCalls(store).add_to(handlers)
 
-    async def answer(call: Call[object]) -> object:
-        good, pages = await handlers.answer(type(call).__name__, encode_pages(call))
-        if not good:
-            raise RceError.from_info(decode_pages(pages, ErrorInfo))
-        return decode_pages(pages, result_type(type(call)))
-
-    served.peers[machine].answers |= dict.fromkeys(CALLS, answer)
+    served.peers[machine].answers |= dict.fromkeys(CALLS, partial(answer, handlers))
     return store
 
 

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from rce.control.calls.robots import Execute, PackedCommand
-from rce.control.connection import decode_pages, encode_pages
+from rce.control.pages import decode_pages, encode_pages
 from rce.errors import InvalidRequest
 from rce.protocol import messages as m
 from tests.support.control import execute_round_trip
