@@ -38,12 +38,12 @@ BASE = {"rce", "msgspec", "websockets", "yaml"} | set(sys.stdlib_module_names)
 WITH_EXTRA: dict[str, set[str]] = {
     "rce/bag/": {"mcap"},
     "rce/net/certificates.py": {"cryptography"},
+    "rce/control/base_broker.py": {"twisted"},
     "rce/control/broker.py": {"twisted"},
     "rce/control/client.py": {"twisted"},
     "rce/control/connection.py": {"twisted"},
     "rce/control/credential.py": {"twisted"},
     "rce/control/decoder.py": {"twisted"},
-    "rce/control/liveness.py": {"twisted"},
     "rce/control/server.py": {"twisted"},
     "rce/control/tls.py": {"twisted", "cryptography", "OpenSSL"},
     "rce/process/exposition.py": {"prometheus_client"},
