@@ -91,10 +91,11 @@ class Mirror(Generic[T]):
                     listed = True
                 await self._watch()
             except RceError as error:
-                listed = not (isinstance(error, Refused) and error.status == GONE)
-                if listed:
-                    log.warn("{path} is not watched: {error}", path=self._path, error=str(error))
-                    await asyncio.sleep(RETRY_DELAY)
+                if isinstance(error, Refused) and error.status == GONE:
+                    listed = False
+                    continue
+                log.warn("{path} is not watched: {error}", path=self._path, error=str(error))
+                await asyncio.sleep(RETRY_DELAY)
             except Exception:  # noqa: BLE001  # a defect must not end the watch, on which all environments depend
                 log.failure("{path} is listed anew", path=self._path)
                 listed = False
@@ -115,8 +116,7 @@ class Mirror(Generic[T]):
         found, before = self._try_to_read(object), self.objects.get(uid)
         if found is not None and found != before:
             self.objects[uid] = found
-            self._changed(found)
-            self._wake()
+            self._tell(self._changed, found)
 
     def _try_to_read(self, object: Object) -> T | None:
         try:
@@ -128,9 +128,12 @@ class Mirror(Generic[T]):
 
     def _remove(self, uid: str) -> None:
         if (last := self.objects.pop(uid, None)) is not None:
-            self._gone(last)
-            self._wake()
+            self._tell(self._gone, last)
 
-    def _wake(self) -> None:
+    def _tell(self, report: Callable[[T], None], found: T) -> None:
+        try:
+            report(found)
+        except Exception:  # noqa: BLE001  # a defect must not keep others from being told
+            log.failure("defect while a change at {path} was handled", path=self._path)
         for event in self._waiting:
             event.set()

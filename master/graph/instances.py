@@ -131,6 +131,11 @@ def _start(state: State, name: str, offer: Offer, policy: Policy, ids: Ids) -> C
     """Add the environment of an instance with its nodes and parameters, which it gets when it joins."""
     user = user_of(name)
     options = granted(policy, offer.options)
+    if options.secrets and not offer.is_shared:  # one that was published before this was refused
+        raise InvalidRequest(
+            f"{name_of(offer)} names secrets, which would be yours: ask its publisher to publish it without them",
+            field="service",
+        )
     check_totals(state, user, policy, options)
     secrets.check(state, user, options.secrets)
     machine = place(state, user, options)

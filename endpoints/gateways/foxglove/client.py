@@ -33,6 +33,7 @@ CAPABILITIES = ["clientPublish", "parameters", "parametersSubscribe", "services"
 INTERVAL = 1.0  # seconds between two looks at the graph
 MAX_ANSWERS = 8  # about parameters that one client is given at once
 MAX_ASSETS = 2  # that one client is given at once
+MAX_REPORTED = 20  # errors about items of one message that are told one by one
 ERROR = 2  # level of a status
 T = TypeVar("T")
 
@@ -117,7 +118,7 @@ class FoxgloveClient:
     def text(self, payload: bytes) -> None:
         """Handle a JSON message."""
         try:
-            self._handle(messages.decode(payload))
+            self._handle(messages.decode(payload), len(payload))
         except RceError as error:
             self.report(error)
 
@@ -147,7 +148,7 @@ class FoxgloveClient:
 
     # --- messages -----------------------------------------------------------------------------------------------------
 
-    def _handle(self, message: messages.AnyMessage) -> None:
+    def _handle(self, message: messages.AnyMessage, size: int) -> None:
         match message:
             case messages.Subscribe(subscriptions):
                 self._each(subscriptions, self._subscribe)
@@ -160,9 +161,9 @@ class FoxgloveClient:
                 for number in numbers:
                     self._publications.remove(number)
             case messages.GetParameters(names, id):
-                self._guest.run(self._answer(self._answering, partial(self._parameters.get, names, id)))
+                self._guest.run(self._answer(self._answering, partial(self._parameters.get, names, id)), size)
             case messages.SetParameters(parameters, id):
-                self._guest.run(self._answer(self._answering, partial(self._parameters.set, parameters, id)))
+                self._guest.run(self._answer(self._answering, partial(self._parameters.set, parameters, id)), size)
             case messages.SubscribeParameters(names):
                 self._parameters.subscribe(names)
             case messages.UnsubscribeParameters(names):
@@ -173,18 +174,23 @@ class FoxgloveClient:
             case messages.UnsubscribeGraph():
                 self._connections = None
             case messages.FetchAsset(uri, number):
-                self._guest.run(self._answer(self._fetching, partial(self._fetch, uri, number)))
+                self._guest.run(self._answer(self._fetching, partial(self._fetch, uri, number)), size)
 
     def _subscribe(self, subscription: messages.Subscription) -> None:
         self._subscriptions.add(subscription, self._topics.by_number.get(subscription.channelId))
 
     def _each(self, items: Iterable[T], handle: Callable[[T], None]) -> None:
         """Handle the items of a message; report the errors of those that are refused."""
+        refused: list[RceError] = []
         for item in items:
             try:
                 handle(item)
             except RceError as error:
-                self.report(error)
+                refused.append(error)
+        for each in refused[:MAX_REPORTED]:
+            self.report(each)
+        if (more := len(refused) - MAX_REPORTED) > 0:
+            self.report(InvalidRequest(f"{more} more items of the message were refused"))
 
     async def _answer(self, turns: asyncio.Semaphore, answer: Callable[[], Awaitable[None]]) -> None:
         """Give an answer when it is its turn, which lasts until the client has read enough."""

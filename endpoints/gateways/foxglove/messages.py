@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 import struct
 from time import time_ns
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from rce.bag.playback import PlaybackState, Status
 from rce.errors import InvalidRequest
 from rce.protocol.blobs import BinaryFrame, Buffer
 
 Id = int
+Many = Meta(max_length=10_000)  # items of one message
 MESSAGE, SERVICE, PLAYBACK = 1, 2, 3  # opcodes of clients
 MESSAGE_DATA, TIME, SERVICE_RESPONSE, ASSET, PLAYBACK_STATE = 1, 2, 3, 4, 5  # opcodes of the server
 STATUSES: dict[Status, int] = {"playing": 0, "paused": 1, "buffering": 2, "ended": 3}
@@ -32,13 +33,13 @@ class Subscription(Struct, frozen=True):
 class Subscribe(Struct, frozen=True, tag_field="op", tag="subscribe"):
     """Subscribe to channels."""
 
-    subscriptions: list[Subscription]
+    subscriptions: Annotated[list[Subscription], Many]
 
 
 class Unsubscribe(Struct, frozen=True, tag_field="op", tag="unsubscribe"):
     """End subscriptions."""
 
-    subscriptionIds: list[Id]
+    subscriptionIds: Annotated[list[Id], Many]
 
 
 class ClientChannel(Struct, frozen=True):
@@ -53,19 +54,19 @@ class ClientChannel(Struct, frozen=True):
 class Advertise(Struct, frozen=True, tag_field="op", tag="advertise"):
     """Begin to publish."""
 
-    channels: list[ClientChannel]
+    channels: Annotated[list[ClientChannel], Many]
 
 
 class Unadvertise(Struct, frozen=True, tag_field="op", tag="unadvertise"):
     """Publish no more."""
 
-    channelIds: list[Id]
+    channelIds: Annotated[list[Id], Many]
 
 
 class GetParameters(Struct, frozen=True, tag_field="op", tag="getParameters"):
     """Read parameters; with no names all of them."""
 
-    parameterNames: list[str]
+    parameterNames: Annotated[list[str], Many]
     id: str | None = None
 
 
@@ -80,20 +81,20 @@ class Parameter(Struct, frozen=True):
 class SetParameters(Struct, frozen=True, tag_field="op", tag="setParameters"):
     """Set parameters; with an id their values are sent back."""
 
-    parameters: list[Parameter]
+    parameters: Annotated[list[Parameter], Many]
     id: str | None = None
 
 
 class SubscribeParameters(Struct, frozen=True, tag_field="op", tag="subscribeParameterUpdates"):
     """Ask for the changes of parameters."""
 
-    parameterNames: list[str]
+    parameterNames: Annotated[list[str], Many]
 
 
 class UnsubscribeParameters(Struct, frozen=True, tag_field="op", tag="unsubscribeParameterUpdates"):
     """Ask for the changes of parameters no more."""
 
-    parameterNames: list[str]
+    parameterNames: Annotated[list[str], Many]
 
 
 class SubscribeGraph(Struct, frozen=True, tag_field="op", tag="subscribeConnectionGraph"):

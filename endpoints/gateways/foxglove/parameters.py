@@ -65,12 +65,13 @@ class ClientParameters:
             self._events = use = self._guest.use(
                 SUBSCRIBE, EVENTS, EVENT, self._changed, lambda _, error: self._report(error)
             )
-            use.on_end(self._ended)
+            use.on_end(lambda error: self._ended(use, error))
         self._wanted = wanted
 
-    def _ended(self, error: RceError) -> None:
-        self._events = None
-        self._report(error)
+    def _ended(self, use: Use, error: RceError) -> None:
+        if self._events is use:  # else the client has given it up
+            self._events = None
+            self._report(error)
 
     def unsubscribe(self, names: Iterable[str]) -> None:
         """Send the changes of these parameters no more."""

@@ -106,8 +106,15 @@ async def test_object_that_cannot_be_read_is_passed_over(followed: Followed) -> 
 
 
 async def test_defect_ends_neither_the_watch_nor_what_follows(followed: Followed) -> None:
-    followed.api.lists[PATH] = [thing("a"), thing("b"), thing("d", 9)]
     followed.api.events.put_nowait(Event("ADDED", thing("defect")))
+    followed.api.events.put_nowait(Event("MODIFIED", thing("a", 10)))
+    await followed.until("a 10")
+    assert followed.api.listed == 1
+
+
+async def test_event_without_an_object_leads_to_a_list_even_if_that_fails_at_first(followed: Followed) -> None:
+    items = followed.api.lists.pop(PATH)
+    followed.api.events.put_nowait(Event("ADDED", {}))
+    await asyncio.sleep(0.05)  # in which the list fails several times
+    followed.api.lists[PATH] = [*items, thing("d", 9)]
     await followed.until("d 9")
-    followed.api.events.put_nowait(Event("MODIFIED", thing("d", 10)))
-    await followed.until("d 10")

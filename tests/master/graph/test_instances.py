@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import replace
 
 from master.graph import catalogue, instances, reconcile
 from master.graph.changes import undo
@@ -29,6 +30,15 @@ def test_first_robot_starts_a_shared_instance_of_the_publisher() -> None:
     }
     assert fleet.state.nodes["ann/parrot_1/bob_r1_part"].namespace == "/bob_r1"
     assert fleet.state.parameters["ann/parrot_1/bob_r1_part:rate"].value == 2
+    assert fleet.state.environments.count("bob") == 0
+
+
+def test_secrets_of_a_robots_user_are_not_for_a_service_that_was_published_earlier() -> None:
+    fleet, offer = offering(robots=1, most=1)
+    options = replace(offer.options, secrets={"database": "URL"})
+    fleet.state.offers.put(replace(offer, options=options))
+    with pytest.raises(InvalidRequest, match="names secrets, which would be yours"):
+        fleet.do("bob", USE, robot="r1")
     assert fleet.state.environments.count("bob") == 0
 
 

@@ -12,7 +12,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import InvalidStatus
 from websockets.typing import Subprotocol
 
-from endpoints.gateways.foxglove.client import SUBPROTOCOLS
+from endpoints.gateways.foxglove.client import MAX_REPORTED, SUBPROTOCOLS
 from endpoints.gateways.graphs import Graphs
 from endpoints.gateways.guest import Guest
 from rce.control.calls.watching import RosGraph, RosName
@@ -135,3 +135,12 @@ async def test_assets_for_a_client_that_does_not_read_are_bounded(
     socket.transport.resume_reading()
     for _ in range(20):
         assert len(await asyncio.wait_for(socket.recv(), 30)) > 32 * MB
+
+
+async def test_refused_items_of_a_message_are_told_within_bounds(socket: ClientConnection) -> None:
+    wanted = [{"id": number, "channelId": 999} for number in range(5000)]
+    await socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+    told = [(await receive(socket))["message"] for _ in range(MAX_REPORTED + 1)]
+    assert told[-1] == f"{5000 - MAX_REPORTED} more items of the message were refused"
+    await socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted * 3}))
+    assert "10000" in (await receive(socket))["message"]

@@ -91,3 +91,18 @@ async def test_changes_may_be_asked_for_again_after_a_failure(
     guest.fails = None
     parameters.subscribe(["/n.rate"])
     assert len(guest.options) == 2
+
+
+async def test_failure_of_a_use_that_was_given_up_changes_nothing(
+    guest: FakeGuest, peer: FakePeer, parameters: ClientParameters
+) -> None:
+    guest.auto = False
+    parameters.subscribe(["/n.rate"])
+    first = guest.uses["SubscriberInterface", "/parameter_events"]
+    parameters.unsubscribe(["/n.rate"])
+    parameters.subscribe(["/n.rate"])
+    first.end(RceError("no environment"))
+    await guest.settle()
+    assert peer.errors == []
+    parameters.subscribe(["/n.other"])
+    assert len(guest.options) == 2
