@@ -26,7 +26,17 @@ from containers.kubernetes.fleet import Fleet
 from containers.kubernetes.groups import Groups
 from containers.kubernetes.mirror import Mirror
 from containers.kubernetes.namespaces import Namespaces
-from containers.kubernetes.objects import ENVIRONMENT, RUN, TASK_SET, Pod, identity, read_pod, task_set_id
+from containers.kubernetes.objects import (
+    ENVIRONMENT,
+    RUN,
+    TASK_SET,
+    Pod,
+    PodState,
+    identity,
+    read_pod,
+    read_pod_state,
+    task_set_id,
+)
 from containers.kubernetes.places import SOCKETS
 from containers.kubernetes.pod import PodSetup, environment_pod
 from containers.kubernetes.setup import ClusterSetup
@@ -137,10 +147,8 @@ class KubernetesEngine(FleetEngine):
         """
         if self._closed:
             return
-        found = await self._api.get(
-            self._namespaces.pods, labelSelector=f"{self._selector(ENVIRONMENT)}={identity(name)}"
-        )
-        await asyncio.gather(*(self._remove_pod(read_pod(each)) for each in found["items"]))
+        found = await self._find_pods(f"{ENVIRONMENT}={identity(name)}")
+        await asyncio.gather(*map(self._remove_pod, found))
         self._placements.pop(name, None)
 
     async def recover(self) -> dict[str, RunningEnvironment]:
@@ -158,14 +166,15 @@ class KubernetesEngine(FleetEngine):
         self._node_changed("")
         await self._pods.open()
         adopted: dict[str, RunningEnvironment] = {}
-        for pod in list(self._pods.objects.values()):
-            if pod.running and not pod.deleted and pod.node in self._fleet.usable:
-                placement = self._placements[pod.spec.name] = _Placement(pod.spec.run, pod)
+        for found in await self._find_pods(RUN):
+            pod = self._pods.objects.get(found.uid)  # None if its annotation is malformed
+            if pod is not None and pod.running and not pod.deleted and pod.node in self._fleet.usable:
+                placement = self._placements[pod.spec.name] = _Placement(pod.run, pod)
                 placement.settle()
-                adopted[pod.spec.name] = RunningEnvironment(pod.spec.run, pod.spec.options.size)
+                adopted[pod.spec.name] = RunningEnvironment(pod.run, pod.spec.options.size)
             else:
-                log.info("removing the remains of {name}", name=pod.spec.name)
-                await self._remove_pod(pod)
+                log.info("removing the remains of {name}", name=pod.spec.name if pod is not None else found.name)
+                await self._remove_pod(found)
         self._adopted = True
         for node in self._fleet.usable:
             self._reported(node)
@@ -210,23 +219,27 @@ class KubernetesEngine(FleetEngine):
         settings = {**self._setup.settings, "relay": f"{CONTROL}/{GATE}"}
         return PodSetup(self._task_set, self._cluster, self._setup.command, settings, self._setup.read_only)
 
-    def _selector(self, key: str) -> str:
-        """Return a selector of this task set's objects with a label."""
-        return f"{TASK_SET}={self._task_set},{key}"
+    def _selector(self, labels: str) -> str:
+        """Return a selector of this task set's objects that match another selector too."""
+        return f"{TASK_SET}={self._task_set},{labels}"
 
     # --- removal ------------------------------------------------------------------------------------------------------
 
-    async def _remove_pod(self, pod: Pod) -> None:
+    async def _find_pods(self, labels: str) -> list[PodState]:
+        """Return the pods of this task set that match a selector."""
+        found = await self._api.get(self._namespaces.pods, labelSelector=self._selector(labels))
+        return [read_pod_state(each) for each in found["items"]]
+
+    async def _remove_pod(self, pod: PodState) -> None:
         """Delete a pod and wait until it is gone; on a lost node only its object, as nobody there answers.
 
         When the node returns, its kubelet ends a container without an object.
         """
         lost = pod.node != "" and pod.node not in self._fleet.usable
-        never_ran = not pod.node or (bool(pod.obstacle) and not pod.container)  # nothing that must end
         with self._pods.changes() as change:
             try:
                 async with asyncio.timeout(END_TIMEOUT):
-                    await self._api.delete(pod.path, 0 if lost or never_ran else None, pod.uid)
+                    await self._api.delete(pod.path, 0 if lost or pod.never_ran else None, pod.uid)
                     while await self._exists(pod):
                         change.clear()
                         known = self._pods.objects.get(pod.uid)
@@ -239,9 +252,9 @@ class KubernetesEngine(FleetEngine):
             except TimeoutError:
                 raise TimedOut(f"the pod {pod.name} has not ended within {END_TIMEOUT:g} s") from None
         if pod.node and not lost:
-            await self._fleet.agents.remove_run(pod.node, pod.spec.run)
+            await self._fleet.agents.remove_run(pod.node, pod.run)
 
-    async def _exists(self, pod: Pod) -> bool:
+    async def _exists(self, pod: PodState) -> bool:
         try:
             found = await self._api.get(pod.path)
         except NotFound:
@@ -252,7 +265,7 @@ class KubernetesEngine(FleetEngine):
 
     def _placement(self, pod: Pod) -> _Placement | None:
         placement = self._placements.get(pod.spec.name)
-        return placement if placement is not None and placement.run == pod.spec.run else None
+        return placement if placement is not None and placement.run == pod.run else None
 
     def _pod_changed(self, pod: Pod) -> None:
         placement = self._placement(pod)
@@ -276,7 +289,7 @@ class KubernetesEngine(FleetEngine):
         if placement is not None and placement.pod is not None and placement.pod.uid == pod.uid:
             reason = f"its pod was deleted on node {pod.node}, as when a node is drained"
             if not placement.settle(StartFailed(f"environment {pod.spec.name} did not start: {reason}")):
-                self.report_end(pod.spec.name, pod.spec.run, reason, None)
+                self.report_end(pod.spec.name, pod.run, reason, None)
 
     def _end(self, placement: _Placement, pod: Pod) -> None:
         assert pod.end is not None
@@ -284,7 +297,7 @@ class KubernetesEngine(FleetEngine):
         reason = pod.end.reason
         if pod.deleted:
             reason += f"; its pod was deleted on node {pod.node}, as when a node is drained"
-        self.report_end(pod.spec.name, pod.spec.run, reason, pod.end.status)
+        self.report_end(pod.spec.name, pod.run, reason, pod.end.status)
 
     def _fail(self, placement: _Placement, error: RceError) -> None:
         if not placement.settle(error) and placement.pod is not None:
@@ -330,7 +343,7 @@ class KubernetesEngine(FleetEngine):
                 else:
                     placement.furnishing = False
                     self._furnish_later(placement)
-        present = {each.spec.run for each in self._pods.objects.values()}
+        present = {each.run for each in self._pods.objects.values()}
         for run in set(report.runs) - present:
             self._spawn_background(self._remove_run(node, run))
 

@@ -15,6 +15,19 @@ from rce.errors import RceError
 log = Logger()
 
 
+class _Turns:
+    """Updates of one group, which are made one after the other: an agent is not told of an earlier state after a later.
+
+    Attributes:
+        asked: Number of updates that were asked for.
+        told: Number of the last of them whose state, or a later one, the agents were told of.
+    """
+
+    def __init__(self) -> None:
+        self.lock = asyncio.Lock()
+        self.asked = self.told = 0
+
+
 class Groups:
     """Tells agents of the members of groups.
 
@@ -28,17 +41,23 @@ class Groups:
     ) -> None:
         self._members = members
         self._call = call
-        self._updates: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()  # by group
+        self._turns: WeakValueDictionary[str, _Turns] = WeakValueDictionary()  # by group
 
     async def update(self, group: str) -> None:
-        """Connect all members of a group with each other as they are when this update has its turn."""
-        turn = self._updates.setdefault(group, asyncio.Lock())
-        async with turn:  # one after the other, so that an agent is not told of an earlier state after a later one
+        """Connect all members of a group with each other, as they are when this is called or later."""
+        turns = self._turns.setdefault(group, _Turns())
+        turns.asked += 1
+        number = turns.asked
+        async with turns.lock:
+            if turns.told >= number:
+                return
+            asked = turns.asked
             for pod, call in connections(self._members(group)):
                 try:
                     await self._call(pod.node, call)
                 except RceError as error:  # its agent serves it again later, or it has ended
                     log.info("{name} was not connected to its group: {error}", name=pod.spec.name, error=str(error))
+            turns.told = asked
 
 
 def connections(members: Sequence[Pod]) -> list[tuple[Pod, ConnectGroup]]:
@@ -53,7 +72,7 @@ def connections(members: Sequence[Pod]) -> list[tuple[Pod, ConnectGroup]]:
         (
             pod,
             ConnectGroup(
-                pod.spec.run, named, sorted(other.address for other in members if other is not pod and other.address)
+                pod.run, named, sorted(other.address for other in members if other is not pod and other.address)
             ),
         )
         for pod in members

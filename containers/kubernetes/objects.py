@@ -88,8 +88,8 @@ class End(Struct, frozen=True):
     reason: str
 
 
-class Pod(Struct, frozen=True):
-    """Pod of an environment.
+class PodState(Struct, frozen=True):
+    """What Kubernetes tells of the pod of an environment.
 
     `node` and `container` (its id in the node's runtime) are empty until they are known. `end` is None until it has
     ended, and `obstacle` is the reason why it cannot start, if there is one.
@@ -98,7 +98,7 @@ class Pod(Struct, frozen=True):
     name: str
     namespace: str
     uid: str
-    spec: EnvironmentSpec
+    run: str
     node: str
     address: str
     container: str
@@ -114,14 +114,31 @@ class Pod(Struct, frozen=True):
         """Path of its object."""
         return f"/api/v1/namespaces/{self.namespace}/pods/{self.name}"
 
+    @property
+    def never_ran(self) -> bool:
+        """True if it has no process that must end."""
+        return not self.node or (bool(self.obstacle) and not self.container)
+
+
+class Pod(PodState, frozen=True):
+    """Pod of an environment with the environment's specification, which is in its annotation."""
+
+    spec: EnvironmentSpec
+
 
 def read_pod(found: Object) -> Pod:
     """Read a pod of an environment.
 
     Raises:
         KeyError: It is no pod of this engine.
-        msgspec.DecodeError: Its annotation is malformed.
+        msgspec.DecodeError: Its annotation is malformed, as anybody may make it who may write to the cluster.
     """
+    state = msgspec.structs.asdict(read_pod_state(found))
+    return Pod(**state, spec=msgspec.json.decode(found["metadata"]["annotations"][SPEC], type=EnvironmentSpec))
+
+
+def read_pod_state(found: Object) -> PodState:
+    """Read what Kubernetes tells of the pod of an environment; raise KeyError if it is no pod of this engine."""
     metadata, status = found["metadata"], found.get("status", {})
     states = status.get("containerStatuses") or [{}]
     state: Mapping[str, Any] = states[0].get("state", {})
@@ -132,11 +149,11 @@ def read_pod(found: Object) -> Pod:
     end = _end(ended, limit) if ended else None
     if failed and end is None:
         end = End(None, _words(status, "it ended without a status"))
-    return Pod(
+    return PodState(
         metadata["name"],
         metadata["namespace"],
         metadata["uid"],
-        msgspec.json.decode(metadata["annotations"][SPEC], type=EnvironmentSpec),
+        metadata["labels"][RUN],
         found["spec"].get("nodeName", ""),
         status.get("podIP", ""),
         states[0].get("containerID", "").rpartition("//")[2],

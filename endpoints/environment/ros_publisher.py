@@ -112,6 +112,7 @@ class RawPublisher(TopicEnd):
 
     def _settling_over(self) -> None:
         self._settled = self._matched
+        self._publish_again()  # the question for it may have been answered first
         self.flush()
 
     @property
@@ -181,6 +182,7 @@ class RawPublisher(TopicEnd):
 
     def destroy(self) -> None:
         """Destroy the publisher and drop what waits."""
+        self.destroyed = True
         self._matched = self._settled = False
         self.waiting.clear()
         self._last = None

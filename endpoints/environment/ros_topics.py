@@ -17,6 +17,8 @@ from endpoints.environment.ros import RosThread
 from rce.protocol.messages import Qos
 
 MAX_BATCH = 16  # messages taken of one entity before others have their turn
+# Fast DDS unmatches an entity that ends before it removes it from the graph cache, in a thread of its own.
+GRAPH_DELAY = 0.2  # seconds after an event until the graph cache is right, on a busy machine too
 
 Message = Any  # an instance of a generated message class; their module is known only at run time
 Report = Callable[[str], None]
@@ -45,6 +47,8 @@ class TopicEnd:
     def __init__(self, ros: RosThread, topic: Topic) -> None:
         self.ros = ros
         self.topic = topic
+        self.destroyed = False
+        self._looks_again = False  # at the graph, after GRAPH_DELAY
         self._reported: set[str] = set()
         self.handlers: list[EventHandler] = []
 
@@ -61,6 +65,14 @@ class TopicEnd:
                 handler.take_data()
                 changed = True
         if changed:
+            self.peers_changed()
+            if not self._looks_again:
+                self._looks_again = True
+                self.ros.call_later(GRAPH_DELAY, self._look_again)
+
+    def _look_again(self) -> None:
+        self._looks_again = False
+        if not self.destroyed:
             self.peers_changed()
 
     def peers_changed(self) -> None:
@@ -220,6 +232,7 @@ class RawSubscription(TopicEnd):
 
     def destroy(self) -> None:
         """Destroy the subscription."""
+        self.destroyed = True
         self.ros.node.destroy_subscription(self._subscription)
 
 

@@ -6,6 +6,7 @@ import asyncio
 import itertools
 from collections import Counter
 from collections.abc import Sequence
+from typing import Any
 
 from msgspec import Raw
 
@@ -33,7 +34,7 @@ class Asker:
 
         Raises:
             TimedOut: There is no answer within 10 s.
-            RceError: The call failed.
+            RceError: The call failed, or its service is no longer there for the guest.
         """
         async with self._turn:
             self._busy[service] += 1
@@ -53,7 +54,11 @@ class Asker:
                 use = self._use_of(service, type)
                 await asyncio.shield(use.ready)
                 self._guest.data(use, number, Raw(args), lambda error: self._failed(number, error))
-                return await answer
+                either: tuple[asyncio.Future[Any], ...] = (answer, use.ended)
+                await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
+                if not answer.done():
+                    use.ended.result()  # raises why it has ended
+                return answer.result()
         except TimeoutError:
             raise TimedOut(f"service {service} did not answer within {TIMEOUT:g} s") from None
         finally:

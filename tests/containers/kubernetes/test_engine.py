@@ -13,7 +13,7 @@ pytest.importorskip("docker", reason="nodes of the tests need docker-py: pip ins
 
 from containers.endpoint import environment_user
 from containers.kubernetes.engine import KubernetesEngine
-from containers.kubernetes.objects import AGENT, namespace_of
+from containers.kubernetes.objects import AGENT, SPEC, namespace_of
 from rce.errors import LimitExceeded, NoCapacity, StartFailed
 from rce.protocol.messages import Rates
 from rce.protocol.slots import MB
@@ -88,6 +88,26 @@ async def test_restarted_agent_serves_what_runs(
     async with asyncio.timeout(60):
         while "ann/map" not in await engine.usage():  # noqa: ASYNC110  # the agent has joined again
             await asyncio.sleep(0.1)
+
+
+async def test_pod_with_a_malformed_annotation_is_removed(world: KubernetesWorld, endings: Endings) -> None:
+    before = world.engine(endings)
+    await before.open()
+    try:
+        await before.start(spec("ann/map", 1))
+        await before.start(spec("bob/map", 2))
+        for pod in [each["metadata"]["name"] for each in world.pods()]:
+            words = ("annotate", "pod", pod, f"--namespace={NAMESPACE}", "--overwrite", f"{SPEC}={{")
+            await asyncio.to_thread(world.cluster.kubectl, *words)
+        await before.stop("ann/map")
+        assert len(world.pods()) == 1
+        assert endings.none()
+    finally:
+        await before.close()
+    async with opened(world.engine(endings)) as engine:
+        assert engine.running() == {}
+        await engine.start(spec("bob/map", 3))
+    assert world.remains() == set()
 
 
 def inode(path: Path) -> int | None:

@@ -17,7 +17,7 @@ from rce.protocol.messages import ContainerData
 def member(tag: str, address: str, pod_address: str, node: str = "n1") -> Pod:
     group = Group("ann/pair", "10.128.0.0/24", address, {tag: address})
     spec = EnvironmentSpec(f"ann/{tag}", tag[0] * 32, "", ContainerData(), group)
-    return Pod(f"rce-{tag}", "rce", tag, spec, node, pod_address, "c", True, False, None, "", "", 0)
+    return Pod(f"rce-{tag}", "rce", tag, spec.run, node, pod_address, "c", True, False, None, "", "", 0, spec)
 
 
 LEFT, RIGHT = member("left", "10.128.0.2", "10.1.0.5"), member("right", "10.128.0.3", "10.1.1.6", "n2")
@@ -69,4 +69,6 @@ async def test_agent_is_not_told_of_an_earlier_state_after_a_later_one() -> None
     third = asyncio.create_task(groups.update("ann/pair"))
     answered.set()
     await asyncio.gather(first, second, third)
-    assert [each.peers for each in told if each.run == LEFT.spec.run] == [[], ["10.1.1.6"], ["10.1.1.6"]]
+    assert [each.peers for each in told if each.run == LEFT.spec.run] == [[], ["10.1.1.6"]], (
+        "one update stands for all that wait for their turn"
+    )

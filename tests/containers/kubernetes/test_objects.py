@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
+import msgspec
 import pytest
 from msgspec.structs import replace
 
@@ -15,6 +16,7 @@ from containers.kubernetes.objects import (
     quantity,
     read_node,
     read_pod,
+    read_pod_state,
     task_set_id,
 )
 from containers.kubernetes.pod import annotated
@@ -27,20 +29,23 @@ LABEL = re.compile(r"[A-Za-z0-9]([A-Za-z0-9_.-]{0,61}[A-Za-z0-9])?")
 SPEC = EnvironmentSpec("ann@example.org/map", "1" * 32, "token", ContainerData(size=2))
 
 
+def listed(status: dict[str, Any], **metadata: Any) -> dict[str, Any]:
+    return {
+        "metadata": {
+            "name": "rce-1",
+            "namespace": "rce",
+            "uid": "u",
+            "labels": environment_labels("task-set", SPEC),
+            "annotations": {"rce/spec": annotated(SPEC)},
+            **metadata,
+        },
+        "spec": {"nodeName": "n1", "containers": [{"resources": {"limits": {"memory": "32Mi"}}}]},
+        "status": status,
+    }
+
+
 def pod(status: dict[str, Any], **metadata: Any) -> Any:
-    return read_pod(
-        {
-            "metadata": {
-                "name": "rce-1",
-                "namespace": "rce",
-                "uid": "u",
-                "annotations": {"rce/spec": annotated(SPEC)},
-                **metadata,
-            },
-            "spec": {"nodeName": "n1", "containers": [{"resources": {"limits": {"memory": "32Mi"}}}]},
-            "status": status,
-        }
-    )
+    return read_pod(listed(status, **metadata))
 
 
 def in_state(state: dict[str, Any], phase: str = "Running") -> Any:
@@ -158,3 +163,12 @@ def test_node_has_size_features_and_readiness() -> None:
     assert (node.size, node.address) == (Size(3.5, 2**31), "10.0.0.1")
     found["status"]["conditions"] = [{"type": "Ready", "status": "Unknown"}]  # type: ignore[index]
     assert read_node(found).unusable_reason == "node n1 is not ready"
+
+
+@pytest.mark.parametrize("annotations", [{}, {"rce/spec": "{"}, {"rce/spec": "{}"}])
+def test_state_of_a_pod_is_read_whatever_its_annotations(annotations: dict[str, str]) -> None:
+    found = listed({"phase": "Running"}, annotations=annotations)
+    with pytest.raises((KeyError, msgspec.DecodeError)):
+        read_pod(found)
+    state = read_pod_state(found)
+    assert (state.path, state.run, state.node) == ("/api/v1/namespaces/rce/pods/rce-1", SPEC.run, "n1")

@@ -1,4 +1,7 @@
-"""Publishing waits for acknowledgements, and counts what it cannot wait for; with a fake of rclpy's publisher."""
+"""Publishing waits for acknowledgements and counts what it cannot wait for; nodes that come late get the last message.
+
+With a fake of rclpy's publisher.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
 from endpoints.environment import ros_publisher
@@ -23,9 +27,15 @@ from tests.support.endpoints.fake_ros import InstantRos
 
 
 class Node:
-    """A node of rclpy with one publisher, whose one subscription is that of a node which the test controls."""
+    """A node of rclpy with one publisher, whose one subscription is that of a node which the test controls.
+
+    Attributes:
+        subscriptions: What the graph cache of rmw lists.
+    """
 
     def __init__(self) -> None:
+        self.subscriptions: list[Any] = []
+        self.created = 0
         self.published: list[bytes] = []
         self.acknowledges = True
         self.publisher = Mock(event_handlers=[])
@@ -34,10 +44,17 @@ class Node:
         self.publisher.wait_for_all_acked = lambda timeout: self.acknowledges
 
     def create_publisher(self, *_: object, **__: object) -> Any:
+        self.created += 1
         return self.publisher
 
+    def destroy_publisher(self, _: object) -> None: ...
+
     def get_subscriptions_info_by_topic(self, _: str) -> list[Any]:
-        return []
+        return self.subscriptions
+
+    def match(self, count: int) -> None:
+        """Set the number of subscriptions that are matched."""
+        self.publisher.get_subscription_count.return_value = count
 
 
 class Ros(InstantRos):
@@ -49,6 +66,10 @@ class Ros(InstantRos):
         super().__init__()
         self.node = Node()
         self.posted: list[Callable[[], None]] = []
+        self.later: list[Callable[[], None]] = []
+
+    def call_later(self, seconds: float, action: Callable[[], None]) -> None:
+        self.later.append(action)
 
     def post(self, action: Callable[[], None]) -> None:
         self.posted.append(action)
@@ -56,10 +77,27 @@ class Ros(InstantRos):
     def add_waitable(self, waitable: object) -> None: ...
 
 
+class Discovery:
+    """What runs when nodes have discovered this process: at once, or when the test says so.
+
+    Attributes:
+        waiting: Actions that wait, in the order in which they were given; None while every node has discovered it.
+    """
+
+    waiting: list[Callable[[], None]] | None = None
+
+    def after_discovery(self, ros: object, nodes: object, action: Callable[[], None]) -> None:
+        if self.waiting is None:
+            action()
+        else:
+            self.waiting.append(action)
+
+
 @pytest.fixture(autouse=True)
-def discovered(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every node has discovered this process."""
-    monkeypatch.setattr(ros_publisher, "after_discovery", lambda ros, nodes, action: action())
+def discovery(monkeypatch: pytest.MonkeyPatch) -> Discovery:
+    found = Discovery()
+    monkeypatch.setattr(ros_publisher, "after_discovery", found.after_discovery)
+    return found
 
 
 class World:
@@ -142,3 +180,63 @@ def test_publishing_never_loses_with_keep_all() -> None:
     world.proceed()
     assert len(world.node.published) == WINDOW
     assert world.lost == 0
+
+
+def subscription(name: str) -> Mock:
+    """Return what rmw tells of the volatile subscription of a node."""
+    return Mock(endpoint_gid=name.ljust(24).encode(), qos_profile=QoSProfile(depth=10))
+
+
+def restarted(world: World) -> None:
+    """Publish a message to a node that ends afterwards."""
+    world.node.subscriptions = [subscription("before")]
+    world.publisher.peers_changed()
+    world.publish(1)
+    world.node.subscriptions = []
+    world.node.match(0)
+    world.publisher.peers_changed()
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_restarted_node_gets_last_message_whichever_question_it_answers_first(
+    discovery: Discovery, order: tuple[int, int]
+) -> None:
+    world = World(Qos())
+    restarted(world)
+    discovery.waiting = []
+    world.node.subscriptions = [subscription("after")]
+    world.node.match(1)
+    world.publisher.peers_changed()
+    for each in order:
+        discovery.waiting[each]()
+    assert len(world.node.published) == 2
+
+
+def test_restarted_node_gets_last_message_though_graph_cache_lists_the_ended_one_at_the_event() -> None:
+    """Fast DDS unmatches the subscription of a node that ends, and then removes it from the graph cache."""
+    world = World(Qos())
+    world.node.subscriptions = [subscription("before")]
+    world.publisher.peers_changed()
+    world.publish(1)
+    world.node.subscriptions = [subscription("before"), subscription("after")]
+    handler = Mock()
+    world.publisher.handlers = [handler]
+    world.publisher.take(Mock())
+    assert len(world.node.published) == 1
+    world.node.subscriptions = [subscription("after")]
+    for action in world.ros.later:
+        action()
+    assert len(world.node.published) == 2
+
+
+def test_publisher_that_was_destroyed_does_not_look_at_the_graph_again() -> None:
+    world = World(Qos())
+    world.publisher.handlers = [Mock()]
+    world.publisher.take(Mock())
+    world.publisher.destroy()
+    world.node.subscriptions = [subscription("latched")]
+    world.node.subscriptions[0].qos_profile = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    created = world.node.created
+    for action in world.ros.later:
+        action()
+    assert world.node.created == created

@@ -52,3 +52,12 @@ async def test_service_is_kept_until_its_calls_are_answered() -> None:
         guest.deliver(guest.uses["ServiceClientInterface", address], {}, id)
     assert [await call for call in calls] == [b"{}"] * number
     assert len(guest.dropped) == 20
+
+
+async def test_call_fails_at_once_when_its_service_is_gone() -> None:
+    guest = FakeGuest()
+    asking = asyncio.create_task(Asker(guest.as_guest())("/set", BOOL, b"{}"))
+    await eventually(lambda: bool(guest.sent))
+    guest.uses["ServiceClientInterface", "/set"].end(RceError("the robot has taken it back"))
+    with pytest.raises(RceError, match="taken it back"):
+        await asyncio.wait_for(asking, 5)
