@@ -24,6 +24,7 @@ PROGRAMS = {
     "rce.mapservice": ("map service", "metrics/map-service"),
 }
 """Name and path of the metrics of each program that `rce up` starts."""
+_ROLLUP = re.compile(r"^(\w+): +(\d+) kB$", re.MULTILINE)
 _TASKS = re.compile(r"^rce_tasks(?:{[^}]*})? (\S+)$", re.MULTILINE)
 
 
@@ -32,7 +33,7 @@ class Series(Struct):
 
     Attributes:
         times: Seconds since the begin.
-        figures: Samples by kind: `memory` (USS) and `database` are in bytes, the others are numbers.
+        figures: Samples by kind: `memory` (see `own_memory`) and `database` are in bytes, the others are numbers.
     """
 
     times: list[float] = field(default_factory=list)
@@ -108,9 +109,9 @@ class Observer:
             if self._pids.setdefault(name, process.pid) != process.pid:
                 self._pids[name] = process.pid
                 self.restarts.append(name)
-            with contextlib.suppress(psutil.Error, RceError):  # it has just ended
+            with contextlib.suppress(psutil.Error, RceError, OSError):  # it has just ended
                 taken = {
-                    "memory": process.memory_full_info().uss,
+                    "memory": own_memory(process.pid),
                     "descriptors": process.num_fds(),
                     "threads": process.num_threads(),
                     "tasks": self._tasks(path),
@@ -134,6 +135,15 @@ class Observer:
     def _tasks(self, path: str) -> float:
         found = _TASKS.search(self._metrics.json("GET", path).decode())
         return float(found[1]) if found else 0.0
+
+
+def own_memory(pid: int) -> int:
+    """Return the bytes of a process's pages that are not those of files: what it has allocated, in swap space too.
+
+    The unique set size counts pages of programs and libraries as well, from the time on when no other process has them.
+    """
+    sizes = dict(_ROLLUP.findall(Path(f"/proc/{pid}/smaps_rollup").read_text()))
+    return 1024 * sum(int(sizes[kind]) for kind in ("Anonymous", "Pss_Shmem", "Swap"))
 
 
 def _size(path: Path) -> int:

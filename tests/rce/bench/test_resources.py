@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import mmap
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -13,7 +15,7 @@ import pytest
 pytest.importorskip("psutil", reason="needs the extra `bench`")
 
 from rce.api.http import EntryClient
-from rce.bench.resources import Observer, Series, trend
+from rce.bench.resources import Observer, Series, own_memory, trend
 
 METRICS = b"# HELP rce_tasks Tasks\nrce_tasks 7.0\nrce_tasks_other 9\n"
 
@@ -90,3 +92,16 @@ def test_processes_are_sampled_by_name(program: subprocess.Popen[bytes], tmp_pat
     assert observer.series["data"].figures["database"] == [100, 100]
     assert observer.restarts == []
     assert set(metrics.asked) == {"metrics"}
+
+
+def test_pages_of_files_are_not_a_process_own_memory(tmp_path: Path) -> None:
+    size = 32_000_000
+    file = tmp_path / "library"
+    file.write_bytes(bytes(size))
+    before = own_memory(os.getpid())
+    with file.open("rb") as opened, mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
+        assert sum(mapped[:: mmap.PAGESIZE]) == 0
+        assert own_memory(os.getpid()) - before < size / 2
+    allocated = bytearray(os.urandom(size))
+    assert own_memory(os.getpid()) - before > size / 2
+    assert len(allocated) == size
