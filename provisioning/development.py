@@ -47,7 +47,6 @@ TEST_EXTRAS = (
     *("docs", "dev"),
 )
 TEST_PACKAGE = ROOT / "tests" / "ros" / "Test"
-EXAMPLE_PACKAGE = ROOT / "tests" / "ros" / "example_interfaces"
 DOCKER_PROGRAMS = {  # a private daemon, what makes images without a registry, and disks and networks of environments
     "docker.io": "dockerd",
     **{name: name for name in ("containerd", "runc", "iptables", "debootstrap")},
@@ -305,7 +304,7 @@ def demo(options: argparse.Namespace, rest: list[str]) -> int:
 def test(options: argparse.Namespace, rest: list[str]) -> int:
     """Install all that the tests need, check code and types, then test; further arguments go to pytest."""
     steps = [
-        *setup_steps(TEST_EXTRAS, [TEST_PACKAGE, EXAMPLE_PACKAGE], tests=True),
+        *setup_steps(TEST_EXTRAS, [TEST_PACKAGE], tests=True),
         *([] if options.rest else check_steps()),
     ]
     commands = pytest_commands(options, rest)

@@ -1,4 +1,4 @@
-"""ROS graphs of environments, read while somebody wants them, at most once a second for all clients of gateways."""
+"""ROS graphs of environments, read while somebody wants them, once for all clients of gateways that ask meanwhile."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from rce.control.calls.robots import ReadGraphFor
 from rce.control.calls.watching import RosGraph
 from rce.control.client import ControlClient
 
-FRESH = 1.0  # seconds for which a graph is not read again
+FRESH = 1.0  # seconds for which a graph need not be read again
+KEPT = 60.0  # seconds
 
 
 class Graphs:
@@ -19,27 +20,28 @@ class Graphs:
         self._read: dict[str, tuple[float, RosGraph]] = {}
         self._reading: dict[str, asyncio.Task[RosGraph]] = {}
 
-    async def read(self, master: ControlClient, robot: str, environment: str, age: float = FRESH) -> RosGraph:
+    async def read(self, master: ControlClient, robot: str, environment: str, since: float | None = None) -> RosGraph:
         """Return the graph of an environment.
 
         Args:
             master: The Master, which checks the rights of the robot.
             robot: Name of the guest that asks.
             environment: Tag of the environment.
-            age: Seconds for which an earlier answer is good enough.
+            since: An answer is good enough if it was asked for at this monotonic time or later, by default `FRESH`
+                seconds ago.
 
         Raises:
             RceError: The robot may not see the environment, or it cannot be asked at present.
         """
         name = f"{robot.partition('/')[0]}/{environment}"
-        at, graph = self._read.get(name, (0.0, None))
-        if graph is not None and time.monotonic() - at < age:
-            return graph
-        task = self._reading.get(name)
-        if task is None:
-            task = self._reading[name] = asyncio.create_task(self._ask(master, robot, name, environment))
-            task.add_done_callback(lambda done: self._done(name, done))
-        return await asyncio.shield(task)
+        since = time.monotonic() - FRESH if since is None else since
+        while (found := self._read.get(name)) is None or found[0] < since:
+            task = self._reading.get(name)  # which may have begun too early
+            if task is None or task.done():
+                task = self._reading[name] = asyncio.create_task(self._ask(master, robot, name, environment))
+                task.add_done_callback(lambda done: self._done(name, done))
+            await asyncio.shield(task)
+        return found[1]
 
     async def check(self, master: ControlClient, robot: str, environment: str) -> RosGraph:
         """Read the graph anew, so that the Master checks the rights of this robot; see `read`."""
@@ -53,10 +55,11 @@ class Graphs:
         return graph
 
     def _done(self, name: str, task: asyncio.Task[RosGraph]) -> None:
-        del self._reading[name]
+        if self._reading.get(name) is task:
+            del self._reading[name]
         if not task.cancelled():
             task.exception()  # who waited for it may have left
 
     def _forget_old(self, now: float) -> None:
-        for name in [name for name, (at, _) in self._read.items() if at < now - 60 * FRESH]:
+        for name in [name for name, (at, _) in self._read.items() if at < now - KEPT]:
             del self._read[name]

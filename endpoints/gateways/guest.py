@@ -11,6 +11,7 @@ import itertools
 import math
 import re
 import secrets
+import time
 from collections.abc import Callable, Coroutine, Sequence
 from contextlib import suppress
 from typing import Any, Literal
@@ -22,8 +23,9 @@ from twisted.logger import Logger
 
 from converters.definition import Definition
 from endpoints.gateways import robots
-from endpoints.gateways.graphs import Graphs
-from endpoints.gateways.uses import Arrived, Frame, Kind, Sealed, Use
+from endpoints.gateways.changes import Changes
+from endpoints.gateways.graphs import FRESH, Graphs
+from endpoints.gateways.uses import ASK, CALL, Arrived, Frame, Kind, Sealed, Use
 from endpoints.gateways.work import Work
 from endpoints.robot.client import Accepted
 from endpoints.robot.endpoint import RobotEndpoint
@@ -75,6 +77,7 @@ class Guest:
         self._work = Work(self.pause_reading)
         self._making = asyncio.Semaphore(MAX_MAKING)
         self._removals: set[asyncio.Task[None]] = set()
+        self._changes = Changes()
         self._robots: tuple[float, list[RobotInterfaceName]] = (-math.inf, [])  # when they were read
 
     # --- login --------------------------------------------------------------------------------------------------------
@@ -247,6 +250,8 @@ class Guest:
         self._work.check_room()
         use = Use(f"u{next(self._tags)}", address, type, receive, failed)
         self._uses[use.tag] = use
+        if kind not in (CALL, ASK):
+            self._changes.begin(use.ready)
         inner = m.AddInterface(self.environment, f"{self._tag}.{use.tag}", kind.environment, type, address, qos)
         depth = m.Qos(depth=qos.depth)
         own = m.AddInterface(self._tag, use.tag, kind.own + form, type, "", depth, format, delivery, codec)
@@ -283,7 +288,15 @@ class Guest:
             return
         removal = asyncio.create_task(self._remove(use))
         self._removals.add(removal)
+        self._changes.begin(removal)
         removal.add_done_callback(self._removals.discard)
+
+    async def settle(self) -> None:
+        """Wait until what the client has begun to offer or to receive, or has ended, is carried out.
+
+        It may call what it has just advertised.
+        """
+        await self._changes.settle()
 
     async def _remove(self, use: Use) -> None:
         await asyncio.wait([use.ready])
@@ -343,21 +356,30 @@ class Guest:
 
     # --- the environment ----------------------------------------------------------------------------------------------
 
-    async def graph(self, age: float = 1.0) -> RosGraph:
-        """Return the ROS graph of the environment with the robots, at most `age` seconds old; raises RceError."""
-        graph = await self._graphs.read(self.endpoint.master, self._session.name, self.environment, age)
-        return robots.with_robots(graph, await self._robot_interfaces(age))
+    async def graph(self, age: float = FRESH) -> RosGraph:
+        """Return the ROS graph of the environment with the robots, after the client's earlier operations.
 
-    async def _robot_interfaces(self, age: float = 1.0) -> list[RobotInterfaceName]:
-        now = asyncio.get_running_loop().time()
-        if now - self._robots[0] >= age:
+        Args:
+            age: Seconds for which an earlier answer is good enough, unless this client has changed the graph.
+
+        Raises:
+            RceError: The environment cannot be asked.
+        """
+        await self.settle()
+        since = max(time.monotonic() - age, self._changes.last)
+        graph = await self._graphs.read(self.endpoint.master, self._session.name, self.environment, since)
+        return robots.with_robots(graph, await self._robot_interfaces(since))
+
+    async def _robot_interfaces(self, since: float) -> list[RobotInterfaceName]:
+        if self._robots[0] < since:
+            now = time.monotonic()
             found = await self.endpoint.master.call(ReadRobotsFor(self._session.name))
             self._robots = now, found.interfaces
         return self._robots[1]
 
     async def _robot_interface(self, address: str, kind: str) -> str:
         """Return the interface of a robot that an address means, or an empty string: it is the environment's."""
-        found = robots.find(await self._robot_interfaces(), address, kind)
+        found = robots.find(await self._robot_interfaces(time.monotonic() - FRESH), address, kind)
         if found:
             with suppress(RceError):  # the environment is away
                 graph = await self._graphs.read(self.endpoint.master, self._session.name, self.environment)

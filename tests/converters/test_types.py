@@ -96,7 +96,7 @@ def test_action_types() -> None:
 def test_common_services_and_map_messages_are_known(registry: TypeRegistry) -> None:
     for name in ("std_srvs/SetBool", "nav_msgs/GetMap", "sensor_msgs/SetCameraInfo", "lifecycle_msgs/GetState",
                  "map_msgs/SaveMap", "diagnostic_msgs/SelfTest", "rcl_interfaces/SetParameters",
-                 "visualization_msgs/GetInteractiveMarkers"):  # fmt: skip
+                 "visualization_msgs/GetInteractiveMarkers", "example_interfaces/AddTwoInts"):  # fmt: skip
         assert registry.service(parse_type(name)).request.encode(json_wire("{}"))
     for name in ("map_msgs/OccupancyGridUpdate", "tf2_msgs/TFMessage", "stereo_msgs/DisparityImage",
                  "shape_msgs/Mesh", "visualization_msgs/MarkerArray", "trajectory_msgs/JointTrajectory"):  # fmt: skip

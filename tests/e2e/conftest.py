@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.paths import INTERFACE_PACKAGES, TEST_PACKAGE, TESTS
+from tests.support.paths import TEST_PACKAGE, TESTS
 
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 
@@ -22,7 +22,7 @@ def arguments() -> list[str]:
     """Options by which a platform finds the packages of the tests and their types."""
     if shutil.which("g++") is None:
         pytest.skip("no C++ compiler for the types of the package Test: install g++ to run this")
-    typesupport = build([*shipped(), *INTERFACE_PACKAGES])
+    typesupport = build([*shipped(), TEST_PACKAGE])
     packages = f"{TEST_PACKAGE.parent},{TESTS / 'e2e' / 'ros'}"
     return ["--package-path", packages, "--typesupport", str(typesupport.prefix)]
 

@@ -41,7 +41,7 @@ from rce.mapping.files.recordings.bags import Bag
 from rce.mapping.scans import Scan
 from tests.support.domains import domain
 from tests.support.e2e.real_platform import USER, RealPlatform, until
-from tests.support.paths import INTERFACE_PACKAGES, TESTS
+from tests.support.paths import TEST_PACKAGE, TESTS
 
 ROBOTS = ("rover", "lander")
 START_TIMEOUT, STOP_TIMEOUT = 120.0, 60.0  # seconds
@@ -86,7 +86,7 @@ class RobotRos:
 @pytest.fixture
 def robots(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, RobotRos]]:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.syspath_prepend(build([*shipped(), *INTERFACE_PACKAGES]).prefix / "python")
+    monkeypatch.syspath_prepend(build([*shipped(), TEST_PACKAGE]).prefix / "python")
     found = {name: RobotRos(domain(name)) for name in ROBOTS}
     yield found
     for robot in found.values():
@@ -105,7 +105,7 @@ def metrics_port() -> Iterator[int]:
 @asynccontextmanager
 async def bridge(platform: RealPlatform, robot: str, directory: Path, **config: Any) -> AsyncIterator[Path]:
     """Run a bridge as a process of its own; yield its log. It must end with status 0."""
-    typesupport = build([*shipped(), *INTERFACE_PACKAGES])
+    typesupport = build([*shipped(), TEST_PACKAGE])
     file = directory / f"{robot}.json"
     whole = {"url": platform.url, "user": USER, "robot": robot, "password": USER, **config}
     file.write_bytes(msgspec.json.encode(whole))

@@ -10,7 +10,6 @@ await within(new Promise((r, j) => { ros.on("connection", r); ros.on("error", j)
 const results = {};
 const check = (name, ok, info = "") => { results[name] = ok; console.log(ok ? "ok  " : "FAIL", name, ok ? "" : JSON.stringify(info)); };
 const attempt = async (name, f) => { try { check(name, true, await f()); } catch (e) { check(name, false, String(e && e.stack || e)); } };
-const listed = async (call, name) => { while (!(await within(cb((r, j) => ros[call](r, j)), call)).includes(name)) await wait(100); };
 const assert = (c, m) => { if (!c) throw new Error(m); };
 const once = (f) => { let done = false; return () => { if (!done) { done = true; f(); } }; };
 const cb = (f) => new Promise((r, j) => f(r, j));
@@ -42,16 +41,30 @@ await attempt("throttle", async () => {
 await attempt("service both ways", async () => {
   const s = new ROSLIB.Service({ ros, name: "/js_bool", serviceType: "std_srvs/SetBool" });
   s.advertise((req, res) => { res.success = req.data; res.message = "got"; return true; });
-  await listed("getServices", "/js_bool");
   const c = new ROSLIB.Service({ ros, name: "/js_bool", serviceType: "std_srvs/SetBool" });
   const r = await within(cb((r, j) => c.callService({ data: true }, r, j)), "call");
   assert(r.success === true && r.message === "got", JSON.stringify(r)); s.unadvertise();
+});
+await attempt("operations take effect in the order in which they are sent", async () => {
+  const t = new ROSLIB.Topic({ ros, name: "/js_order", messageType: "std_msgs/String" });
+  const topics = async () => (await within(cb((r, j) => ros.getTopics(r, j)), "topics")).topics;
+  t.advertise();
+  assert((await topics()).includes("/js_order"), "advertised, and not there");
+  t.unadvertise();
+  assert(!(await topics()).includes("/js_order"), "unadvertised, and there");
+  const s = new ROSLIB.Service({ ros, name: "/js_again", serviceType: "std_srvs/Trigger" });
+  for (const message of ["first", "second", "third"]) {
+    await s.advertise((_, res) => { res.success = true; res.message = message; return true; });
+    const c = new ROSLIB.Service({ ros, name: "/js_again", serviceType: "std_srvs/Trigger" });
+    const r = await within(cb((r, j) => c.callService({}, r, j)), message);
+    assert(r.message === message, JSON.stringify(r));
+    await s.unadvertise();
+  }
 });
 await attempt("service that fails or does not answer", async () => {
   // A service of ROS 2 cannot answer with an error, so the caller waits for its timeout.
   const s = new ROSLIB.Service({ ros, name: "/js_fail", serviceType: "std_srvs/Trigger" });
   s.advertise(() => false);
-  await listed("getServices", "/js_fail");
   const c = new ROSLIB.Service({ ros, name: "/js_fail", serviceType: "std_srvs/Trigger" });
   let failed;
   try { await within(cb((r, j) => c.callService({}, r, j, 2)), "call"); } catch (e) { failed = String(e); }
@@ -87,7 +100,6 @@ await attempt("action server", async () => {
     server.sendFeedback(id, { sequence: [0] });
     if (goal.order < 100) { setTimeout(() => server.setSucceeded(id, { sequence: [0, goal.order] }), 200); }
   }, (id) => { cancels.push(id); server.setCanceled(id, { sequence: [9] }); });
-  await listed("getActionServers", "/js_fib");
   const a = new ROSLIB.Action({ ros, name: "/js_fib", actionType: "example_interfaces/Fibonacci" });
   const seen = [];
   const r = await within(cb((r, j) => a.sendGoal({ order: 7 }, r, (f) => seen.push(f), j)), "goal");

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.paths import INTERFACE_PACKAGES
+from tests.support.paths import TEST_PACKAGE
 
 pytest.importorskip("rosidl_adapter", reason="needs ROS 2: pip install '.[ros]'")
 
@@ -39,7 +39,7 @@ def compiler() -> None:
 @pytest.fixture(scope="session")
 def typesupport(compiler: None) -> TypeSupport:
     """Type support of the interface packages of RCE and of the tests, in the cache that `provision test` fills."""
-    return build([*shipped(), *INTERFACE_PACKAGES])
+    return build([*shipped(), TEST_PACKAGE])
 
 
 @pytest.fixture

@@ -184,6 +184,6 @@ def test_command_reports_what_it_leaves_out(
 
 def test_shipped_packages() -> None:
     assert [path.name for path in shipped()] == [
-        *("ffmpeg_image_transport_msgs", "foxglove_msgs", "map_msgs", "nav2_msgs", "re_msgs", "re_srvs"),
-        *("slam_toolbox", "tf2_msgs", "vision_msgs"),
+        *("example_interfaces", "ffmpeg_image_transport_msgs", "foxglove_msgs", "map_msgs", "nav2_msgs", "re_msgs"),
+        *("re_srvs", "slam_toolbox", "tf2_msgs", "vision_msgs"),
     ]

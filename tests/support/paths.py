@@ -9,7 +9,6 @@ ROOT = Path(__file__).resolve().parents[2]
 TESTS = ROOT / "tests"
 ROS_PACKAGES = TESTS / "ros"
 TEST_PACKAGE = ROS_PACKAGES / "Test"
-INTERFACE_PACKAGES = [TEST_PACKAGE, ROS_PACKAGES / "example_interfaces"]
 """Packages whose types `provision test` builds with those of RCE, once for all tests."""
 DATA = Path(os.environ.get("RCE_DATA", ROOT.parent / "shared" / "data"))
 """Recorded data; tests that need it are skipped where it is absent."""

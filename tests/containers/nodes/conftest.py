@@ -16,7 +16,7 @@ import pytest
 
 from rce.mapping.evaluation.simulation import Simulation, simulate
 from tests.support.domains import domain
-from tests.support.paths import INTERFACE_PACKAGES, ROOT
+from tests.support.paths import ROOT, TEST_PACKAGE
 
 NODES = ROOT / "containers" / "nodes"
 LIBRARIES = ("rce_mapping", "rce_mapping3d", "rce_planning", "rce_localisation", "rce_knowledge", "rce_recognition")
@@ -33,7 +33,7 @@ def interfaces() -> None:
     """Make the types of RCE's interface packages importable."""
     from provisioning import typesupport
 
-    sys.path.insert(0, str(typesupport.build([*typesupport.shipped(), *INTERFACE_PACKAGES]).prefix / "python"))
+    sys.path.insert(0, str(typesupport.build([*typesupport.shipped(), TEST_PACKAGE]).prefix / "python"))
 
 
 @pytest.fixture

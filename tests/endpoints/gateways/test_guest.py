@@ -107,6 +107,31 @@ async def test_more_uses_are_begun_at_once_than_a_session_may_have_commands(plat
 
 
 @pytest.mark.usefixtures("brain")
+async def test_graph_is_read_after_the_clients_earlier_operations(
+    platform: Platform, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with connect(url(platform)):
+        (session,) = platform.endpoint.sessions.values()
+        guest = session.socket
+        assert isinstance(guest, Guest)
+        await guest.graph()
+        call, read = platform.endpoint.master.call, 0
+
+        async def count(asked: Any, *args: Any, **options: Any) -> Any:
+            nonlocal read
+            read += isinstance(asked, ReadGraphFor)
+            return await call(asked, *args, **options)
+
+        monkeypatch.setattr(platform.endpoint.master, "call", count)
+        await guest.graph()
+        assert read == 0, "it was read a moment ago"
+        use = guest.use(SUBSCRIBE, "/scan", "std_msgs/String", lambda _: (), lambda *_: None)
+        await guest.graph()
+        assert use.ready.done()
+        assert read == 1
+
+
+@pytest.mark.usefixtures("brain")
 async def test_client_whose_environment_is_removed_is_closed(platform: Platform) -> None:
     async with connect(url(platform)) as socket:
         (session,) = platform.endpoint.sessions.values()

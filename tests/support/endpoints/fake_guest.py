@@ -103,6 +103,9 @@ class FakeGuest:
         """Return at once: the client reads everything."""
 
     async def settle(self) -> None:
+        """Return at once: what a use makes is there."""
+
+    async def finish(self) -> None:
         """Wait until everything that was begun is done."""
         while self.tasks:
             await asyncio.gather(*self.tasks)

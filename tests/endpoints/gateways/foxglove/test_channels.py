@@ -72,7 +72,7 @@ async def test_subscription_that_fails_is_reported(
 ) -> None:
     guest.fails = RceError("no environment")
     subscriptions.add(Subscription(1, 5), OFFER)
-    await guest.settle()
+    await guest.finish()
     assert peer.errors == [("no environment", None)]
 
 
@@ -98,7 +98,7 @@ async def test_client_is_not_read_until_its_channel_is_ready(guest: FakeGuest, p
     use = guest.uses["PublisherInterface", "/chat"]
     assert guest.paused is use.ready
     use.ready.set_result(None)
-    await guest.settle()
+    await guest.finish()
     assert len(guest.sent) == 1
 
 
@@ -119,9 +119,9 @@ async def test_channel_outlives_the_failure_of_an_earlier_one_with_its_id(
     publications.add(ClientChannel(1, "/chat", "cdr", "std_msgs/String"))
     publications.publish(ClientMessage(1, memoryview(b"cdr")))
     guest.uses["PublisherInterface", "/odd"].end(RceError("no such type"))
-    await guest.settle()
+    await guest.finish()
     guest.uses["PublisherInterface", "/chat"].ready.set_result(None)
-    await guest.settle()
+    await guest.finish()
     assert [address for address, *_ in guest.sent] == ["/chat"]
     assert peer.errors == [("no such type", None)]
 
@@ -133,7 +133,7 @@ async def test_channel_whose_use_ended_may_be_used_anew(
     publications.add(ClientChannel(3, "/chat", "json", "std_msgs/String"))
     for use in guest.uses.values():
         use.end(NotFound("the robot removed it"))
-    await guest.settle()
+    await guest.finish()
     assert [error for error, _ in peer.errors] == ["the robot removed it"] * 2
     subscriptions.add(Subscription(1, 5), OFFER)
     publications.add(ClientChannel(3, "/chat", "json", "std_msgs/String"))

@@ -86,7 +86,7 @@ async def test_changes_may_be_asked_for_again_after_a_failure(
     guest.full = False
     guest.fails = RceError("no environment")
     parameters.subscribe(["/n.rate"])
-    await guest.settle()
+    await guest.finish()
     assert peer.errors == [("no environment", None)]
     guest.fails = None
     parameters.subscribe(["/n.rate"])
@@ -102,7 +102,7 @@ async def test_failure_of_a_use_that_was_given_up_changes_nothing(
     parameters.unsubscribe(["/n.rate"])
     parameters.subscribe(["/n.rate"])
     first.end(RceError("no environment"))
-    await guest.settle()
+    await guest.finish()
     assert peer.errors == []
     parameters.subscribe(["/n.other"])
     assert len(guest.options) == 2

@@ -80,7 +80,7 @@ async def test_command_reaches_the_playback(client: Client, guest: FakeGuest) ->
     client.told(STATE_OF_PLAY)
     client.playback.control(command)
     client.playback.control(command)
-    await guest.settle()
+    await guest.finish()
     (address, _, value, _), _ = guest.sent
     assert (address, json.loads(value["data"])) == (CONTROL, {"play": True, "speed": 2.0, "seek": 8, "id": "id"})
 
@@ -90,7 +90,7 @@ async def test_client_that_may_only_read_cannot_control(client: Client, guest: F
     client.told(STATE_OF_PLAY)
     guest.fails = Forbidden("data.write")
     client.playback.control(PlaybackCommand(False, 1.0, None, ""))
-    await guest.settle()
+    await guest.finish()
     assert [str(error) for error in client.errors] == ["data.write"]
 
 
@@ -99,9 +99,9 @@ async def test_command_is_refused_while_too_much_is_in_progress(client: Client, 
     client.told(STATE_OF_PLAY)
     client.playback.control(PlaybackCommand(True, 1.0, None, "r"))
     guest.full = True
-    await guest.settle()
+    await guest.finish()
     assert [str(error) for error in client.errors] == ["too many operations are in progress"]
     guest.full = False
     client.playback.control(PlaybackCommand(True, 1.0, None, "r"))
-    await guest.settle()
+    await guest.finish()
     assert ("PublisherInterface", CONTROL) in guest.uses

@@ -25,10 +25,10 @@ async def guest() -> FakeGuest:
 async def test_responses_have_the_encoding_of_their_requests(guest: FakeGuest) -> None:
     calls = Calls(guest.as_guest())
     calls.call(CDR, OFFER)
-    await guest.settle()
+    await guest.finish()
     by_cdr = guest.uses["ServiceClientInterface", "/set"]
     calls.call(JSON, OFFER)
-    await guest.settle()
+    await guest.finish()
     by_json = guest.uses["ServiceClientInterface", "/set"]
     (_, first, value, _), (_, second, decoded, _) = guest.sent
     assert (value, decoded) == (b"\0\1\0\0\1", {"data": True})
@@ -45,7 +45,7 @@ async def test_failures_name_the_call(guest: FakeGuest) -> None:
     calls.call(ServiceRequest(1, 12, "ros1", memoryview(b"")), OFFER)
     guest.fails = RceError("no environment")
     calls.call(JSON, OFFER)
-    await guest.settle()
+    await guest.finish()
     assert [(each["op"], each["callId"]) for each in guest.frames] == [
         ("serviceCallFailure", 10),
         ("serviceCallFailure", 12),
@@ -58,7 +58,7 @@ async def test_unanswered_call_does_not_keep_its_request(guest: FakeGuest) -> No
     before = sys.getrefcount(payload)
     calls = Calls(guest.as_guest())
     calls.call(ServiceRequest(1, 10, "cdr", memoryview(payload)), OFFER)
-    await guest.settle()
+    await guest.finish()
     assert len(calls._calls) == 1
     assert sys.getrefcount(payload) == before
 
@@ -66,12 +66,12 @@ async def test_unanswered_call_does_not_keep_its_request(guest: FakeGuest) -> No
 async def test_calls_end_with_the_use_of_their_service(guest: FakeGuest) -> None:
     calls = Calls(guest.as_guest())
     calls.call(CDR, OFFER)
-    await guest.settle()
+    await guest.finish()
     guest.uses["ServiceClientInterface", "/set"].end(NotFound("the robot removed it"))
-    await guest.settle()
+    await guest.finish()
     assert [(each["callId"], each["message"]) for each in guest.frames] == [(10, "the robot removed it")]
     calls.call(CDR, OFFER)
-    await guest.settle()
+    await guest.finish()
     assert len(guest.options) == 2, "the service is used anew"
 
 
@@ -79,7 +79,7 @@ async def test_service_that_has_another_type_now_is_used_with_it(guest: FakeGues
     calls = Calls(guest.as_guest())
     calls.call(CDR, OFFER)
     calls.call(CDR, OFFER._replace(type="std_srvs/Empty"))
-    await guest.settle()
+    await guest.finish()
     assert guest.uses["ServiceClientInterface", "/set"].type == "std_srvs/Empty"
 
 

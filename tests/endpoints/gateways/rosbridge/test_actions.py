@@ -47,7 +47,7 @@ def served(guest: FakeGuest, peer: FakePeer) -> ServedActions:
 async def send(guest: FakeGuest, goals: SentGoals, **more: Any) -> tuple[Any, str]:
     """Send a goal; return the use and the goal's UUID."""
     goals.send(SendActionGoal(action="/f", action_type=TYPE, id=ID, args=Raw(b'{"order":3}'), **more))
-    await guest.settle()
+    await guest.finish()
     _, uuid, request, fields = guest.sent[-1]
     assert (request, fields["phase"]) == ({"order": 3}, "goal")
     return guest.uses["ActionClientInterface", "/f"], uuid
@@ -88,7 +88,7 @@ async def test_goal_that_is_rejected_or_fails_has_no_result(guest: FakeGuest, pe
     assert peer.errors == [("not canceled", None)]
     use.failed(uuid, RceError("the server is gone"))
     goals.send(SendActionGoal(action="/nothing"))
-    await guest.settle()
+    await guest.finish()
     assert [(each["result"], each["values"]) for each in guest.frames] == [
         (False, "action /f rejected the goal"),
         (False, "the server is gone"),
@@ -132,14 +132,14 @@ async def test_action_of_two_types_has_one_use_for_each(guest: FakeGuest, goals:
     for _ in range(2):
         await send(guest, goals)
         goals.send(SendActionGoal(action="/f", action_type="other_msgs/F"))
-        await guest.settle()
+        await guest.finish()
     assert len(guest.options) == 2
 
 
 async def test_goals_end_with_the_use_of_their_action(guest: FakeGuest, goals: SentGoals) -> None:
     use, _ = await send(guest, goals)
     use.end(NotFound("the robot removed it"))
-    await guest.settle()
+    await guest.finish()
     assert [(each["result"], each["values"]) for each in guest.frames] == [(False, "the robot removed it")]
     await send(guest, goals)
     assert len(guest.options) == 2, "the action is used anew"
@@ -165,7 +165,7 @@ async def test_action_that_ended_is_reported_and_carried_out_no_more(
 ) -> None:
     served.advertise(AdvertiseAction(action="/f", type=TYPE, id=ID))
     guest.uses["ActionProviderInterface", "/f"].end(NotFound("the robot removed it"))
-    await guest.settle()
+    await guest.finish()
     assert peer.errors == [("the robot removed it", "goal")]
     with pytest.raises(InvalidRequest, match="not advertised"):
         served.feedback(ActionFeedback(action="/f", id=ID))

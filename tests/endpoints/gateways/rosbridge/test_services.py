@@ -43,7 +43,7 @@ def served(guest: FakeGuest) -> ServedServices:
 
 async def test_answer_has_the_id_of_the_call(guest: FakeGuest, calls: ServiceCalls) -> None:
     calls.call(CALL)
-    await guest.settle()
+    await guest.finish()
     ((_, number, request, _),) = guest.sent
     assert request == {"data": True}
     use = guest.uses["ServiceClientInterface", "/set"]
@@ -51,19 +51,19 @@ async def test_answer_has_the_id_of_the_call(guest: FakeGuest, calls: ServiceCal
     assert guest.deliver(use, {"success": True}, number) == [answer]
     assert guest.deliver(use, {}, number) == [], "answered already"
     calls.call(CALL)
-    await guest.settle()
+    await guest.finish()
     assert len(guest.options) == 1, "the interface is used again"
 
 
 async def test_arguments_may_be_a_list(guest: FakeGuest, calls: ServiceCalls) -> None:
     calls.call(CallService(service="/set", args=Raw(b"[true]")))
-    await guest.settle()
+    await guest.finish()
     assert guest.sent[0][2] == {"data": True}
 
 
 async def test_answer_may_be_cbor(guest: FakeGuest, calls: ServiceCalls) -> None:
     calls.call(CallService(service="/set", id=ID, compression="cbor"))
-    await guest.settle()
+    await guest.finish()
     use = guest.uses["ServiceClientInterface", "/set"]
     (frame,) = guest.deliver(use, "id", guest.sent[0][1], blob=cbor2.dumps({"success": False}))
     assert cbor2.loads(frame)["values"] == {"success": False}
@@ -74,7 +74,7 @@ async def test_failed_call_is_answered_with_the_reason(guest: FakeGuest, calls: 
     calls.call(CallService(service="/nothing", id=ID))
     guest.refuses = RceError("it is broken")
     calls.call(CALL)
-    await guest.settle()
+    await guest.finish()
     calls.call(CallService(service="/set", timeout=0.01))
     guest.refuses = None
     await eventually(lambda: len(guest.frames) == 3)
@@ -89,7 +89,7 @@ async def test_failed_call_is_answered_with_the_reason(guest: FakeGuest, calls: 
 async def test_unanswered_calls_are_bounded(guest: FakeGuest, calls: ServiceCalls) -> None:
     for _ in range(MAX_PENDING + 1):
         calls.call(CALL)
-    await guest.settle()
+    await guest.finish()
     assert [each["result"] for each in guest.frames] == [False]
 
 
@@ -129,9 +129,9 @@ async def test_calls_of_a_service_that_is_dropped_for_another_are_answered(
     guest: FakeGuest, calls: ServiceCalls
 ) -> None:
     calls.call(CALL)
-    await guest.settle()
+    await guest.finish()
     calls.call(CallService(service="/set", type="std_srvs/Empty"))
-    await guest.settle()
+    await guest.finish()
     assert guest.dropped == ["/set"]
     assert [(each["id"], each["result"]) for each in guest.frames] == [("call", False)]
 
@@ -143,19 +143,19 @@ async def test_calls_of_a_client_that_left_keep_no_timer(guest: FakeGuest, calls
     assert timer is not None
     assert timer.when() <= asyncio.get_running_loop().time() + MAX_TIMEOUT + 1
     calls.close()
-    await guest.settle()
+    await guest.finish()
     assert timer.cancelled()
     assert guest.frames == []
 
 
 async def test_calls_end_with_the_use_of_their_service(guest: FakeGuest, calls: ServiceCalls) -> None:
     calls.call(CALL)
-    await guest.settle()
+    await guest.finish()
     guest.uses["ServiceClientInterface", "/set"].end(NotFound("the robot removed it"))
-    await guest.settle()
+    await guest.finish()
     assert [(each["result"], each["values"]) for each in guest.frames] == [(False, "the robot removed it")]
     calls.call(CALL)
-    await guest.settle()
+    await guest.finish()
     assert len(guest.options) == 2, "the service is used anew"
 
 
@@ -179,7 +179,7 @@ async def test_service_that_ended_is_reported_and_served_no_more(guest: FakeGues
     served = ServedServices(guest.as_guest(), peer)
     served.advertise(AdvertiseService(service="/give", type=BOOL, id=ID))
     guest.uses["ServiceProviderInterface", "/give"].end(NotFound("the robot removed it"))
-    await guest.settle()
+    await guest.finish()
     assert peer.errors == [("the robot removed it", "call")]
     served.unadvertise(UnadvertiseService(service="/give"))
     assert guest.dropped == []

@@ -62,7 +62,7 @@ async def test_client_is_not_read_until_its_topic_is_ready(
     assert peer.paused is use.ready
     assert not guest.sent
     use.ready.set_result(None)
-    await guest.settle()
+    await guest.finish()
     assert len(guest.sent) == 1
 
 
@@ -82,7 +82,7 @@ async def test_type_of_a_topic_that_exists_is_known(
 ) -> None:
     publications.publish(Publish(topic="/known", msg=HELLO))
     publications.publish(Publish(topic="/unknown", msg=HELLO))
-    await guest.settle()
+    await guest.finish()
     assert [address for address, *_ in guest.sent] == ["/known"]
     assert peer.errors == [("/unknown has no type", None)]
 
@@ -104,7 +104,7 @@ async def test_failure_is_reported_with_the_id(
     guest.fails = RceError("no such environment")
     publications.advertise(Advertise(topic="/a", type=STRING, id=ONE))
     subscriptions.subscribe(Subscribe(topic="/a", type=STRING, id=TWO))
-    await guest.settle()
+    await guest.finish()
     assert peer.errors == [("no such environment", "one"), ("no such environment", "two")]
 
 
@@ -205,7 +205,7 @@ async def test_subscription_without_a_type_takes_that_of_the_topic(
     subscriptions.subscribe(Subscribe(topic="/known"))
     subscriptions.subscribe(Subscribe(topic="/unknown", id=ONE))
     subscriptions.unsubscribe(Unsubscribe(topic="/nothing"))
-    await guest.settle()
+    await guest.finish()
     assert [address for _, address in guest.uses] == ["/known"]
     assert peer.errors == [("/unknown has no type", "one")]
 
@@ -233,7 +233,7 @@ async def test_type_of_a_later_subscription_serves_an_earlier_one(
 ) -> None:
     subscriptions.subscribe(Subscribe(topic="/unknown", id=ONE))
     subscriptions.subscribe(Subscribe(topic="/unknown", type=STRING, id=TWO))
-    await guest.settle()
+    await guest.finish()
     assert [use.type for use in guest.uses.values()] == [STRING]
     assert not peer.errors
     subscriptions.unsubscribe(Unsubscribe(topic="/unknown", id=TWO))
@@ -245,7 +245,7 @@ async def test_topic_whose_use_ended_is_subscribed_to_anew(
 ) -> None:
     subscriptions.subscribe(Subscribe(topic="/r/a", type=STRING, id=ONE))
     guest.uses["SubscriberInterface", "/r/a"].end(NotFound("the robot removed it"))
-    await guest.settle()
+    await guest.finish()
     assert peer.errors == [("the robot removed it", "one")]
     subscriptions.subscribe(Subscribe(topic="/r/a", type=STRING, id=ONE))
     assert len(guest.options) == 2
@@ -256,7 +256,7 @@ async def test_topic_whose_use_ended_is_advertised_anew(
 ) -> None:
     publications.advertise(Advertise(topic="/r/a", type=STRING, id=ONE))
     guest.uses["PublisherInterface", "/r/a"].end(NotFound("the robot removed it"))
-    await guest.settle()
+    await guest.finish()
     assert peer.errors == [("the robot removed it", "one")]
     publications.advertise(Advertise(topic="/r/a", type=STRING, id=ONE))
     assert len(guest.options) == 2
