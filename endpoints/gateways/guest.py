@@ -54,6 +54,9 @@ log = Logger()
 class Guest:
     """Guest in one environment.
 
+    Attributes:
+        changes: What the client has begun to change in the environment.
+
     Args:
         endpoint: The Robot endpoint.
         graphs: Graphs of environments.
@@ -77,7 +80,7 @@ class Guest:
         self._work = Work(self.pause_reading)
         self._making = asyncio.Semaphore(MAX_MAKING)
         self._removals: set[asyncio.Task[None]] = set()
-        self._changes = Changes()
+        self.changes = Changes()
         self._robots: tuple[float, list[RobotInterfaceName]] = (-math.inf, [])  # when they were read
 
     # --- login --------------------------------------------------------------------------------------------------------
@@ -251,7 +254,7 @@ class Guest:
         use = Use(f"u{next(self._tags)}", address, type, receive, failed)
         self._uses[use.tag] = use
         if kind not in (CALL, ASK):
-            self._changes.begin(use.ready)
+            self.changes.begin(use.ready)
         inner = m.AddInterface(self.environment, f"{self._tag}.{use.tag}", kind.environment, type, address, qos)
         depth = m.Qos(depth=qos.depth)
         own = m.AddInterface(self._tag, use.tag, kind.own + form, type, "", depth, format, delivery, codec)
@@ -288,15 +291,8 @@ class Guest:
             return
         removal = asyncio.create_task(self._remove(use))
         self._removals.add(removal)
-        self._changes.begin(removal)
+        self.changes.begin(removal)
         removal.add_done_callback(self._removals.discard)
-
-    async def settle(self) -> None:
-        """Wait until what the client has begun to offer or to receive, or has ended, is carried out.
-
-        It may call what it has just advertised.
-        """
-        await self._changes.settle()
 
     async def _remove(self, use: Use) -> None:
         await asyncio.wait([use.ready])
@@ -365,8 +361,8 @@ class Guest:
         Raises:
             RceError: The environment cannot be asked.
         """
-        await self.settle()
-        since = max(time.monotonic() - age, self._changes.last)
+        await self.changes.settle()
+        since = max(time.monotonic() - age, self.changes.last)
         graph = await self._graphs.read(self.endpoint.master, self._session.name, self.environment, since)
         return robots.with_robots(graph, await self._robot_interfaces(since))
 

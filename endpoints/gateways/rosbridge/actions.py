@@ -69,7 +69,7 @@ class SentGoals:
 
     async def _send(self, id: str, goal: _Goal, op: SendActionGoal) -> None:
         try:
-            await self._guest.settle()
+            await self._guest.changes.settle()
             type = op.action_type or await find_action_type(self._guest, op.action)
             goal.use = self._use_of(op.action, type)
             await asyncio.shield(goal.use.ready)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Awaitable, Callable
 from typing import Any
@@ -98,10 +99,11 @@ class Rosapi:
     # --- parameters ---------------------------------------------------------------------------------------------------
 
     async def _get_param(self, args: Arguments) -> Answer:
+        await self._guest.changes.settle()
         try:
             value = await self._parameters.get(_text(args, "name"))
         except RceError as error:
-            return {"value": args.get("default_value", ""), "successful": False, "reason": str(error)}
+            return {"value": _as_json(args.get("default_value", "")), "successful": False, "reason": str(error)}
         return {"value": msgspec.json.encode(value).decode(), "successful": True, "reason": ""}
 
     async def _set_param(self, args: Arguments) -> Answer:
@@ -110,12 +112,22 @@ class Rosapi:
             value = msgspec.json.decode(text)
         except MALFORMED:
             value = text
-        return await _outcome(self._parameters.set(_text(args, "name"), value))
+        return await self._set(_text(args, "name"), value)
 
     async def _delete_param(self, args: Arguments) -> Answer:
-        return await _outcome(self._parameters.set(_text(args, "name"), None))
+        return await self._set(_text(args, "name"), None)
+
+    async def _set(self, name: str, value: Any) -> Answer:
+        setting = asyncio.ensure_future(self._parameters.set(name, value))
+        self._guest.changes.begin(setting)
+        try:
+            await setting
+        except RceError as error:
+            return {"successful": False, "reason": str(error)}
+        return {"successful": True, "reason": ""}
 
     async def _has_param(self, args: Arguments) -> Answer:
+        await self._guest.changes.settle()
         try:
             await self._parameters.get(_text(args, "name"))
         except RceError:
@@ -124,14 +136,6 @@ class Rosapi:
 
     async def _param_names(self, _: Arguments) -> Answer:
         return {"names": await self._parameters.names()}
-
-
-async def _outcome(done: Awaitable[None]) -> Answer:
-    try:
-        await done
-    except RceError as error:
-        return {"successful": False, "reason": str(error)}
-    return {"successful": True, "reason": ""}
 
 
 async def _time(_: Arguments) -> Answer:
@@ -148,6 +152,15 @@ def _text(args: Arguments, name: str) -> str:
     if not isinstance(value, str):
         raise InvalidRequest(f"the argument {name} must be a string", field=name)
     return value
+
+
+def _as_json(text: Any) -> str:
+    """Return a text that is JSON as it is, and any other as a JSON string: clients parse the values of parameters."""
+    try:
+        msgspec.json.decode(text)
+    except (TypeError, *MALFORMED):
+        return msgspec.json.encode(text).decode()
+    return str(text)
 
 
 _FIRST = {"set_param": ("name", "value"), "get_param": ("name", "default_value")}

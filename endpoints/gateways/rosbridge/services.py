@@ -74,7 +74,7 @@ class ServiceCalls:
 
     async def _call(self, number: str, op: CallService) -> None:
         try:
-            await self._guest.settle()
+            await self._guest.changes.settle()
             type = op.type or await find_service_type(self._guest, op.service)
             use = self._use_of(op.service, type, "cbor" if op.compression in ("cbor", "cbor-raw") else "rosbridge")
             await asyncio.shield(use.ready)

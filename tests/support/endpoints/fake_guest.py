@@ -11,6 +11,7 @@ from msgspec import UNSET, Raw
 
 from converters import TypeRegistry
 from converters.definition import Definition
+from endpoints.gateways.changes import Changes
 from endpoints.gateways.guest import Guest
 from endpoints.gateways.uses import Arrived, Kind, Use
 from rce.control.calls.robots import Sort
@@ -45,6 +46,7 @@ class FakeGuest:
         self.ros = graph or RosGraph([], [])
         self.tasks: set[asyncio.Task[None]] = set()
         self.auto = True
+        self.changes = Changes()
 
     def as_guest(self) -> Guest:
         return cast(Guest, self)
@@ -101,9 +103,6 @@ class FakeGuest:
 
     async def wait_for_room(self) -> None:
         """Return at once: the client reads everything."""
-
-    async def settle(self) -> None:
-        """Return at once: what a use makes is there."""
 
     async def finish(self) -> None:
         """Wait until everything that was begun is done."""

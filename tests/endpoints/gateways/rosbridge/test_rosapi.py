@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 import msgspec
@@ -74,6 +75,38 @@ async def test_parameter_that_is_not_set_has_the_default() -> None:
     answer = await call("get_param", {"name": "/n:size", "default_value": "3"})
     assert (answer["value"], answer["successful"]) == ("3", False)
     assert "not set" in answer["reason"]
+
+
+@pytest.mark.parametrize(("default", "value"), [("", '""'), ("none", '"none"'), ("[1]", "[1]"), (None, "null")])
+async def test_default_of_a_parameter_is_sent_as_json(default: Any, value: str) -> None:
+    answer = await call("get_param", {"name": "/n:size", "default_value": default})
+    assert answer["value"] == value
+
+
+async def test_parameter_is_read_after_it_was_set() -> None:
+    order: list[str] = []
+    answered = asyncio.Event()
+
+    async def slow(service: str, type: str, args: bytes) -> bytes:
+        order.append(service)
+        if type == "rcl_interfaces/GetParameters":
+            return await ask(service, type, args)
+        await answered.wait()
+        order.append("set")
+        return b'{"results":[{"successful":true,"reason":""}]}'
+
+    rosapi = Rosapi(FakeGuest(GRAPH).as_guest())
+    rosapi._parameters._ask = slow  # type: ignore[assignment]
+    setting = asyncio.create_task(rosapi.call("/rosapi/set_param", b'{"name":"/n:rate","value":"5"}'))
+    await asyncio.sleep(0)
+    reading = [
+        asyncio.create_task(rosapi.call(f"/rosapi/{each}_param", b'{"name":"/n:rate"}')) for each in ("get", "has")
+    ]
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    answered.set()
+    await asyncio.gather(setting, *reading)
+    assert order == ["/n/set_parameters", "set", "/n/get_parameters", "/n/get_parameters"]
 
 
 async def test_time_and_version() -> None:
