@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 import msgspec
 
+from endpoints.gateways.graphs import FRESH
 from rce.control.calls.watching import RosGraph
 from rce.errors import InvalidRequest, NotFound, RceError
 
@@ -27,11 +28,11 @@ class Parameters:
     """Parameters by `NODE:NAME`.
 
     Args:
-        graph: Returns the ROS graph.
+        graph: Returns the ROS graph, at most the given seconds old.
         ask: Calls a service.
     """
 
-    def __init__(self, graph: Callable[[], Awaitable[RosGraph]], ask: Ask) -> None:
+    def __init__(self, graph: Callable[[float], Awaitable[RosGraph]], ask: Ask) -> None:
         self._graph = graph
         self._ask = ask
 
@@ -39,7 +40,7 @@ class Parameters:
         """Return the value of a parameter.
 
         Raises:
-            NotFound: It is not set.
+            NotFound: It is not set, or there is no such node.
             RceError: The node does not answer.
         """
         node, parameter = _split(name)
@@ -54,6 +55,7 @@ class Parameters:
 
         Raises:
             InvalidRequest: The node refuses it.
+            NotFound: There is no such node.
             RceError: The node does not answer.
         """
         node, parameter = _split(name)
@@ -82,7 +84,7 @@ class Parameters:
 
     async def names(self) -> list[str]:
         """Return the names of all parameters; those of nodes that do not answer are left out."""
-        graph = await self._graph()
+        graph = await self._graph(FRESH)
         serving = [each.name for each in graph.nodes if f"{each.name}/list_parameters" in each.serves]
         found = await asyncio.gather(*map(self._names_of, serving))
         return sorted(name for names in found for name in names)
@@ -95,8 +97,16 @@ class Parameters:
         return [f"{node}:{name}" for name in answer["result"]["names"]]
 
     async def _call(self, node: str, service: str, type: str, **args: Any) -> Any:
+        await self._check(f"{node}/{service}", node)
         answer = await self._ask(f"{node}/{service}", f"rcl_interfaces/{type}", msgspec.json.encode(args))
         return msgspec.json.decode(answer)
+
+    async def _check(self, service: str, node: str) -> None:
+        """Raise NotFound if a node does not serve a service: a call would wait for it to appear."""
+        for age in (FRESH, 0.0):
+            if any(each.name == service for each in (await self._graph(age)).services):
+                return
+        raise NotFound(f"there is no node {node[:200]} with parameters", field="name")
 
 
 def _split(name: str) -> tuple[str, str]:

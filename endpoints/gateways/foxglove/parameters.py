@@ -1,7 +1,11 @@
-"""Parameters of the nodes for a client, as `NODE.NAME`: read, set, and their changes by /parameter_events."""
+"""Parameters of the nodes for a client, as `NODE.NAME`: read, set, and their changes by /parameter_events.
+
+A client that leaves out the leading slash gets the names as it has written them.
+"""
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any
 
@@ -27,20 +31,30 @@ class ClientParameters:
         self._guest = guest
         self._report = report
         self._parameters = Parameters(guest.graph, Asker(guest))
-        self._wanted: set[str] = set()
+        self._wanted: dict[str, str] = {}  # names as the client writes them, by those of the nodes
         self._events: Use | None = None
 
     async def get(self, names: Collection[str], id: str | None) -> None:
         """Send the values of these parameters, or of all."""
+        await self._guest.changes.settle()
+        asked = {_inner(name): name for name in names}
         try:
-            found = await self._parameters.values([_inner(name) for name in names])
+            found = await self._parameters.values(asked)
         except RceError as error:
             self._report(error)
             return
-        self._send({_outer(name): value for name, value in found.items()}.items(), id)
+        self._send({asked.get(name) or _outer(name): value for name, value in found.items()}.items(), id)
 
     async def set(self, wanted: Sequence[messages.Parameter], id: str | None) -> None:
         """Set parameters one after the other; with an id send their values then."""
+        await self._guest.changes.settle()  # it may have subscribed to the changes that are made here
+        setting = asyncio.ensure_future(self._set(wanted))
+        self._guest.changes.begin(setting)
+        await setting
+        if id is not None:
+            await self.get([each.name for each in wanted], id)
+
+    async def _set(self, wanted: Sequence[messages.Parameter]) -> None:
         for each in wanted:
             try:
                 value = float(each.value) if each.type == "float64" else each.value
@@ -49,8 +63,6 @@ class ClientParameters:
                 self._report(error)
             except (TypeError, ValueError, OverflowError):
                 self._report(InvalidRequest(f"parameter {each.name[:200]}: {each.value!r:.80} is not a number"))
-        if id is not None:
-            await self.get([each.name for each in wanted], id)
 
     def subscribe(self, names: Collection[str]) -> None:
         """Send the changes of these parameters from now on.
@@ -58,7 +70,7 @@ class ClientParameters:
         Raises:
             LimitExceeded: The client asked for too many, or too many operations are in progress.
         """
-        wanted = self._wanted.union(names)
+        wanted = self._wanted | {_inner(name): name for name in names}
         if len(wanted) > MAX_WANTED or any(len(name) > MAX_NAME for name in names):
             raise LimitExceeded(f"subscribe to {MAX_WANTED} parameters at most, with names of {MAX_NAME} characters")
         if wanted and self._events is None:
@@ -75,7 +87,8 @@ class ClientParameters:
 
     def unsubscribe(self, names: Iterable[str]) -> None:
         """Send the changes of these parameters no more."""
-        self._wanted -= set(names)
+        for name in names:
+            self._wanted.pop(_inner(name), None)
         if not self._wanted and self._events is not None:
             self._guest.drop(self._events)
             self._events = None
@@ -84,11 +97,11 @@ class ClientParameters:
         event = msgspec.json.decode(arrived.value[:-1])
         node = event["node"]
         changed = {
-            f"{node}.{each['name']}": value_of(each["value"])
+            f"{node}:{each['name']}": value_of(each["value"])
             for each in (*event["new_parameters"], *event["changed_parameters"])
         }
-        changed |= {f"{node}.{each['name']}": None for each in event["deleted_parameters"]}
-        shown = [(name, value) for name, value in changed.items() if name in self._wanted]
+        changed |= {f"{node}:{each['name']}": None for each in event["deleted_parameters"]}
+        shown = [(self._wanted[name], value) for name, value in changed.items() if name in self._wanted]
         return (_values(shown, None),) if shown else ()
 
     def _send(self, values: Iterable[tuple[str, Any]], id: str | None) -> None:
@@ -112,8 +125,9 @@ def _record(name: str, value: Any) -> dict[str, object]:
 
 
 def _inner(name: str) -> str:
+    """Return a name as `/NODE:NAME`."""
     node, _, parameter = name.partition(".")
-    return f"{node}:{parameter}"
+    return f"/{node.lstrip('/')}:{parameter}"
 
 
 def _outer(name: str) -> str:

@@ -39,10 +39,11 @@ class Unadvertise(Operation, frozen=True, kw_only=True, tag="unadvertise"):
 
 
 class Publish(Operation, frozen=True, kw_only=True, tag="publish"):
-    """Publish a message."""
+    """Publish a message; on a topic that is not advertised, `type` and `id` are those of an advertisement."""
 
     topic: str
     msg: Raw = Raw(b"{}")
+    type: str = ""
 
 
 class Subscribe(Operation, frozen=True, kw_only=True, tag="subscribe"):

@@ -28,6 +28,7 @@ from rce.protocol.names import parse_type
 
 MAX_SERVICES = 200  # services of one client that are kept for further calls
 MAX_TIMEOUT = 86_400.0  # seconds
+TIMED_OUT = "Timeout exceeded while waiting for service response"  # as rosbridge says it, by which clients know it
 
 
 @dataclass(eq=False)
@@ -59,7 +60,7 @@ class ServiceCalls:
             return
         self._calls[number] = call
         if op.timeout:
-            error = TimedOut(f"service {op.service} did not answer within {op.timeout:g} s")
+            error = TimedOut(TIMED_OUT)
             delay = min(op.timeout, MAX_TIMEOUT)
             call.timer = asyncio.get_running_loop().call_later(delay, self.fail, number, error)
         try:

@@ -101,8 +101,16 @@ class Publications:
                 found.use.ready.add_done_callback(lambda _: self._guest.drop(found.use))
 
     def publish(self, op: Publish) -> None:
-        """Publish a message; a topic that is not advertised must have a type in the environment."""
+        """Publish a message; on a topic that is not advertised, it gives the type or the topic has one already.
+
+        Raises:
+            InvalidRequest: The type is malformed.
+            LimitExceeded: Too many operations are in progress.
+        """
         found = self._by_topic.get(op.topic)
+        if found is None and op.type:
+            self.advertise(Advertise(topic=op.topic, type=op.type, id=op.id))
+            found = self._by_topic.get(op.topic)
         if found is None:
             self._guest.run(self._publish_unadvertised(op), len(memoryview(op.msg)))
         elif found.use.ready.done():
@@ -112,7 +120,7 @@ class Publications:
             self._peer.pause_until(found.use.ready)
 
     async def _publish_unadvertised(self, op: Publish) -> None:
-        await self._infer(Advertise(topic=op.topic))
+        await self._infer(Advertise(topic=op.topic, id=op.id))
         if op.topic in self._by_topic:
             self.publish(op)
 

@@ -8,19 +8,24 @@ import msgspec
 import pytest
 
 from endpoints.gateways.parameters import Parameters
-from rce.control.calls.watching import RosGraph, RosNode
+from rce.control.calls.watching import RosGraph, RosName, RosNode
 from rce.errors import InvalidRequest, NotFound, RceError
+
+VERBS = ("get", "set", "list")
 
 
 class Node:
     """Node /camera, whose parameters are values of `rcl_interfaces/ParameterValue`."""
 
     def __init__(self) -> None:
+        self.age = 100.0  # seconds since it has started
         self.values: dict[str, dict[str, Any]] = {"rate": {"type": 2, "integer_value": 5}}
 
-    async def graph(self) -> RosGraph:
+    async def graph(self, age: float) -> RosGraph:
         serving = RosNode("/camera", serves=["/camera/list_parameters"])
-        return RosGraph([], [], [], [serving, RosNode("/dead", serves=["/dead/list_parameters"]), RosNode("/plain")])
+        services = [RosName(f"/{node}/{each}_parameters", []) for node in ("camera", "dead", "odd") for each in VERBS]
+        nodes = [serving, RosNode("/dead", serves=["/dead/list_parameters"]), RosNode("/plain")]
+        return RosGraph([], services if age < self.age else [], [], nodes)
 
     async def ask(self, service: str, type: str, args: bytes) -> bytes:
         values = msgspec.json.decode(args)
@@ -92,3 +97,16 @@ async def test_node_that_answers_for_other_parameters_is_named(count: int) -> No
         await parameters.set("/odd:rate", 5)
     with pytest.raises(RceError, match="not set" if count == 0 else "node /odd answered for 2 parameters"):
         await parameters.get("/odd:rate")
+
+
+async def test_node_that_is_not_there_is_not_waited_for(parameters: Parameters) -> None:
+    with pytest.raises(NotFound, match="no node /none with parameters"):
+        await parameters.get("/none:rate")
+    with pytest.raises(NotFound, match="no node /none with parameters"):
+        await parameters.set("/none:rate", 5)
+    assert await parameters.values(["/none:rate", "/camera:rate"]) == {"/camera:rate": 5}
+
+
+async def test_node_that_has_just_started_is_found(node: Node, parameters: Parameters) -> None:
+    node.age = 0.5
+    assert await parameters.get("/camera:rate") == 5

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 import msgspec
@@ -9,6 +10,7 @@ import pytest
 
 from endpoints.gateways.foxglove.messages import Parameter
 from endpoints.gateways.foxglove.parameters import MAX_NAME, MAX_WANTED, ClientParameters
+from rce.control.calls.watching import RosGraph, RosName
 from rce.errors import LimitExceeded, RceError
 from tests.support.endpoints.fake_guest import FakeGuest, FakePeer
 
@@ -30,6 +32,7 @@ def parameters(guest: FakeGuest, peer: FakePeer, values: dict[str, Any]) -> Clie
         return msgspec.json.encode({"results": [{"successful": True, "reason": ""}]})
 
     made._parameters._ask = ask  # type: ignore[assignment]
+    guest.ros = RosGraph([], [RosName(f"/n/{each}_parameters", []) for each in ("get", "set", "list")])
     return made
 
 
@@ -106,3 +109,21 @@ async def test_failure_of_a_use_that_was_given_up_changes_nothing(
     assert peer.errors == []
     parameters.subscribe(["/n.other"])
     assert len(guest.options) == 2
+
+
+async def test_names_are_sent_as_the_client_writes_them(guest: FakeGuest, parameters: ClientParameters) -> None:
+    await parameters.get(["n.rate"], "x")
+    assert guest.frames[0]["parameters"] == [{"name": "n.rate", "value": 2.0, "type": "float64"}]
+    parameters.subscribe(["n.rate"])
+    use = guest.uses["SubscriberInterface", "/parameter_events"]
+    changed = [{"name": "rate", "value": {"type": 2, "integer_value": 1}}]
+    event = {"node": "/n", "new_parameters": [], "changed_parameters": changed, "deleted_parameters": []}
+    (message,) = guest.deliver(use, event)
+    assert message["parameters"] == [{"name": "n.rate", "value": 1}]
+    parameters.unsubscribe(["n.rate"])
+    assert guest.dropped == ["/parameter_events"]
+
+
+async def test_values_are_read_after_they_were_set(guest: FakeGuest, parameters: ClientParameters) -> None:
+    await asyncio.gather(parameters.set([Parameter("/n.rate", 3, "float64")], None), parameters.get(["/n.rate"], "x"))
+    assert guest.frames[0]["parameters"][0]["value"] == 3.0

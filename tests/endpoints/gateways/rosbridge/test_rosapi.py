@@ -26,9 +26,14 @@ async def ask(service: str, type: str, args: bytes) -> bytes:
     return b'{"values":[{"type":2,"integer_value":5}]}' if b"rate" in args else b'{"values":[{"type":0}]}'
 
 
+async def graph(age: float) -> RosGraph:
+    return RosGraph([], [RosName(f"/n/{each}_parameters", []) for each in ("get", "set", "list")])
+
+
 async def call(name: str, args: Any = None) -> Any:
     rosapi = Rosapi(FakeGuest(GRAPH).as_guest())
     rosapi._parameters._ask = ask  # type: ignore[assignment]
+    rosapi._parameters._graph = graph  # type: ignore[assignment]
     assert rosapi.has(f"/rosapi/{name}")
     return await rosapi.call(f"/rosapi/{name}", msgspec.json.encode(args or {}))
 
@@ -97,6 +102,7 @@ async def test_parameter_is_read_after_it_was_set() -> None:
 
     rosapi = Rosapi(FakeGuest(GRAPH).as_guest())
     rosapi._parameters._ask = slow  # type: ignore[assignment]
+    rosapi._parameters._graph = graph  # type: ignore[assignment]
     setting = asyncio.create_task(rosapi.call("/rosapi/set_param", b'{"name":"/n:rate","value":"5"}'))
     await asyncio.sleep(0)
     reading = [

@@ -82,7 +82,7 @@ async def test_failed_call_is_answered_with_the_reason(guest: FakeGuest, calls: 
     assert {each["values"] for each in guest.frames} == {
         "service /nothing does not exist",
         "it is broken",
-        "service /set did not answer within 0.01 s",
+        "Timeout exceeded while waiting for service response",
     }
 
 

@@ -87,6 +87,14 @@ async def test_type_of_a_topic_that_exists_is_known(
     assert peer.errors == [("/unknown has no type", None)]
 
 
+async def test_topic_is_advertised_by_a_message_with_a_type(guest: FakeGuest, publications: Publications) -> None:
+    publications.publish(Publish(topic="/a", type=STRING, id=ONE, msg=HELLO))
+    publications.publish(Publish(topic="/a", type=STRING, id=TWO, msg=HELLO))
+    assert [address for address, *_ in guest.sent] == ["/a", "/a"]
+    publications.unadvertise(Unadvertise(topic="/a", id=ONE))
+    assert guest.dropped == ["/a"]
+
+
 async def test_other_type_for_a_topic_in_use_is_refused(
     publications: Publications, subscriptions: Subscriptions
 ) -> None:
