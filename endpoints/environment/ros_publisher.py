@@ -25,6 +25,7 @@ WINDOW = 32  # with keep_all: unacknowledged messages at which publishing waits
 # Otherwise DDS would overwrite the oldest messages of a burst that nodes have not got yet. Publishing waits for them,
 # but for these times at most: a node that was stopped must not hold up the others for long.
 PATIENCE, SHORT_PATIENCE = 10.0, 0.1  # seconds, with a history of `DEEP` or more messages, and with a shorter one
+LAST_MESSAGES = 1.0  # seconds that a publisher stays for messages that nodes have not got yet
 
 _NO_TIME = Duration()
 
@@ -179,6 +180,21 @@ class RawPublisher(TopicEnd):
             self._waits_since = self._clock()
         patience = PATIENCE if self._profile.depth >= DEEP else SHORT_PATIENCE
         return keep_all or self._clock() - self._waits_since < patience
+
+    def finish(self) -> None:
+        """End the publisher as soon as nodes have got all messages, after `LAST_MESSAGES` seconds at the latest.
+
+        A client may connect, publish and leave before the nodes have discovered the publisher.
+        """
+        until = self._clock() + LAST_MESSAGES
+
+        def end() -> None:
+            if self._clock() < until and (self.waiting or not self._publisher.wait_for_all_acked(_NO_TIME)):
+                self.ros.retry(end)
+            else:
+                self.ros.remove_waitable(self)
+
+        end()
 
     def destroy(self) -> None:
         """Destroy the publisher and drop what waits."""

@@ -124,11 +124,11 @@ class PublisherInterface(RosInterface):
             self._room = None
 
     def close(self) -> None:
-        """Destroy the publisher; messages that wait are dropped."""
+        """End the publisher, once nodes that subscribe have got the messages that wait."""
         if self._room is not None:
             self._room.set_result(None)
             self._room = None
-        self._ros.post(lambda: self._ros.remove_waitable(self._publisher))
+        self._ros.post(lambda: self._publisher.finish())
 
 
 class SubscriberInterface(RosInterface):

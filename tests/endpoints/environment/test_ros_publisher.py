@@ -18,7 +18,7 @@ from std_msgs.msg import String
 
 from endpoints.environment import ros_publisher
 from endpoints.environment.ros import RosThread
-from endpoints.environment.ros_publisher import PATIENCE, SHORT_PATIENCE, WINDOW, RawPublisher
+from endpoints.environment.ros_publisher import LAST_MESSAGES, PATIENCE, SHORT_PATIENCE, WINDOW, RawPublisher
 from endpoints.environment.ros_topics import Topic
 from rce.net.budget import INTERFACE
 from rce.protocol.messages import Qos
@@ -76,6 +76,9 @@ class Ros(InstantRos):
 
     def add_waitable(self, waitable: object) -> None: ...
 
+    def remove_waitable(self, waitable: Any) -> None:
+        waitable.destroy()
+
 
 class Discovery:
     """What runs when nodes have discovered this process: at once, or when the test says so.
@@ -117,6 +120,12 @@ class World:
     def publish(self, count: int, size: int = 10) -> None:
         self.publisher.waiting.extend([bytes(size)] * count)
         self.proceed()
+
+    def retry(self) -> None:
+        """Run what the publisher wants to do again."""
+        actions, self.ros.retries = self.ros.retries, []
+        for action in actions:
+            action()
 
     def proceed(self) -> None:
         """Let the publisher do what it can."""
@@ -240,3 +249,38 @@ def test_publisher_that_was_destroyed_does_not_look_at_the_graph_again() -> None
     for action in world.ros.later:
         action()
     assert world.node.created == created
+
+
+def test_publisher_stays_until_nodes_have_got_its_messages(discovery: Discovery) -> None:
+    world = World(Qos())
+    world.node.acknowledges = False
+    discovery.waiting = []
+    world.node.match(0)
+    world.publisher.peers_changed()
+    world.publish(1)
+    world.node.match(1)
+    world.publisher.peers_changed()
+    world.publisher.finish()
+    assert not world.node.published, "the node has not discovered the publisher"
+    for action in discovery.waiting:
+        action()
+    assert len(world.node.published) == 1
+    world.retry()
+    assert not world.publisher.destroyed, "it is not acknowledged"
+    world.node.acknowledges = True
+    world.retry()
+    assert world.publisher.destroyed
+
+
+def test_publisher_whose_messages_nobody_gets_ends_in_time() -> None:
+    world = World(Qos())
+    world.node.match(0)
+    world.publisher.peers_changed()
+    world.publish(1)
+    world.publisher.finish()
+    world.now = LAST_MESSAGES - 0.01
+    world.retry()
+    assert not world.publisher.destroyed
+    world.now = LAST_MESSAGES
+    world.retry()
+    assert world.publisher.destroyed

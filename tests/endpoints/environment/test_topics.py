@@ -22,6 +22,7 @@ from endpoints.data.link import Link
 from endpoints.environment.interfaces import RosContext
 from endpoints.environment.topics import NODE_START, PublisherInterface, SubscriberInterface
 from rce.control.calls.endpoints import InterfaceSpec, NodeSpec, Report, StartNode, StopNode, Unbind
+from rce.control.calls.watching import CountTraffic
 from rce.errors import InvalidRequest, LimitExceeded, RceError, UnknownType
 from rce.net.budget import INTERFACE
 from rce.protocol.messages import Qos
@@ -120,6 +121,23 @@ async def test_node_that_starts_later_gets_last_message(master: FakeMaster) -> N
     await master.call(StartNode(NodeSpec(place, "probe", "echo.py", namespace=place)))
     assert text(await back.next()) == "two"
     await master.call(StopNode(place))
+
+
+async def test_message_of_an_interface_that_is_removed_at_once_arrives(master: FakeMaster) -> None:
+    """A client may connect, publish and leave."""
+    back = await master.interface("SubscriberInterface", "std_msgs/String", "once/back")
+    await master.call(StartNode(NodeSpec("once", "probe", "echo.py", namespace="once")))
+    await wait_for_line(master, "once", "words is")
+    for number in range(5):
+        spec = await master.bind("PublisherInterface", "std_msgs/String", "once/there")
+        robot = await master.connect(spec)
+        robot.publish(cdr(str(number)))
+        async with asyncio.timeout(LIMIT):
+            while not (await master.call(CountTraffic())).interfaces[spec.id].received.messages:  # noqa: ASYNC110
+                await asyncio.sleep(0.001)
+        await master.call(Unbind(spec.id))
+        assert text(await back.next()) == str(number)
+    await master.call(StopNode("once"))
 
 
 async def test_later_node_that_asks_for_last_message_gets_it(master: FakeMaster) -> None:
