@@ -23,7 +23,8 @@ from endpoints.environment.ros_actions import (
     without_goal_id,
 )
 from endpoints.environment.ros_types import action_class
-from endpoints.environment.service_calls import MAX_IN_FLIGHT, ServiceCall, ServiceCaller
+from endpoints.environment.service_calls import ServiceCall, ServiceCaller
+from endpoints.environment.service_slots import MAX_IN_FLIGHT
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import Forbidden, Lost, NotFound, RceError
 
@@ -58,11 +59,11 @@ class ActionClientInterface(RosInterface):
     def _create_entities(self, kind: type[Any]) -> None:
         ros, impl, action = self._ros, kind.Impl, self.spec.addr
         self._kind = kind
-        self._send_goal = ServiceCaller(ros, impl.SendGoalService, part_of(action, "send_goal"), self._label)
-        self._get_result = ServiceCaller(
-            ros, impl.GetResultService, part_of(action, "get_result"), self._label, endless=True
-        )
-        self._cancel_goal = ServiceCaller(ros, CancelGoal, part_of(action, "cancel_goal"), self._label)
+        goals, results, cancels = (part_of(action, part) for part in ("send_goal", "get_result", "cancel_goal"))
+        slots = self._context.slots.of
+        self._send_goal = ServiceCaller(ros, impl.SendGoalService, goals, self._label, slots(goals))
+        self._get_result = ServiceCaller(ros, impl.GetResultService, results, self._label, None)
+        self._cancel_goal = ServiceCaller(ros, CancelGoal, cancels, self._label, slots(cancels))
         feedback, status = part_of(action, "feedback"), part_of(action, "status")
         self._feedback = ActionTopic(ros, impl.FeedbackMessage, feedback, FEEDBACK_QOS, self._received_feedback)
         self._statuses = ActionTopic(ros, GoalStatusArray, status, STATUS_QOS, self._received_status)

@@ -15,6 +15,7 @@ from endpoints.data.hops import HopRecorder
 from endpoints.data.interface import Interface
 from endpoints.environment.definitions import InstalledTypes
 from endpoints.environment.ros import RosThread
+from endpoints.environment.service_slots import ServiceSlots
 from endpoints.environment.shared_subscription import SharedSubscriptions
 from endpoints.environment.shared_topics import SharedTopics
 from rce.control.calls.endpoints import InterfaceSpec
@@ -37,6 +38,7 @@ class RosContext:
     report: Callable[[InterfaceSpec, RceError], None]
     budget: Budget = field(default_factory=lambda: Budget(QUEUES))
     shared: SharedTopics = field(default_factory=SharedTopics)
+    slots: ServiceSlots = field(default_factory=ServiceSlots)
 
     @cached_property
     def subscriptions(self) -> SharedSubscriptions:

@@ -53,6 +53,12 @@ class RawClient:
         """Return True if a server of the service is there."""
         return self._client.service_is_ready()
 
+    def server_is_here(self) -> bool:
+        """Return True if the server is one of this process."""
+        topic = f"rq/{self._name.lstrip('/')}Request"
+        servers = self._ros.node.get_subscriptions_info_by_topic(topic, no_mangle=True)
+        return bool(servers) and all(bytes(each.endpoint_gid[:12]) == self._ros.prefix for each in servers)
+
     def call(self, request: bytes) -> int:
         """Send a request; return the number of the call.
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from endpoints.environment.discovery import SETTLING_TIME
 from endpoints.environment.ros import RosThread
 from endpoints.environment.ros_services import RawClient, ServiceType
+from endpoints.environment.service_slots import Slots
 from rce.errors import ConversionError, NotFound, RceError, TimedOut
 
 TIMEOUT = 30.0  # seconds for a response
 DISCOVERY_TIMEOUT = 5.0  # seconds for which a call waits until its service appears
-MAX_IN_FLIGHT = 8  # ROS 2 servers queue 10 requests and lose all beyond
 
 
 @dataclass(eq=False)
@@ -42,16 +42,18 @@ class ServiceCaller:
         kind: Class of the service.
         name: Name of the service.
         label: Name of the service for errors.
-        endless: The service answers when it is done, however long that takes: no timeout, and any number in flight.
+        slots: Places for requests at the server. None: it answers when it is done, however long that takes, so that
+            there is no timeout, and any number in flight.
     """
 
-    def __init__(self, ros: RosThread, kind: ServiceType, name: str, label: str, endless: bool = False) -> None:
+    def __init__(self, ros: RosThread, kind: ServiceType, name: str, label: str, slots: Slots | None) -> None:
         self._ros = ros
         self._label = label
-        self._endless = endless
+        self._shared = self._slots = slots
+        self._own = Slots()
         self._client = RawClient(ros, kind, name, self._answered)
         self._waiting: deque[ServiceCall] = deque()
-        self._in_flight: dict[int, ServiceCall] = {}
+        self._in_flight: dict[int, tuple[ServiceCall, Slots | None]] = {}
         self._settled = self._settling = False
 
     def available(self) -> bool:
@@ -65,27 +67,32 @@ class ServiceCaller:
 
     def expire(self, now: float) -> None:
         """End the calls that have timed out."""
-        if self._endless:
+        if self._shared is None:
             return
-        late = [number for number, call in self._in_flight.items() if call.since + TIMEOUT < now]
-        for number in late:
-            self._in_flight.pop(number).done(TimedOut(f"{self._label} did not answer within {TIMEOUT:g} s"))
         while self._waiting and self._waiting[0].since + TIMEOUT < now:
             self._waiting.popleft().done(TimedOut(f"{self._label} was busy for {TIMEOUT:g} s"))
+        late = [number for number, (call, _) in self._in_flight.items() if call.since + TIMEOUT < now]
+        for number in late:
+            if (call := self._end(number)) is not None:
+                call.done(TimedOut(f"{self._label} did not answer within {TIMEOUT:g} s"))
         self._send()
 
     def forget(self, call: ServiceCall) -> None:
         """Take no answer to a call any more."""
-        self._in_flight = {number: each for number, each in self._in_flight.items() if each is not call}
+        for number in [number for number, (each, _) in self._in_flight.items() if each is call]:
+            self._end(number)
 
     def destroy(self) -> None:
         """Destroy the client; its calls get no answer."""
         self._waiting.clear()
-        self._in_flight.clear()
+        for number in list(self._in_flight):
+            self._end(number)
+        if self._slots is not None:
+            self._slots.leave(self._send)
         self._ros.remove_waitable(self._client)
 
     def _send(self) -> None:
-        while self._waiting and (self._endless or len(self._in_flight) < MAX_IN_FLIGHT):
+        while self._waiting:
             if not self._client.available():
                 self._settled = False
                 self._wait_for_service()
@@ -93,12 +100,18 @@ class ServiceCaller:
             if not self._settled:
                 self._settle()
                 return
+            slots = self._slots
+            if slots is not None and not slots.take(self._send):
+                return
             call = self._waiting.popleft()
             try:
-                self._in_flight[self._client.call(call.request)] = call
+                number = self._client.call(call.request)
             except ConversionError as error:
                 call.done(error)
+                if slots is not None:
+                    slots.give_back()
             else:
+                self._in_flight[number] = call, slots
                 call.sent()
 
     def _settle(self) -> None:
@@ -109,6 +122,8 @@ class ServiceCaller:
 
     def _settling_over(self) -> None:
         self._settling, self._settled = False, True
+        if self._shared is not None:  # a server of this process does not lose requests
+            self._slots = self._own if self._client.server_is_here() else self._shared
         self._send()
 
     def _wait_for_service(self) -> None:
@@ -118,7 +133,14 @@ class ServiceCaller:
         self._ros.retry(self._send)
 
     def _answered(self, number: int, payload: bytes) -> None:
-        call = self._in_flight.pop(number, None)
+        call = self._end(number)
         if call is not None:  # else it has timed out
             call.done(payload)
             self._send()
+
+    def _end(self, number: int) -> ServiceCall | None:
+        """Take a call off those in flight; return None if it is none of them."""
+        call, slots = self._in_flight.pop(number, (None, None))
+        if slots is not None:
+            slots.give_back()
+        return call

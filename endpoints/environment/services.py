@@ -9,7 +9,7 @@ from endpoints.data.frames import Message
 from endpoints.data.interface import MAX_REQUESTS, error_of
 from endpoints.data.link import Link
 from endpoints.environment.interfaces import RosContext, RosInterface, as_bytes
-from endpoints.environment.ros_services import Header, RawService
+from endpoints.environment.ros_services import Header, RawService, ServiceType
 from endpoints.environment.ros_types import service_class
 from endpoints.environment.service_calls import TIMEOUT, ServiceCall, ServiceCaller
 from rce.control.calls.endpoints import InterfaceSpec
@@ -29,7 +29,11 @@ class ServiceClientInterface(RosInterface):
     async def open(self) -> None:
         """Create the ROS entity."""
         kind = service_class(self.spec.type, self._context.definitions)
-        self._caller = await self._create(lambda: ServiceCaller(self._ros, kind, self.spec.addr, self._label))
+        self._caller = await self._create(lambda: self._create_caller(kind))
+
+    def _create_caller(self, kind: ServiceType) -> ServiceCaller:
+        name = self.spec.addr
+        return ServiceCaller(self._ros, kind, name, self._label, self._context.slots.of(name))
 
     def receive(self, message: Message, link: Link) -> None:
         """Queue a request, or refuse it when too many are unanswered."""

@@ -12,7 +12,8 @@ pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 
 from endpoints.environment import service_calls
 from endpoints.environment.ros import RosThread
-from endpoints.environment.service_calls import MAX_IN_FLIGHT, TIMEOUT, ServiceCall, ServiceCaller
+from endpoints.environment.service_calls import TIMEOUT, ServiceCall, ServiceCaller
+from endpoints.environment.service_slots import MAX_IN_FLIGHT, Slots
 from rce.errors import NotFound, RceError, TimedOut
 from tests.support.endpoints.fake_ros import InstantService
 
@@ -25,13 +26,16 @@ class Service(InstantService):
     answer: Callable[[int, bytes], None]
 
 
-def caller(monkeypatch: pytest.MonkeyPatch, service: Service, *, endless: bool) -> ServiceCaller:
+def caller(
+    monkeypatch: pytest.MonkeyPatch, service: Service, *, endless: bool, slots: Slots | None = None
+) -> ServiceCaller:
     def client(ros: object, kind: object, name: str, answered: Callable[[int, bytes], None]) -> Service:
         service.answer = answered
         return service
 
     monkeypatch.setattr(service_calls, "RawClient", client)
-    return ServiceCaller(cast(RosThread, service), None, "/name", "service /name", endless)
+    slots = None if endless else slots or Slots()
+    return ServiceCaller(cast(RosThread, service), None, "/name", "service /name", slots)
 
 
 def make_calls(calling: ServiceCaller, count: int) -> list[Answer]:
@@ -79,3 +83,31 @@ def test_call_of_missing_service_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     calling = caller(monkeypatch, service, endless=True)
     calling.call(ServiceCall(b"", answers.append, since=time.monotonic() - 100))
     assert [type(each) for each in answers] == [NotFound]
+
+
+def test_few_calls_of_all_interfaces_are_in_flight(monkeypatch: pytest.MonkeyPatch) -> None:
+    slots, services = Slots(), [Service() for _ in range(5)]
+    callers = [caller(monkeypatch, service, endless=False, slots=slots) for service in services]
+    answers = [make_calls(calling, 4) for calling in callers]
+
+    def sent() -> int:
+        return sum(len(service.requests) for service in services)
+
+    assert sent() == MAX_IN_FLIGHT
+    callers[4].destroy()
+    services[0].answer(1, b"answer")
+    assert sent() == MAX_IN_FLIGHT + 1
+    callers[0].destroy()
+    assert sent() == MAX_IN_FLIGHT + 4, "three more places"
+    for service, got in zip(services[1:4], answers[1:4], strict=True):
+        for number in range(1, 5):
+            service.answer(number, b"answer")
+        assert got == [b"answer"] * 4
+
+
+def test_calls_of_a_server_in_this_process_need_no_places_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    slots, services = Slots(), [Service() for _ in range(5)]
+    for service in services:
+        service.is_here = True
+        make_calls(caller(monkeypatch, service, endless=False, slots=slots), 4)
+    assert [len(service.requests) for service in services] == [4] * 5

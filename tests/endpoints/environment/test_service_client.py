@@ -15,7 +15,8 @@ from endpoints.data.interface import MAX_REQUESTS, error_of
 from endpoints.data.link import LoopLink
 from endpoints.environment import service_calls
 from endpoints.environment.ros import RosThread
-from endpoints.environment.service_calls import MAX_IN_FLIGHT, TIMEOUT, ServiceCaller
+from endpoints.environment.service_calls import TIMEOUT, ServiceCaller
+from endpoints.environment.service_slots import MAX_IN_FLIGHT, Slots
 from endpoints.environment.services import ServiceClientInterface
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import RceError
@@ -42,7 +43,7 @@ async def parts(monkeypatch: pytest.MonkeyPatch) -> tuple[ServiceClientInterface
     spec = InterfaceSpec("11" * 16, "user/env", "tag", "ServiceClientInterface", "a/B", "/name")
     interface = ServiceClientInterface(spec, service.context())
     monkeypatch.setattr(service_calls, "RawClient", lambda *arguments: service)
-    interface._caller = ServiceCaller(cast(RosThread, service), None, "/name", "service /name")
+    interface._caller = ServiceCaller(cast(RosThread, service), None, "/name", "service /name", Slots())
     interface.peers[PEER] = LoopLink("loop", lambda message, _: robot.received.append(message), lambda message: None)
     return interface, service, robot
 
@@ -69,7 +70,7 @@ async def test_requests_in_flight_are_limited(parts: Parts) -> None:
 async def test_unanswered_requests_time_out_and_make_room(parts: Parts) -> None:
     interface, service, robot = parts
     send_requests(interface, MAX_IN_FLIGHT + 1)
-    for request in interface._caller._in_flight.values():
+    for request, _ in interface._caller._in_flight.values():
         request.since -= TIMEOUT
     interface.tick(time.monotonic() + 0.1)
     assert robot.errors() == ["timed_out"] * MAX_IN_FLIGHT

@@ -48,10 +48,14 @@ class InstantService(InstantRos):
     def __init__(self) -> None:
         super().__init__()
         self.is_available = True
+        self.is_here = False
         self.requests: list[bytes] = []
 
     def available(self) -> bool:
         return self.is_available
+
+    def server_is_here(self) -> bool:
+        return self.is_here
 
     def call(self, request: bytes) -> int:
         self.requests.append(request)
