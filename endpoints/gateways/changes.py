@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import math
 import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 
 LIMIT = 3.0  # seconds; what takes longer, as in an environment that is starting, is not waited for
 
@@ -28,6 +30,18 @@ class Changes:
     def _end(self, change: asyncio.Future[None]) -> None:
         self._under_way.discard(change)
         self.last = time.monotonic()
+
+    @asynccontextmanager
+    async def carry_out(self) -> AsyncIterator[None]:
+        """Carry out a change in the block, which begins when those that are under way now are over."""
+        earlier, change = tuple(self._under_way), asyncio.get_running_loop().create_future()
+        self.begin(change)
+        try:
+            if earlier:
+                await asyncio.wait(earlier, timeout=LIMIT)
+            yield
+        finally:
+            change.set_result(None)
 
     async def settle(self) -> None:
         """Wait until all changes that are under way now are carried out, for a limited time."""

@@ -362,6 +362,10 @@ class Guest:
             RceError: The environment cannot be asked.
         """
         await self.changes.settle()
+        return await self.present_graph(age)
+
+    async def present_graph(self, age: float = FRESH) -> RosGraph:
+        """Return the graph without waiting for operations; see `graph`."""
         since = max(time.monotonic() - age, self.changes.last)
         graph = await self._graphs.read(self.endpoint.master, self._session.name, self.environment, since)
         return robots.with_robots(graph, await self._robot_interfaces(since))

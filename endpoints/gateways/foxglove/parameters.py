@@ -5,7 +5,6 @@ A client that leaves out the leading slash gets the names as it has written them
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any
 
@@ -30,7 +29,7 @@ class ClientParameters:
     def __init__(self, guest: Guest, report: Report) -> None:
         self._guest = guest
         self._report = report
-        self._parameters = Parameters(guest.graph, Asker(guest))
+        self._parameters = Parameters(guest.present_graph, Asker(guest))
         self._wanted: dict[str, str] = {}  # names as the client writes them, by those of the nodes
         self._events: Use | None = None
 
@@ -47,22 +46,20 @@ class ClientParameters:
 
     async def set(self, wanted: Sequence[messages.Parameter], id: str | None) -> None:
         """Set parameters one after the other; with an id send their values then."""
-        await self._guest.changes.settle()  # it may have subscribed to the changes that are made here
-        setting = asyncio.ensure_future(self._set(wanted))
-        self._guest.changes.begin(setting)
-        await setting
+        async with self._guest.changes.carry_out():  # after a subscription to the changes that are made here
+            for each in wanted:
+                await self._set(each)
         if id is not None:
             await self.get([each.name for each in wanted], id)
 
-    async def _set(self, wanted: Sequence[messages.Parameter]) -> None:
-        for each in wanted:
-            try:
-                value = float(each.value) if each.type == "float64" else each.value
-                await self._parameters.set(_inner(each.name), value)
-            except RceError as error:
-                self._report(error)
-            except (TypeError, ValueError, OverflowError):
-                self._report(InvalidRequest(f"parameter {each.name[:200]}: {each.value!r:.80} is not a number"))
+    async def _set(self, wanted: messages.Parameter) -> None:
+        try:
+            value = float(wanted.value) if wanted.type == "float64" else wanted.value
+            await self._parameters.set(_inner(wanted.name), value)
+        except RceError as error:
+            self._report(error)
+        except (TypeError, ValueError, OverflowError):
+            self._report(InvalidRequest(f"parameter {wanted.name[:200]}: {wanted.value!r:.80} is not a number"))
 
     def subscribe(self, names: Collection[str]) -> None:
         """Send the changes of these parameters from now on.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
 from collections.abc import Awaitable, Callable
 from typing import Any
@@ -32,7 +31,7 @@ class Rosapi:
 
     def __init__(self, guest: Guest) -> None:
         self._guest = guest
-        self._parameters = Parameters(guest.graph, Asker(guest))
+        self._parameters = Parameters(guest.present_graph, Asker(guest))
         self._by_graph: dict[str, Callable[[RosGraph, Arguments], Answer]] = _BY_GRAPH
         self._others: dict[str, Callable[[Arguments], Awaitable[Answer]]] = {
             "topics_and_raw_types": self._raw_types,
@@ -118,10 +117,9 @@ class Rosapi:
         return await self._set(_text(args, "name"), None)
 
     async def _set(self, name: str, value: Any) -> Answer:
-        setting = asyncio.ensure_future(self._parameters.set(name, value))
-        self._guest.changes.begin(setting)
         try:
-            await setting
+            async with self._guest.changes.carry_out():
+                await self._parameters.set(name, value)
         except RceError as error:
             return {"successful": False, "reason": str(error)}
         return {"successful": True, "reason": ""}
@@ -135,6 +133,7 @@ class Rosapi:
         return {"exists": True}
 
     async def _param_names(self, _: Arguments) -> Answer:
+        await self._guest.changes.settle()
         return {"names": await self._parameters.names()}
 
 

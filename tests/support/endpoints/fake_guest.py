@@ -82,6 +82,10 @@ class FakeGuest:
         self.paused = until
 
     async def graph(self, age: float = 1.0) -> RosGraph:
+        await self.changes.settle()
+        return self.ros
+
+    async def present_graph(self, age: float = 1.0) -> RosGraph:
         return self.ros
 
     async def definitions(self, type: str, sort: Sort) -> dict[str, Definition]:

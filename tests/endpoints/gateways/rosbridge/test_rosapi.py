@@ -20,20 +20,17 @@ GRAPH = RosGraph(
     [RosNode("/n", ["/chat"], ["/odd"], ["/set"])],
 )
 
+WITH_PARAMETERS = RosGraph([], [RosName(f"/n/{each}_parameters", []) for each in ("get", "set", "list")])
+
 
 async def ask(service: str, type: str, args: bytes) -> bytes:
     assert type == "rcl_interfaces/GetParameters"
     return b'{"values":[{"type":2,"integer_value":5}]}' if b"rate" in args else b'{"values":[{"type":0}]}'
 
 
-async def graph(age: float) -> RosGraph:
-    return RosGraph([], [RosName(f"/n/{each}_parameters", []) for each in ("get", "set", "list")])
-
-
 async def call(name: str, args: Any = None) -> Any:
-    rosapi = Rosapi(FakeGuest(GRAPH).as_guest())
+    rosapi = Rosapi(FakeGuest(WITH_PARAMETERS if name.endswith("_param") else GRAPH).as_guest())
     rosapi._parameters._ask = ask  # type: ignore[assignment]
-    rosapi._parameters._graph = graph  # type: ignore[assignment]
     assert rosapi.has(f"/rosapi/{name}")
     return await rosapi.call(f"/rosapi/{name}", msgspec.json.encode(args or {}))
 
@@ -100,9 +97,8 @@ async def test_parameter_is_read_after_it_was_set() -> None:
         order.append("set")
         return b'{"results":[{"successful":true,"reason":""}]}'
 
-    rosapi = Rosapi(FakeGuest(GRAPH).as_guest())
+    rosapi = Rosapi(FakeGuest(WITH_PARAMETERS).as_guest())
     rosapi._parameters._ask = slow  # type: ignore[assignment]
-    rosapi._parameters._graph = graph  # type: ignore[assignment]
     setting = asyncio.create_task(rosapi.call("/rosapi/set_param", b'{"name":"/n:rate","value":"5"}'))
     await asyncio.sleep(0)
     reading = [
@@ -111,7 +107,7 @@ async def test_parameter_is_read_after_it_was_set() -> None:
     await asyncio.sleep(0)
     await asyncio.sleep(0)
     answered.set()
-    await asyncio.gather(setting, *reading)
+    await asyncio.wait_for(asyncio.gather(setting, *reading), 1)
     assert order == ["/n/set_parameters", "set", "/n/get_parameters", "/n/get_parameters"]
 
 
