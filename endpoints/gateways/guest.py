@@ -8,24 +8,20 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-import math
 import re
 import secrets
-import time
 from collections.abc import Callable, Coroutine, Sequence
 from contextlib import suppress
 from typing import Any, Literal
-from urllib.parse import unquote
 
 import msgspec
 from msgspec import UNSET, Raw
 from twisted.logger import Logger
 
-from converters.definition import Definition
-from endpoints.gateways import robots
 from endpoints.gateways.changes import Changes
-from endpoints.gateways.graphs import FRESH, Graphs
+from endpoints.gateways.graphs import Graphs
 from endpoints.gateways.uses import ASK, CALL, Arrived, Frame, Kind, Sealed, Use
+from endpoints.gateways.view import View
 from endpoints.gateways.work import Work
 from endpoints.robot.client import Accepted
 from endpoints.robot.endpoint import RobotEndpoint
@@ -33,9 +29,7 @@ from endpoints.robot.handshake import LoginRequest, Request, parse_guest
 from endpoints.robot.intake import Conversions
 from endpoints.robot.interfaces import RobotInterface
 from endpoints.robot.session import CONTROL, Piece, RobotSession, Socket
-from rce.control.calls.robots import ReadAssetFor, ReadRobotsFor, RobotInterfaceName, Sort
-from rce.control.calls.watching import RosGraph
-from rce.errors import InvalidRequest, NotFound, RceError, TimedOut, Unavailable
+from rce.errors import NotFound, RceError, TimedOut, Unavailable
 from rce.protocol import messages as m
 from rce.protocol.blobs import PART, BinaryFrame, Buffer, TextFrame
 
@@ -56,6 +50,7 @@ class Guest:
 
     Attributes:
         changes: What the client has begun to change in the environment.
+        view: What it sees of the environment.
 
     Args:
         endpoint: The Robot endpoint.
@@ -68,7 +63,6 @@ class Guest:
         owner, _, self.environment = place.strip("/").rpartition("/")
         self.endpoint = endpoint
         self.user = ""
-        self._graphs = graphs
         self._owner = owner
         self._protocol = protocol
         self._session: RobotSession
@@ -81,7 +75,7 @@ class Guest:
         self._making = asyncio.Semaphore(MAX_MAKING)
         self._removals: set[asyncio.Task[None]] = set()
         self.changes = Changes()
-        self._robots: tuple[float, list[RobotInterfaceName]] = (-math.inf, [])  # when they were read
+        self.view = View(endpoint, graphs, self.environment, self.changes)
 
     # --- login --------------------------------------------------------------------------------------------------------
 
@@ -98,9 +92,10 @@ class Guest:
         login = LoginRequest(user, name, secret, FEATURES, "", False, str(request.peer), owner)
         self._session = (await self.endpoint.login(login)).session
         self.user = owner
+        self.view.name = self._session.name
         try:
             async with asyncio.timeout(CHECK):
-                await self._graphs.check(self.endpoint.master, self._session.name, self.environment)
+                await self.view.check()
         except (TimeoutError, TimedOut, Unavailable):
             pass  # it is starting
         except BaseException:
@@ -268,7 +263,7 @@ class Guest:
     async def _make(self, use: Use, inner: m.AddInterface, own: m.AddInterface) -> None:
         """Make the interface of a use and connect it with that of a robot, or with one of the environment."""
         try:
-            use.robot = await self._robot_interface(use.address, inner.interfaceType)
+            use.robot = await self.view.robot_interface(use.address, inner.interfaceType)
             interfaces = [own] if use.robot else [inner, own]
             other = use.robot or f"{self.environment}/{inner.interfaceTag}"
             connection = m.Connect(other, f"{self._tag}/{use.tag}")
@@ -349,65 +344,6 @@ class Guest:
     def name(self) -> str:
         """Name of the guest."""
         return self._session.name
-
-    # --- the environment ----------------------------------------------------------------------------------------------
-
-    async def graph(self, age: float = FRESH) -> RosGraph:
-        """Return the ROS graph of the environment with the robots, after the client's earlier operations.
-
-        Args:
-            age: Seconds for which an earlier answer is good enough, unless this client has changed the graph.
-
-        Raises:
-            RceError: The environment cannot be asked.
-        """
-        await self.changes.settle()
-        return await self.present_graph(age)
-
-    async def present_graph(self, age: float = FRESH) -> RosGraph:
-        """Return the graph without waiting for operations; see `graph`."""
-        since = max(time.monotonic() - age, self.changes.last)
-        graph = await self._graphs.read(self.endpoint.master, self._session.name, self.environment, since)
-        return robots.with_robots(graph, await self._robot_interfaces(since))
-
-    async def _robot_interfaces(self, since: float) -> list[RobotInterfaceName]:
-        if self._robots[0] < since:
-            now = time.monotonic()
-            found = await self.endpoint.master.call(ReadRobotsFor(self._session.name))
-            self._robots = now, found.interfaces
-        return self._robots[1]
-
-    async def _robot_interface(self, address: str, kind: str) -> str:
-        """Return the interface of a robot that an address means, or an empty string: it is the environment's."""
-        found = robots.find(await self._robot_interfaces(time.monotonic() - FRESH), address, kind)
-        if found:
-            with suppress(RceError):  # the environment is away
-                graph = await self._graphs.read(self.endpoint.master, self._session.name, self.environment)
-                return "" if robots.has(graph, address) else found
-        return found
-
-    async def asset(self, uri: str) -> bytes:
-        """Return a file of a package of the environment, `package://PACKAGE/PATH`.
-
-        Raises:
-            InvalidRequest: The URI has another form.
-            RceError: There is no such file, or it cannot be read.
-        """
-        scheme, _, rest = uri.partition("://")
-        package, _, path = rest.partition("/")
-        if scheme != "package" or not package or not path:
-            raise InvalidRequest(f"{uri[:200]}: only files of packages can be fetched, package://PACKAGE/PATH")
-        data = bytearray()
-        while True:
-            call = ReadAssetFor(self._session.name, self.environment, package, unquote(path), len(data))
-            piece = await self.endpoint.master.call(call)
-            data += piece.data
-            if len(data) >= piece.size or not piece.data:
-                return bytes(data)
-
-    async def definitions(self, type: str, sort: Sort) -> dict[str, Definition]:
-        """Return the definition of a type, its parts and the types in it, by name; raises UnknownType."""
-        return await self.endpoint.definitions(self.user, type, sort)
 
     def run(self, work: Coroutine[Any, Any, None], size: int = 0) -> None:
         """Run a coroutine, which holds `size` bytes of the client's data, until the client leaves.

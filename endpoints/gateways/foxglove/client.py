@@ -200,7 +200,7 @@ class FoxgloveClient:
 
     async def _fetch(self, uri: str, number: int) -> None:
         try:
-            frame = messages.asset(number, await self._guest.asset(uri))
+            frame = messages.asset(number, await self._guest.view.asset(uri))
         except RceError as error:
             frame = messages.asset_error(number, str(error))
         self._guest.send(frame)
@@ -220,7 +220,7 @@ class FoxgloveClient:
 
     async def _look(self) -> None:
         try:
-            graph = await self._guest.graph()
+            graph = await self._guest.view.graph()
             async with self._looking:  # one after the other: a type may have to be asked for
                 await self._compare(graph)
         except RceError as error:  # the environment is away, or the client has too much in progress: look again later

@@ -114,7 +114,7 @@ class Offers:
     async def _schemas_of(self, type: str) -> tuple[str, ...] | None:
         try:
             name = parse_type(type)
-            found = await self._guest.definitions(str(name), self._sort)
+            found = await self._guest.view.definitions(str(name), self._sort)
         except RceError:
             return None
         if self._sort == "msg":

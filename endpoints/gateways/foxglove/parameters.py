@@ -29,7 +29,7 @@ class ClientParameters:
     def __init__(self, guest: Guest, report: Report) -> None:
         self._guest = guest
         self._report = report
-        self._parameters = Parameters(guest.present_graph, Asker(guest))
+        self._parameters = Parameters(guest.view.present_graph, Asker(guest))
         self._wanted: dict[str, str] = {}  # names as the client writes them, by those of the nodes
         self._events: Use | None = None
 

@@ -222,7 +222,7 @@ class ServedActions:
 async def find_action_type(guest: Guest, action: str) -> str:
     """Return the type of an action of the environment; raise NotFound if there is none."""
     for age in (1.0, 0.0):
-        for each in (await guest.graph(age)).actions:
+        for each in (await guest.view.graph(age)).actions:
             if each.name == action:
                 return each.types[0]
     raise NotFound(f"action {action[:200]} does not exist")

@@ -31,7 +31,7 @@ class Rosapi:
 
     def __init__(self, guest: Guest) -> None:
         self._guest = guest
-        self._parameters = Parameters(guest.present_graph, Asker(guest))
+        self._parameters = Parameters(guest.view.present_graph, Asker(guest))
         self._by_graph: dict[str, Callable[[RosGraph, Arguments], Answer]] = _BY_GRAPH
         self._others: dict[str, Callable[[Arguments], Awaitable[Answer]]] = {
             "topics_and_raw_types": self._raw_types,
@@ -68,7 +68,7 @@ class Rosapi:
             raise InvalidRequest(f"{service}: {error}") from None
         arguments: Arguments = values if isinstance(values, dict) else _named(name, values)
         if name in self._by_graph:
-            return self._by_graph[name](await self._guest.graph(), arguments)
+            return self._by_graph[name](await self._guest.view.graph(), arguments)
         if name in self._others:
             return await self._others[name](arguments)
         raise NotFound(f"rosapi has no service {name[:80]}")
@@ -76,11 +76,11 @@ class Rosapi:
     # --- types --------------------------------------------------------------------------------------------------------
 
     async def _raw_types(self, _: Arguments) -> Answer:
-        topics = (await self._guest.graph()).topics
+        topics = (await self._guest.view.graph()).topics
         texts = dict[str, str]()
         for type in {each.types[0] for each in topics}:
             try:
-                texts[type] = message_text(await self._guest.definitions(type, "msg"), parse_type(type).msg)
+                texts[type] = message_text(await self._guest.view.definitions(type, "msg"), parse_type(type).msg)
             except RceError:
                 texts[type] = ""  # as rosapi does
         types = [each.types[0] for each in topics]
@@ -93,7 +93,7 @@ class Rosapi:
     async def _details(self, args: Arguments, sort: Sort, part: str) -> Answer:
         name = parse_type(_text(args, "type"))
         full = {"msg": name.msg, "srv": name.srv, "action": name.action}[sort] + part
-        return {"typedefs": typedefs(await self._guest.definitions(str(name), sort), full)}
+        return {"typedefs": typedefs(await self._guest.view.definitions(str(name), sort), full)}
 
     # --- parameters ---------------------------------------------------------------------------------------------------
 

@@ -93,7 +93,7 @@ class ServiceCalls:
         if not text.startswith(b"["):
             return text if text not in (b"", b"null") else b"{}"
         name = parse_type(type)
-        request = (await self._guest.definitions(str(name), "srv"))[f"{name.srv}_Request"]
+        request = (await self._guest.view.definitions(str(name), "srv"))[f"{name.srv}_Request"]
         return encoding.object_of(text, [field.name for field in request])
 
     def _use_of(self, service: str, type: str, format: str) -> Use:
@@ -215,7 +215,7 @@ class ServedServices:
 async def find_service_type(guest: Guest, service: str) -> str:
     """Return the type of a service of the environment; raise NotFound if there is none."""
     for age in (1.0, 0.0):
-        for each in (await guest.graph(age)).services:
+        for each in (await guest.view.graph(age)).services:
             if each.name == service:
                 return each.types[0]
     raise NotFound(f"service {service[:200]} does not exist")

@@ -321,7 +321,7 @@ def _nothing(_: Arrived) -> Sequence[Frame]:
 async def find_topic_type(guest: Guest, topic: str) -> str:
     """Return the type of a topic of the environment; raise NotFound if it has none."""
     for age in (1.0, 0.0):
-        for each in (await guest.graph(age)).topics:
+        for each in (await guest.view.graph(age)).topics:
             if each.name == topic:
                 return each.types[0]
     raise NotFound(f"topic {topic[:200]} has no type yet: give its type, or begin to publish it", field="type")

@@ -114,7 +114,7 @@ async def test_graph_is_read_after_the_clients_earlier_operations(
         (session,) = platform.endpoint.sessions.values()
         guest = session.socket
         assert isinstance(guest, Guest)
-        await guest.graph()
+        await guest.view.graph()
         call, read = platform.endpoint.master.call, 0
 
         async def count(asked: Any, *args: Any, **options: Any) -> Any:
@@ -123,10 +123,10 @@ async def test_graph_is_read_after_the_clients_earlier_operations(
             return await call(asked, *args, **options)
 
         monkeypatch.setattr(platform.endpoint.master, "call", count)
-        await guest.graph()
+        await guest.view.graph()
         assert read == 0, "it was read a moment ago"
         use = guest.use(SUBSCRIBE, "/scan", "std_msgs/String", lambda _: (), lambda *_: None)
-        await guest.graph()
+        await guest.view.graph()
         assert use.ready.done()
         assert read == 1
 

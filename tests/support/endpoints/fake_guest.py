@@ -47,6 +47,7 @@ class FakeGuest:
         self.tasks: set[asyncio.Task[None]] = set()
         self.auto = True
         self.changes = Changes()
+        self.view = self
 
     def as_guest(self) -> Guest:
         return cast(Guest, self)

@@ -14,7 +14,7 @@ from websockets.typing import Subprotocol
 
 from endpoints.gateways.foxglove.client import MAX_REPORTED, SUBPROTOCOLS
 from endpoints.gateways.graphs import Graphs
-from endpoints.gateways.guest import Guest
+from endpoints.gateways.view import View
 from rce.control.calls.watching import RosGraph, RosName
 from rce.net.budget import MB
 from tests.support.endpoints.platforms import Platform
@@ -116,11 +116,11 @@ async def test_assets_for_a_client_that_does_not_read_are_bounded(
 ) -> None:
     fetched: list[str] = []
 
-    async def asset(self: Guest, uri: str) -> bytes:
+    async def asset(self: View, uri: str) -> bytes:
         fetched.append(uri)
         return bytes(32 * MB)
 
-    monkeypatch.setattr(Guest, "asset", asset)
+    monkeypatch.setattr(View, "asset", asset)
     (session,) = platform.endpoint.sessions.values()
     socket.transport.pause_reading()
     for number in range(20):
