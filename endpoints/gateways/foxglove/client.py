@@ -220,7 +220,7 @@ class FoxgloveClient:
 
     async def _look(self) -> None:
         try:
-            graph = await self._guest.view.graph()
+            graph = await self._guest.view.present_graph()
             async with self._looking:  # one after the other: a type may have to be asked for
                 await self._compare(graph)
         except RceError as error:  # the environment is away, or the client has too much in progress: look again later
