@@ -29,7 +29,7 @@ def machine(options: argparse.Namespace, rest: list[str]) -> int:
     if options.action != "add":
         print(output, end="")
         if options.action == "remove":
-            print(f"{options.name} cannot join again; its services lose access to the Master at their next start")
+            print(f"{options.name} cannot join again; its services lose access to the Master within 3 s")
         return 0
     code = parse(output)
     roles = ",".join(code.roles)

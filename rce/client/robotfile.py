@@ -30,7 +30,7 @@ from msgspec.structs import replace
 from rce.client.events import Disconnected, Event, Reconnected
 from rce.client.interface import Interface
 from rce.client.robot import Robot
-from rce.client.robotformat import InterfaceEntry, RobotFile, read
+from rce.client.robotformat import DeliveryEntry, InterfaceEntry, QosEntry, RobotFile, read
 from rce.client.services import ServiceClient, ServiceProvider
 from rce.client.topics import Publisher
 from rce.client.values import encode
@@ -167,18 +167,20 @@ class Runner:
             raise InvalidRequest(f"interface {tag}: a robot file has no actions; use rce.client", field="interfaceType")
         if entry.kind.startswith("Subscriber"):
             return await robot.publisher(tag, name, raw=raw or bool(entry.codec), **_options(entry))
+        if entry.kind.startswith("Publisher"):
+            return await robot.subscriber(
+                tag,
+                name,
+                callback=lambda message: self._print(entry, msg=message),
+                raw=raw or bool(entry.codec),
+                **_options(entry),
+            )
+        if (entry.qos, entry.delivery, entry.codec) != (QosEntry(), DeliveryEntry(), ""):
+            raise InvalidRequest(f"interface {tag}: qos, delivery and codec are for topics; leave them out")
         if entry.kind.startswith("ServiceProvider"):
             return await robot.service_client(tag, name, raw=raw, format=entry.format)
-        if entry.kind.startswith("ServiceClient"):
-            return await robot.service_provider(
-                tag, name, lambda request: self._request(entry, request), raw=raw, format=entry.format
-            )
-        return await robot.subscriber(
-            tag,
-            name,
-            callback=lambda message: self._print(entry, msg=message),
-            raw=raw or bool(entry.codec),
-            **_options(entry),
+        return await robot.service_provider(
+            tag, name, lambda request: self._request(entry, request), raw=raw, format=entry.format
         )
 
     def _print(self, entry: InterfaceEntry, **content: Any) -> None:
@@ -248,7 +250,7 @@ async def _clean_up(undo: Callable[[], Awaitable[None]]) -> None:
 
 def _options(entry: InterfaceEntry) -> dict[str, Any]:
     """Return the options of a topic."""
-    return {"format": entry.format, "delivery": entry.delivery, "codec": entry.codec}
+    return {"format": entry.format, "qos": entry.qos, "delivery": entry.delivery, "codec": entry.codec}
 
 
 def _value_of(line: Line, entry: InterfaceEntry) -> Any:

@@ -23,22 +23,43 @@ from rce.protocol.messages import (
     Connect,
     ContainerData,
     CreateContainer,
+    Decimation,
     Delivery,
     Format,
     InterfaceType,
     NodeRestart,
     ParameterValue,
     Qos,
+    Rates,
     SetParameter,
 )
 
 log = logging.getLogger("rce.client")
 
 
+class RatesEntry(Rates, frozen=True, forbid_unknown_fields=True):
+    """`io` of an environment."""
+
+
+class DecimationEntry(Decimation, frozen=True, forbid_unknown_fields=True):
+    """`decimate` of a delivery."""
+
+
+class DeliveryEntry(Delivery, frozen=True, forbid_unknown_fields=True):
+    """`delivery` of an interface."""
+
+    decimate: DecimationEntry = DecimationEntry()
+
+
+class QosEntry(Qos, frozen=True, forbid_unknown_fields=True):
+    """`qos` of an interface."""
+
+
 class ContainerEntry(ContainerData, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Entry of `containers`: the name and the options of an environment."""
 
     cTag: str
+    io: RatesEntry = RatesEntry()
 
     @property
     def command(self) -> CreateContainer:
@@ -88,9 +109,9 @@ class InterfaceEntry(Struct, frozen=True, forbid_unknown_fields=True):
     iType: InterfaceType | Literal["ServiceInterface", "ServiceConverter", "ServiceForwarder"]
     iCls: str
     addr: str = ""
-    qos: Qos = Qos()
+    qos: QosEntry = QosEntry()
     format: Format = "png"
-    delivery: Delivery = Delivery()
+    delivery: DeliveryEntry = DeliveryEntry()
     codec: CodecName = ""
 
     @property

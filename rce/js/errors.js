@@ -32,6 +32,7 @@ export class AlreadyExists extends RceError { static code = "already_exists"; }
 export class NotConnectable extends RceError { static code = "not_connectable"; }
 export class NotConnected extends RceError { static code = "not_connected"; }
 export class Unauthorized extends RceError { static code = "unauthorized"; }
+export class TooManyAttempts extends RceError { static code = "too_many_attempts"; }
 export class Forbidden extends RceError { static code = "forbidden"; }
 export class NoCapacity extends RceError { static code = "no_capacity"; }
 export class LimitExceeded extends RceError { static code = "limit_exceeded"; }
@@ -44,7 +45,8 @@ export class InternalError extends RceError { static code = "internal"; }
 
 const kinds = Object.fromEntries(
   [InvalidRequest, InvalidName, ConversionError, UnknownType, NotFound, AlreadyExists, NotConnectable, NotConnected,
-    Unauthorized, Forbidden, NoCapacity, LimitExceeded, StartFailed, Died, Unavailable, Lost, TimedOut, InternalError]
+    Unauthorized, TooManyAttempts, Forbidden, NoCapacity, LimitExceeded, StartFailed, Died, Unavailable, Lost, TimedOut,
+    InternalError]
     .map((kind) => [kind.code, kind]));
 
 const byStatus = {

@@ -33,6 +33,7 @@ export class NotConnected extends RceError {}
 /** Credentials are missing, wrong, expired or revoked. */
 export class Unauthorized extends RceError {}
 /** The credentials are valid, but do not permit this. */
+export class TooManyAttempts extends RceError {}
 export class Forbidden extends RceError {}
 /** No machine has room. */
 export class NoCapacity extends RceError {}
@@ -131,6 +132,8 @@ export type Event =
   | { topic: "drops"; iTag: string; count: number; where: string }
   /** A connection that the robot made waits for an end that is away, is restored, or is gone. */
   | { topic: "connection"; tagA: string; tagB: string; state: "waiting" | "restored" | "gone"; reason?: string }
+  /** A recorder ended by itself. */
+  | { topic: "recorder"; containerTag: string; recorderTag: string; reason: string }
   | { topic: "limit"; reason: string }
   /** The socket broke; the robot reconnects by itself. */
   | { topic: "disconnected"; reason: string }

@@ -16,7 +16,7 @@ import yaml
 from rce.client import Robot
 from rce.client.events import Disconnected, Event, Reconnected
 from rce.client.robotfile import event_text, run_file
-from rce.errors import NotFound
+from rce.errors import InvalidRequest, NotFound
 from rce.protocol.messages import ConnectionEvent, DropEvent, EnvironmentEvent, LimitEvent, NodeEvent, RecorderEvent
 from tests.support.client_contract import SET_BOOL, STRING
 from tests.support.fake_platform import FakePlatform
@@ -111,6 +111,37 @@ async def test_packets_of_a_codec_are_lines_with_base64(fake: FakePlatform, tmp_
     finally:
         running.cancel()
         await asyncio.gather(running, return_exceptions=True)
+
+
+async def test_quality_of_service_of_topics_is_passed_on(fake: FakePlatform, tmp_path: Path) -> None:
+    file = {"url": fake.url, "userID": "testUser", "robotID": "a", "password": "testUser"}
+    kinds = {"out": "SubscriberConverter", "in": "PublisherConverter"}
+    file["interfaces"] = [  # type: ignore[assignment]
+        {"eTag": "a", "iTag": tag, "iType": kind, "iCls": STRING, "qos": {"depth": 7}} for tag, kind in kinds.items()
+    ]
+    file["connections"] = [{"tagA": "a/out", "tagB": "a/in"}]  # type: ignore[assignment]
+    path, console = tmp_path / "robot.json", Console()
+    path.write_text(json.dumps(file))
+    running = asyncio.create_task(run_file(path, lines=console.lines(), write=console.write))
+    try:
+        assert (await console.exchange({"iTag": "out", "msg": {"data": "x"}}))["msg"] == {"data": "x"}
+        assert fake.interfaces["a/in"]["qos"] == fake.interfaces["a/out"]["qos"] == {"depth": 7}
+    finally:
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+
+
+@pytest.mark.parametrize("option", [{"qos": {"depth": 7}}, {"delivery": {"rate": 1}}, {"codec": "jpeg"}])
+async def test_options_of_topics_are_refused_for_services(
+    fake: FakePlatform, tmp_path: Path, option: dict[str, Any]
+) -> None:
+    file = {"url": fake.url, "userID": "testUser", "robotID": "a", "password": "testUser"}
+    service = {"eTag": "a", "iTag": "call", "iType": "ServiceProviderConverter", "iCls": SET_BOOL}
+    file["interfaces"] = [service | option]  # type: ignore[assignment]
+    path = tmp_path / "robot.json"
+    path.write_text(json.dumps(file))
+    with pytest.raises(InvalidRequest, match="interface call: qos, delivery and codec are for topics"):
+        await run_file(path, lines=Console().lines(), write=Console().write)
 
 
 async def test_failed_set_up_is_cleaned_up(fake: FakePlatform, tmp_path: Path) -> None:

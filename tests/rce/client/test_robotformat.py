@@ -26,6 +26,8 @@ from rce.errors import InvalidRequest
 from tests.support.paths import ROOT
 from tests.support.robot_files import robot_file
 
+TOPIC = {"eTag": "a", "iTag": "i", "iType": "PublisherConverter", "iCls": "std_msgs/String"}
+
 
 @pytest.mark.parametrize("suffix", [".cfg", ".json", ".yaml", ".yml"])
 def test_json_and_yaml_are_equivalent(tmp_path: Path, suffix: str) -> None:
@@ -46,6 +48,10 @@ def test_json_and_yaml_are_equivalent(tmp_path: Path, suffix: str) -> None:
         ({"interfaces": [{"eTag": "a", "iTag": "i", "iType": "Publisher", "iCls": "a/B"}]}, r"interfaces\[0\].iType"),
         ({"parameters": [{"cTag": "c", "name": "x", "value": None}]}, r"parameters\[0\].value"),
         ({"connections": [{"tagA": "a/x", "tagB": "a/y", "tagC": ""}]}, "unknown field `tagC`"),
+        ({"containers": [{"cTag": "c", "io": {"reed": 3}}]}, r"containers\[0\].io: .*`reed`"),
+        ({"interfaces": [TOPIC | {"qos": {"dept": 5}}]}, r"interfaces\[0\].qos: .*`dept`"),
+        ({"interfaces": [TOPIC | {"delivery": {"prio": "high"}}]}, r"interfaces\[0\].delivery: .*`prio`"),
+        ({"interfaces": [TOPIC | {"delivery": {"decimate": {"stop": 2}}}]}, r"delivery.decimate: .*`stop`"),
     ],
 )
 def test_error_names_file_and_place(tmp_path: Path, change: dict[str, Any], where: str) -> None:

@@ -10,6 +10,7 @@ from endpoints.environment.launch.interpreter import substitutions as s
 from endpoints.environment.launch.interpreter.context import Context, LaunchError
 
 OPTIONAL = 1  # an argument that may be missing
+MANY = 1000  # more arguments
 MARK = 0xE000  # begin of the private characters, which stand for substitutions while a text is split
 KINDS: dict[str, tuple[int, int, Callable[..., s.Substitution]]] = {
     "var": (1, OPTIONAL, lambda name, default=None: s.LaunchConfiguration(name, default=default)),
@@ -22,6 +23,8 @@ KINDS: dict[str, tuple[int, int, Callable[..., s.Substitution]]] = {
     "not": (1, 0, s.NotSubstitution),
     "and": (2, 0, s.AndSubstitution),
     "or": (2, 0, s.OrSubstitution),
+    "all": (1, MANY, s.AllSubstitution),
+    "any": (1, MANY, s.AnySubstitution),
     "equals": (2, 0, s.EqualsSubstitution),
     "not-equals": (2, 0, s.NotEqualsSubstitution),
     "if": (2, OPTIONAL, s.IfElseSubstitution),

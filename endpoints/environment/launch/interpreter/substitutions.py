@@ -206,23 +206,37 @@ class NotSubstitution(Substitution):
         return truth_text(not truth(perform(context, self.value)))
 
 
-class AndSubstitution(Substitution):
+class AllSubstitution(Substitution):
+    """Text `true` if all texts are true, else `false`."""
+
+    def __init__(self, *values: Text) -> None:
+        self.values = values
+
+    def perform(self, context: Context) -> str:
+        """Return `true` or `false`."""
+        return truth_text(all(truth(perform(context, value)) for value in self.values))
+
+
+class AnySubstitution(AllSubstitution):
+    """Text `true` if one of the texts is true, else `false`."""
+
+    def perform(self, context: Context) -> str:
+        """Return `true` or `false`."""
+        return truth_text(any(truth(perform(context, value)) for value in self.values))
+
+
+class AndSubstitution(AllSubstitution):
     """Text `true` if two texts are true, else `false`."""
 
     def __init__(self, left: Text, right: Text) -> None:
-        self.sides = left, right
-
-    def perform(self, context: Context) -> str:
-        """Return `true` or `false`."""
-        return truth_text(all(truth(perform(context, side)) for side in self.sides))
+        super().__init__(left, right)
 
 
-class OrSubstitution(AndSubstitution):
+class OrSubstitution(AnySubstitution):
     """Text `true` if one of two texts is true, else `false`."""
 
-    def perform(self, context: Context) -> str:
-        """Return `true` or `false`."""
-        return truth_text(any(truth(perform(context, side)) for side in self.sides))
+    def __init__(self, left: Text, right: Text) -> None:
+        super().__init__(left, right)
 
 
 class EqualsSubstitution(AndSubstitution):
@@ -230,7 +244,7 @@ class EqualsSubstitution(AndSubstitution):
 
     def perform(self, context: Context) -> str:
         """Return `true` or `false`."""
-        left, right = (_plain(perform(context, side)) for side in self.sides)
+        left, right = (_plain(perform(context, value)) for value in self.values)
         return truth_text(left == right)
 
 

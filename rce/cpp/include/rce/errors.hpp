@@ -43,6 +43,7 @@ class AlreadyExists : public Error { public: using Error::Error; };
 class NotConnectable : public Error { public: using Error::Error; };
 class NotConnected : public Error { public: using Error::Error; };
 class Unauthorized : public Error { public: using Error::Error; };
+class TooManyAttempts : public Error { public: using Error::Error; };
 class Forbidden : public Error { public: using Error::Error; };
 class NoCapacity : public Error { public: using Error::Error; };
 class LimitExceeded : public Error { public: using Error::Error; };

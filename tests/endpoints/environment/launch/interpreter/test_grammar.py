@@ -36,6 +36,8 @@ def context() -> Context:
         ("$(not true)", "false"),
         ("$(and true $(not false))", "true"),
         ("$(or false 0)", "false"),
+        ("$(any false 0 true)", "true"),
+        ("$(all true 1 false)", "false"),
         ("$(equals '$(var words)' 'a b')", "true"),
         ("$(not-equals $(var words) a)", "true"),
         ("$(if true a b)", "a"),
@@ -50,7 +52,7 @@ def test_text_has_value(context: Context, text: str, value: str) -> None:
     ("text", "message"),
     [
         ("$(var x", "no closing parenthesis"),
-        ("$(command ls)", "is not supported; use one of and, dirname, "),
+        ("$(command ls)", "is not supported; use one of all, and, any, dirname, "),
         ("$(and true)", "takes 2 arguments, not 1"),
         ("$(var 'x)", "no closing parenthesis"),
     ],
