@@ -65,9 +65,7 @@ async def test_topics_are_shown_plotted_and_published_and_services_called(platfo
 
             await page.get_by_role("link", name="/say").click()
             message = page.get_by_label(f"Publish {STRING}")
-            async with asyncio.timeout(60):
-                while json.loads(await message.input_value() or "null") != {"data": ""}:  # noqa: ASYNC110
-                    await asyncio.sleep(0.1)
+            await wait_for_template(message, {"data": ""})
             await message.fill('{"data": "hello"}')
             await page.get_by_role("button", name="Publish").click()
             async with asyncio.timeout(60):
@@ -78,13 +76,22 @@ async def test_topics_are_shown_plotted_and_published_and_services_called(platfo
             await page.get_by_role("alert").filter(has_text="JSON").wait_for()
 
             await page.get_by_role("link", name="/light").click()
-            await page.get_by_label(f"Call {SET_BOOL}").fill('{"data": true}')
+            request = page.get_by_label(f"Call {SET_BOOL}")
+            await wait_for_template(request, {"data": False})
+            await request.fill('{"data": true}')
             await page.get_by_role("button", name="Call").click()
             await page.locator("pre.message").filter(has_text="light True").wait_for()
             assert calls == [{"data": True}]
             await screenshot(page, "service")
         finally:
             driving.cancel()
+
+
+async def wait_for_template(field: Any, value: Any) -> None:
+    """Wait until the page has filled in a message with defaults: it may come while a test fills the field."""
+    async with asyncio.timeout(60):
+        while json.loads(await field.input_value() or "null") != value:  # noqa: ASYNC110
+            await asyncio.sleep(0.1)
 
 
 async def wait_for_line(canvas: Any) -> None:
