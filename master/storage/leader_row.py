@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from datetime import datetime
+from typing import NamedTuple, TypeVar
 
 import sqlalchemy as sa
 
@@ -20,26 +22,43 @@ _NOW = sa.func.clock_timestamp()  # PostgreSQL's now() is the begin of the trans
 R = TypeVar("R")
 
 
+class Held(NamedTuple):
+    """What a renewal changes: the term, and the time until which the row is held."""
+
+    term: int
+    until: datetime
+
+
 class LeaderRow:
     """The row, over a connection of its own: neither waits for the transactions of the store."""
 
-    def __init__(self, url: sa.URL, holder: str) -> None:
+    def __init__(self, url: sa.URL, holder: str, clock: Callable[[], float] = time.monotonic) -> None:
         """Prepare access to the row.
 
         Args:
             url: URL of the database.
             holder: Identity of this Master, the same after its restart: it need not wait for its own lease to end.
+            clock: Source of the time in seconds.
         """
         self._engine = connect(url, TIMEOUT)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="lease")
         self._holder = holder
+        self._clock = clock
+        self._seen: Held | None = None  # of another Master
+        self._seen_since = 0.0
 
     async def take(self, url: str, seconds: float) -> tuple[int, str]:
         """Take the row for some seconds if it is free, as `Row.take`.
 
-        This waits until no transaction of the last leader is under way. Its database ends those that are idle.
+        It is also free if it was not renewed for as long by the clock of this Master: that of the database may have
+        jumped back. This waits until no transaction of the last leader is under way. Its database ends those that are
+        idle.
         """
-        return await self._do(lambda connection: _take(connection, self._holder, url, seconds))
+        abandoned = self._seen if self._clock() - self._seen_since >= seconds else None
+        term, leads, held = await self._do(lambda connection: _take(connection, self._holder, url, seconds, abandoned))
+        if held != self._seen:
+            self._seen, self._seen_since = held, self._clock()
+        return term, leads
 
     async def renew(self, term: int, seconds: float) -> bool:
         """Hold the row for some seconds more, as `Row.renew`."""
@@ -83,20 +102,26 @@ def fence(lease: Lease) -> Callable[[sa.Connection], None]:
 _CHECK = sa.select(leader.c.id).where(leader.c.term == sa.bindparam("held")).with_for_update(read=True, key_share=True)
 
 
-def _take(connection: sa.Connection, holder: str, url: str, seconds: float) -> tuple[int, str]:
-    found = connection.execute(sa.select(leader.c.holder, leader.c.url, leader.c.until > _NOW)).first()
-    if found is not None and found[0] != holder and found[2]:
-        return 0, str(found.url)
+def _take(
+    connection: sa.Connection, holder: str, url: str, seconds: float, abandoned: Held | None
+) -> tuple[int, str, Held | None]:
+    """Take the row; return the term and the URL as `Row.take`, and how another Master holds it."""
+    columns = leader.c.holder, leader.c.url, leader.c.term, leader.c.until, (leader.c.until > _NOW).label("lasts")
+    found = connection.execute(sa.select(*columns)).first()
+    if found is not None and found.holder != holder and found.lasts:
+        held = Held(found.term, found.until)
+        if held != abandoned:
+            return 0, str(found.url), held
     # Terms are at least the seconds since 1970, so that they also grow when the database is restored from a backup.
     age = sa.cast(sa.func.extract("epoch", _NOW), sa.BigInteger)
     values = {"term": sa.func.greatest(leader.c.term + 1, age), "holder": holder, "url": url}
+    free = [leader.c.holder == holder, leader.c.until <= _NOW]
+    if abandoned is not None:
+        free.append(sa.and_(leader.c.term == abandoned.term, leader.c.until == abandoned.until))
     taken = connection.execute(
-        leader.update()
-        .where(sa.or_(leader.c.holder == holder, leader.c.until <= _NOW))
-        .values(**values, until=_later(seconds))
-        .returning(leader.c.term)
+        leader.update().where(sa.or_(*free)).values(**values, until=_later(seconds)).returning(leader.c.term)
     ).scalar()
-    return (int(taken), url) if taken is not None else (0, "")
+    return (int(taken), url, None) if taken is not None else (0, "", None)
 
 
 def _renew(connection: sa.Connection, term: int, seconds: float) -> bool:

@@ -1,10 +1,10 @@
 """Lease: which of several Masters with one PostgreSQL database leads.
 
 The leader holds a row of the database until a time of the database's clock, and renews it. A Master that finds the row
-free takes it with a new term. Clocks of different machines are never compared: the leader counts by its own monotonic
-clock from before each renewal, and gives up well before the database does. Even so a Master may be stopped for longer
-than it notices. So each transaction checks the term (`LeaderRow.check`), and the processes refuse calls of earlier
-terms (`rce.control.term`).
+free, or not renewed for as long by its own clock, takes it with a new term. Clocks of different machines are never
+compared: the leader counts by its own monotonic clock from before each renewal, and gives up well before others may
+take the row. Even so a Master may be stopped for longer than it notices. So each transaction checks the term
+(`leader_row.fence`), and the processes refuse calls of earlier terms (`rce.control.term`).
 
 The design follows Gray and Cheriton, "Leases: an efficient fault-tolerant mechanism for distributed file cache
 consistency" (1989), with a fencing token.

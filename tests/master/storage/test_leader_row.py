@@ -63,6 +63,28 @@ async def test_expired_row_is_taken_with_a_later_term(store: Store, rows: tuple[
     assert not await first.renew(term, 10)
 
 
+async def test_row_that_is_not_renewed_is_taken_though_the_clock_of_the_database_has_jumped_back(store: Store) -> None:
+    now = 0.0
+    first, second = LeaderRow(store.url, "1"), LeaderRow(store.url, "2", lambda: now)
+    try:
+        term, _ = await first.take("http://first/", 3600)
+        assert await second.take("http://second/", 10) == (0, "http://first/")
+        now = 9.9
+        assert await second.take("http://second/", 10) == (0, "http://first/")
+        assert await first.renew(term, 3600)
+        now = 10.1
+        assert await second.take("http://second/", 10) == (0, "http://first/"), "it was renewed meanwhile"
+        now = 20.0
+        assert await second.take("http://second/", 10) == (0, "http://first/")
+        now = 20.2
+        later, url = await second.take("http://second/", 10)
+        assert (later > term, url) == (True, "http://second/")
+        assert not await first.renew(term, 10)
+    finally:
+        first.close()
+        second.close()
+
+
 async def test_restarted_holder_does_not_wait(store: Store, rows: tuple[LeaderRow, LeaderRow]) -> None:
     first, _ = rows
     term, _ = await first.take("http://first/", 10)
