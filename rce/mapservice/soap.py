@@ -113,7 +113,10 @@ class Soap:
 
     async def _store(self, client: Client, recording: etree._Element) -> str:
         """Store the recording of a request as an upload; return its id."""
-        content = base64.b64decode(recording.findtext(qualified_name("content"), ""))
+        try:
+            content = base64.b64decode(recording.findtext(qualified_name("content"), ""))
+        except ValueError as error:
+            raise InvalidRequest(f"the content of the recording is not base64: {error}", field="content") from None
         if len(content) > MAX_INLINE:
             text = f"a request can have a recording of at most {MAX_INLINE} bytes: upload it and submit its id"
             raise LimitExceeded(text, field="content", limit=MAX_INLINE, asked=len(content))

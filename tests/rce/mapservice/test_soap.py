@@ -121,6 +121,13 @@ async def test_wrong_requests_are_answered_with_faults(
     assert service.service.uploads.of("ann") == []
 
 
+@pytest.mark.parametrize("content", ["\u00e9A==", "QUJ", "="])
+async def test_content_that_is_no_base64_is_refused(service: Service, content: str) -> None:
+    recording = f"<r:recording><r:name>a.log</r:name><r:content>{content}</r:content></r:recording>"
+    _, answer = await post(service, envelope(f"<r:SubmitMap>{recording}</r:SubmitMap>"))
+    assert fault(answer) == ("soap:Client", "invalid_request", "content")
+
+
 async def test_deep_and_large_requests_are_refused(service: Service) -> None:
     _, answer = await post(service, envelope("<r:x>" * 5000))
     assert fault(answer)[0] == "soap:Client"
