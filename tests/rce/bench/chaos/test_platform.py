@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,10 +12,11 @@ from rce.process.ready import Ready
 
 
 @pytest.fixture
-def platform(tmp_path: Path) -> Platform:
+def platform(tmp_path: Path) -> Iterator[Platform]:
     platform = Platform(tmp_path, {}, tmp_path / "log")
     platform.processes["master"].ready = Ready("master", "http://127.0.0.1:1/", "tcp:127.0.0.1:2")
-    return platform
+    yield platform
+    platform._out.close()
 
 
 def test_each_process_has_a_directory_of_its_own(platform: Platform) -> None:

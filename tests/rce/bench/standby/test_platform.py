@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,9 +12,11 @@ from rce.bench.standby.platform import ADMINISTRATOR, DATABASE, ENDPOINTS, MASTE
 
 
 @pytest.fixture
-def platform(tmp_path: Path) -> Platform:
+def platform(tmp_path: Path) -> Iterator[Platform]:
     (tmp_path / "database").mkdir()
-    return Platform(tmp_path / "data", Network([*MASTERS, DATABASE]), tmp_path / "database", tmp_path / "log")
+    made = Platform(tmp_path / "data", Network([*MASTERS, DATABASE]), tmp_path / "database", tmp_path / "log")
+    yield made
+    made._out.close()
 
 
 def test_masters_share_a_database_and_nothing_else(platform: Platform) -> None:
