@@ -87,7 +87,8 @@ class LaserOdometry:
         # The wheels give the length of the step, the laser the turn.
         length = before.to(pose if scan.odometry is None else predicted)
         self.wheel_pose = self.wheel_pose @ length._replace(theta=before.to(pose).theta)
-        self._motion.update(scan, pose, reliable=found is None or found.unambiguous)
+        reliable = found is None or found.unambiguous
+        self._motion.update(scan, pose, reliable, found.covariance if found else None)
         if points is not None:
             self._keep(points)
         return found

@@ -126,7 +126,10 @@ class Localiser:
             self._scores.append(found.score)
             self._doubtful = found.score < SETTINGS.good_score
         good = found is not None and found.score >= SETTINGS.bad_score
-        motion.update(scan, found.pose if found and good else predictions[0])
+        if found and good:
+            motion.update(scan, found.pose, covariance=found.covariance)
+        else:
+            motion.update(scan, predictions[0])
         if len(self._scores) == SETTINGS.scans and sum(self._scores) < SETTINGS.bad_score * SETTINGS.scans:
             self._start_from(None)
             return None

@@ -6,8 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rce.mapping.geometry import ORIGIN, Pose
+from rce.mapping.odometry_scale import OdometryScale
 from rce.mapping.scans import Scan
 from rce.mapping.state import Reader, State, optional
 
@@ -39,7 +41,8 @@ SETTINGS = MotionSettings()
 class Motion:
     """Motion model with two predictions: the motion by odometry, and the last motion repeated (constant velocity).
 
-    There are two because wheels slip, and odometry comes late or not at all.
+    There are two because wheels slip, and odometry comes late or not at all. Lengths by the wheels are corrected by
+    their scale, which is estimated on the way.
 
     Attributes:
         pose: Pose of the robot at the last scan, map frame.
@@ -52,6 +55,7 @@ class Motion:
         self._steady = True  # whether the last motion took less than max_period, so that the next is like it
         self._last = ORIGIN  # motion between the last two scans, so far as it is known
         self._wheels: tuple[Pose, Pose] | None = None  # last odometry, and the pose of the robot then
+        self._scale = OdometryScale()
 
     def predict(self, scan: Scan) -> list[Pose]:
         """Return the predicted poses of the robot at a scan, the most trusted first."""
@@ -61,7 +65,7 @@ class Motion:
         if scan.odometry is None or self._wheels is None:
             return [repeated, self.pose] if self._is_unpredictable(scan) else [repeated]
         odometry, pose = self._wheels
-        motion = odometry.to(scan.odometry)
+        motion = self._scale.correct(odometry.to(scan.odometry))
         plausible = math.hypot(motion.x, motion.y) < SETTINGS.reset_distance  # False for NaN
         if not plausible:
             return [repeated]
@@ -97,6 +101,7 @@ class Motion:
             "stamp": np.array([] if self._stamp is None else [self._stamp], np.float64),
             "last": optional(self._last),
             "wheels": np.array(self._wheels or [], np.float64).reshape(-1, 3),
+            "scale": self._scale.state(),
         }
 
     def restore(self, saved: Reader) -> None:
@@ -109,19 +114,34 @@ class Motion:
         stamps, wheels = saved.array("stamp", np.float64, None).tolist(), saved.poses("wheels")
         self.pose, self._last = saved.optional("pose") or ORIGIN, saved.optional("last") or ORIGIN
         self._stamp = stamps[0] if stamps else None
+        self._scale.restore(saved.part("scale"))
         self._wheels = (wheels[0], wheels[1]) if len(wheels) == 2 else None
 
-    def update(self, scan: Scan, pose: Pose, reliable: bool = True) -> None:
-        """Set the pose of a scan. If it is not `reliable`, the motion to it does not predict the next one."""
+    def update(
+        self, scan: Scan, pose: Pose, reliable: bool = True, covariance: NDArray[np.float64] | None = None
+    ) -> None:
+        """Set the pose of a scan.
+
+        Args:
+            scan: The scan.
+            pose: Pose of the robot, map frame.
+            reliable: Whether the motion to this pose predicts the next one.
+            covariance: (3, 3) of x, y, theta of a pose that was matched, map frame; None if it was not.
+        """
         if reliable:
             self._last = ORIGIN if self._stamp is None else self.pose.to(pose)
         self._steady = self._stamp is None or self._follows_soon(scan)
         self._stamp, self.pose = scan.stamp, pose
         if scan.odometry is not None:
             self._wheels = scan.odometry, pose
+            if reliable and covariance is not None:
+                self._scale.observe(scan.odometry, pose, covariance)
+            else:
+                self._scale.interrupt()
 
     def correct(self, pose: Pose) -> None:
         """Move the last scan to `pose`, as an optimisation has found."""
+        self._scale.interrupt()
         if self._wheels is not None:
             odometry, then = self._wheels
             self._wheels = odometry, pose @ self.pose.to(then)

@@ -92,7 +92,7 @@ class GraphMapper:
         reliable = found is None or found.unambiguous
         pose = found.pose if found else predictions[0]
         covariance = found.covariance if found else UNMATCHED_COVARIANCE
-        self._motion.update(scan, pose, reliable)
+        self._motion.update(scan, pose, reliable, found.covariance if found else None)
         closed = self._keep(pose, points, covariance, reliable) if usable else None
         reference = self._graph.nodes[self._reference].pose
         self._history.append(scan.stamp, self._reference, reference.to(pose))

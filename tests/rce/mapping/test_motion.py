@@ -70,3 +70,19 @@ def test_unreliable_pose_does_not_change_the_predicted_motion() -> None:
     repeated, stayed = motion.predict(scan(4.0, None))
     assert repeated == pytest.approx(Pose(-3.0, 0.0, 1.0) @ Pose(0.1, 0.0, 0.0))
     assert stayed == Pose(-3.0, 0.0, 1.0)
+
+
+def test_lengths_by_the_wheels_are_corrected_by_what_was_matched() -> None:
+    motion, sure = Motion(), np.diag([1e-6, 1e-6, 1e-6])
+    for i in range(60):
+        motion.update(scan(0.1 * i, Pose(1.1 * i, 0.0, 0.0)), Pose(1.0 * i, 0.0, 0.0), covariance=sure)
+    first, _ = motion.predict(scan(6.0, Pose(1.1 * 61, 0.0, 0.0)))
+    assert first == pytest.approx((61.0, 0.0, 0.0), abs=0.03)
+
+
+def test_poses_that_were_not_matched_do_not_correct_the_wheels() -> None:
+    motion = Motion()
+    for i in range(60):
+        motion.update(scan(0.1 * i, Pose(1.1 * i, 0.0, 0.0)), Pose(1.0 * i, 0.0, 0.0))
+    first, _ = motion.predict(scan(6.0, Pose(1.1 * 60, 0.0, 0.0)))
+    assert first == pytest.approx((59.0 + 1.1, 0.0, 0.0))

@@ -90,12 +90,20 @@ def test_particle_map_of_mit_csail_beats_other_systems(data: Path, tmp_path: Pat
     assert (ours.translation, math.degrees(ours.rotation)) == pytest.approx((metres, degrees), rel=1e-3)
 
 
-@pytest.mark.parametrize(("name", "limit"), [("aces", 0.2), ("infinite-corridor", 1.5)])
-def test_large_loops_are_closed(data: Path, name: str, limit: float) -> None:
+@pytest.mark.parametrize(
+    ("name", "odometry", "limit"),
+    [
+        ("aces", Odometry(1.03, 0.1), 0.2),
+        ("infinite-corridor", Odometry(1.03, 0.1), 1.5),
+        ("infinite-corridor", Odometry(1.1, 0.1, slip=1.0), 1.5),
+    ],
+    ids=["aces", "infinite corridor", "infinite corridor with wheels that are 10 % too small and slip"],
+)
+def test_large_loops_are_closed(data: Path, name: str, odometry: Odometry, limit: float) -> None:
     """The error is metres if a loop stays open, and tens of metres if one is closed wrongly."""
     scans = list(open_recording(data / "corrected" / f"{name}-corrected.log.gz"))
     mapper = GraphMapper()
-    for scan in with_odometry(scans, Odometry(1.03, 0.1)):
+    for scan in with_odometry(scans, odometry):
         mapper.add(scan)
     truth = np.array([scan.odometry for scan in scans])[:, :2]
     found = mapper.trajectory()[:, 1:3]
@@ -146,7 +154,7 @@ def test_corridor_driven_back_is_not_mapped_twice(data: Path) -> None:
             kept.append((int((tables[mapper._filter.best] >= 0).sum()), len(mapper._sweeps)))
     places = mapper.trajectory()[:, 1:3]
     off = np.hypot(*(places[len(there) - 1 :] - places[len(there) - 1 :: -1]).T)
-    assert off.mean() < 0.1
+    assert off.mean() < 0.2
     assert off.max() < 1.0
     (tiles, sweeps), (tiles_later, sweeps_later) = kept
     assert tiles_later <= 1.05 * tiles

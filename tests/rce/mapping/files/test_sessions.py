@@ -116,7 +116,7 @@ def test_files_of_other_formats_are_rejected(simulation: Simulation, tmp_path: P
     about = arrays["about"].copy()
     about[1] = "99"
     np.savez(path, **{**arrays, "about": about})
-    with pytest.raises(InvalidRequest, match="version 99; this program supports version 1"):
+    with pytest.raises(InvalidRequest, match="version 99; this program supports version 2"):
         resume_session(path)
     np.savez(path, about=np.array([{}], object))
     with pytest.raises(InvalidRequest, match="session"):
