@@ -58,23 +58,24 @@ def enclave(tag: str) -> str:
     return "/" + tag.replace(GUEST_PREFIX, "_").replace(".", "_")
 
 
-def ros_arguments(spec: NodeSpec, given: list[str], parameters: Path) -> list[str]:
+def ros_arguments(spec: NodeSpec, given: list[str], parameters: Path, place: str = "") -> list[str]:
     """Return the ROS arguments of a node.
 
-    The enclave identifies the node in the ROS graph by its tag. Log files of ROS are disabled, because they would grow
-    without limit.
+    The enclave identifies the node in the ROS graph. Log files of ROS are disabled, because they would grow without
+    limit.
 
     Args:
         spec: The node.
         given: Arguments of the user, which may name another enclave.
         parameters: Path of the node's parameter file.
+        place: Enclave of the node; empty for that of its tag.
 
     Raises:
         InvalidName: The name or the namespace is not valid in ROS 2.
     """
     arguments = ["--ros-args", "--disable-external-lib-logs", "--params-file", str(parameters)]
     if "--enclave" not in given and "-e" not in given:
-        arguments += ["--enclave", enclave(spec.tag)]
+        arguments += ["--enclave", place or enclave(spec.tag)]
     if spec.name:
         arguments += ["-r", f"__node:={_checked(_NAME, spec.name, 'name')}"]
     if spec.namespace:

@@ -22,7 +22,9 @@ from endpoints.environment.ros import RosThread
 from endpoints.environment.ros_services import RawClient
 
 SETTLING_TIME = 0.1  # seconds to wait for nodes without parameter services, which cannot be asked
-LIMIT = 0.5  # seconds to wait for the answer of a node, which may be busy
+# Seconds to wait for the answer of a node. It may be busy, and Fast DDS often tells of the reader of its service 0.1 s
+# before it tells of the writer.
+LIMIT = 0.5
 # The node first has to discover the client. A request that comes earlier is lost, and sent again after 0.07 s.
 HEAD_START = 0.01  # seconds
 SERVICE = "/get_parameter_types"
@@ -67,7 +69,7 @@ class _Wait:
         for question in questions:
             question.ask()
         answered = bool(wanted) and all(each in self._asked and self._asked[each].answered for each in wanted)
-        pending = any(question.sent and not question.answered for question in questions)
+        pending = not all(question.answered for question in questions)
         if answered or self._clock() - self._began >= (LIMIT if pending else SETTLING_TIME):
             for question in questions:
                 question.end()

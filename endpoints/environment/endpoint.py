@@ -116,10 +116,10 @@ class Environment:
         self._ros = ros
         self._definitions = InstalledTypes(installed + packages.prefixes, packages.sources)
         self._parameters = Parameters()
-        self._live_parameters = LiveParameters(ros)
         variables = node_variables(settings)
         self._secrets = Secrets(settings.run, variables)
         self._nodes = Nodes(settings.data_dir, packages, self._parameters, variables, self._of_nodes, spare)
+        self._live_parameters = LiveParameters(ros, self._nodes.enclave)
         self._switchboard = Switchboard(port, lambda link, reason: report(LinkLost(link, reason[:MAX_TEXT])))
         self._context = RosContext(ros, self._switchboard.hops, self._definitions, self._report_error)
         self._recorders = Recorders(self._context, settings.recordings, self._read_topics, report)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Callable
 from typing import Any
 
 from rcl_interfaces.msg import Parameter, ParameterType
@@ -12,8 +13,8 @@ from rcl_interfaces.srv import GetParameterTypes, SetParameters
 from rclpy.serialization import deserialize_message, serialize_message
 from twisted.logger import Logger
 
-from endpoints.environment.arguments import enclave
 from endpoints.environment.parameters import ros_form
+from endpoints.environment.prepared_node import NODE as PREPARED
 from endpoints.environment.ros import NODE, RosThread
 from endpoints.environment.ros_services import RawClient
 from rce.control.calls.endpoints import ParameterSpec
@@ -83,8 +84,10 @@ class _Client:
 class LiveParameters:
     """Sets parameters of the running nodes that declare them."""
 
-    def __init__(self, ros: RosThread) -> None:
+    def __init__(self, ros: RosThread, enclave: Callable[[str], str]) -> None:
+        """Set parameters of nodes, of which `enclave` returns the enclave by their tags."""
         self._ros = ros
+        self._enclave = enclave
         self._clients: dict[str, tuple[_Client, _Client]] = {}
         self._enclaves: set[str] = set()  # of the nodes in the ROS graph
         self._lock = asyncio.Lock()
@@ -111,7 +114,7 @@ class LiveParameters:
         until = time.monotonic() + TIMEOUT
         while True:
             nodes = await self._ros.run(lambda: self._find(tag))
-            if {enclave(each) for each in starting} <= self._enclaves or time.monotonic() > until:
+            if {self._enclave(each) for each in starting} <= self._enclaves or time.monotonic() > until:
                 return nodes
             await asyncio.sleep(POLL_INTERVAL)
 
@@ -120,13 +123,13 @@ class LiveParameters:
         present = [
             (f"{namespace.rstrip('/')}/{name}", place)
             for name, namespace, place in self._ros.node.get_node_names_and_namespaces_with_enclaves()
-            if name != NODE
+            if name not in {NODE, PREPARED}
         ]
         self._enclaves = {place for _, place in present}
         for gone in set(self._clients) - {name for name, _ in present}:
             for client in self._clients.pop(gone):
                 self._ros.remove_waitable(client.raw)
-        found = [name for name, place in present if not tag or place == enclave(tag)]
+        found = [name for name, place in present if not tag or place == self._enclave(tag)]
         for name in set(found) - set(self._clients):
             self._clients[name] = (
                 _Client(self._ros, GetParameterTypes, f"{name}/get_parameter_types"),

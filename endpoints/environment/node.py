@@ -12,8 +12,9 @@ from pathlib import Path
 
 from twisted.logger import Logger
 
+from endpoints.environment.arguments import enclave
 from endpoints.environment.output_log import OutputLog
-from endpoints.environment.prepared_node import Spare
+from endpoints.environment.prepared_node import ENCLAVE, Spare
 from rce.control.calls.endpoints import NodeSpec
 from rce.errors import StartFailed
 
@@ -33,6 +34,7 @@ class NodeProcess:
     Attributes:
         stopping: True once `stop` was called.
         started: Monotonic time of the start.
+        enclave: Enclave of its process in the ROS graph, unless its arguments name another one.
         over: Done with the exit status when the process and its group have ended.
     """
 
@@ -41,6 +43,7 @@ class NodeProcess:
         self.output = output
         self.stopping = False
         self.started = time.monotonic()
+        self.enclave = enclave(spec.tag)
         self._process = process
         self.over: asyncio.Task[int]
 
@@ -64,13 +67,14 @@ class NodeProcess:
             directory: Working directory.
             output: Log of the output, closed at the end.
             ended: Called with the node and its exit status when it has ended, for whatever reason.
-            spare: Interpreter that may become the node.
+            spare: Interpreter that becomes the node, which it suits.
 
         Raises:
             StartFailed: The command cannot be executed.
         """
-        if spare is not None and (waiting := spare.take(command, environment, directory)) is not None:
-            node = cls(spec, waiting, output)
+        if spare is not None:
+            node = cls(spec, spare.take(command, environment, directory), output)
+            node.enclave = ENCLAVE
             node.over = asyncio.create_task(node._watch(ended))
             return node
         read, write = os.pipe()

@@ -9,14 +9,14 @@ from pathlib import Path
 
 from twisted.logger import Logger
 
-from endpoints.environment.arguments import ros_arguments, split, substitute
+from endpoints.environment.arguments import enclave, ros_arguments, split, substitute
 from endpoints.environment.launch.evaluation import evaluate, launch_arguments, node_spec, tags
 from endpoints.environment.launch.group import LaunchGroup, Member
 from endpoints.environment.node import NodeProcess
 from endpoints.environment.output_log import OutputLog
 from endpoints.environment.packages import Packages
 from endpoints.environment.parameters import Parameters
-from endpoints.environment.prepared_node import Spare
+from endpoints.environment.prepared_node import ENCLAVE, Spare
 from endpoints.environment.process_environment import user_node_variables
 from rce.control.calls.endpoints import Launched, NodeDied, NodeSpec, ParameterSpec
 from rce.errors import NotFound, StartFailed, disk_full
@@ -70,6 +70,11 @@ class Nodes:
         youngest = time.monotonic() - START_TIMEOUT
         return {tag for tag, node in self.processes.items() if node.started > youngest}
 
+    def enclave(self, tag: str) -> str:
+        """Return the enclave in the ROS graph of the node with this tag."""
+        node = self.processes.get(tag)
+        return node.enclave if node else enclave(tag)
+
     async def start(self, spec: NodeSpec) -> None:
         """Start a node or launch unless it runs already; one with the same tag and another spec is replaced.
 
@@ -108,7 +113,9 @@ class Nodes:
     ) -> NodeProcess:
         directory = self._directory_of(spec.tag)
         parameters = directory / "parameters.yaml"
-        command = command + given + ros_arguments(spec, given, parameters)
+        if spare is not None and not spare.suits(command, variables):
+            spare = None
+        command = command + given + ros_arguments(spec, given, parameters, ENCLAVE if spare else "")
         self._parameters.write(spec.tag, parameters)
         output = self._logs[spec.tag] = OutputLog(directory / "output.log")
         return await NodeProcess.start(spec, command, variables, self._directory / "home", output, ended, spare)

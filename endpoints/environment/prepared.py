@@ -12,7 +12,8 @@ import asyncio
 import os
 import sys
 import tempfile
-from collections.abc import Coroutine
+from collections.abc import Coroutine, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -64,33 +65,48 @@ def accept(order: Order) -> Settings:
     return settings
 
 
-async def join_domain() -> RosThread:
-    """Return a ROS thread that has joined the domain of this process, on a machine without network groups."""
+async def join_domain(profile: Path) -> RosThread:
+    """Return a ROS thread that has joined the domain of this process, on a machine without network groups.
+
+    Args:
+        profile: File for the profile of Fast DDS.
+    """
     from endpoints.environment.ros import RosThread
 
     ros = RosThread(asyncio.get_running_loop())
-    with tempfile.TemporaryDirectory(prefix="rce-") as directory:
-        process_environment.use_profile(Path(directory) / "fastdds.xml", SEGMENT)
-        await ros.start()
+    process_environment.use_profile(profile, SEGMENT)
+    await ros.start()
     return ros
+
+
+@contextmanager
+def profile_file() -> Iterator[Path]:
+    """Provide an empty file, which is removed at the end, if not before."""
+    descriptor, name = tempfile.mkstemp("-fastdds.xml", "rce-")
+    os.close(descriptor)
+    try:
+        yield Path(name)
+    finally:
+        Path(name).unlink(missing_ok=True)
 
 
 async def serve(reactor: ReactorBase) -> None:
     """Wait for the order, then serve the environment until its end."""
-    ros = await join_domain()
-    spare = await prepared_node.start()
-    try:
-        line = await asyncio.to_thread(sys.stdin.buffer.readline)
-        if not line:
-            await ros.stop()
-            return
-        settings = accept(msgspec.json.decode(line, type=Order))
-        fits = settings.shared_memory == SEGMENT and not settings.address
-        if not fits:  # it has to join again with another profile
-            await ros.stop()
-        await program.Endpoint(settings, spare, ros if fits else None).run(reactor)
-    finally:
-        spare.discard()
+    with profile_file() as profile:
+        ros = await join_domain(profile)
+        spare = await prepared_node.start()  # it removes the profile when it has joined the domain with it
+        try:
+            line = await asyncio.to_thread(sys.stdin.buffer.readline)
+            if not line:
+                await ros.stop()
+                return
+            settings = accept(msgspec.json.decode(line, type=Order))
+            fits = settings.shared_memory == SEGMENT and not settings.address
+            if not fits:  # it has to join again with another profile
+                await ros.stop()
+            await program.Endpoint(settings, spare, ros if fits else None).run(reactor)
+        finally:
+            await spare.discard()
 
 
 def main() -> int:

@@ -6,19 +6,24 @@ from rclpy.action.graph import get_action_names_and_types
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
+from endpoints.environment.prepared_node import NODE as PREPARED
 from endpoints.environment.ros_actions import part_of
 from rce.control.calls.watching import RosAction, RosGraph, RosName, RosNode
 
 
 def read_graph(node: Node) -> RosGraph:
-    """Return the graph as `node` sees it; called in the ROS thread."""
+    """Return the graph as `node` sees it, without the prepared node; called in the ROS thread."""
     topics = [
         RosName(name, types, node.count_publishers(name), node.count_subscribers(name))
         for name, types in node.get_topic_names_and_types()
     ]
-    services = [RosName(name, types) for name, types in node.get_service_names_and_types()]
+    services = [
+        RosName(name, types)
+        for name, types in node.get_service_names_and_types()
+        if not name.startswith(f"/{PREPARED}/")
+    ]
     actions = [_action(node, name, types) for name, types in get_action_names_and_types(node)]
-    nodes = [_node(node, *each) for each in set(node.get_node_names_and_namespaces())]
+    nodes = [_node(node, *each) for each in set(node.get_node_names_and_namespaces()) if each[0] != PREPARED]
     return RosGraph(*(sorted(each, key=_by_name) for each in (topics, services, actions, nodes)))  # type: ignore[arg-type]
 
 

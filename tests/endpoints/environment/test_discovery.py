@@ -17,6 +17,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from std_msgs.msg import String
 
 from endpoints.environment.discovery import HEAD_START, LIMIT, SETTLING_TIME, _services, after_discovery
+from endpoints.environment.ros_services import RawClient
 from tests.support.endpoints.actions import spinning
 from tests.support.endpoints.ros_world import LIMIT as TEST_LIMIT
 from tests.support.endpoints.ros_world import RosWorld
@@ -107,6 +108,17 @@ async def test_client_is_removed_after_the_answer(world: RosWorld, node: Node, t
 async def test_busy_node_is_waited_for_until_the_limit(world: RosWorld, node: Node, topic: str) -> None:
     waiting = await Waiting.begin(world, topic)
     await world.until(lambda: world.ros.node.count_clients("/here/asked/get_parameter_types") == 1)
+    waiting.now = LIMIT - 0.001
+    await waiting.lasts()
+    waiting.now = LIMIT
+    await waiting.end()
+
+
+async def test_service_of_which_only_a_part_is_known_is_waited_for_until_the_limit(
+    world: RosWorld, node: Node, topic: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(RawClient, "available", lambda client: False)
+    waiting = await Waiting.begin(world, topic)
     waiting.now = LIMIT - 0.001
     await waiting.lasts()
     waiting.now = LIMIT

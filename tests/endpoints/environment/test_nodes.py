@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import errno
 from pathlib import Path
 
@@ -14,6 +15,7 @@ pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 from endpoints.environment.nodes import Nodes
 from endpoints.environment.packages import Packages
 from endpoints.environment.parameters import Parameters
+from endpoints.environment.prepared_node import ENCLAVE, Spare
 from rce.control.calls.endpoints import (
     DropParameter,
     NodeSpec,
@@ -99,6 +101,20 @@ async def test_node_that_a_full_disk_refuses_is_rejected(tmp_path: Path, monkeyp
     nodes = Nodes(tmp_path, Packages([], []), Parameters(), {}, lambda died: None)
     with pytest.raises(StartFailed, match=r"node late did not start: disk full \(output.log: no space"):
         await nodes.start(NodeSpec("late", "probe", "say"))
+
+
+async def test_first_node_that_comes_with_rce_takes_the_waiting_process(tmp_path: Path) -> None:
+    pipe = asyncio.subprocess.PIPE
+    spare = Spare(
+        await asyncio.create_subprocess_exec("sleep", "1000", stdin=pipe, stdout=pipe, start_new_session=True)
+    )
+    (tmp_path / "home").mkdir()
+    nodes = Nodes(tmp_path, Packages([], []), Parameters(), {}, lambda died: None, spare)
+    for tag in ("first", "second"):
+        await nodes.start(NodeSpec(tag, "rce_demo", "echo"))
+    assert (nodes.enclave("first"), nodes.enclave("second")) == (ENCLAVE, "/second")
+    await nodes.stop_all()
+    assert nodes.enclave("first") == "/first"
 
 
 async def test_log_of_unknown_node_is_not_found(master: FakeMaster) -> None:

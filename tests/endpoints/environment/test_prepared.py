@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import subprocess
 import sys
@@ -36,24 +35,27 @@ def test_order_is_accepted(tmp_path: Path) -> None:
     assert output.read_text() == f"{directory} {directory}/fastdds.xml False\n"
 
 
-def test_process_ends_with_its_standard_input() -> None:
+def test_process_ends_with_its_standard_input_and_leaves_no_file(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-P", "-m", "endpoints.environment.prepared"],
         input=b"",
         timeout=120,
         check=False,
         capture_output=True,
+        env={**os.environ, "TMPDIR": str(tmp_path)},
     )
     assert done.returncode == 0, done.stderr
+    assert not list(tmp_path.iterdir())
 
 
-async def test_domain_is_joined_before_the_environment_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_domain_is_joined_before_the_environment_is_known(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "87")
     monkeypatch.setenv("FASTDDS_DEFAULT_PROFILES_FILE", "")
-    ros = await join_domain()
+    ros = await join_domain(tmp_path / "fastdds.xml")
     try:
         assert await ros.run(lambda: ros.node.get_name()) == NODE
-        profile = Path(os.environ["FASTDDS_DEFAULT_PROFILES_FILE"])
-        assert not await asyncio.to_thread(profile.exists), "nodes get one of their own"
+        assert os.environ["FASTDDS_DEFAULT_PROFILES_FILE"] == str(tmp_path / "fastdds.xml")
     finally:
         await ros.stop()

@@ -6,9 +6,11 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 
+import rclpy
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
+from endpoints.environment.prepared_node import NODE
 from endpoints.environment.ros_graph import read_graph
 from rce.control.calls.watching import RosName
 from tests.support.endpoints.ros_world import RosWorld
@@ -45,6 +47,21 @@ async def test_nodes_have_their_topics_and_services(world: RosWorld) -> None:
         return any("/nodes/in" in each.subscribes and "/nodes/flip" in each.serves for each in found)
 
     await world.until(complete)
+
+
+async def test_prepared_node_is_not_shown(world: RosWorld) -> None:
+    prepared = rclpy.create_node(NODE, context=world.other.context)
+    shown = rclpy.create_node("shown", context=world.other.context)
+
+    def complete() -> bool:
+        graph = read_graph(world.ros.node)
+        names = {each.name for each in (*graph.nodes, *graph.services)}
+        return {"/shown", "/shown/get_parameters"} <= names and not any(name.startswith(f"/{NODE}") for name in names)
+
+    await world.until(lambda: NODE in world.ros.node.get_node_names())
+    await world.until(complete)
+    prepared.destroy_node()
+    shown.destroy_node()
 
 
 def _ours(names: list[RosName]) -> list[RosName]:
