@@ -64,7 +64,7 @@ class PreparedContext:
                 )
             rclpy.init = init
             if args in (None, sys.argv) and domain_id is None:
-                return _Given(self._context, signal_handler_options or SignalHandlerOptions.ALL)
+                return _Given(self._context, signal_handler_options)
             self.close()
             return init(args=args, domain_id=domain_id, signal_handler_options=signal_handler_options)
 
@@ -99,7 +99,9 @@ class PreparedContext:
 class _Given(rclpy.InitContextManager):
     """What `rclpy.init` returns, of a context that was initialized before."""
 
-    def __init__(self, context: Context, signal_handlers: SignalHandlerOptions) -> None:
+    def __init__(self, context: Context, signal_handlers: SignalHandlerOptions | None) -> None:
+        if signal_handlers is None:
+            signal_handlers = SignalHandlerOptions.ALL
         self.context = context
         self.installed_signal_handlers = signal_handlers != SignalHandlerOptions.NO
         install_signal_handlers(signal_handlers)
