@@ -37,6 +37,17 @@ def step_costs(cost_travel_multiplier: float) -> tuple[Cells, Cells, int]:
     return straight, diagonal, 1 << math.ceil(math.log2(int(diagonal.max()) + DIAGONAL + 2))
 
 
+@compiled("boolean(uint8[::1], int64, int64)")
+def is_level(costs: NDArray[np.uint8], width: int, cell: np.int64) -> bool:
+    """Return whether a cell and its eight neighbours cost the same; the cell must not be on the edge."""
+    price = costs[np.uint64(cell)]
+    for middle in (cell - width, cell, cell + width):
+        place = np.uint64(middle)
+        if costs[place - np.uint64(1)] != price or costs[place] != price or costs[place + np.uint64(1)] != price:
+            return False
+    return True
+
+
 @compiled(
     "int64(uint8[::1], int64, int64, int64, int32[::1], int32[::1], int64, int64, float64, int32[::1], uint8[::1], "
     "uint8[::1])"
@@ -58,7 +69,9 @@ def search(
     """Find the cheapest path from one cell to another.
 
     A path never turns by 135 degrees or more: the cell before leads to the next one directly, for less. So only five of
-    the eight neighbours are looked at.
+    the eight neighbours are looked at. Where all nine cells cost the same, only straight on, and after a diagonal step
+    45 degrees to each side: another path over these cells is as cheap (Harabor and Grastien, Online Graph Pruning for
+    Pathfinding on Grid Maps, 2011, section 3: the natural neighbours).
 
     Args:
         costs: (n,) costs of the cells, rows one after the other; those on the edge must be blocked.
@@ -119,7 +132,11 @@ def search(
         row = np.int64(np.uint32(cell) // np.uint32(width))
         across, along = goal_column - (cell - row * width), goal_row - row
         arrival = np.int64(arrivals[np.uint64(cell)])
-        turns, first = (8, 0) if arrival == FIRST else (5, arrival + 6)
+        turns, first = 5, arrival + 6
+        if arrival == FIRST:
+            turns, first = 8, np.int64(0)
+        elif is_level(costs, width, cell):
+            turns, first = (3, arrival + 7) if arrival & 1 else (1, arrival)
         for turn in range(first, first + turns):
             direction = np.uint64(turn & 7)
             to = np.uint64(cell + moves[direction])
