@@ -83,6 +83,7 @@ class PreparedContext:
             self._remove_node()
 
         rclpy.init = continue_with
+        # rclpy has no hook for this: the arguments of a process are read by `rclpy.init` alone.
         Node.__init__ = make_with_arguments  # type: ignore[method-assign, assignment]
 
     def close(self) -> None:
@@ -97,7 +98,7 @@ class PreparedContext:
 
 
 class _Given(rclpy.InitContextManager):
-    """What `rclpy.init` returns, of a context that was initialized before."""
+    """Manage a context that was initialized before, as the result of `rclpy.init` manages its own."""
 
     def __init__(self, context: Context, signal_handlers: SignalHandlerOptions | None) -> None:
         if signal_handlers is None:

@@ -42,8 +42,8 @@ async def test_maps_of_a_real_building(platform: RealPlatform, tmp_path: Path, t
     assert error["trans_abs"][0] <= 0.15
     assert error["rot_abs_deg"][0] <= 3
     difference = trajectory(tmp_path / "log") - trajectory(tmp_path / "bag")
-    # The odometry of the two differs in the last digit, so that a distance may be reached one scan later.
-    assert np.abs(difference).max() < 1e-3
+    # The headings of the odometry differ in the last bit, which grows to a tenth of a millimetre.
+    assert np.abs(difference).max() < 5e-4
 
 
 async def test_simulation_with_a_platform_of_its_own(tmp_path: Path, temporary: Path) -> None:

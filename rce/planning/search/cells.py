@@ -38,7 +38,7 @@ def step_costs(cost_travel_multiplier: float) -> tuple[Cells, Cells, int]:
 
 
 @compiled("boolean(uint8[::1], int64, int64)")
-def is_level(costs: NDArray[np.uint8], width: int, cell: np.int64) -> bool:
+def is_uniform(costs: NDArray[np.uint8], width: int, cell: np.int64) -> bool:
     """Return whether a cell and its eight neighbours cost the same; the cell must not be on the edge."""
     price = costs[np.uint64(cell)]
     for middle in (cell - width, cell, cell + width):
@@ -135,7 +135,7 @@ def search(
         turns, first = 5, arrival + 6
         if arrival == FIRST:
             turns, first = 8, np.int64(0)
-        elif is_level(costs, width, cell):
+        elif is_uniform(costs, width, cell):
             turns, first = (3, arrival + 7) if arrival & 1 else (1, arrival)
         for turn in range(first, first + turns):
             direction = np.uint64(turn & 7)

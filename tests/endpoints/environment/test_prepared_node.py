@@ -57,7 +57,7 @@ async def test_one_that_is_not_taken_ends_with_its_standard_input(spare: Spare) 
 
 async def test_one_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(prepared_node, "END_TIMEOUT", 0.01)
-    words = (sys.executable, "-I", "-S", "-c", "import time; time.sleep(1000)")
+    words = ("tail", "-f", "/dev/null")
     deaf = await asyncio.create_subprocess_exec(*words, stdin=asyncio.subprocess.PIPE)
     await Spare(deaf).discard()
     assert deaf.returncode == -signal.SIGKILL

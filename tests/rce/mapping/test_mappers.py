@@ -34,7 +34,7 @@ def test_unusable_scan_moves_by_odometry(mapper: Mapper, simulation: Simulation,
     )
     estimate = mapper.add(blind)
     assert not estimate.matched
-    assert estimate.pose == pytest.approx(before.pose @ STEP, abs=0.01)
+    assert estimate.pose == pytest.approx(before.pose @ STEP, abs=0.002)
     assert len(mapper.trajectory()) == 21
 
 
