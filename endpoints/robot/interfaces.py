@@ -228,9 +228,11 @@ class Publisher(RobotInterface):
             interval: Seconds; less than a millisecond to send every message.
             length: Number of messages that may wait, the newest; 0 to leave it as it is.
         """
-        if self._pace is not None:
-            self._pace.close()
-        self._pace = Pace(interval, length, self.budget) if interval >= SHORTEST else None
+        old, self._pace = self._pace, Pace(interval, length, self.budget) if interval >= SHORTEST else None
+        if old is not None:
+            old.close()
+            if self._pace is not None:
+                self._pace.follow(old)
         if length:
             self.keep = length
 

@@ -54,6 +54,10 @@ class Pace:
                 self._timer = loop.call_at(self._next, self._deliver)
         return False
 
+    def follow(self, earlier: Pace) -> None:
+        """Count a message that passed at an earlier pace in this interval, but wait no longer than for one interval."""
+        self._next = min(earlier._next, self._end_of_interval(asyncio.get_running_loop().time()))
+
     def drop_oldest(self, spare: int) -> bool:
         """Drop the oldest message; return False if no more than `spare` messages wait."""
         if len(self._waiting) <= spare:

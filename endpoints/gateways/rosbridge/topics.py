@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
+import msgspec
 from msgspec import Raw
 
 from endpoints.gateways.guest import Guest
@@ -16,6 +17,7 @@ from endpoints.gateways.rosbridge.operations import Advertise, Id, Publish, Subs
 from endpoints.gateways.rosbridge.peer import Peer
 from endpoints.gateways.uses import PUBLISH, SUBSCRIBE, Arrived, Frame, Use
 from endpoints.robot.interfaces import Publisher
+from endpoints.robot.pace import SHORTEST
 from rce.errors import InvalidRequest, LimitExceeded, NotFound, RceError
 from rce.protocol.messages import Decimation, Delivery, Qos
 from rce.protocol.names import parse_type
@@ -258,7 +260,10 @@ class Subscriptions:
         self._pace(subscription.use, merged)
 
     def _begin(self, subscription: _Subscription, options: _Options) -> None:
+        """Make a use, which has the pace of now from its first message on; `_pace` changes it later."""
         fields = {"op": "publish", "topic": subscription.topic}
+        interval = _interval(subscription.merged())
+        delivery = msgspec.structs.replace(options.delivery, rate=1 / interval if interval >= SHORTEST else 0.0)
 
         def receive(arrived: Arrived) -> Sequence[Frame]:
             if arrived.blob is None:
@@ -275,7 +280,7 @@ class Subscriptions:
             subscription.type,
             receive,
             lambda _, error: self._peer.report(error),
-            **options._asdict(),
+            **options._replace(delivery=delivery)._asdict(),
         )
         subscription.use = use
         use.ready.add_done_callback(lambda done: self._ready(subscription, use, done))
@@ -296,7 +301,12 @@ class Subscriptions:
     def _pace(self, use: Use, merged: Subscribe) -> None:
         interface = self._guest.interface(use)
         if isinstance(interface, Publisher):
-            interface.set_pace((merged.throttle_rate or 0) / 1000, min(merged.queue_length or 0, MAX_DEPTH))
+            interface.set_pace(_interval(merged), min(merged.queue_length or 0, MAX_DEPTH))
+
+
+def _interval(merged: Subscribe) -> float:
+    """Return the seconds in which one message is sent."""
+    return (merged.throttle_rate or 0) / 1000
 
 
 def _check_ids(topic: str, ids: Collection[bytes], id: Id) -> None:

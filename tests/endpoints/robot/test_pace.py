@@ -42,6 +42,17 @@ async def test_newest_messages_wait_for_their_turn(monkeypatch: pytest.MonkeyPat
     pace.close()
 
 
+async def test_new_pace_counts_the_message_that_passed_in_its_interval(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = stop_clock(monkeypatch)
+    old, equal, faster = Pace(60.0, 0, Budget(MB)), Pace(60.0, 0, Budget(MB)), Pace(10.0, 0, Budget(MB))
+    assert old.admits(message(1), lambda _: None)
+    for pace in (equal, faster):
+        pace.follow(old)
+        assert not pace.admits(message(2), lambda _: None)
+    clock[0] = 110.0
+    assert [pace.admits(message(3), lambda _: None) for pace in (equal, faster)] == [False, True]
+
+
 async def test_timer_that_is_a_little_early_begins_the_next_interval(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = stop_clock(monkeypatch)
     pace = Pace(10.0, 1, Budget(MB))

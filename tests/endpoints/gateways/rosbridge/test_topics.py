@@ -167,6 +167,18 @@ async def test_subscriptions_get_the_lowest_throttle_and_the_longest_queue(subsc
     assert (merged.throttle_rate, merged.queue_length) == (50, 9)
 
 
+async def test_throttle_holds_from_the_first_message(guest: FakeGuest, subscriptions: Subscriptions) -> None:
+    subscriptions.subscribe(Subscribe(topic="/slow", type=STRING, throttle_rate=500, queue_length=1))
+    subscriptions.subscribe(Subscribe(topic="/all", type=STRING, throttle_rate=0.5))
+    assert [guest.options[tag]["delivery"].rate for tag in ("u0", "u1")] == [2.0, 0.0]
+
+
+async def test_new_throttle_keeps_the_interface(guest: FakeGuest, subscriptions: Subscriptions) -> None:
+    subscriptions.subscribe(Subscribe(topic="/a", type=STRING, throttle_rate=500))
+    subscriptions.subscribe(Subscribe(topic="/a", type=STRING, throttle_rate=100, id=ONE))
+    assert list(guest.options) == ["u0"]
+
+
 async def test_compression_decides_the_interface(guest: FakeGuest, subscriptions: Subscriptions) -> None:
     subscriptions.subscribe(Subscribe(topic="/a", type=STRING))
     assert guest.options["u0"]["format"] == "rosbridge"
