@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import IntEnum
 from time import perf_counter
 from typing import Any
@@ -105,7 +105,16 @@ class Message:
         if not self.senders:
             yield self
         for sender in self.senders:
-            yield replace(self, source=sender, senders=())
+            yield Message(
+                sender,
+                self.msg_id,
+                self.payload,
+                self.destination,
+                numbered=self.numbered,
+                series=self.series,
+                entered_at=self.entered_at,
+                conversions=self.conversions,
+            )
 
 
 def pieces(message: Message, stream: int) -> Iterator[list[Buffer]]:

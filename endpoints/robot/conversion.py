@@ -6,11 +6,14 @@ import asyncio
 import math
 from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass
+from functools import partial
+from time import monotonic
 from typing import Any
 
 from converters import Wire
 from converters.reduction import AnyCodec as Codec
 from endpoints.data.frames import Message
+from endpoints.data.turns import SLICE
 from endpoints.robot.workers import Workers
 from rce.errors import RceError
 from rce.net.outbox import Outbox, Owner
@@ -59,8 +62,15 @@ class FromRobot:
             self._last = None
 
 
+Frame = tuple[Buffer, Mapping[str, Buffer]]
+"""Text frame of a message, and its blobs."""
+Receive = Callable[["asyncio.Task[Wire]"], None]
+
+
 class SharedConversion:
     """Conversion of a message to one form, for all who want it in this form.
+
+    Many receivers of a large message take milliseconds together, so they get it in slices of time.
 
     Attributes:
         abandoned: True if it was cancelled, because nobody waited for it any more.
@@ -68,19 +78,35 @@ class SharedConversion:
 
     def __init__(self, work: Coroutine[Any, Any, Wire]) -> None:
         self.abandoned = False
+        self._receivers: dict[Receive, None] = {}
         self._task = asyncio.create_task(work)
-        self._waiting = 0
+        self._task.add_done_callback(lambda _: self._hand_out())
 
-    async def result(self) -> Wire:
-        """Return the converted message; raises the error of the conversion."""
-        self._waiting += 1
+    def hand_to(self, receive: Receive) -> None:
+        """Call `receive` with the task once it is done; never before this method returns."""
+        if self._task.done() and not self._receivers:
+            asyncio.get_running_loop().call_soon(self._hand_out)
+        self._receivers[receive] = None
+
+    def forget(self, receive: Receive) -> None:
+        """Do not call `receive` any more."""
+        self._receivers.pop(receive, None)
+        if not self._receivers and not self._task.done():
+            self.abandoned = True
+            self._task.cancel()
+
+    def _hand_out(self) -> None:
+        if self._task.cancelled():  # nobody waits, or the workers are closed
+            self._receivers.clear()
+        end = monotonic() + SLICE
         try:
-            return await asyncio.shield(self._task)
-        finally:
-            self._waiting -= 1
-            if not self._waiting and not self._task.done():
-                self.abandoned = True
-                self._task.cancel()
+            while self._receivers and monotonic() < end:
+                receive = next(iter(self._receivers))
+                del self._receivers[receive]
+                receive(self._task)
+        finally:  # a defect of one receiver must not cost the others the message
+            if self._receivers:
+                asyncio.get_running_loop().call_soon(self._hand_out)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,26 +127,22 @@ class Outgoing:
     keep: int | None
     until: float = math.inf
 
-    def frame(self, wire: Wire) -> tuple[Buffer, Mapping[str, Buffer]]:
+    def frame(self, wire: Wire) -> Frame:
         """Return the text frame and the blobs of the converted message."""
         key = b',"msg*":' if wire.is_blob else b',"msg":'
         return b"".join((self.start, key, wire.raw, b"}}")), wire.blobs
 
-    def convert(self) -> tuple[Buffer, Mapping[str, Buffer]]:
+    def convert(self) -> Frame:
         """Return the text frame and the blobs; raises ConversionError."""
         return self.frame(self.codec.decode(self.message.payload))
 
-    async def convert_by(self, workers: Workers, user: str) -> tuple[Buffer, Mapping[str, Buffer]]:
-        """Return the text frame and the blobs; the workers convert a message once for all who want it in this form.
-
-        Raises:
-            ConversionError: The bytes are not a message of the type.
-            LimitExceeded: The conversion takes too much time or memory.
-        """
-        shared, recipe = self.message.conversions, self.codec.recipe
-        if recipe not in shared or shared[recipe].abandoned:
-            shared[recipe] = SharedConversion(workers.decode(user, recipe, self.message.payload))
-        return self.frame(await shared[recipe].result())
+    def shared(self, workers: Workers, user: str) -> SharedConversion:
+        """Return the conversion by the workers, which convert a message once for all who want it in this form."""
+        conversions, recipe = self.message.conversions, self.codec.recipe
+        if recipe not in conversions or conversions[recipe].abandoned:
+            conversions[recipe] = SharedConversion(workers.decode(user, recipe, self.message.payload))
+        found: SharedConversion = conversions[recipe]
+        return found
 
 
 class ToRobot:
@@ -150,7 +172,7 @@ class ToRobot:
         self._converted = converted
         self._failed = failed
         self._queue: Outbox[Outgoing] = Outbox(self._begin)
-        self._task: asyncio.Task[None] | None = None
+        self._cancel: Callable[[], None] | None = None  # cancels the conversion that is in progress
 
     @property
     def empty(self) -> bool:
@@ -171,30 +193,34 @@ class ToRobot:
 
     def proceed(self) -> None:
         """Convert the next message unless one is being converted."""
-        if self._task is None:
+        if self._cancel is None:
             self._queue.resume()
 
     def close(self) -> None:
         """Drop all messages."""
         self._queue.clear()
-        if self._task is not None:
-            self._task.cancel()
+        if self._cancel is not None:
+            self._cancel()
 
-    def _begin(self, message: Outgoing) -> bool:
-        self._task = asyncio.create_task(self._convert(message))
+    def _begin(self, outgoing: Outgoing) -> bool:
+        if outgoing.codec.decodes_fast(outgoing.message.payload):
+            self._cancel = asyncio.get_running_loop().call_soon(self._finish, outgoing, outgoing.convert).cancel
+            return False
+        shared = outgoing.shared(self._workers, self._user)
+
+        def receive(done: asyncio.Task[Wire]) -> None:
+            self._finish(outgoing, lambda: outgoing.frame(done.result()))
+
+        self._cancel = partial(shared.forget, receive)
+        shared.hand_to(receive)
         return False
 
-    async def _convert(self, outgoing: Outgoing) -> None:
-        payload = outgoing.message.payload
+    def _finish(self, outgoing: Outgoing, convert: Callable[[], Frame]) -> None:
+        self._cancel = None
         try:
-            if outgoing.codec.decodes_fast(payload):
-                frame, blobs = outgoing.convert()
-            else:
-                frame, blobs = await outgoing.convert_by(self._workers, self._user)
+            frame, blobs = convert()
         except RceError as error:
-            self._task = None
             self._failed(outgoing, error)
             self.proceed()
         else:
-            self._task = None
             self._converted(outgoing, frame, blobs)

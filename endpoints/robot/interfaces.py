@@ -169,11 +169,11 @@ class RobotInterface(Interface):
     def _frames(self, message: Message, frame: Buffer, blobs: Mapping[str, Buffer]) -> Iterator[Piece]:
         parts = self.session.parts
         frames = binary_frames(blobs, parts, self.session.part)
-        if parts:
+        if not parts or sum(map(len, blobs.values())) <= self.session.part():
+            yield [frame, *frames]  # in one piece; old clients expect the blobs right after their frame
+        else:
             yield [frame]
             yield from ([each] for each in frames)
-        else:  # in one piece: old clients expect the blobs right after their frame
-            yield [frame, *frames]
         self.hops.delivered(self.id, message)
 
     def undelivered(self, outgoing: Outgoing, error: RceError) -> None:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 from collections.abc import Mapping
 from typing import cast
+from unittest.mock import Mock
 
 import pytest
 
 from converters import Recipe, TypeRegistry, Wire
 from endpoints.data.frames import Message
+from endpoints.data.turns import SLICE
 from endpoints.robot.conversion import FromRobot, Outgoing, ToRobot
 from endpoints.robot.workers import Workers
 from rce.errors import ConversionError, RceError
@@ -160,6 +163,37 @@ async def test_message_is_converted_once_for_all_who_want_the_same_form(hand_wor
     hand_workers.asked[0].set_result(b"{}")
     await turns()
     assert [each.frames for each in receivers[1:]] == [[b'{%d,"msg":{}}}' % number] for number in range(1, 50)]
+
+
+async def test_many_receivers_get_a_message_in_slices_of_time(
+    hand_workers: HandWorkers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = itertools.count(0, SLICE / 4)
+    monkeypatch.setattr("endpoints.robot.conversion.monotonic", lambda: next(clock))
+    receivers, message = [Sent(hand_workers) for _ in range(9)], Message(bytes(16), "", LARGE)
+    for each in receivers:
+        each.lane.put(Outgoing(CODEC, b"{", message, 1), len(LARGE), Owner())
+    await turns()
+    hand_workers.asked[0].set_result(b"{}")
+    passes = list[int]()
+    while sum(passes) < 9:
+        before = sum(len(each.frames) for each in receivers)
+        await asyncio.sleep(0)
+        passes.append(sum(len(each.frames) for each in receivers) - before)
+    assert [each for each in passes if each] == [3, 3, 3]
+
+
+async def test_defect_of_one_receiver_costs_the_others_nothing(hand_workers: HandWorkers) -> None:
+    asyncio.get_running_loop().set_exception_handler(lambda *_: None)
+    broken, whole, message = Sent(hand_workers), Sent(hand_workers), Message(bytes(16), "", LARGE)
+    broken.lane._converted = Mock(side_effect=ValueError)
+    for each in (broken, whole):
+        each.lane.put(Outgoing(CODEC, b"{", message, 1), len(LARGE), Owner())
+    await turns()
+    hand_workers.asked[0].set_result(b"{}")
+    await turns()
+    asyncio.get_running_loop().set_exception_handler(None)
+    assert whole.frames == [b'{,"msg":{}}}']
 
 
 async def test_message_that_nobody_waited_for_is_converted_again(hand_workers: HandWorkers) -> None:
