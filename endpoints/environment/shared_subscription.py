@@ -7,9 +7,9 @@ cost one subscription in ROS, and one copy of each image on the way to their Rob
 from __future__ import annotations
 
 import asyncio
+import itertools
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterator
-from itertools import islice
 from secrets import token_bytes, token_hex
 from time import perf_counter
 from typing import Protocol
@@ -27,6 +27,8 @@ from rce.protocol.messages import Qos
 from rce.protocol.messages.commands import SHALLOW
 
 MAX_UNHANDLED = 8  # messages taken from ROS that the loop has not handled yet
+MAX_UNHANDLED_SMALL = 32  # … while they have no more bytes than this:
+SMALL = 64 * 1024
 MAX_LATCHED = 100  # publishers of a latched topic whose last messages are kept for late robots
 
 
@@ -76,8 +78,9 @@ class SharedSubscription:
         self._keep = keep
         self._links: set[Link] = set()
         self._reasons: list[str] = []  # for which a node and this subscription do not match
-        self._taken = 0  # counted by the ROS thread
-        self._handled = 0  # counted by the loop
+        self._taken = self._taken_bytes = 0  # counted by the ROS thread
+        self._handled = self._handled_bytes = 0  # counted by the loop
+        self._names = map((token_hex(8) + "%016x").__mod__, itertools.count())  # ids of messages
         self._latched: dict[bytes, deque[bytes]] = {}  # by publisher
         self._latched_size = 0
         self._latched_depth = (spec.qos.depth or SHALLOW) if spec.qos.durability == "transient_local" else 1
@@ -158,8 +161,10 @@ class SharedSubscription:
     def _take(self, payload: bytes, publisher: bytes) -> bool:
         """Pass a message to the loop; return False to pause until the loop has caught up. Called in the ROS thread."""
         self._taken += 1
+        self._taken_bytes += len(payload)
         since = perf_counter()
-        more = self._taken - self._handled < MAX_UNHANDLED
+        small = self._taken_bytes - self._handled_bytes <= SMALL
+        more = self._taken - self._handled < (MAX_UNHANDLED_SMALL if small else MAX_UNHANDLED)
         self._ros.deliver(lambda: self._handle(payload, publisher, more, since))
         return more
 
@@ -182,6 +187,7 @@ class SharedSubscription:
 
     def _handle(self, payload: bytes, publisher: bytes, more: bool, since: float) -> None:
         self._handled += 1
+        self._handled_bytes += len(payload)
         if self.subscription.latched:
             self._keep_latched(payload, publisher)
         try:
@@ -209,7 +215,7 @@ class SharedSubscription:
     def _send_to_one(self, payload: Buffer, since: float) -> None:
         """Do what `_send` does, in less time, for the usual case: one interface with its peers behind one link."""
         (member,), (link,) = self.members, self._links
-        message = Message(self.id, token_hex(16), payload, senders=(member.id,), entered_at=since)
+        message = Message(self.id, next(self._names), payload, senders=(member.id,), entered_at=since)
         dropped = link.send(message, self._keep, self)
         if dropped:
             member.lost(dropped, link)
@@ -226,7 +232,7 @@ class SharedSubscription:
     ) -> None:
         since = since or perf_counter()
         wanted = self.members if members is None else members
-        name, got = token_hex(16), set[bytes]()
+        name, got = next(self._names), set[bytes]()
         for link in self._links_of(wanted, destination):
             if robots_only and link.to_environment:
                 continue
@@ -284,7 +290,7 @@ class SharedSubscription:
 
 def _chunks(members: list[Member]) -> Iterator[list[Member]]:
     rest = iter(members)
-    while some := list(islice(rest, MAX_SENDERS)):
+    while some := list(itertools.islice(rest, MAX_SENDERS)):
         yield some
 
 

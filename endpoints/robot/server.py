@@ -25,6 +25,7 @@ from rce.net.flight import Flight, flight_of
 from rce.net.listener import Listener, bind
 from rce.net.pending_logins import PendingLogin
 from rce.net.sockets import tune
+from rce.net.writer import Writer
 from rce.protocol.blobs import BinaryFrame, Buffer, TextFrame
 
 txaio.use_asyncio()  # before Autobahn is imported, which chooses its framework then
@@ -94,6 +95,7 @@ class ClientSocket(WebSocketServerProtocol):
         self._full = False
         self._reason = ""
         self._timer: asyncio.TimerHandle | None = None
+        self._writer: Writer | None = None  # while the socket is open
         self._flight = Flight(lambda: None)  # holds nothing back
         self._look: asyncio.TimerHandle | None = None  # the next look whether the line has room
         self._pauses: set[asyncio.Future[None]] = set()  # reading is paused until all are done
@@ -153,6 +155,7 @@ class ClientSocket(WebSocketServerProtocol):
         self._timer = asyncio.get_running_loop().call_later(TICK, self._tick)
         self.transport.set_write_buffer_limits(high=HIGH_WATER)
         tune(self.transport)
+        self._writer = Writer(self.transport)
         self._flight = flight_of(self.transport.get_extra_info("socket"))
         self._client.opened(self)
 
@@ -251,15 +254,16 @@ class ClientSocket(WebSocketServerProtocol):
 
     def write(self, piece: Piece) -> bool:
         """Send the messages of a piece; return True if there is room for more."""
-        if self.state != self.STATE_OPEN:
+        if self.state != self.STATE_OPEN or self._writer is None:
             return False
+        written = True
         if self._perMessageCompress is not None:
             for frame in piece:
                 binary = isinstance(frame, BinaryFrame)
                 self.sendMessage(bytes(frame) if isinstance(frame, Buffer) else frame.join(), binary)
         else:
-            self.transport.writelines([part for frame in piece for part in _framed(frame)])
-        return not self._full and self._has_room()
+            written = self._writer.write([part for frame in piece for part in _framed(frame)])
+        return not self._full and (not written or self._has_room())
 
     @property
     def part(self) -> int:
@@ -334,7 +338,9 @@ class ClientSocket(WebSocketServerProtocol):
         super().sendCloseFrame(*args, **more)
 
     def sendData(self, data: bytes, sync: bool = False, chopsize: int | None = None) -> None:
-        """Send bytes unless the connection is gone: Autobahn answers handshakes even then."""
+        """Send bytes after those that wait, unless the connection is gone: Autobahn answers handshakes even then."""
+        if self._writer is not None:
+            self._writer.flush()
         if self.transport is not None:
             super().sendData(data, sync, chopsize)
 
