@@ -17,11 +17,11 @@ from rce.errors import InvalidRequest, RceError, TimedOut
 
 PROGRAM = "RCE_BENCH_CPP"
 """Variable with the path of `rce_round_trips`, an example of the C++ client."""
-FORMS = tuple(payload for payload in TOPICS if payload.name in ("json", "forwarder"))
+FORMS = ("json", "forwarder")
 
 
 async def cpp(place: Place) -> list[Probe]:
-    """Return the probes of a robot with the C++ client, each beside that of the route r2c.
+    """Return the probes of a robot with the C++ client, each beside those of the routes r2c and r2r.
 
     Raises:
         InvalidRequest: The place has no address of the platform, or the program is not named.
@@ -34,11 +34,13 @@ async def cpp(place: Place) -> list[Probe]:
             "the route cpp needs the program rce_round_trips: build the C++ client with -DRCE_BUILD_EXAMPLES=ON and "
             f"name the program in {PROGRAM}"
         )
-    echoes = " ".join(f"{payload.name}:{payload.kind}" for payload in FORMS)
+    echoes = " ".join(f"{payload.name}:{payload.kind}" for payload in TOPICS if payload.name in FORMS)
     await place.environment.add_node("cpp_echo", PACKAGE, "echo", args=echoes, namespace="cpp")
     client = await start(program, place.address, place.robot.name, place.environment.tag)
     place.stack.push_async_callback(client.stop)
-    return [Probe(f"cpp {each.name}", "topic", await client.sample(each.name), f"r2c {each.name}") for each in FORMS]
+    through = [Probe(f"cpp {form}", "topic", await client.sample(form), f"r2c {form}") for form in FORMS]
+    direct = [Probe(f"cpp r2r {form}", "topic", await client.sample(f"r2r_{form}"), f"r2r {form}") for form in FORMS]
+    return through + direct
 
 
 class RoundTrips:
@@ -48,7 +50,7 @@ class RoundTrips:
         self._process = process
 
     async def sample(self, form: str) -> Sample:
-        """Return the sample function of a form of messages, once the node answers."""
+        """Return the sample function of a form of messages, once there are answers."""
         await retry(lambda timeout: self._measure(form, ROW, timeout))
         return partial(self._measure, form, timeout=ECHO_TIMEOUT)
 
@@ -60,7 +62,7 @@ class RoundTrips:
         if not line:
             raise RceError(f"the C++ client ended with status {await self._process.wait()}")
         if line == b"late":
-            raise TimedOut(f"the node did not answer the C++ client within {timeout:g} s")
+            raise TimedOut(f"the C++ client got no answer within {timeout:g} s")
         return float(line)
 
     async def stop(self) -> None:

@@ -10,7 +10,7 @@ from rce.bench import cpp, floors, gateways, pairs
 from rce.bench.floors import Sample
 from rce.bench.nodes import ECHO_TIMEOUT, PACKAGE, Place, Probe, drain, retry, start_connected
 from rce.bench.payloads import IMAGE, IMAGES, ROW, SERVICE_TYPE, SERVICES, TOPICS, Call, Payload
-from rce.client import Subscriber
+from rce.client import Publisher, Subscriber
 from rce.errors import ConversionError
 
 
@@ -50,11 +50,23 @@ async def r2c(place: Place) -> list[Probe]:
     return probes
 
 
+async def r2r(place: Place) -> list[Probe]:
+    """Return the probes between two interfaces of the robot, without an environment."""
+    probes = []
+    for payload in TOPICS:
+        tag = f"r2r_{payload.name}"
+        back = await place.robot.subscriber(f"{tag}_back", payload.type_name, raw=payload.raw)
+        out = await place.robot.publisher(tag, payload.type_name, to=f"{place.robot.name}/{tag}_back", raw=payload.raw)
+        probes.append(Probe(f"r2r {payload.name}", "topic", await round_trips(out, back, payload, tag)))
+    return probes
+
+
 ROUTES: dict[str, Callable[[Place], Awaitable[list[Probe]]]] = {
     "tcp": tcp,
     "autobahn": autobahn,
     "n2n": n2n,
     "r2c": r2c,
+    "r2r": r2r,
     "c2c": pairs.c2c,
     "c2c2": pairs.c2c2,
     "group": pairs.group,
@@ -69,13 +81,18 @@ async def topic_echo(place: Place, payload: Payload, topic: str) -> Sample:
     """Return the sample function that publishes on `topic` and waits for the answer on `topic`_back."""
     out = await place.environment.publisher(topic, payload.type_name, raw=payload.raw)
     back = await subscriber(place, payload, f"{topic}_back")
+    return await round_trips(out, back, payload, topic)
+
+
+async def round_trips(out: Publisher, back: Subscriber, payload: Payload, where: str) -> Sample:
+    """Return the sample function that publishes and waits for the answer, once there are answers."""
 
     async def take(size: int, timeout: float) -> float:  # noqa: ASYNC109  # as Subscriber.get
         started = time.perf_counter()
         await out.publish(payload.make(size))
         content = payload.read(await back.get(timeout))
         seconds = time.perf_counter() - started
-        check(topic, content, size)
+        check(where, content, size)
         return seconds
 
     await retry(lambda timeout: take(ROW, timeout))

@@ -63,6 +63,7 @@ class FakeRobot:
     """Robot that records its commands; its subscribers are the topics of the environment."""
 
     connection = None
+    name = "bench"
 
     def __init__(self, log: list[tuple[Any, ...]]) -> None:
         self.log = log
@@ -78,9 +79,13 @@ class FakeRobot:
     async def connect(self, one: str, other: str) -> None:
         self.log.append(("connect", one, other))
 
-    async def subscriber(self, tag: str, type_name: str, *, to: str, raw: bool, format: str) -> Any:
+    async def publisher(self, tag: str, type_name: str, *, to: str, raw: bool) -> Any:
+        self.log.append(("publisher", tag, to))
+        return self.topics.setdefault(tag, Topic())
+
+    async def subscriber(self, tag: str, type_name: str, *, to: str = "", raw: bool, format: str = "png") -> Any:
         self.log.append(("subscriber", to, raw, format))
-        return self.topics.setdefault(to, Topic())
+        return self.topics.setdefault(to or tag, Topic())
 
 
 def fake_place(stack: AsyncExitStack, *features: str) -> tuple[Place, FakeEnvironment, FakeRobot]:

@@ -1,13 +1,16 @@
-// Measures round trips through nodes that send messages back on TOPIC_back, for `rce bench rtt --routes cpp`.
+// Measures round trips through nodes that send messages back on TOPIC_back, and between two interfaces of the robot, for
+// `rce bench rtt --routes cpp`.
 //
 //   rce_round_trips URL USER ROBOT ENVIRONMENT NAMESPACE
 //
-// The password is in RCE_PASSWORD, or an API key in RCE_KEY. Each line of the input, `json SIZE` or `forwarder SIZE`, is
-// answered with the seconds of one round trip of SIZE bytes, or with `late`.
+// The password is in RCE_PASSWORD, or an API key in RCE_KEY. Each line of the input, `FORM SIZE [PATIENCE]`, is answered
+// with the seconds of one round trip of SIZE bytes, or with `late`. FORM is `json` or `forwarder`, with `r2r_` in front
+// for one without nodes.
 
 #include <chrono>
 #include <cstdlib>
 #include <iostream>
+#include <map>
 #include <rce/client.hpp>
 #include <sstream>
 
@@ -17,6 +20,13 @@ const char* variable(const char* name) {
   const char* value = std::getenv(name);
   return value == nullptr ? "" : value;
 }
+
+/** Interfaces by which messages go out and come back. */
+struct Way {
+  rce::PublisherPtr out;
+  rce::SubscriberPtr back;
+  bool raw = false;
+};
 
 /** CDR of a std_msgs/UInt8MultiArray with `size` zero bytes. */
 rce::Bytes cdr(std::size_t size) {
@@ -35,16 +45,15 @@ void discard(rce::Subscriber& back) {
 }
 
 /** Seconds of one round trip; throws TimedOut. */
-double roundTrip(rce::Publisher& out, rce::Subscriber& back, bool raw, const std::string& text, const rce::Bytes& bytes,
-                 double patience) {
-  discard(back);
+double roundTrip(const Way& way, const std::string& text, const rce::Bytes& bytes, double patience) {
+  discard(*way.back);
   const auto start = std::chrono::steady_clock::now();
-  if (raw) {
-    out.publish(bytes);
+  if (way.raw) {
+    way.out->publish(bytes);
   } else {
-    out.publish(rce::Value{{"data", text}});
+    way.out->publish(rce::Value{{"data", text}});
   }
-  back.get(rce::Seconds(patience));
+  way.back->get(rce::Seconds(patience));
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }
 
@@ -68,9 +77,17 @@ int main(int count, char** words) {
     rce::InterfaceOptions forwarder;
     forwarder.raw = true;
     const std::string array = "std_msgs/UInt8MultiArray", string = "std_msgs/String";
-    auto json = place.publisher(base + "/json", string), cdrOut = place.publisher(base + "/forwarder", array, forwarder);
-    auto jsonBack = place.subscriber(base + "/json_back", string),
-         cdrBack = place.subscriber(base + "/forwarder_back", array, forwarder);
+    std::map<std::string, Way> ways;
+    ways["json"] = {place.publisher(base + "/json", string), place.subscriber(base + "/json_back", string)};
+    ways["forwarder"] = {place.publisher(base + "/forwarder", array, forwarder),
+                         place.subscriber(base + "/forwarder_back", array, forwarder), true};
+    rce::InterfaceOptions direct = rce::to(options.robotID + "/json_back");
+    auto back = robot.subscriber("json_back", string);
+    ways["r2r_json"] = {robot.publisher("json", string, direct), back};
+    back = robot.subscriber("forwarder_back", array, forwarder);
+    direct = forwarder;
+    direct.to = options.robotID + "/forwarder_back";
+    ways["r2r_forwarder"] = {robot.publisher("forwarder", array, direct), back, true};
     std::size_t made = 0;
     std::string text;
     rce::Bytes bytes = cdr(0);
@@ -80,10 +97,10 @@ int main(int count, char** words) {
       std::size_t size = 0;
       double patience = 30;
       request >> form >> size >> patience;
-      const bool raw = form == "forwarder";
+      const Way& way = ways.at(form);
       if (size != made) text.assign(size, 'x'), bytes = cdr(size), made = size;
       try {
-        std::cout << roundTrip(raw ? *cdrOut : *json, raw ? *cdrBack : *jsonBack, raw, text, bytes, patience) << std::endl;
+        std::cout << roundTrip(way, text, bytes, patience) << std::endl;
       } catch (const rce::TimedOut&) {
         std::cout << "late" << std::endl;
       }

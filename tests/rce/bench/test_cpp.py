@@ -48,6 +48,8 @@ async def test_program_measures_beside_the_python_client(
     assert [(each.name, each.beside) for each in probes] == [
         ("cpp json", "r2c json"),
         ("cpp forwarder", "r2c forwarder"),
+        ("cpp r2r json", "r2r json"),
+        ("cpp r2r forwarder", "r2r forwarder"),
     ]
     assert await probes[0].sample(5000) == 0.005
     assert log.read_text().split() == ["http://h/", "ann", "bench_1_cpp", place.environment.tag, "/cpp", "secret"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from contextlib import AsyncExitStack
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 from rce.bench import routes
 from rce.bench.nodes import Place
 from rce.bench.payloads import IMAGE, IMAGES, ROW, SERVICES, TOPICS, data
-from rce.bench.routes import DEFAULT_ROUTES, ROUTES, check, r2c, service_echo, topic_echo
+from rce.bench.routes import DEFAULT_ROUTES, ROUTES, check, r2c, r2r, service_echo, topic_echo
 from rce.errors import ConversionError
 from tests.support.bench import FakeEnvironment, FakeRobot, Topic, fake_place
 
@@ -37,6 +38,13 @@ def echo(environment: FakeEnvironment, robot: FakeRobot, missing: int = 0) -> To
     out = Topic(lambda message: back.messages.append(message[: len(message) - missing]))
     environment.topics["/r2c/forwarder"] = out
     return out
+
+
+def as_received(message: Any) -> Any:
+    """Return a message as a robot gets it, whose blobs are base64."""
+    if isinstance(message, dict) and isinstance(message["data"], bytes):
+        return {"data": base64.b64encode(message["data"]).decode()}
+    return message
 
 
 @pytest.fixture
@@ -96,6 +104,18 @@ async def test_robot_is_compared_with_nodes_of_the_same_kind(
     assert (tag, executable) == ("r2c_echo", "echo")
     assert "blob:bytes" in words.split()
     assert "call_forwarder:service" in words.split()
+
+
+async def test_robot_sends_to_itself_without_an_environment(place: tuple[Place, FakeEnvironment, FakeRobot]) -> None:
+    here, environment, robot = place
+    for payload in TOPICS:
+        back = robot.topics[f"r2r_{payload.name}_back"] = Topic()
+        robot.topics[f"r2r_{payload.name}"] = Topic(lambda sent, back=back: back.messages.append(as_received(sent)))
+    probes = await r2r(here)
+    assert [each.name for each in probes] == [f"r2r {payload.name}" for payload in TOPICS]
+    assert await probes[0].sample(100) > 0
+    assert ("publisher", "r2r_json", "bench/r2r_json_back") in robot.log
+    assert environment.log == []
 
 
 def test_default_routes_exist() -> None:
