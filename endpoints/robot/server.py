@@ -70,6 +70,7 @@ class _Unmasker:
 
 
 protocol.create_xor_masker = _Unmasker  # type: ignore[attr-defined, assignment]  # its parser takes the function from there
+protocol.pformat = repr  # type: ignore[attr-defined, assignment]  # for a debug message that it formats at each connection
 
 
 class ClientSocket(WebSocketServerProtocol):

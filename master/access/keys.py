@@ -21,6 +21,11 @@ from rce.errors import Forbidden, InvalidRequest, LimitExceeded, NotFound, Unaut
 from rce.protocol.names import check_tag
 
 MAX_KEYS = 1000  # of one user
+_BY_DIGEST = (  # made once, because each login needs it
+    sa.select(db.api_keys, db.users.c.role.label("most"))
+    .join(db.users, db.users.c.name == db.api_keys.c.user)
+    .where(db.api_keys.c.digest == sa.bindparam("of"))
+)
 
 
 class Keys:
@@ -142,13 +147,7 @@ class Keys:
         Raises:
             Unauthorized: The key is unknown, expired, or another user's.
         """
-        keys = db.api_keys
-        query = (
-            sa.select(keys, db.users.c.role.label("most"))
-            .join(db.users, db.users.c.name == keys.c.user)
-            .where(keys.c.digest == digest(secret))
-        )
-        row = await self._store.run(lambda connection: connection.execute(query).first())
+        row = await self._store.run(lambda connection: connection.execute(_BY_DIGEST, {"of": digest(secret)}).first())
         now = time.time()
         if row is None or name not in ("", row.user) or (row.expires is not None and row.expires < now):
             raise Unauthorized("the API key is wrong, expired or revoked, or another user's")

@@ -11,6 +11,7 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Callable
+from functools import lru_cache
 
 MAX_PENDING = 500  # connections of one address; a site may have many robots behind one
 WARNING_INTERVAL = 60.0  # seconds between warnings
@@ -58,6 +59,7 @@ class PendingLogins:
         return sum(self._counts.values())
 
 
+@lru_cache(maxsize=1024)
 def network(address: str) -> str:
     """Return what counts as one address: for IPv6 a /64. Empty for this machine, which may be a proxy."""
     try:
