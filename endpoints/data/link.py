@@ -18,7 +18,6 @@ from rce.errors import LimitExceeded, Unavailable
 from rce.net.budget import OVERHEAD
 from rce.net.outbox import Outbox, Owner
 from rce.net.sockets import tune
-from rce.net.writer import Writer
 
 STRAYS = 1000  # messages a second without a receiver that a link may send for long, and 16 times as many at once
 HIGH_WATER = 256 * 1024  # bytes; while the transport holds more, messages wait in the outbox, where they take turns
@@ -166,7 +165,6 @@ class StreamLink(_QueuedLink[list[Buffer]], asyncio.BufferedProtocol):
         self._outbox.pause()  # until the link is open
         self._streams = itertools.cycle(range(1 << 32))
         self._transport: asyncio.Transport | None = None
-        self._writer: Writer | None = None  # of the transport
         self._full = False
         self._throttle = throttle
         self._strays = Throttle(STRAYS)
@@ -184,7 +182,7 @@ class StreamLink(_QueuedLink[list[Buffer]], asyncio.BufferedProtocol):
         transport.set_protocol(self)
         transport.set_write_buffer_limits(high=HIGH_WATER)
         tune(transport)
-        self._transport, self._writer = transport, Writer(transport)
+        self._transport = transport
         self.opened.set_result(None)
         self._outbox.resume()
 
@@ -250,8 +248,7 @@ class StreamLink(_QueuedLink[list[Buffer]], asyncio.BufferedProtocol):
         self._end("closed")
         self._outbox.clear()
         self._received.clear()
-        if self._transport is not None and self._writer is not None:
-            self._writer.flush()
+        if self._transport is not None:
             self._transport.close()
 
     # asyncio.BufferedProtocol
@@ -326,6 +323,6 @@ class StreamLink(_QueuedLink[list[Buffer]], asyncio.BufferedProtocol):
             self._transport.abort()
 
     def _write(self, buffers: list[Buffer]) -> bool:
-        assert self._writer is not None
-        self._writer.write(buffers)
+        assert self._transport is not None
+        self._transport.writelines(buffers)
         return not self._full

@@ -1,8 +1,8 @@
 """Writer in front of a transport that joins small writes.
 
-A transport of uvloop makes a system call for each write, and the other side wakes up for each. So the first write of a
-pass of the event loop goes out at once, and small ones that follow in the same pass go out together in the next pass.
-A single message is not delayed; a flood costs one system call for many messages.
+A transport of uvloop makes a system call for each write, and the other side wakes up for each. So the first small write
+of a pass of the event loop goes out at once, and those that follow it in the same pass go out together in the next one.
+A single message is not delayed, also beside large ones; a flood costs one system call for many messages.
 """
 
 from __future__ import annotations
@@ -25,21 +25,22 @@ class Writer:
         self._transport = transport
         self._waiting: list[Buffer] = []
         self._size = 0
-        self._written = False  # in this pass of the loop
+        self._written = False  # a small write has gone out in this pass of the loop
 
     def write(self, buffers: Sequence[Buffer]) -> bool:
         """Write buffers one after the other; return False if they wait for the next pass."""
-        if not self._written:
+        size = sum(map(len, buffers))
+        if size < SMALL and self._written:
+            self._waiting += buffers
+            self._size += size
+            if self._size >= MOST:
+                self.flush()
+            return not self._waiting
+        self.flush()
+        self._transport.writelines(buffers)
+        if size < SMALL:
             self._written = True
             asyncio.get_running_loop().call_soon(self._next_pass)
-            self._transport.writelines(buffers)
-            return True
-        size = sum(map(len, buffers))
-        self._waiting += buffers
-        self._size += size
-        if size < SMALL and self._size < MOST:
-            return False
-        self.flush()
         return True
 
     def flush(self) -> None:

@@ -66,7 +66,13 @@ async def test_large_write_does_not_wait(transport: Transport, writer: Writer, s
     writer.write([b"one"])
     writer.write([b"two"])
     assert writer.write([bytes(size)])
-    assert transport.writes == [b"one", b"two" + bytes(size)]
+    assert transport.writes == [b"one", b"two", bytes(size)]
+
+
+async def test_small_write_after_a_large_one_does_not_wait(transport: Transport, writer: Writer) -> None:
+    writer.write([bytes(SMALL)])
+    assert writer.write([b"one"])
+    assert transport.writes == [bytes(SMALL), b"one"]
 
 
 async def test_no_more_than_a_few_bytes_wait(transport: Transport, writer: Writer) -> None:
