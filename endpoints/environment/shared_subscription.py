@@ -27,7 +27,7 @@ from rce.protocol.messages import Qos
 from rce.protocol.messages.commands import SHALLOW
 
 MAX_UNHANDLED = 8  # messages taken from ROS that the loop has not handled yet
-MAX_UNHANDLED_SMALL = 32  # … while they have no more bytes than this:
+MAX_UNHANDLED_SMALL = 32  # of these, while they have at most SMALL bytes together
 SMALL = 64 * 1024
 MAX_LATCHED = 100  # publishers of a latched topic whose last messages are kept for late robots
 
