@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import gc
 import os
 import secrets
 import socket
@@ -50,15 +49,13 @@ from rce.net.tls import (
     public_tls_context,
 )
 from rce.process import loop, settings
+from rce.process.garbage import collect_seldom
 from rce.process.lock import lock_directory
 from rce.process.ready import Ready, announce
 from rce.web.server import Endpoint, parse_endpoint, serve_handler
 from rce.web.server import listen as web_listen
 
 log = Logger("master")
-# Of the garbage collector, in place of 700, 10, 10. The objects of a fleet are millions, and all of them are in use:
-# each full collection stops the loop for up to a second and finds nothing.
-GC_THRESHOLDS = (50_000, 20, 100)
 ADMIN, TEST_USER = DEVELOPMENT_USERS = "admin", "testUser"  # their passwords are their names
 DEFAULT_LIMITS = ["package_bytes=2Gi", "recording_bytes=20Gi", "connections=20000"]
 
@@ -313,7 +310,7 @@ def main() -> int:
     """Run the Master until it is stopped, and return the exit status."""
     options = settings.load_or_exit(Settings, "rce master")
     os.environ.pop("RCE_TOKENS", None)
-    gc.set_threshold(*GC_THRESHOLDS)
+    collect_seldom()
     return loop.run(lambda reactor: serve(reactor, options))
 
 
