@@ -110,6 +110,7 @@ class Message:
                 self.msg_id,
                 self.payload,
                 self.destination,
+                self.error,
                 numbered=self.numbered,
                 series=self.series,
                 entered_at=self.entered_at,

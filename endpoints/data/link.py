@@ -282,8 +282,7 @@ class StreamLink(_QueuedLink[list[Buffer]], asyncio.BufferedProtocol):
         if self._throttle is not None and (wait := self._throttle.consume(nbytes)):
             self._pause_for(wait)
         try:
-            for message in self._reader.buffer_updated(nbytes):
-                self._received.extend(message.by_sender())  # each by itself: their receivers may take long together
+            self._received.extend(self._reader.buffer_updated(nbytes))
         except (LimitExceeded, UnicodeDecodeError) as error:
             self._abort(str(error))
             return

@@ -80,7 +80,8 @@ class SharedSubscription:
         self._reasons: list[str] = []  # for which a node and this subscription do not match
         self._taken = self._taken_bytes = 0  # counted by the ROS thread
         self._handled = self._handled_bytes = 0  # counted by the loop
-        self._names = map((token_hex(8) + "%016x").__mod__, itertools.count())  # ids of messages
+        prefix = token_hex(8)
+        self._names = (f"{prefix}{number:016x}" for number in itertools.count())  # ids of messages
         self._latched: dict[bytes, deque[bytes]] = {}  # by publisher
         self._latched_size = 0
         self._latched_depth = (spec.qos.depth or SHALLOW) if spec.qos.durability == "transient_local" else 1

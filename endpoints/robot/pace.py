@@ -55,7 +55,7 @@ class Pace:
         return False
 
     def follow(self, earlier: Pace) -> None:
-        """Count a message that passed at an earlier pace in this interval, but wait no longer than for one interval."""
+        """Let no message pass until the end of the earlier pace's interval, or of this one's if that comes first."""
         self._next = min(earlier._next, self._end_of_interval(asyncio.get_running_loop().time()))
 
     def drop_oldest(self, spare: int) -> bool:

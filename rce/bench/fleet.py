@@ -217,7 +217,7 @@ async def measure(
     Raises:
         StartFailed: The Master did not start.
     """
-    collect_seldom()  # this process stands in for all others, and would stop them for a second at a time
+    collect_seldom()  # a full collection would stop all hollow processes for more than a second
     _raise_descriptor_limit()
     tokens = make_tokens(size.machines)
     ports = {"http": 0, "control": 0}  # of the first start; a restart uses the same

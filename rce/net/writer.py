@@ -2,7 +2,7 @@
 
 A transport of uvloop makes a system call for each write, and the other side wakes up for each. So the first small write
 of a pass of the event loop goes out at once, and those that follow it in the same pass go out together in the next one.
-A single message is not delayed, also beside large ones; a flood costs one system call for many messages.
+A single message is not delayed, not even among large ones. A flood costs one system call for many messages.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Writer:
         return True
 
     def flush(self) -> None:
-        """Write what waits now, as is needed before the transport is closed, or written to by somebody else."""
+        """Write what waits now. Call it before the transport is closed, or written to directly."""
         waiting, self._waiting, self._size = self._waiting, [], 0
         if waiting and not self._transport.is_closing():
             self._transport.writelines(waiting)

@@ -260,7 +260,7 @@ class Subscriptions:
         self._pace(subscription.use, merged)
 
     def _begin(self, subscription: _Subscription, options: _Options) -> None:
-        """Make a use, which has the pace of now from its first message on; `_pace` changes it later."""
+        """Make a use that has the present pace from its first message on; `_pace` changes it later."""
         fields = {"op": "publish", "topic": subscription.topic}
         interval = _interval(subscription.merged())
         delivery = msgspec.structs.replace(options.delivery, rate=1 / interval if interval >= SHORTEST else 0.0)
@@ -305,7 +305,7 @@ class Subscriptions:
 
 
 def _interval(merged: Subscribe) -> float:
-    """Return the seconds in which one message is sent."""
+    """Return the least time between two messages, in seconds."""
     return (merged.throttle_rate or 0) / 1000
 
 

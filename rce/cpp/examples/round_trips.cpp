@@ -74,20 +74,17 @@ int main(int count, char** words) {
     robot.connect(words[1]).get();
     auto place = robot.environment(words[4]);
     const std::string base = words[5];
-    rce::InterfaceOptions forwarder;
-    forwarder.raw = true;
+    rce::InterfaceOptions forwarder, toForwarder = rce::to(options.robotID + "/forwarder_back");
+    forwarder.raw = toForwarder.raw = true;
     const std::string array = "std_msgs/UInt8MultiArray", string = "std_msgs/String";
     std::map<std::string, Way> ways;
     ways["json"] = {place.publisher(base + "/json", string), place.subscriber(base + "/json_back", string)};
     ways["forwarder"] = {place.publisher(base + "/forwarder", array, forwarder),
                          place.subscriber(base + "/forwarder_back", array, forwarder), true};
-    rce::InterfaceOptions direct = rce::to(options.robotID + "/json_back");
-    auto back = robot.subscriber("json_back", string);
-    ways["r2r_json"] = {robot.publisher("json", string, direct), back};
-    back = robot.subscriber("forwarder_back", array, forwarder);
-    direct = forwarder;
-    direct.to = options.robotID + "/forwarder_back";
-    ways["r2r_forwarder"] = {robot.publisher("forwarder", array, direct), back, true};
+    const auto jsonBack = robot.subscriber("json_back", string);  // before the publishers, which connect to them
+    const auto cdrBack = robot.subscriber("forwarder_back", array, forwarder);
+    ways["r2r_json"] = {robot.publisher("json", string, rce::to(options.robotID + "/json_back")), jsonBack};
+    ways["r2r_forwarder"] = {robot.publisher("forwarder", array, toForwarder), cdrBack, true};
     std::size_t made = 0;
     std::string text;
     rce::Bytes bytes = cdr(0);
@@ -97,10 +94,14 @@ int main(int count, char** words) {
       std::size_t size = 0;
       double patience = 30;
       request >> form >> size >> patience;
-      const Way& way = ways.at(form);
+      const auto way = ways.find(form);
+      if (way == ways.end()) {
+        std::cerr << "unknown form: " << form << '\n';
+        return 2;
+      }
       if (size != made) text.assign(size, 'x'), bytes = cdr(size), made = size;
       try {
-        std::cout << roundTrip(way, text, bytes, patience) << std::endl;
+        std::cout << roundTrip(way->second, text, bytes, patience) << std::endl;
       } catch (const rce::TimedOut&) {
         std::cout << "late" << std::endl;
       }

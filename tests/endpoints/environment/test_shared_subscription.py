@@ -18,7 +18,13 @@ from endpoints.data.link import Link
 from endpoints.environment import shared_subscription
 from endpoints.environment.ros import RosThread
 from endpoints.environment.ros_topics import RawSubscription
-from endpoints.environment.shared_subscription import SharedSubscription, SharedSubscriptions
+from endpoints.environment.shared_subscription import (
+    MAX_UNHANDLED,
+    MAX_UNHANDLED_SMALL,
+    SMALL,
+    SharedSubscription,
+    SharedSubscriptions,
+)
 from endpoints.environment.shared_topics import SharedTopics
 from endpoints.environment.topics import SubscriberInterface
 from rce.control.calls.endpoints import InterfaceSpec
@@ -81,6 +87,18 @@ def connect(interface: SubscriberInterface, peer: int, line: Line) -> None:
 
 def publish(shared: SharedSubscription, payload: bytes, publisher: bytes = b"p") -> None:
     shared._take(payload, publisher)
+
+
+async def test_more_small_messages_than_large_ones_wait_for_the_loop() -> None:
+    for size, most in ((SMALL // MAX_UNHANDLED_SMALL, MAX_UNHANDLED_SMALL), (SMALL, MAX_UNHANDLED)):
+        bench = Bench()
+        shared = (await bench.interface(1))._subscription
+        delivered = list[Callable[[], None]]()
+        bench.ros.deliver = delivered.append
+        assert [shared._take(bytes(size), b"p") for _ in range(most)] == [True] * (most - 1) + [False]
+        for handle in delivered:
+            handle()
+        assert shared._take(bytes(size), b"p"), "the loop has caught up"
 
 
 async def test_message_goes_once_to_each_link_with_all_senders_behind_it() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 from collections.abc import Mapping
-from typing import cast
+from typing import Any, cast
 from unittest.mock import Mock
 
 import pytest
@@ -184,7 +184,8 @@ async def test_many_receivers_get_a_message_in_slices_of_time(
 
 
 async def test_defect_of_one_receiver_costs_the_others_nothing(hand_workers: HandWorkers) -> None:
-    asyncio.get_running_loop().set_exception_handler(lambda *_: None)
+    loop, defects = asyncio.get_running_loop(), list[dict[str, Any]]()
+    loop.set_exception_handler(lambda _, context: defects.append(context))
     broken, whole, message = Sent(hand_workers), Sent(hand_workers), Message(bytes(16), "", LARGE)
     broken.lane._converted = Mock(side_effect=ValueError)
     for each in (broken, whole):
@@ -192,8 +193,9 @@ async def test_defect_of_one_receiver_costs_the_others_nothing(hand_workers: Han
     await turns()
     hand_workers.asked[0].set_result(b"{}")
     await turns()
-    asyncio.get_running_loop().set_exception_handler(None)
+    loop.set_exception_handler(None)
     assert whole.frames == [b'{,"msg":{}}}']
+    assert [type(each["exception"]) for each in defects] == [ValueError]
 
 
 async def test_message_that_nobody_waited_for_is_converted_again(hand_workers: HandWorkers) -> None:
