@@ -96,6 +96,11 @@ class Settings(Struct):
     tokens: Annotated[list[str], Meta(description="one-time join tokens role:process:token of processes to come")] = []
 
 
+async def _collect_and_serve(reactor: ReactorBase, options: Settings) -> None:
+    collect_seldom(asyncio.get_running_loop().call_later)
+    await serve(reactor, options)
+
+
 async def serve(reactor: ReactorBase, options: Settings) -> None:
     """Run until cancelled."""
     with lock_directory(options.data_dir, "Master"):  # two would overwrite each other's rows in one database
@@ -310,8 +315,7 @@ def main() -> int:
     """Run the Master until it is stopped, and return the exit status."""
     options = settings.load_or_exit(Settings, "rce master")
     os.environ.pop("RCE_TOKENS", None)
-    collect_seldom()
-    return loop.run(lambda reactor: serve(reactor, options))
+    return loop.run(lambda reactor: _collect_and_serve(reactor, options))
 
 
 if __name__ == "__main__":

@@ -217,7 +217,8 @@ async def measure(
     Raises:
         StartFailed: The Master did not start.
     """
-    collect_seldom()  # a full collection would stop all hollow processes for more than a second
+    # A full collection stops all hollow processes for more than a second.
+    collect_seldom(asyncio.get_running_loop().call_later)
     _raise_descriptor_limit()
     tokens = make_tokens(size.machines)
     ports = {"http": 0, "control": 0}  # of the first start; a restart uses the same
