@@ -158,7 +158,8 @@ class ProcessEngine(Engine):
             self._killed.pop(directory.name, None)
             await asyncio.to_thread(shared_memory.remove_secrets, directory.name)
             await self._trash.discard(directory)
-        self._remove_empty(self._root / name)
+        _remove_if_empty(self._root / name)
+        _remove_if_empty((self._root / name).parent)
         if environment is not None:
             del self._environments[name]
             try:
@@ -179,19 +180,24 @@ class ProcessEngine(Engine):
         """Adopt processes that run, and remove the directories and processes of all others."""
         self._root.mkdir(parents=True, exist_ok=True, mode=0o700)
         self._trash.open()
-        for parent in [tag for user in _directories(self._root) for tag in _directories(user)]:
-            for directory in _directories(parent):
-                if not await self._adopt(directory):
-                    log.info("removing the remains of {directory}", directory=str(directory))
-                    await kill_marked(directory.name)
-                    self._trash.take(directory)
-            self._remove_empty(parent)
+        for user in _directories(self._root):
+            for tag in _directories(user):
+                await self._recover_runs(tag)
+                _remove_if_empty(tag)
+            _remove_if_empty(user)
         runs = [each.state.run for each in self._environments.values()]
         await asyncio.to_thread(self._groups.open, runs)
         await asyncio.to_thread(shared_memory.clean)  # of processes killed while no task set ran
         self._trimmer = asyncio.create_task(self._trim())
         self._pool.fill()
         return {name: RunningEnvironment(each.state.run, each.state.size) for name, each in self._environments.items()}
+
+    async def _recover_runs(self, parent: Path) -> None:
+        for directory in _directories(parent):
+            if not await self._adopt(directory):
+                log.info("removing the remains of {directory}", directory=str(directory))
+                await kill_marked(directory.name)
+                self._trash.take(directory)
 
     async def last_lines(self, name: str) -> list[str]:
         """Return the last lines of the process's log file."""
@@ -341,12 +347,6 @@ class ProcessEngine(Engine):
                 log.warn("{name} still runs {seconds} s after {signal}", name=name, seconds=timeout, signal=number.name)
         raise TimedOut(f"the process of environment {name} still runs {KILL_TIMEOUT:g} s after it was killed")
 
-    def _remove_empty(self, parent: Path) -> None:
-        """Remove the directories of a tag and its user if they are empty."""
-        for directory in (parent, parent.parent):
-            if directory.is_dir() and not any(directory.iterdir()):
-                directory.rmdir()
-
     async def _trim(self) -> None:
         while True:
             await asyncio.sleep(TRIM_INTERVAL)
@@ -376,6 +376,11 @@ def _log_file(directory: Path) -> Path:
 
 def _directories(parent: Path) -> list[Path]:
     return sorted(path for path in parent.iterdir() if path.is_dir()) if parent.is_dir() else []
+
+
+def _remove_if_empty(directory: Path) -> None:
+    if directory.is_dir() and not any(directory.iterdir()):
+        directory.rmdir()
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -4,7 +4,7 @@ Run it beside `rce up --dev` and PostgreSQL, after the service has the address o
 
     rce login http://127.0.0.1:9000/ --user testUser
     echo "postgresql://user:password@10.0.0.5/robots" | rce secret set database
-    rce catalogue publish docs/examples/data_engine
+    rce service publish docs/examples/data_engine
     python docs/examples/data_engine.py [URL]
 
 The nodes need psycopg: `pip install -e '.[postgresql]'` beside the platform, or with Docker an image that has it

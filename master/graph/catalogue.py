@@ -56,7 +56,7 @@ def resolve(state: State, user: str, name: str) -> Offer:
     found = next((offer for each in names if (offer := state.offers.get(each)) is not None), None)
     if found is None or not {user, EVERYBODY} & {user_of(found.name), *found.shared}:
         known = [each.name.removeprefix(f"{SHIPPED}/").removeprefix(f"{user}/") for each in visible(state, user)]
-        hint = did_you_mean(name, known) or "`rce catalogue list` shows which there are"
+        hint = did_you_mean(name, known) or "`rce service list` shows which there are"
         raise NotFound(f"there is no service {name[:80]!r} in the catalogue that you may use: {hint}", field="service")
     return found
 

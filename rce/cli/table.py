@@ -10,7 +10,6 @@ from rce.cli.commands import (
     accounts,
     bags,
     bench,
-    catalogue,
     data,
     environments,
     knowledge,
@@ -24,6 +23,7 @@ from rce.cli.commands import (
     recordings,
     robots,
     secrets,
+    services,
     tracing,
 )
 
@@ -37,8 +37,8 @@ TABLE: tuple[Command | Program | Group, ...] = (
     programs.RUN,
     packages.GROUP,
     *packages.COMMANDS,
-    catalogue.GROUP,
-    *catalogue.COMMANDS,
+    services.GROUP,
+    *services.COMMANDS,
     bench.GROUP,
     *bench.COMMANDS,
     programs.BRIDGE,

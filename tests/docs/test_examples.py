@@ -131,9 +131,7 @@ async def test_data_engine(platform: RealPlatform, tmp_path: Path) -> None:
     secret.write_text(database.replace("+psycopg", ""))
     async with started(RCE, "secret", "set", "database", "--file", str(secret), *place, RCE_PASSWORD=USER) as program:
         await program.output()
-    async with started(
-        RCE, "catalogue", "publish", str(EXAMPLES / "data_engine"), *place, RCE_PASSWORD=USER
-    ) as program:
+    async with started(RCE, "service", "publish", str(EXAMPLES / "data_engine"), *place, RCE_PASSWORD=USER) as program:
         assert await program.output() == [f"{USER}/data_engine: for everybody"]
     assert await output_of("data_engine.py", platform.url) == ["the cup is at 1.5, -2.0"]
 

@@ -110,7 +110,8 @@ def _topic_list(session: ConsoleSession, args: argparse.Namespace) -> None:
     output.print_table(_ros_names(session, args, "topics"), TOPICS, args.json)
 
 
-def _service_list(session: ConsoleSession, args: argparse.Namespace) -> None:
+def list_ros_services(session: ConsoleSession, args: argparse.Namespace) -> None:
+    """Print the ROS services of the environment `args.environment`."""
     output.print_table(_ros_names(session, args, "services"), SERVICES, args.json)
 
 
@@ -224,13 +225,6 @@ COMMANDS = (
             "topic pub --once brain/say std_msgs/String '{data: hello}'",
             "topic pub -r 10 brain/cmd_vel geometry_msgs/Twist",
         ),
-    ),
-    Command(
-        "service list",
-        "List the ROS services of an environment.",
-        _service_list,
-        (ENVIRONMENT, OF_USER, JSON),
-        ("service list brain",),
     ),
     Command(
         "service call",

@@ -1,4 +1,4 @@
-"""Implementation of `rce catalogue publish`."""
+"""Implementation of `rce service publish`."""
 
 from __future__ import annotations
 

@@ -173,6 +173,13 @@ async def test_half_started_environment_is_removed(world: ProcessWorld, engine: 
         assert world.remains() == {"ann/b"}
 
 
+async def test_directory_of_a_user_whose_last_environment_is_gone_is_removed(world: ProcessWorld) -> None:
+    """The task set was killed after it had removed the directory of the tag and before that of the user."""
+    (world.root / "ann").mkdir(parents=True)
+    async with opened(world.engine(Endings())):
+        assert not (world.root / "ann").exists()
+
+
 async def test_gate_is_open_also_after_adoption(world: ProcessWorld) -> None:
     relay, ended = DataRelay(), Endings()
     engine = world.engine(ended)

@@ -1,4 +1,4 @@
-"""`rce catalogue publish`: the file, and the package beside it."""
+"""`rce service publish`: the file, and the package beside it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def file(tmp_path: Path) -> Path:
 
 
 def test_file_is_published(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    made = Console(OfferView("ann", NewOffer("echo"), [], {})).request(f"catalogue publish {file} --share bob")
+    made = Console(OfferView("ann", NewOffer("echo"), [], {})).request(f"service publish {file} --share bob")
     assert (made.line, made.body["share"]) == ("POST catalogue", ["bob"])
     assert capsys.readouterr().out == "ann/echo: for bob\n"
 
@@ -31,7 +31,7 @@ def test_file_is_published(file: Path, capsys: pytest.CaptureFixture[str]) -> No
 def test_package_beside_it_is_pushed_and_used(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (file.parent / "package.xml").write_text("<package/>")
     monkeypatch.setattr(publish, "push", lambda session, directory: f"tool@{directory.name}")
-    made = Console(OfferView("ann", NewOffer("echo"), [], {})).request(f"catalogue publish {file.parent}")
+    made = Console(OfferView("ann", NewOffer("echo"), [], {})).request(f"service publish {file.parent}")
     assert made.body["environment"]["packages"] == [f"tool@{file.parent.name}"]
 
 

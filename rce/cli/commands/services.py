@@ -1,4 +1,4 @@
-"""`catalogue`: services that users offer to others, and their instances."""
+"""`service`: services that users offer to others, their instances, and ROS services."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ from rce.api import views
 from rce.cli import output
 from rce.cli.arguments import JSON, OF_USER, argument
 from rce.cli.command import Command, Group, Lazy
+from rce.cli.commands.data import list_ros_services
 from rce.cli.session import ConsoleSession
+from rce.errors import InvalidRequest
 
 GROUP = Group(
-    "catalogue",
-    "Publish services for other users' robots, list them, use and scale them.",
-    'A robot uses a service by its name: robot.service("mapping2d"). The commands `service` are for ROS services.',
+    "service",
+    "Services that users publish for others' robots, and ROS services.",
+    'A robot uses a published service by its name: robot.service("mapping2d").\n'
+    "`service list ENV` and `service call` are for ROS services.",
 )
 SERVICE = argument("service", metavar="[USER/]NAME")
 NAME = argument("service", metavar="NAME", help="of your own")
@@ -51,6 +54,11 @@ def find(session: ConsoleSession, name: str, of: str = "") -> tuple[str, str]:
 
 
 def _list(session: ConsoleSession, args: argparse.Namespace) -> None:
+    if args.environment:
+        list_ros_services(session, args)
+        return
+    if args.of:
+        raise InvalidRequest("--of needs ENV: published services are the same for all who may use them")
     output.print_table(session.api.items(views.OfferView, "catalogue"), OFFERS, args.json)
 
 
@@ -91,7 +99,7 @@ def _remove(session: ConsoleSession, args: argparse.Namespace) -> None:
 TAG = argument("--as", dest="tag", default="", metavar="TAG", help="(default: the name of the service)")
 COMMANDS = (
     Command(
-        "catalogue publish",
+        "service publish",
         "Publish the services of a service.yaml, with the packages beside it.",
         Lazy("rce.cli.lazy.publish", "publish"),
         (
@@ -100,37 +108,43 @@ COMMANDS = (
                 "--share", action="append", default=[], metavar="USER|all", help="(default: all, or as the file says)"
             ),
         ),
-        ("catalogue publish my_package", "catalogue publish service.yaml --share ada"),
+        ("service publish my_package", "service publish service.yaml --share ada"),
         description="Pushes DIR as `package push` does if it has a package.xml, and publishes the service that its "
         "service.yaml declares, with that version of the package. It replaces what you published under this name.",
     ),
-    Command("catalogue list", "List the services that you may use.", _list, (JSON,)),
     Command(
-        "catalogue show",
+        "service list",
+        "List the services that you may use, or with ENV the ROS services of an environment.",
+        _list,
+        (argument("environment", completion="environment", metavar="ENV", nargs="?", default=""), OF_USER, JSON),
+        ("service list", "service list brain"),
+    ),
+    Command(
+        "service show",
         "Print a service; to its publisher also its instances, their robots, and how often each user used it.",
         _show,
         (SERVICE, JSON),
-        ("catalogue show mapping2d", "catalogue show ann/detector"),
+        ("service show mapping2d", "service show ann/detector"),
     ),
     Command(
-        "catalogue use",
+        "service use",
         "Let a connected robot use a service, or without --robot start an instance of your own.",
         _use,
         (SERVICE, argument("--robot", completion="robot", default="", metavar="ROBOT"), TAG, OF_USER),
-        ("catalogue use mapping2d", "catalogue use ann/detector --robot r2d2"),
+        ("service use mapping2d", "service use ann/detector --robot r2d2"),
     ),
     Command(
-        "catalogue scale",
+        "service scale",
         "Set how many shared instances of a service run at least and at most.",
         _scale,
         (NAME, argument("least", type=int, metavar="LEAST"), argument("most", type=int, metavar="MOST")),
-        ("catalogue scale detector 1 4",),
+        ("service scale detector 1 4",),
     ),
     Command(
-        "catalogue remove",
+        "service remove",
         "Remove a service of your own, with its shared instances.",
         _remove,
         (NAME,),
-        ("catalogue remove detector",),
+        ("service remove detector",),
     ),
 )
