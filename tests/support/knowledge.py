@@ -14,9 +14,12 @@ from rce.control.calls.knowledge import ReportChanges
 from rce.control.calls.services import Authenticate, Identity, RecordAction
 from rce.errors import Forbidden, RceError, Unauthorized
 from rce.knowledge import server
+from rce.knowledge.messages import Evaluate, Read, Reply
 from rce.knowledge.queries import QueryLimits
 from rce.knowledge.repository import RepositoryLimits
 from rce.knowledge.server import KnowledgeLimits, KnowledgeService
+from rce.knowledge.texts import Texts
+from rce.knowledge.worker import Worker
 from tests.support.paths import DATA
 
 KEYS = {"rce_ann": "ann", "rce_bob": "bob", "rce_root": "root", "rce_eve": "eve"}
@@ -73,11 +76,35 @@ class FakeMaster:
         return [(each.action, each.object, each.result) for each in self.calls if isinstance(each, RecordAction)]
 
 
-class Service:
-    """Knowledge service on a free port, with a client for each user."""
+class SharedWorker(Worker):
+    """Process that reads the texts of one service after another, since each start of one takes 0.3 s."""
 
-    def __init__(self, directory: Path, limits: KnowledgeLimits = LIMITS, anonymous: bool = False) -> None:
+    _busy = False
+
+    async def ask(self, work: Read | Evaluate) -> Reply:
+        self._busy = True
+        try:
+            return await super().ask(work)
+        finally:
+            self._busy = False
+
+    async def stop(self) -> None:
+        """Kill the process if it works: what it would reply next belongs to no one."""
+        if self._busy:
+            await super().stop()
+
+    async def close(self) -> None:
+        await super().stop()
+
+
+class Service:
+    """Knowledge service on a free port, with a client for each user; `worker` reads its texts, else one of its own."""
+
+    def __init__(
+        self, directory: Path, limits: KnowledgeLimits = LIMITS, anonymous: bool = False, worker: Worker | None = None
+    ) -> None:
         self.directory = directory
+        self.worker = worker
         self.limits = limits
         self.anonymous = anonymous
         self.master = FakeMaster()
@@ -92,6 +119,7 @@ class Service:
     async def start(self) -> None:
         with pytest.MonkeyPatch.context() as patch:  # no test waits for what a subscriber may still do
             patch.setattr(server, "SHUTDOWN_TIMEOUT", 0.05)
+            patch.setattr(server, "Texts", lambda: Texts(lambda: self.worker or Worker()))
             await self._start()
 
     async def _start(self) -> None:

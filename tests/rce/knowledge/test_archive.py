@@ -14,15 +14,16 @@ from rce.knowledge import packed
 from rce.knowledge.archive import Archive
 from rce.knowledge.messages import Document, Reading
 from rce.knowledge.records import Reader
-from tests.support.knowledge import BED, CUP, Service, ontologies
+from tests.support.knowledge import BED, CUP, Service, SharedWorker, ontologies
 
 
 @pytest.fixture
-async def other(tmp_path: Path) -> Service:
+async def other(tmp_path: Path, worker: SharedWorker) -> Service:
     """Another service, with nothing in it."""
-    return Service(tmp_path / "other")
+    return Service(tmp_path / "other", worker=worker)
 
 
+@pytest.mark.slow
 async def test_all_ontologies_come_back_unchanged_from_another_repository(service: Service, other: Service) -> None:
     originals = {f"ontology.{file.stem.lower()}": file.read_bytes() for file in ontologies().glob("*.owl")}
     for file in sorted(ontologies().glob("*.owl")):

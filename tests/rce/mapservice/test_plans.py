@@ -34,6 +34,7 @@ async def finished(service: Service, with_map: bool = True) -> str:
     return job
 
 
+@pytest.mark.slow
 async def test_path_is_planned_on_the_map_of_a_job(service: Service) -> None:
     job = await finished(service)
     answer = await service.request("POST", f"/jobs/{job}/plan", json=ENDS)

@@ -60,6 +60,7 @@ def test_recording_without_scans_is_refused() -> None:
         list(pieces(0, [], 1))
 
 
+@pytest.mark.slow
 async def test_pieces_become_one_map(simulation: Simulation, monkeypatch: pytest.MonkeyPatch) -> None:
     """The trajectory has each scan once, and the map does not depend on how many workers there are."""
     scans = simulation.records

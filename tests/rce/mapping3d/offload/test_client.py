@@ -17,6 +17,7 @@ def client(cloud: CloudMapper) -> RgbdRobot:
     return RgbdRobot(cast(Robot, cloud), cast(Environment, cloud), QVGA, rate=1e12)
 
 
+@pytest.mark.slow
 async def test_key_frames_go_up_and_corrections_come_back() -> None:
     cloud = CloudMapper()
     async with client(cloud) as robot:
@@ -32,6 +33,7 @@ async def test_key_frames_go_up_and_corrections_come_back() -> None:
     cloud.shared.close()
 
 
+@pytest.mark.slow
 async def test_nothing_is_lost_and_nothing_doubled_by_a_cut_line() -> None:
     cloud, frames = CloudMapper(), list(simulated(0.6, 2.0, CLEAN))
     async with client(cloud) as robot:

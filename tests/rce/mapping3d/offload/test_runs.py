@@ -56,6 +56,7 @@ def platform(monkeypatch: pytest.MonkeyPatch) -> Platform:
     return found
 
 
+@pytest.mark.slow
 async def test_recording_is_tracked_here_and_mapped_there(platform: Platform, tmp_path: Path) -> None:
     recording = simulated(0.4, 2.0, CLEAN)
     counts: list[int] = []

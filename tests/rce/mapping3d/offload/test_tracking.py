@@ -35,6 +35,7 @@ def test_robot_without_a_cloud_tracks_from_its_first_frame() -> None:
     assert len(robot.outbox) == robot.key_frames > 1
 
 
+@pytest.mark.slow
 def test_pose_follows_what_the_cloud_tells_of_an_earlier_key_frame() -> None:
     robot, recording = RobotTracking(QVGA), simulated(0.4, 2.0, CLEAN)
     frames = list(recording)
