@@ -23,7 +23,7 @@ from rce.api.views.resources import (
 from rce.bench.chaos import processes
 from rce.bench.chaos.model import Fact, connection
 from rce.bench.chaos.platform import ADMINISTRATOR, TASK_SET, USER, Platform
-from rce.bench.chaos.workload import Violation
+from rce.bench.chaos.violations import Violation
 from rce.errors import RceError
 
 SETTLE_TIMEOUT = 180.0  # seconds within which a platform without faults must agree with the model

@@ -18,7 +18,8 @@ from rce.bench.chaos.history import History
 from rce.bench.chaos.model import Model, Step
 from rce.bench.chaos.platform import ENDPOINTS, MAPS, TASK_SET, Platform, running
 from rce.bench.chaos.report import Result
-from rce.bench.chaos.workload import FAULTS, RETRY_INTERVAL, RobotWorker, UploadWorker, Violation, Worker
+from rce.bench.chaos.violations import Violation, violation
+from rce.bench.chaos.workload import FAULTS, RETRY_INTERVAL, RobotWorker, UploadWorker, Worker
 from rce.client import Robot
 from rce.errors import NotFound, RceError
 from rce.protocol.messages import DropEvent
@@ -27,8 +28,6 @@ ROBOTS = 3
 TWO_AT_ONCE = 0.2  # share of faults during which another one happens
 AUDIT_EVERY = 10  # faults
 PAUSE = 0.0, 0.5  # seconds between a recovery and the next fault
-TAIL = 40  # entries of the history that a failure shows
-LOG_TAIL = 60  # lines of the logs, without those of level info, that a failure shows
 PROBE = "probe"
 PATIENCE = 2.0  # seconds for which uploads are repeated by the client itself, so that refusals are seen
 
@@ -74,24 +73,9 @@ async def measure(directory: Path, plan: Plan, progress: Callable[[int, int], No
         async with running(directory) as platform:
             return await Run(platform, plan, history, progress).measure()
     except* (RceError, AssertionError) as errors:
-        reason = "\n".join(map(str, _leaves(errors)))
-        raise Violation(
-            f"{reason}\nseed {plan.seed}, last entries of {directory / 'history.jsonl'}:\n{history.tail(TAIL)}\n"
-            f"end of {directory / 'log'}:\n{_end_of(directory / 'log')}"
-        ) from None
+        raise violation(errors, plan.seed, directory, history) from None
     finally:
         history.close()
-
-
-def _leaves(group: BaseExceptionGroup[Exception]) -> list[BaseException]:
-    return [
-        leaf for each in group.exceptions for leaf in (_leaves(each) if isinstance(each, ExceptionGroup) else [each])
-    ]
-
-
-def _end_of(file: Path) -> str:
-    lines = file.read_text(errors="replace").splitlines() if file.exists() else []
-    return "\n".join([line for line in lines if '"level":"info"' not in line][-LOG_TAIL:])
 
 
 class Run:

@@ -14,6 +14,7 @@ from rce.api.map_jobs import Upload
 from rce.bench.chaos.flows import NODE, PACKAGE, STRING
 from rce.bench.chaos.history import History
 from rce.bench.chaos.model import Fact, Model, Step, connection
+from rce.bench.chaos.violations import Violation
 from rce.client import Robot
 from rce.errors import AlreadyExists, NoCapacity, NotFound, RceError, StartFailed, TimedOut, Unavailable
 
@@ -26,12 +27,6 @@ WEIGHTS = {"parameter": 40, "interface": 35, "connection": 25, "node": 2, "envir
 FAULTS = (Unavailable, TimedOut, StartFailed, NoCapacity)  # errors of the platform, not of the command
 DISK_FULL = "disk full"
 MANY = 4  # things of one kind in one place
-
-
-class Violation(RceError):
-    """The platform did not keep a promise; the message has the seed and the last entries of the history."""
-
-    code = "violation"
 
 
 class Maps(Protocol):

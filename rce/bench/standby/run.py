@@ -16,7 +16,8 @@ from rce.bench.chaos import audit
 from rce.bench.chaos.flows import Flow, between
 from rce.bench.chaos.history import History
 from rce.bench.chaos.model import Model, Step
-from rce.bench.chaos.workload import RobotWorker, Violation
+from rce.bench.chaos.violations import Violation, violation
+from rce.bench.chaos.workload import RobotWorker
 from rce.bench.standby.faults import Fault, Nemesis, choose
 from rce.bench.standby.platform import ADMINISTRATOR, MASTERS, TASK_SETS, Platform, running
 from rce.bench.standby.report import Result
@@ -27,7 +28,6 @@ from rce.errors import RceError
 AUDIT_EVERY = 10  # faults
 PAUSE = 0.0, 0.5  # seconds between a recovery and the next fault
 TAKE_OVER_LIMIT = 60.0  # seconds until a Master must lead; what it took is in the result
-TAIL, LOG_TAIL = 40, 60  # lines that a failure shows
 PROBE = "probe"
 
 
@@ -67,24 +67,9 @@ async def measure(directory: Path, plan: Plan, progress: Callable[[int, int], No
             try:
                 return await Run(platform, plan, history, progress).measure()
             except* (RceError, AssertionError) as errors:
-                raise Violation(_described(errors, directory, plan, history)) from None
+                raise violation(errors, plan.seed, directory, history) from None
     finally:
         history.close()
-
-
-def _described(errors: BaseExceptionGroup[Exception], directory: Path, plan: Plan, history: History) -> str:
-    reasons = "\n".join(f"{type(each).__name__}: {each}" for each in _leaves(errors))
-    lines = (directory / "log").read_text(errors="replace").splitlines()
-    end = "\n".join([line for line in lines if '"level":"info"' not in line][-LOG_TAIL:])
-    return f"{reasons}\nseed {plan.seed}, last entries of the history:\n{history.tail(TAIL)}\nend of the log:\n{end}"
-
-
-def _leaves(group: BaseExceptionGroup[Exception]) -> list[BaseException]:
-    return [
-        leaf
-        for each in group.exceptions
-        for leaf in (_leaves(each) if isinstance(each, BaseExceptionGroup) else [each])
-    ]
 
 
 class Run:

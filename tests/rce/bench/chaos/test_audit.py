@@ -11,7 +11,7 @@ import pytest
 from rce.bench.chaos import audit
 from rce.bench.chaos.audit import Found, differences, settle
 from rce.bench.chaos.model import Fact, connection
-from rce.bench.chaos.workload import Violation
+from rce.bench.chaos.violations import Violation
 from rce.errors import Unavailable
 
 EXPECTED: set[Fact] = {("environment", "e"), ("node", "e", "n"), ("interface", "e", "i"), connection("r/i", "e/i")}

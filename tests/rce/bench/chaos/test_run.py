@@ -13,7 +13,7 @@ from rce.bench.chaos import run
 from rce.bench.chaos.faults import LONG_STOP, Fault
 from rce.bench.chaos.flows import Flow
 from rce.bench.chaos.run import Plan, Robots, Run, measure
-from rce.bench.chaos.workload import Violation
+from rce.bench.chaos.violations import Violation
 
 HOME, AWAY, BETWEEN = Flow("r0 to r0_home and back"), Flow("r1 to r1_home and back"), Flow("r0 to r1")
 ROBOTS = Robots([], [HOME, AWAY, BETWEEN], {"r0_home": HOME, "r1_home": AWAY})
@@ -51,7 +51,7 @@ async def test_failure_has_seed_history_and_logs(tmp_path: Path, monkeypatch: py
     with pytest.raises(Violation) as failed:
         await measure(tmp_path, Plan(seed=7, events=1, seconds=1))
     lines = str(failed.value).splitlines()
-    assert lines[0] == "missing: node e n"
+    assert lines[0] == "Violation: missing: node e n"
     assert lines[1].startswith("seed 7, last entries of ")
     assert lines[2].endswith("master killed: begins")
     assert lines[-1] == '{"level":"error","message":"b"}'

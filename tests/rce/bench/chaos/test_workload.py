@@ -13,7 +13,8 @@ from rce.api.map_jobs import Upload
 from rce.bench.chaos import workload
 from rce.bench.chaos.history import History
 from rce.bench.chaos.model import Model, Step
-from rce.bench.chaos.workload import RobotWorker, UploadWorker, Violation, Worker, recording
+from rce.bench.chaos.violations import Violation
+from rce.bench.chaos.workload import RobotWorker, UploadWorker, Worker, recording
 from rce.client import Robot
 from rce.errors import (
     AlreadyExists,

@@ -1,21 +1,31 @@
-"""Failures of a run are told with the ends of history and log; tests/chaos/test_standby.py does a run."""
+"""A failed run is told with its seed; tests/chaos/test_standby.py does a run."""
 
 from __future__ import annotations
 
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
-from rce.bench.chaos.history import History
-from rce.bench.standby.run import Plan, _described
-from rce.errors import TimedOut
+import pytest
+
+from rce.bench.chaos.violations import Violation
+from rce.bench.standby import run
 
 
-def test_failure_has_its_reasons_the_seed_and_the_ends_of_history_and_log(tmp_path: Path) -> None:
-    history = History()
-    history.add("r1", "add parameter", "acknowledged")
-    (tmp_path / "log").write_text('{"level":"info","message":"fine"}\n{"level":"critical","message":"broken"}\n')
-    errors = ExceptionGroup("", [ExceptionGroup("", [TimedOut("too long")]), AssertionError("wrong")])
-    text = _described(errors, tmp_path, Plan(7, 1, 1.0), history)
-    assert "TimedOut: too long\nAssertionError: wrong\nseed 7" in text
-    assert "r1        add parameter: acknowledged" in text
-    assert "broken" in text
-    assert "fine" not in text
+async def test_failure_has_its_reasons_and_the_seed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    @asynccontextmanager
+    async def running(_: Path) -> AsyncIterator[None]:
+        yield
+
+    class Failing:
+        def __init__(self, *_: Any) -> None:
+            pass
+
+        async def measure(self) -> None:
+            raise ExceptionGroup("", [Violation("missing: key k")])
+
+    monkeypatch.setattr(run, "running", running)
+    monkeypatch.setattr(run, "Run", Failing)
+    with pytest.raises(Violation, match=r"^Violation: missing: key k\nseed 7, "):
+        await run.measure(tmp_path, run.Plan(seed=7, events=1, seconds=1))
