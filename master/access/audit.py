@@ -178,7 +178,7 @@ class Audit:
             query = query.where(sa.or_(table.c.user == wanted.concerning, table.c.owner == wanted.concerning))
         if before is not None:
             query = query.where(table.c.id < before)
-        rows = await self._store.run(lambda connection: list(connection.execute(query)))
+        rows = await self._store.read(lambda connection: list(connection.execute(query)))
         return [AuditView(**{name: getattr(row, name) for name in AuditView.__struct_fields__}) for row in rows]
 
     async def forget(self, days: float) -> None:

@@ -83,7 +83,7 @@ class Grants:
             Unauthorized: The key is wrong, expired, or of another user.
         """
         query = _valid().where(db.grants.c.lent == digest(secret), db.grants.c.expires > time.time())
-        row = await self._store.run(lambda connection: connection.execute(query).first())
+        row = await self._store.read(lambda connection: connection.execute(query).first())
         if row is None or user not in ("", row.user):
             raise Unauthorized("the key is wrong or expired, or its job is over")
         return Principal(row.user, "robot", row.key or "", lent=True)

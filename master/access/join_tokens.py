@@ -26,6 +26,9 @@ DAY = 86_400.0  # seconds
 LEAST_LENGTH = 32  # characters of a credential that a process made
 MACHINE = "machine"  # role of the invitation of a machine
 SIBLINGS = range(2, 65)  # numbers of the further processes of a Robot endpoint
+_CREDENTIAL = sa.select(db.credentials.c.role, db.credentials.c.digest).where(
+    db.credentials.c.process == sa.bindparam("process")
+)
 
 
 class JoinTokens:
@@ -125,11 +128,16 @@ class JoinTokens:
         if role == MACHINE:
             raise Unauthorized("an invitation is for a machine, not for a process")
 
-        def check(connection: sa.Connection) -> str | None:
-            known = connection.execute(sa.select(db.credentials).where(db.credentials.c.process == process)).first()
+        def find(connection: sa.Connection) -> str | None:
+            known = connection.execute(_CREDENTIAL, {"process": process}).first()
             for presented in (secret, own):
                 if known is not None and known.role == role and secrets.compare_digest(known.digest, digest(presented)):
                     return presented
+            return None
+
+        def redeem(connection: sa.Connection) -> str | None:
+            if found := find(connection):  # stored since it was looked for
+                return found
             token = sa.and_(
                 db.tokens.c.digest == digest(secret),
                 db.tokens.c.process == process,
@@ -143,7 +151,8 @@ class JoinTokens:
             connection.execute(db.credentials.insert(), row)
             return fresh
 
-        credential = await self._store.run(check)
+        # Thousands come back at once when the Master has been started again, and all have their credentials.
+        credential = await self._store.read(find) or await self._store.run(redeem)
         if credential is None:
             raise Unauthorized(f"{role} {process} may not join: its token is unknown or was used; get a new one")
         return credential
@@ -151,7 +160,7 @@ class JoinTokens:
     async def names(self) -> list[str]:
         """Return the processes that have joined at least once, without environments."""
         query = sa.select(db.credentials.c.process).where(db.credentials.c.role != "environment")
-        return await self._store.run(lambda connection: sorted(connection.scalars(query)))
+        return await self._store.read(lambda connection: sorted(connection.scalars(query)))
 
     async def remove_machine(self, machine: str) -> None:
         """Revoke the credentials of a machine's processes, its invitation, and its certificate.
@@ -179,7 +188,7 @@ class JoinTokens:
     async def removals(self) -> dict[str, float]:
         """Return when machines were removed, in seconds since 1970: their certificates from before are refused."""
         query = sa.select(db.removed_machines)
-        return await self._store.run(lambda connection: {row.name: row.time for row in connection.execute(query)})
+        return await self._store.read(lambda connection: {row.name: row.time for row in connection.execute(query)})
 
     async def forget(self, *processes: str) -> bool:
         """Revoke the credentials and the tokens of processes; return whether there were any."""

@@ -76,13 +76,13 @@ class Keys:
 
     async def of(self, user: str) -> list[KeyView]:
         """Return the keys of a user, oldest first."""
-        rows = await self._store.run(lambda connection: list(connection.execute(_of(user))))
+        rows = await self._store.read(lambda connection: list(connection.execute(_of(user))))
         return [self._view(row) for row in rows]
 
     async def all(self) -> list[KeyView]:
         """Return the keys of all users."""
         query = sa.select(db.api_keys).order_by(db.api_keys.c.user, db.api_keys.c.created)
-        rows = await self._store.run(lambda connection: list(connection.execute(query)))
+        rows = await self._store.read(lambda connection: list(connection.execute(query)))
         return [self._view(row) for row in rows]
 
     async def get(self, user: str, key_id: str) -> KeyView:
@@ -92,7 +92,7 @@ class Keys:
             NotFound: The user has no such key.
         """
         query = sa.select(db.api_keys).where(_is(user, key_id))
-        row = await self._store.run(lambda connection: connection.execute(query).first())
+        row = await self._store.read(lambda connection: connection.execute(query).first())
         if row is None:
             raise _unknown(key_id)
         return self._view(row)
@@ -147,7 +147,7 @@ class Keys:
         Raises:
             Unauthorized: The key is unknown, expired, or another user's.
         """
-        row = await self._store.run(lambda connection: connection.execute(_BY_DIGEST, {"of": digest(secret)}).first())
+        row = await self._store.read(lambda connection: connection.execute(_BY_DIGEST, {"of": digest(secret)}).first())
         now = time.time()
         if row is None or name not in ("", row.user) or (row.expires is not None and row.expires < now):
             raise Unauthorized("the API key is wrong, expired or revoked, or another user's")

@@ -63,7 +63,7 @@ class UserLimits:
         await self._load()
 
     async def _load(self) -> None:
-        rows = await self._store.run(lambda connection: list(connection.execute(sa.select(db.limits))))
+        rows = await self._store.read(lambda connection: list(connection.execute(sa.select(db.limits))))
         found: dict[str, dict[str, Any]] = {row.user: msgspec.json.decode(row.value) for row in rows}
         platform = found.pop(PLATFORM, {})
         if self._given is None:

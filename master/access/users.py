@@ -71,7 +71,7 @@ class Users:
     async def all(self) -> list[UserView]:
         """Return all users, sorted by name."""
         query = sa.select(db.users.c.name, db.users.c.role, db.users.c.created)
-        rows = await self._store.run(lambda connection: list(connection.execute(query)))
+        rows = await self._store.read(lambda connection: list(connection.execute(query)))
         return sorted((UserView(row.name, row.role, row.created) for row in rows), key=lambda user: user.name)
 
     async def names(self) -> list[str]:
@@ -85,7 +85,7 @@ class Users:
             NotFound: There is no such user.
         """
         query = sa.select(db.users.c.name, db.users.c.role, db.users.c.created).where(db.users.c.name == name)
-        row = await self._store.run(lambda connection: connection.execute(query).first())
+        row = await self._store.read(lambda connection: connection.execute(query).first())
         if row is None:
             raise _unknown(name)
         return UserView(row.name, row.role, row.created)
@@ -172,7 +172,7 @@ class Users:
         self.throttle.check(name, address)
         query = sa.select(db.users.c.password, db.users.c.role).where(db.users.c.name == name)
         change = self._changes.get(name)
-        row = await self._store.run(lambda connection: connection.execute(query).first())
+        row = await self._store.read(lambda connection: connection.execute(query).first())
         if row is None or not self.passwords.was_verified(row.password, secret):
             async with self.passwords.slot():
                 self.throttle.check(name, address)  # other attempts may have failed meanwhile
@@ -194,7 +194,7 @@ class Users:
             roles = {row.name: row.role for row in connection.execute(sa.select(db.users.c.name, db.users.c.role))}
             return Standing(roles, set(connection.scalars(sa.select(keys.c.id).where(good))))
 
-        return await self._store.run(read)
+        return await self._store.read(read)
 
 
 def check_robot_login(principal: Principal, robot: str = "") -> None:

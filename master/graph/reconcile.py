@@ -83,7 +83,7 @@ def joined(state: State, process: Process, hello: Hello, ids: Ids) -> Plan:
     before = state.processes.get(process.name)
     if before is not None and before.incarnation != process.incarnation:
         plan += take_down(state, process.name)
-    relays = known_relays(state)
+    relays = known_relays(state) if process.role == "container" else []
     state.processes.put(process)
     state.joined.add(process.name)
     state.expected.discard(process.name)
@@ -185,8 +185,10 @@ def relays_changed(state: State, machine: str, relays: dict[str, str]) -> Plan:
 def _announce_relays(state: State, process: Process, before: list[str]) -> Plan:
     """Tell a machine that has joined the addresses of the relays, and all machines if these changed."""
     relays = known_relays(state)
-    machines = [machine.name for machine in state.processes.by("container") if machine.name in state.joined]
-    told = machines if relays != before else [process.name] if relays else []
+    if relays == before:
+        told = [process.name] if relays else []
+    else:
+        told = [machine.name for machine in state.processes.by("container") if machine.name in state.joined]
     return [[Send(name, SetRelays(relays), Ref("relays", ""))] for name in told]
 
 
@@ -235,9 +237,10 @@ def resettle(state: State, ids: Ids, most: float = math.inf) -> Plan:
     ends after the environment with which it has `most` sequences.
     """
     plan: Plan = []
-    room = most_free_slots(state)
     gone = ["", *(machine.name for machine in state.processes.by("container") if state.gone(machine.name))]
-    for environment in [environment for machine in gone for environment in state.environments.by(at(machine))]:
+    waiting = [environment for machine in gone for environment in state.environments.by(at(machine))]
+    room = most_free_slots(state) if waiting else 0  # each machine that joins asks, mostly when none waits
+    for environment in waiting:
         if len(plan) >= most:
             break
         runs_on = bool(environment.machine) and not state.gone(environment.name)

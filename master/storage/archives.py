@@ -26,7 +26,7 @@ class Archives:
     async def digests(self) -> set[str]:
         """Return the digests of all archives, also of those that are being stored."""
         query = sa.select(archives.c.digest).distinct()
-        return set(await self._store.run(lambda connection: list(connection.scalars(query))))
+        return set(await self._store.read(lambda connection: list(connection.scalars(query))))
 
     async def put(self, digest: str, path: Path) -> None:
         """Store an archive; it is complete when this returns."""
@@ -45,7 +45,7 @@ class Archives:
         """
         found, number = hashlib.sha256(), 0
         with path.open("wb") as file:
-            while (data := await self._store.run(partial(_part, digest, number))) is not None:
+            while (data := await self._store.read(partial(_part, digest, number))) is not None:
                 found.update(data)
                 await asyncio.to_thread(file.write, data)
                 number += 1

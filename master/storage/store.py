@@ -2,7 +2,7 @@
 
 One worker thread owns the database, so that writes keep their order and the event loop never waits for a disk. What
 comes during a transaction shares the next one, and so one flush to the disk: records that changed, and other work, of
-which each piece has a savepoint.
+which each piece that writes has a savepoint.
 
 A transaction whose connection is lost before its commit runs again. If it is lost during the commit, nobody knows
 whether it was stored: only work that may be repeated runs again then.
@@ -45,11 +45,19 @@ Outcome = tuple[Any, Exception | None]
 
 
 class Work(NamedTuple):
-    """A piece of work, and who waits for its result; `repeatable` if it may run again after it was committed."""
+    """A piece of work, and who waits for its result.
+
+    Attributes:
+        run: The work.
+        done: Resolves with its result.
+        repeatable: It may run again after it was committed.
+        writes: It may have to be undone without the others of its transaction.
+    """
 
     run: Callable[[sa.Connection], Any]
     done: Future[Any]
     repeatable: bool
+    writes: bool
 
 
 class UnknownOutcome(Unavailable):
@@ -141,12 +149,25 @@ class Store:
             UnknownOutcome: The connection was lost during the commit.
             Unavailable: The database cannot be reached, or another Master leads.
         """
-        done: Future[R] = Future()
+        result: R = await self._await(Work(work, Future(), repeatable, writes=True))
+        return result
+
+    async def read(self, work: Callable[[sa.Connection], R]) -> R:
+        """Run `work`, which only reads, in the database's thread. Many at once cost less than by `run`.
+
+        Raises:
+            InvalidRequest: The database cannot hold a value, as PostgreSQL text with NUL.
+            Unavailable: The database cannot be reached, or another Master leads.
+        """
+        result: R = await self._await(Work(work, Future(), repeatable=True, writes=False))
+        return result
+
+    async def _await(self, work: Work) -> Any:
         began = time.perf_counter()
-        self._works.append(Work(work, done, repeatable))
+        self._works.append(work)
         self._thread.submit(self._serve)
         try:
-            return await asyncio.wrap_future(done)
+            return await asyncio.wrap_future(work.done)
         except sa.exc.DataError as error:
             raise InvalidRequest(f"the database cannot hold this: {error.orig}") from None
         except sa.exc.OperationalError as error:
@@ -280,10 +301,13 @@ def _run_together(connection: sa.Connection, works: list[Work]) -> list[Outcome]
     outcomes: list[Outcome] = []
     for work in works:
         try:
-            with connection.begin_nested():
+            with connection.begin_nested() if work.writes else contextlib.nullcontext():
                 outcomes.append((work.run(connection), None))
-        except sa.exc.OperationalError:  # a full disk, or a lost connection
-            raise
+        except sa.exc.SQLAlchemyError as error:
+            # A full disk, or a lost connection. And no savepoint ends the failure of what only reads.
+            if isinstance(error, sa.exc.OperationalError) or not work.writes:
+                raise
+            outcomes.append((None, error))
         except Exception as error:  # noqa: BLE001  # its caller gets it
             outcomes.append((None, error))
     return outcomes

@@ -73,7 +73,7 @@ async def test_following_goes_on_after_a_database_failure(store: Store, monkeypa
         raise sa.exc.OperationalError("locked", None, Exception())
 
     monkeypatch.setattr(module, "REFRESH", 0)
-    monkeypatch.setattr(store, "run", fail)
+    monkeypatch.setattr(store, "read", fail)
     with pytest.raises(asyncio.CancelledError):
         await limits.follow()
     assert tried == 2

@@ -273,6 +273,37 @@ async def test_work_that_waits_shares_a_transaction_and_fails_alone(store: Store
     assert {row.digest for row in rows} == {f"d{number}" for number in range(20) if number % 5 != 3}
 
 
+@pytest.mark.parametrize("fails", [False, True])
+async def test_reads_share_a_transaction_without_savepoints_and_fail_alone(store: Store, fails: bool) -> None:
+    begun, go, savepoints = threading.Event(), threading.Event(), []
+
+    def hold(_: sa.Connection) -> None:
+        begun.set()
+        go.wait(10)
+
+    def write(connection: sa.Connection) -> None:
+        connection.execute(db.tokens.insert(), {"digest": "d", "process": "p", "role": "robot", "used": False})
+
+    def count(connection: sa.Connection) -> int:
+        return len(list(connection.execute(sa.select(db.tokens))))
+
+    def fail(connection: sa.Connection) -> None:
+        connection.execute(sa.text("SELECT nothing FROM nowhere"))
+
+    held = asyncio.ensure_future(store.run(hold))
+    await asyncio.to_thread(begun.wait)
+    works = [asyncio.ensure_future(work) for work in (store.read(count), store.run(write), store.read(count))]
+    works += [asyncio.ensure_future(store.read(fail))] if fails else []
+    sa.event.listen(store._engine, "savepoint", lambda *_: savepoints.append("of the one that writes"))
+    await asyncio.sleep(0)
+    go.set()
+    await held
+    results = await asyncio.gather(*works, return_exceptions=True)
+    assert results[:3] == [0, None, 1]
+    assert len(savepoints) == 1
+    assert all(isinstance(error, sa.exc.SQLAlchemyError) for error in results[3:])
+
+
 async def test_failed_commit_of_many_is_repeated_for_each(store: Store) -> None:
     go = threading.Event()
     held = asyncio.ensure_future(store.run(lambda _: go.wait(10)))
