@@ -155,13 +155,13 @@ class ProcessEngine(Engine):
         for directory in _directories(self._root / name):
             await kill_marked(directory.name)
             await asyncio.to_thread(self._groups.remove, directory.name)
-            self._killed.pop(directory.name, None)
             await asyncio.to_thread(shared_memory.remove_secrets, directory.name)
             await self._trash.discard(directory)
         _remove_if_empty(self._root / name)
         _remove_if_empty((self._root / name).parent)
         if environment is not None:
             del self._environments[name]
+            self._killed.pop(environment.state.run, None)
             try:
                 await asyncio.to_thread(_clean_shared_memory, self._vacated_domain(environment))
             finally:

@@ -25,11 +25,8 @@ from rce.errors import InvalidRequest
 
 SETTLING = 2.0  # seconds for which viewers watch before the loop is measured
 ENDING = 30.0  # seconds until a program is killed that should end
-ELSEWHERE = (
-    "nice",
-    "-n",
-    "19",
-)  # cameras and viewers have machines of their own, and take no processor of the platform's
+# Cameras and viewers have machines of their own, so they yield the processor of this one to the platform.
+ELSEWHERE = ("nice", "-n", "19")
 
 
 class Phase(Struct, frozen=True):
