@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import asyncio
 import threading
+import weakref
 from collections import deque
 from collections.abc import Callable
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import rclpy
+from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
 from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
@@ -46,6 +48,27 @@ class Waitable(Protocol):
 
     def destroy(self) -> None:
         """Destroy the handles."""
+
+
+class _Group(MutuallyExclusiveCallbackGroup):
+    """Forgets entities that are gone; rclpy's groups keep a weak reference to each for ever."""
+
+    def add_entity(self, entity: Any) -> None:  # rclpy has the type of all entities for type checkers only
+        self.entities.add(weakref.ref(entity, self.entities.discard))
+
+
+class _Node(Node):
+    """Node whose entities come and go with the interfaces of robots."""
+
+    def __init__(self, name: str, context: Context) -> None:
+        self._group = _Group()
+        super().__init__(
+            name, context=context, use_global_arguments=False, enable_rosout=False, start_parameter_services=False
+        )
+
+    @property
+    def default_callback_group(self) -> CallbackGroup:
+        return self._group
 
 
 class RosThread:
@@ -166,13 +189,7 @@ class RosThread:
         # Its messages are in the log of the endpoint; a file of its own would be in the user's home.
         args = ["--ros-args", "--disable-external-lib-logs"]
         rclpy.init(context=self._context, args=args, signal_handler_options=SignalHandlerOptions.NO)
-        self.node = rclpy.create_node(
-            self._name,
-            context=self._context,
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-        )
+        self.node = _Node(self._name, self._context)
         assert self._context.handle is not None  # since init
         self._handle = self._context.handle
         self._guard = _rclpy.GuardCondition(self._handle)

@@ -188,12 +188,18 @@ class RobotEndpoint:
         )
 
     def _create_session(self, name: str) -> RobotSession:
-        old = self.sessions.pop(name, None)
-        if old is not None:
-            old.end("the session has ended")
+        self._remove_session(name)
         streams, budget = self._streams_of(name), self._session_budget(name)
         session = self.sessions[name] = RobotSession(name, self.master, streams, budget, self.limits.message)
         self._start_grace(session)
+        return session
+
+    def _remove_session(self, name: str, reason: str = "the session has ended") -> RobotSession | None:
+        session = self.sessions.pop(name, None)
+        if session is not None:
+            session.end(reason)
+            if session.streams.unused:
+                del self._streams[name]
         return session
 
     def _streams_of(self, name: str) -> Streams:
@@ -252,8 +258,7 @@ class RobotEndpoint:
                 await asyncio.sleep(EXPIRY_RETRY)
                 continue
             if self.sessions.get(session.name) is session and session.socket is None:
-                del self.sessions[session.name]
-                session.end("")
+                self._remove_session(session.name, "")
             return
 
     def data(self, session: RobotSession, message: DataMessage, blobs: dict[str, Buffer]) -> asyncio.Task[None] | None:
@@ -271,7 +276,7 @@ class RobotEndpoint:
 
     async def _sync(self, call: Sync) -> BatchResult:
         for name in set(self.sessions) - set(call.robots):
-            self.sessions.pop(name).end("the session has ended")
+            self._remove_session(name)
         return BatchResult(await self.switchboard.sync(call, self._make_interface))
 
     async def _make_interface(self, spec: InterfaceSpec) -> Interface:
@@ -307,9 +312,8 @@ class RobotEndpoint:
                 session.error(RceError.from_info(call.error))
 
     def _drop_robot(self, call: DropRobot) -> None:
-        session = self.sessions.pop(call.robot, None)
+        session = self._remove_session(call.robot, call.reason)
         if session is not None:
-            session.end(call.reason)
             for interface in list(session.interfaces.values()):
                 self.switchboard.unbind(interface.spec.id)
 

@@ -34,6 +34,11 @@ class Streams:
         self.incarnation = incarnation
         self._streams: dict[str, Stream] = {}  # the one that was silent longest first
 
+    @property
+    def unused(self) -> bool:
+        """True if the robot has sent no numbered message."""
+        return not self._streams
+
     def taken(self, message: DataMessage) -> bool:
         """Return whether a message was taken before."""
         stream = self._streams.get(message.stream)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import threading
 from functools import partial
 from typing import Any
@@ -13,6 +14,7 @@ from twisted.logger import LogEvent
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from std_msgs.msg import String
 
 from endpoints.environment.ros import RosThread
 from tests.support.endpoints.ros_world import LIMIT, NODE, RosWorld
@@ -51,6 +53,17 @@ async def test_error_of_work_is_raised_in_caller(ros: RosThread) -> None:
 
     with pytest.raises(ZeroDivisionError, match="in the thread"):
         await ros.run(fail)
+
+
+async def test_entities_that_are_gone_leave_nothing_in_the_group_of_the_node(ros: RosThread) -> None:
+    def come_and_go() -> None:
+        ros.node.destroy_publisher(ros.node.create_publisher(String, "/gone", 1))
+        ros.node.destroy_subscription(ros.node.create_subscription(String, "/gone", print, 1))
+
+    before = await ros.run(lambda: len(ros.node.default_callback_group.entities))
+    await ros.run(come_and_go)
+    gc.collect()
+    assert await ros.run(lambda: len(ros.node.default_callback_group.entities)) == before
 
 
 async def test_work_and_results_keep_their_order(ros: RosThread) -> None:

@@ -224,6 +224,21 @@ def test_finished_session_ends_at_once(trial: Trial) -> None:
     assert trial.master.of(SessionExpired) == [SessionExpired(NAME)]
 
 
+def test_streams_are_kept_of_robots_that_have_sent_numbered_messages(trial: Trial) -> None:
+    def streams_of_an_ended_session(*numbers: int) -> Any:
+        session, socket = trial.connect()
+        for number in numbers:
+            session.streams.begin(DataMessage("out", "std_msgs/String", "m", stream="s", number=number))
+        trial.lose(session, socket)
+        trial.call(DropRobot(NAME, "it left"))
+        return trial.endpoint._streams.get(NAME)
+
+    assert streams_of_an_ended_session() is None
+    kept = streams_of_an_ended_session(1)
+    assert kept is not None
+    assert streams_of_an_ended_session() is kept
+
+
 def test_unreported_status_does_no_harm(trial: Trial) -> None:
     trial.master.refusals[SocketStatus] = Unavailable("away")
     trial.connect()
