@@ -46,10 +46,10 @@ def set_request_id(id: str = "") -> str:
     return valid
 
 
-def start(stream: IO[str] = sys.stderr) -> None:
-    """Start to log to `stream`. Call it once in a process."""
+def start(stream: IO[str] = sys.stderr, *, quiet: bool = False) -> None:
+    """Start to log to `stream`, if `quiet` only warnings and errors. Call it once in a process."""
     lines = FileLogObserver(stream, _text_line if stream.isatty() else _json_line)
-    globalLogBeginner.beginLoggingTo([_filtered(lines)], redirectStandardIO=False)
+    globalLogBeginner.beginLoggingTo([_filtered(lines, quiet)], redirectStandardIO=False)
     logging.basicConfig(level=logging.INFO, handlers=[_FromLogging()], force=True)
 
 
@@ -68,8 +68,8 @@ def add_text_observer(write: Callable[[str], None], of: str = "") -> None:
     globalLogPublisher.addObserver(_filtered(observe))
 
 
-def _filtered(observer: Any) -> Any:  # mypy does not see that classes provide zope interfaces
-    level = LogLevelFilterPredicate(LogLevel.info)
+def _filtered(observer: Any, quiet: bool = False) -> Any:  # mypy does not see that classes provide zope interfaces
+    level = LogLevelFilterPredicate(LogLevel.warn if quiet else LogLevel.info)
     # Twisted logs each opened port and each HTTP request. Autobahn logs malformed requests with their credentials,
     # aiohttp each WebSocket handshake with an unknown subprotocol, Alembic each of its steps.
     for namespace, lowest in (

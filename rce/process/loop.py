@@ -36,8 +36,10 @@ def install(loop: asyncio.AbstractEventLoop) -> ReactorBase:
     return reactor
 
 
-def run(main: Main) -> int:
-    """Run `main` to its end and return the exit status of the process. Logs go to standard error.
+def run(main: Main, *, quiet: bool = False) -> int:
+    """Run `main` to its end and return the exit status of the process.
+
+    Logs go to standard error, if `quiet` only warnings and errors.
 
     The first SIGINT or SIGTERM cancels `main`, which cleans up in its `finally`; later signals are ignored, because
     Ctrl-C in a terminal is often followed by a SIGTERM from the parent process.
@@ -46,7 +48,7 @@ def run(main: Main) -> int:
         0 if `main` returned or was stopped by a signal, 1 if it raised. RceErrors, ports in use and unusable files are
         logged as one line, other exceptions with their traceback.
     """
-    logs.start()
+    logs.start(quiet=quiet)
     Factory.noisy = False
     loop = uvloop.new_event_loop()
     asyncio.set_event_loop(loop)

@@ -86,6 +86,15 @@ def test_noise_of_libraries_is_not_logged(namespace: str, level: LogLevel) -> No
     assert seen.events == []
 
 
+@pytest.mark.parametrize(("quiet", "seen"), [(False, ["told", "warned"]), (True, ["warned"])])
+def test_quiet_process_logs_warnings_and_errors_only(quiet: bool, seen: list[str]) -> None:
+    observer = Observer()
+    log = Logger(namespace="any", observer=logs._filtered(observer, quiet))
+    log.info("told")
+    log.warn("warned")
+    assert [event["log_format"] for event in observer.events] == seen
+
+
 def test_rate_limited_logger_suppresses_and_counts_warnings() -> None:
     seen, now = Observer(), 100.0
     limited = logs.RateLimitedLogger(Logger(namespace="test", observer=seen), 10.0, lambda: now)  # type: ignore[arg-type]
