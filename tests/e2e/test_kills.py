@@ -130,7 +130,7 @@ async def test_node_is_killed(killed: RealPlatform, both: tuple[Traffic, Traffic
     calm, victim = both  # in this order, because the nodes of this one have run for long
     await victim.wait_until_restartable()
     since, events = time.monotonic(), victim.robot.events()
-    killed.kill(killed.pid(r"(?=.*/c/).*relay\.py"))
+    killed.kill(killed.pid(r"(?=.*/testUser/c/).*relay\.py"))
     died = await next_event(events, NodeEvent)
     assert (died.containerTag, died.nodeTag, died.status) == ("c", "relay", -9)
     await victim.wait_for_round_trip()
