@@ -53,7 +53,7 @@ class Waitable(Protocol):
 class _Group(MutuallyExclusiveCallbackGroup):
     """Forgets entities that are gone; rclpy's groups keep a weak reference to each for ever."""
 
-    def add_entity(self, entity: Any) -> None:  # rclpy has the type of all entities for type checkers only
+    def add_entity(self, entity: Any) -> None:  # rclpy defines their type for type checkers only
         self.entities.add(weakref.ref(entity, self.entities.discard))
 
 

@@ -239,7 +239,7 @@ def resettle(state: State, ids: Ids, most: float = math.inf) -> Plan:
     plan: Plan = []
     gone = ["", *(machine.name for machine in state.processes.by("container") if state.gone(machine.name))]
     waiting = [environment for machine in gone for environment in state.environments.by(at(machine))]
-    room = most_free_slots(state) if waiting else 0  # each machine that joins asks, mostly when none waits
+    room = most_free_slots(state) if waiting else 0  # mostly none waits, and each machine that joins asks
     for environment in waiting:
         if len(plan) >= most:
             break

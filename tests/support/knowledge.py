@@ -77,7 +77,7 @@ class FakeMaster:
 
 
 class SharedWorker(Worker):
-    """Process that reads the texts of one service after another, since each start of one takes 0.3 s."""
+    """Process that reads the texts of one service after another, since each start takes 0.2 s."""
 
     _busy = False
 

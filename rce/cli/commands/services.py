@@ -58,7 +58,7 @@ def _list(session: ConsoleSession, args: argparse.Namespace) -> None:
         list_ros_services(session, args)
         return
     if args.of:
-        raise InvalidRequest("--of needs ENV: published services are the same for all who may use them")
+        raise InvalidRequest("--of needs ENV: it is for the ROS services of another user's environment")
     output.print_table(session.api.items(views.OfferView, "catalogue"), OFFERS, args.json)
 
 

@@ -44,7 +44,7 @@ def measure_control(session: ConsoleSession, args: argparse.Namespace) -> int:
             phases += await control.floors(reactor, Path(directory))
         print(json.dumps(control.as_data(phases)) if args.json else control.as_text(phases))
 
-    return loop.run(run, quiet=True)  # thousands of clients log each attempt to connect
+    return loop.run(run)
 
 
 def measure_traffic(session: ConsoleSession, args: argparse.Namespace) -> None:
@@ -95,7 +95,7 @@ def measure_fleet(session: ConsoleSession, args: argparse.Namespace) -> int:
             phases = await fleet.measure(reactor, Path(directory), size, log, report)
         print(json.dumps(fleet.as_data(size, phases)) if args.json else fleet.as_text(size, phases))
 
-    return loop.run(run, quiet=True)  # thousands of clients log each attempt to connect
+    return loop.run(run, quiet=True)  # thousands of hollow processes log each attempt to connect
 
 
 def measure_dashboard(session: ConsoleSession, args: argparse.Namespace) -> int:
@@ -113,7 +113,7 @@ def measure_dashboard(session: ConsoleSession, args: argparse.Namespace) -> int:
             result = await measured.measure(reactor, program, size, args.seconds, args.samples, log)
         print(json.dumps(measured.as_data(result)) if args.json else measured.as_text(result))
 
-    return loop.run(run, quiet=True)  # thousands of clients log each attempt to connect
+    return loop.run(run)
 
 
 @coroutine_command
