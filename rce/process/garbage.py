@@ -17,7 +17,7 @@ def collect_seldom(later: Callable[[float, Callable[[], object]], object]) -> No
     """Run full collections for a ten-thousandth of the time, and young ones of 5,000 objects each.
 
     A full collection stops the event loop: for some 30 ms in a Master that has just started, and for more than a second
-    where it keeps records of 10,000 robots. So one of 30 ms comes every five minutes, one of a second every three hours.
+    where it keeps records of 10,000 robots. So one of 30 ms comes every five minutes, one of a second every 3 h.
 
     Args:
         later: Calls a function after so many seconds, such as `call_later` of the event loop.
