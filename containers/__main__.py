@@ -22,6 +22,7 @@ from rce.errors import InvalidRequest, StartFailed
 from rce.net.tls import Tls, load_tls
 from rce.process import loop
 from rce.process.lock import lock_directory
+from rce.process.malloc import return_freed_memory
 from rce.process.settings import load_or_exit
 
 PROGRAM = "rce container"
@@ -41,6 +42,7 @@ def main() -> int:
 
 async def serve(reactor: ReactorBase, settings: Settings) -> None:
     """Run the task set that `settings` describe."""
+    return_freed_memory()
     directory = settings.data_dir.absolute()
     with lock_directory(directory, "task set"):
         credential = Credential(directory / "container.credential", settings.token)

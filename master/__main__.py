@@ -51,6 +51,7 @@ from rce.net.tls import (
 from rce.process import loop, settings
 from rce.process.garbage import collect_seldom
 from rce.process.lock import lock_directory
+from rce.process.malloc import return_freed_memory
 from rce.process.ready import Ready, announce
 from rce.web.server import Endpoint, parse_endpoint, serve_handler
 from rce.web.server import listen as web_listen
@@ -97,6 +98,7 @@ class Settings(Struct):
 
 
 async def _collect_and_serve(reactor: ReactorBase, options: Settings) -> None:
+    return_freed_memory()
     collect_seldom(asyncio.get_running_loop().call_later)
     await serve(reactor, options)
 

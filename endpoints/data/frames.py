@@ -19,7 +19,7 @@ from enum import IntEnum
 from time import perf_counter
 from typing import Any
 
-from endpoints.memory import uninitialized
+from endpoints.buffers import uninitialized
 from rce.errors import LimitExceeded
 
 HEAD = struct.Struct("!BBIII")

@@ -21,12 +21,11 @@ import msgspec
 from msgspec import Struct
 from twisted.internet.base import ReactorBase
 
-from endpoints import memory
 from endpoints.environment import __main__ as program
 from endpoints.environment import prepared_node, process_environment
 from endpoints.environment.lazy_import import import_lazily
 from endpoints.environment.settings import SEGMENT, Settings
-from rce.process import loop
+from rce.process import loop, malloc
 from rce.process.settings import load_or_exit
 
 if TYPE_CHECKING:
@@ -45,7 +44,7 @@ def load(typesupport: str) -> None:
     """Load what an endpoint needs; `typesupport` is its setting of this name."""
     prefixes = [Path(each) for each in typesupport.split(",") if each]
     sys.path += [str(prefix / "python") for prefix in prefixes]
-    memory.keep_large_blocks()
+    malloc.keep_large_blocks()
     import_lazily("numpy")
     import endpoints.environment.endpoint
     import endpoints.environment.ros  # noqa: F401

@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from endpoints import memory
+from rce.process import malloc
 
 if TYPE_CHECKING:
     from endpoints.environment.prepared_context import PreparedContext
@@ -73,7 +73,7 @@ def _libraries(variables: Mapping[str, str]) -> set[str]:
 
 async def start() -> Spare:
     """Start an interpreter; it ends with this process."""
-    variables = {**os.environ, **memory.VARIABLES, "PYTHONUNBUFFERED": "1"}
+    variables = {**os.environ, **malloc.VARIABLES, "PYTHONUNBUFFERED": "1"}
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-P", "-m", "endpoints.environment.prepared_node", str(os.getpid())),
         stdin=asyncio.subprocess.PIPE,

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import msgspec
 
-from endpoints import memory
 from endpoints.environment.lazy_import import import_lazily
 from endpoints.environment.settings import Settings
-from endpoints.memory import MB
 from rce.api.knowledge_requests import SOCKET
+from rce.process import malloc
+from rce.process.malloc import MB
 
 ADDRESS = "RCE_GROUP_IP"  # address of the environment in its network group
 KNOWLEDGE = "knowledge.sock"  # in the directory of the environment
@@ -120,7 +120,7 @@ def prepare(settings: Settings) -> None:
     (settings.data_dir / "home").mkdir(parents=True, exist_ok=True)
     use_profile(settings.data_dir / "fastdds.xml", settings.shared_memory, settings.address, settings.peers)
     sys.path += python_paths(settings)
-    memory.keep_large_blocks()
+    malloc.keep_large_blocks()
     import_lazily("numpy")
 
 
@@ -187,7 +187,7 @@ def node_variables(settings: Settings, environment: Mapping[str, str] = os.envir
         **({"LD_LIBRARY_PATH": _joined(libraries, environment.get("LD_LIBRARY_PATH", ""))} if libraries else {}),
         "PYTHONUNBUFFERED": "1",
         "AMENT_PREFIX_PATH": _joined(ament),
-        **memory.VARIABLES,
+        **malloc.VARIABLES,
     }
 
 

@@ -16,7 +16,6 @@ from twisted.logger import Logger
 import rce
 from endpoints.data.port import DataPort
 from endpoints.gateways.paths import gateways
-from endpoints.memory import keep_large_blocks
 from endpoints.robot.endpoint import Options, RobotEndpoint
 from endpoints.robot.frame_receiver import ServerLimits
 from endpoints.robot.server import listen
@@ -27,6 +26,7 @@ from rce.control.credential import Credential, stay_joined
 from rce.net.tls import load_tls, public_tls_context
 from rce.process import loop, settings
 from rce.process.host import host_identity
+from rce.process.malloc import keep_large_blocks
 from rce.process.ready import Ready, announce
 
 MEGABYTE = 1024 * 1024

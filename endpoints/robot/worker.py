@@ -31,8 +31,9 @@ from converters.custom_files import Description
 from converters.packed import PackedCodec
 from converters.reduction import ALL, AnyCodec, ReducedCodec
 from converters.ros1 import ROS1, Ros1Codec
-from endpoints.memory import keep_large_blocks, uninitialized
+from endpoints.buffers import uninitialized
 from rce.errors import ErrorInfo, LimitExceeded, RceError
+from rce.process.malloc import keep_large_blocks
 from rce.protocol.blobs import Buffer
 
 MAX_MEMORY = 2 << 30  # bytes of data of one worker
