@@ -74,6 +74,10 @@ CPP_HEADERS = {  # of the C++ client
     "libssl-dev": "openssl/ssl.h",
     "nlohmann-json3-dev": "nlohmann/json.hpp",
 }
+KERNELS_OF_TESTS = (
+    *("rce.planning.planner", "rce.mapping3d.pipeline"),
+    *("rce.mapping3d.evaluation.building", "rce.mapping3d.evaluation.room"),
+)
 IN_TWO_PROCESSES = ("-n", "2", "--dist", "loadgroup", "--no-loadscope-reorder", "--max-worker-restart=1")
 """Options of pytest. tests/conftest.py makes the groups and their order. A process that ends is replaced once, because
 pytest-xdist starts the test that ended it again."""
@@ -85,7 +89,7 @@ QUICK = (
 )
 REST = ("-m", "((e2e or docker or ros or slow) and not kubernetes) or sample")
 KUBERNETES = ("-m", "kubernetes")
-UV_CONSTRAINTS = ("--constraints", CONSTRAINTS, "--build-constraints", CONSTRAINTS)
+UV_OPTIONS = ("--compile-bytecode", "--constraints", CONSTRAINTS, "--build-constraints", CONSTRAINTS)
 KEEP_BYTECODE = {"PYTHONDONTWRITEBYTECODE": ""}
 """Variables for the tests. They start hundreds of processes, each of which would compile the sources again."""
 IS_ROOT = os.geteuid() == 0
@@ -206,7 +210,7 @@ def install_project(extras: Sequence[str]) -> str:
     project = ("-e", f"{ROOT}[{','.join(extras)}]")
     pip_install(PYTHON, "uv")
     try:
-        run(PYTHON, "-m", "uv", "pip", "install", "--python", PYTHON, *UV_CONSTRAINTS, *project)
+        run(PYTHON, "-m", "uv", "pip", "install", "--python", PYTHON, *UV_OPTIONS, *project)
     except ProvisioningError:
         pip_install(PYTHON, *project)
     STAMP.write_text(json.dumps(current_stamp(extras)))
@@ -222,7 +226,7 @@ def build_typesupport(packages: Sequence[Path]) -> str:
 
 def compile_kernels(tests: bool) -> str:
     """Compile the Numba kernels that are needed, so that neither the demo nor each process of the tests has to wait."""
-    modules = ["rce.mapping.mappers", *(["rce.planning.planner"] if tests else [])]
+    modules = ["rce.mapping.mappers", *(KERNELS_OF_TESTS if tests else [])]
     run(PYTHON, "-P", "-c", f"import {', '.join(modules)}", environment=KEEP_BYTECODE)
     return f"kernels of {' and '.join(modules)}"
 

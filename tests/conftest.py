@@ -42,6 +42,7 @@ settings.load_profile("tests")
 TESTS = Path(__file__).parent
 KUBERNETES_FIXTURES = {"cluster", "two_nodes"}
 DOCKER_FIXTURES = {"docker_host", "images", "island", "swarm", "one_machine", "stand_in_image"}
+ID_LENGTH = 100  # of a parameter; some are messages of megabytes
 TIMEOUTS = {"docker": 2400, "kubernetes": 900, "e2e": 600}  # seconds; the first with Docker builds the images
 
 
@@ -67,6 +68,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         machine = next((each for each in ("docker", "kubernetes") if conditions[each]), "")
         item.add_marker(pytest.mark.xdist_group(machine or path.as_posix()))
         _limit_time(item)
+
+
+def pytest_make_parametrize_id(val: object) -> str | None:
+    """Name long parameters after their beginnings, since pytest-xdist sends the name of a test several times."""
+    return f"{val[:ID_LENGTH]!r}..." if isinstance(val, str | bytes) and len(val) > ID_LENGTH else None
 
 
 def pytest_collection_finish() -> None:
