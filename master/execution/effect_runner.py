@@ -90,6 +90,8 @@ class EffectRunner:
             log.error("defect while running a plan: {error!r}", error=error)
 
     async def _run_plan(self, sequences: list[Steps]) -> list[Answer]:
+        if len(sequences) == 1:
+            return await self._run_sequence(sequences[0])
         results = await asyncio.gather(*map(self._run_sequence, sequences), return_exceptions=True)
         answers: list[Answer] = []
         for result in results:
@@ -162,8 +164,8 @@ class EffectRunner:
 
     # --- records ------------------------------------------------------------------------------------------------------
 
-    def save(self, by_command: bool = False) -> asyncio.Task[None]:
-        """Begin to store what changed; the task ends when it is safe.
+    def save(self, by_command: bool = False) -> asyncio.Future[None]:
+        """Begin to store what changed; the future resolves when it is safe.
 
         Who waits for something that was removed is woken: without an error if a command removed it on purpose.
         """
@@ -182,7 +184,9 @@ class EffectRunner:
                     self.readiness.release(gone)
                 else:
                     self.readiness.fail(gone, NotFound(f"{gone} was removed before it came up"))
-        return self.keep(asyncio.create_task(self._store.save(state)))
+        saved = self._store.save(state)
+        saved.add_done_callback(_log_error)
+        return saved
 
     async def _revoke_tokens(self, environment: str) -> None:
         if environment not in self.state.environments:  # else it was made again, and its start revokes them
@@ -261,7 +265,7 @@ class EffectRunner:
         await self.save()
 
 
-def _log_error(task: asyncio.Task[Any]) -> None:
+def _log_error(task: asyncio.Future[Any]) -> None:
     if task.cancelled() or (error := task.exception()) is None:
         return
     if isinstance(error, RceError):

@@ -66,6 +66,8 @@ class Readiness:
             RceError: The reason why it never will be ready.
         """
         future = future or self.when_ready(ref)
+        if future.done():
+            return future.result()
         try:
             await asyncio.wait_for(future, seconds)
         except TimeoutError:

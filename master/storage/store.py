@@ -238,11 +238,10 @@ class Store:
             table = kinds[kind]
             table.load(msgspec.json.decode(value, type=table.kind))
 
-    async def save(self, state: State) -> None:
-        """Write what changed in `state`; return when it is stored, whatever changes meanwhile.
+    def save(self, state: State) -> asyncio.Future[None]:
+        """Begin to write what changed in `state`; the future resolves when it is stored, whatever changes meanwhile.
 
-        Raises:
-            DiskFull: There is no room; it is written again with the next change.
+        It fails with DiskFull if there is no room; what changed is written again with the next change.
         """
         for table in state.tables():
             for key in table.changed:
@@ -250,13 +249,17 @@ class Store:
                 value = None if record is None else msgspec.json.encode(record).decode()
                 self._waiting[table.kind.__name__, key] = value
             table.changed.clear()
+        loop = asyncio.get_running_loop()
         if self._waiting and self._batch is None:
-            self._batch = asyncio.get_running_loop().create_future()
+            self._batch = loop.create_future()
         stored = self._batch or self._under_way
-        if self._flush is None or self._flush.done():
-            self._flush = asyncio.create_task(self._write())
+        if self._batch is not None and (self._flush is None or self._flush.done()):
+            self._flush = loop.create_task(self._write())
         if stored is not None:
-            await asyncio.shield(stored)
+            return asyncio.shield(stored)
+        done = loop.create_future()
+        done.set_result(None)
+        return done
 
     async def _write(self) -> None:
         """Write batches, until there is none that somebody waits for."""

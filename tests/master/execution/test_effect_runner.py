@@ -19,6 +19,7 @@ from rce.control.connection import Control
 from rce.errors import DiskFull, InvalidRequest, Lost, NotFound, RceError, StartFailed, Unavailable
 from rce.protocol.messages import ContainerData
 from tests.support.hand_turned import HandTurnedLoop
+from tests.support.master.desk import stored
 
 
 class Process:
@@ -62,8 +63,8 @@ class Tokens:
 class Storage:
     """A store that has nothing to do."""
 
-    async def save(self, state: State) -> None:
-        return None
+    def save(self, state: State) -> asyncio.Future[None]:
+        return stored()
 
 
 class Desk:

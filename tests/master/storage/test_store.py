@@ -112,11 +112,10 @@ async def test_changes_during_a_write_are_written_together(store: Store, monkeyp
 
     def save(tag: str) -> Any:
         state.environments.put(Environment(tag, EnvironmentOptions(), "r", "m"))
-        return asyncio.ensure_future(store.save(state))
+        return store.save(state)
 
     saves = [save("a/1")]
-    await asyncio.sleep(0)  # `save` has taken the first change
-    await asyncio.sleep(0)  # and its write has begun
+    await asyncio.sleep(0)  # its write has begun
     saves += [save("a/2"), save("a/3")]
     await asyncio.gather(*saves)
     assert written == [{"a/1"}, {"a/2", "a/3"}]
@@ -131,7 +130,7 @@ async def test_change_is_acknowledged_while_others_go_on(store: Store, monkeypat
 
     def change() -> None:
         state.environments.put(Environment(f"a/{len(more)}", EnvironmentOptions(), "r", "m"))
-        more.append(asyncio.ensure_future(store.save(state)))
+        more.append(store.save(state))
 
     def endless(connection: sa.Connection, rows: dict[tuple[str, str], str | None]) -> None:
         nonlocal written
@@ -161,7 +160,7 @@ async def test_save_without_a_change_waits_for_the_write_under_way(
 
     monkeypatch.setattr(store_module, "_put", held)
     state = full()
-    first, second = (asyncio.ensure_future(store.save(state)) for _ in range(2))
+    first, second = (store.save(state) for _ in range(2))
     await asyncio.wait([first, second], timeout=0.01)
     assert not second.done()
     go.set()
@@ -177,8 +176,7 @@ async def test_failed_write_does_not_fail_the_next(store: Store, url: str, monke
         put(connection, rows)
 
     monkeypatch.setattr(store_module, "_put", first_fails)
-    first = asyncio.ensure_future(store.save(state))
-    await asyncio.sleep(0)
+    first = store.save(state)
     await asyncio.sleep(0)  # its write has begun
     state.environments.put(Environment("a/late", EnvironmentOptions(), "r", "m"))
     await store.save(state)

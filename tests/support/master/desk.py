@@ -24,12 +24,20 @@ GRACE, ROBOT_GRACE = 30.0, 10.0  # seconds: of machines, and of Robot endpoints 
 T = TypeVar("T")
 
 
+def stored() -> asyncio.Future[None]:
+    """Return a future that has resolved."""
+    future: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+    future.set_result(None)
+    return future
+
+
 class NoStore:
     """Store that keeps nothing."""
 
     async def load(self, state: State) -> None: ...
 
-    async def save(self, state: State) -> None: ...
+    def save(self, state: State) -> asyncio.Future[None]:
+        return stored()
 
     async def run(self, work: Callable[[Any], Any], *, repeatable: bool = False) -> Any: ...
 
