@@ -12,7 +12,7 @@ from collections.abc import Callable
 from twisted.logger import Logger
 
 from master.access.users import Users
-from master.graph import reconcile
+from master.graph import sessions
 from master.graph.effects import Plan, Send
 from master.graph.records import Ref
 from master.graph.state import State
@@ -58,7 +58,7 @@ class Guard:
         for robot in self._state.robots:
             if invalid(robot.by):
                 log.info("robot {robot} is disconnected: {reason}", robot=robot.name, reason=reason)
-                plan += reconcile.robot_dismissed(self._state, robot.name, reason)
+                plan += sessions.robot_dismissed(self._state, robot.name, reason)
         if plan:
             self._apply(plan)
         for mark, (principal, close) in list(self._open.items()):
@@ -153,4 +153,4 @@ class Guard:
         self.cut(lambda principal: principal.user == user, "the user was removed")
         await self._cut_invalid("the API key was revoked")  # keys of others that were made with one of this user
         self._invalidate_caches(user)
-        self._apply(reconcile.user_gone(self._state, user))
+        self._apply(sessions.user_gone(self._state, user))

@@ -8,7 +8,7 @@ from twisted.logger import Logger
 
 from master.execution.effect_runner import EffectRunner, new_id
 from master.execution.lifecycle import Lifecycle
-from master.graph import reconcile
+from master.graph import reconcile, sessions
 from master.graph.effects import Plan
 from master.graph.placement import place
 from master.graph.records import Process, Robot, ref, user_of
@@ -158,14 +158,14 @@ class ProcessTracker:
         self._away.pop(name, None)
         self._state.expected.discard(name)
         self._view_cache.process_moved(name)
-        plan, robots = reconcile.endpoint_gone(self._state, name)
+        plan, robots = sessions.endpoint_gone(self._state, name)
         for robot in robots:
-            plan += reconcile.robot_left(self._state, robot)
+            plan += sessions.robot_left(self._state, robot)
         self._lifecycle.apply(plan)
 
     def _drop_later(self, seconds: float) -> None:
         """Remove robots without an endpoint unless they appear at one within `seconds`."""
-        robots = reconcile.stranded(self._state)
+        robots = sessions.stranded(self._state)
         if robots:
             self._runner.later(seconds, lambda: self._drop(robots))
 
@@ -173,5 +173,5 @@ class ProcessTracker:
         plan: Plan = []
         for robot in robots:
             if self._state.robots.get(robot.name) == robot:  # unchanged: it did not come back meanwhile
-                plan += reconcile.robot_left(self._state, robot.name)
+                plan += sessions.robot_left(self._state, robot.name)
         self._lifecycle.apply(plan)

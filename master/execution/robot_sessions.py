@@ -12,7 +12,7 @@ from master.access.user_limits import UserLimits
 from master.access.users import Users
 from master.execution.effect_runner import EffectRunner, new_id, raise_first_error
 from master.execution.lifecycle import Lifecycle
-from master.graph import reconcile
+from master.graph import sessions
 from master.graph.records import Process, Robot, ref
 from master.live.view_cache import ViewCache
 from rce.api.roles import Principal
@@ -66,7 +66,7 @@ class RobotSessions:
         resume = digest(call.resume) if call.resume else ""
         events = "events" in call.features
         robot = Robot(f"{owner}/{call.robot}", process.name, digest(token), principal, address, events=events)
-        outcome, resumed = reconcile.robot_arrived(self._state, robot, resume, new_id, self._limits.of(owner))
+        outcome, resumed = sessions.robot_arrived(self._state, robot, resume, new_id, self._limits.of(owner))
         saved, running = self._runner.save(), self._runner.run(outcome.plan)
         # A DropRobot of an earlier session of this name may be under way to the endpoint: it must not end this one.
         await self._runner.dispatcher.settled(process.name, ref(robot))
@@ -79,26 +79,26 @@ class RobotSessions:
         except BaseException:  # as a full disk: nobody has the token of a new session, so its name must be free again
             present = self._state.robots.get(robot.name)
             if not resumed and present is not None and present.session == robot.session:
-                self._lifecycle.apply(reconcile.robot_left(self._state, robot.name))
+                self._lifecycle.apply(sessions.robot_left(self._state, robot.name))
             raise
         return LoggedIn(token, resumed)
 
     async def _leave(self, process: Process, call: SessionExpired) -> Nothing:
         robot = self._state.robots.get(call.robot)
         if robot is not None and robot.endpoint == process.name:
-            self._lifecycle.apply(reconcile.robot_left(self._state, call.robot))
+            self._lifecycle.apply(sessions.robot_left(self._state, call.robot))
         return Nothing()
 
     async def _socket_moved(self, process: Process, call: SocketStatus) -> Nothing:
         robot = self._state.robots.get(call.robot)
         if robot is not None and robot.endpoint == process.name:
-            reconcile.socket_moved(self._state, call.robot, call.connected)
+            sessions.socket_moved(self._state, call.robot, call.connected)
             self._view_cache.mark("robots", call.robot)
         return Nothing()
 
     async def disconnect(self, robot: str, reason: str) -> None:
         """End a robot's session; return when its socket is closed, or its Robot endpoint is away."""
-        plan = reconcile.robot_dismissed(self._state, robot, reason)
+        plan = sessions.robot_dismissed(self._state, robot, reason)
         saved = self._runner.save()
         raise_first_error(await asyncio.shield(self._runner.run(plan)))
         await saved

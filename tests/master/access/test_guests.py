@@ -10,7 +10,7 @@ import pytest
 from twisted.internet.base import ReactorBase
 
 from master.access.users import digest
-from master.graph import reconcile
+from master.graph import sessions
 from master.graph.limits import Policy, usage
 from master.graph.records import Robot
 from rce.api.roles import Principal
@@ -109,14 +109,14 @@ def test_items_of_a_guest_are_removed_with_it() -> None:
     fleet.policy = Policy(robots=1, connections=0)
     root = Principal("root", "admin")
     for guest in ("@desk", "@desk2"):
-        reconcile.robot_arrived(fleet.state, Robot(f"ann/{guest}", "west", "s", root), "", fleet.ids, fleet.policy)
+        sessions.robot_arrived(fleet.state, Robot(f"ann/{guest}", "west", "s", root), "", fleet.ids, fleet.policy)
     with pytest.raises(InvalidName):
         fleet.do("ann", interface("brain", "@desk.x", "SubscriberInterface"))
     for guest in ("@desk", "@desk2"):
         fleet.do("ann", interface("brain", f"{guest}.x", "SubscriberInterface"), robot=guest)
         fleet.do("ann", m.AddNode("brain", f"{guest}.shell", "p", "x"), robot=guest)
     fleet.do("ann", interface("brain", "plain", "SubscriberInterface"), robot="@desk")
-    reconcile.robot_left(fleet.state, "ann/@desk")
+    sessions.robot_left(fleet.state, "ann/@desk")
     assert {each.tag for each in fleet.state.interfaces} == {"@desk2.x", "plain"}
     assert {each.tag for each in fleet.state.nodes} == {"@desk2.shell"}
 
@@ -127,7 +127,7 @@ def test_only_own_guests_count_in_limits() -> None:
     root, ann = Principal("root", "admin"), Principal("ann", "user")
 
     def come(guest: str, who: Principal) -> None:
-        reconcile.robot_arrived(fleet.state, Robot(f"ann/{guest}", "west", "s", who), "", fleet.ids, fleet.policy)
+        sessions.robot_arrived(fleet.state, Robot(f"ann/{guest}", "west", "s", who), "", fleet.ids, fleet.policy)
 
     def listen(owner: str, tag: str, guest: str = "") -> None:
         fleet.do("ann", interface(owner, "ear", "PublisherConverter"), robot=guest)

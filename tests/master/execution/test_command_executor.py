@@ -9,7 +9,7 @@ import sqlalchemy as sa
 
 from master.execution import command_executor
 from master.execution.command_executor import COMMAND_TIMEOUT, START_TIMEOUT, START_TOGETHER
-from master.graph import reconcile
+from master.graph import sessions
 from master.graph.records import Parameter, Robot
 from master.service import ASK_TIMEOUT
 from master.storage import store
@@ -85,7 +85,7 @@ def test_environment_that_waits_for_room_starts_after_one_is_destroyed(desk: Des
 
 def test_interface_is_added_although_the_connection_that_waited_for_it_cannot_be_opened(desk: Desk) -> None:
     west, brain = desk.wired()
-    desk.hand.do(lambda: desk.master.process_tracker._lifecycle.apply(reconcile.robot_left(desk.state, "ann/r1")))
+    desk.hand.do(lambda: desk.master.process_tracker._lifecycle.apply(sessions.robot_left(desk.state, "ann/r1")))
     desk.state.robots.put(Robot("ann/r1", "west", "s"))
     west.refuse[OpenLink] = Unavailable("nothing listens there")
     assert desk.do(interface("r1", "pose", "SubscriberConverter")).result() is None

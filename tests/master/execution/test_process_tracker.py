@@ -11,7 +11,7 @@ from master.execution import lifecycle
 from master.execution.effect_runner import new_id
 from master.execution.lifecycle import RETRY_FIRST
 from master.execution.process_tracker import CUT_OFF
-from master.graph import reconcile
+from master.graph import reconcile, sessions
 from master.graph.effects import Plan
 from master.graph.records import Robot
 from master.graph.state import State
@@ -274,9 +274,9 @@ def test_robot_of_an_endpoint_behind_a_cut_line_may_begin_anew_elsewhere(desk: D
     west.leave(silently=True)
     desk.turn(ROBOT_GRACE - 1)
     with pytest.raises(AlreadyExists):
-        desk.hand.do(lambda: reconcile.robot_arrived(desk.state, anew, "", new_id))
+        desk.hand.do(lambda: sessions.robot_arrived(desk.state, anew, "", new_id))
     desk.turn(1)
-    _, resumed = desk.hand.do(lambda: reconcile.robot_arrived(desk.state, anew, "", new_id))
+    _, resumed = desk.hand.do(lambda: sessions.robot_arrived(desk.state, anew, "", new_id))
     assert not resumed
     (sync,) = Peer(desk, Hello("robot", "west", "", "", "1", robots=["ann/r1"])).got(Sync)
     assert sync.robots == [], "so the endpoint ends the session that it has"

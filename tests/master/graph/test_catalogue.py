@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from master.graph import catalogue, reconcile
+from master.graph import catalogue, sessions
 from master.graph.packages import add, named
 from master.graph.records import Version
 from rce.api.views import NewOffer, OfferedNode
@@ -106,7 +106,7 @@ def test_bounds_are_changed_for_shared_instances_only() -> None:
 def test_removed_publisher_takes_services_and_instances_along() -> None:
     fleet, _ = offering()
     fleet.do("bob", m.UseService("ann/parrot"), robot="r1")
-    reconcile.user_gone(fleet.state, "ann")
+    sessions.user_gone(fleet.state, "ann")
     for table in (fleet.state.offers, fleet.state.instances, fleet.state.uses, fleet.state.tallies):
         assert len(table) == 0
     assert fleet.state.interfaces.by("bob/r1") == []

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from master.graph import changes, connections, reconcile
+from master.graph import changes, connections, reconcile, sessions
 from master.graph.effects import Outcome, Plan
 from master.graph.limits import Policy
 from master.graph.records import Interface
@@ -37,7 +37,7 @@ def declare(fleet: Fleet, kind: str = "PublisherConverter", type: str = "std_msg
 
 def away(fleet: Fleet, robot: str = "r2") -> Plan:
     """Let a robot's grace period end, and let it come back in a new session."""
-    plan = reconcile.robot_left(fleet.state, f"ann/{robot}")
+    plan = sessions.robot_left(fleet.state, f"ann/{robot}")
     fleet.robot(f"ann/{robot}")
     return plan
 
@@ -113,7 +113,7 @@ def test_connection_ends_with_the_robot_that_asked_for_it() -> None:
 def test_connection_ends_when_both_robots_left(order: tuple[str, str]) -> None:
     fleet = talking()
     for robot in order:
-        reconcile.robot_left(fleet.state, f"ann/{robot}")
+        sessions.robot_left(fleet.state, f"ann/{robot}")
     assert len(fleet.state.connections) == len(fleet.state.waiting) == 0
 
 
@@ -204,7 +204,7 @@ def test_robot_is_told_when_an_interface_is_removed(remove: Callable[[Fleet], Pl
 @pytest.mark.parametrize("order", [("r1/out", "r2/in"), ("r2/in", "r1/out")])
 def test_connection_that_waits_can_be_disconnected(order: tuple[str, str]) -> None:
     fleet = talking()
-    reconcile.robot_left(fleet.state, "ann/r2")
+    sessions.robot_left(fleet.state, "ann/r2")
     fleet.do("ann", m.Disconnect(*order), robot="r1")
     assert len(fleet.state.waiting) == 0
 
@@ -221,7 +221,7 @@ def test_waiting_connections_are_bounded(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_nothing_of_a_removed_user_waits() -> None:
     fleet = talking(by="")
     away(fleet)
-    reconcile.user_gone(fleet.state, "ann")
+    sessions.user_gone(fleet.state, "ann")
     assert {key for key in everything(fleet.state) if key.key.startswith("ann/")} == set()
 
 

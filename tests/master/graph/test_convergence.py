@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from master.graph import reconcile, wiring
+from master.graph import reconcile, sessions, wiring
 from master.graph.records import Ref, user_of
 from master.graph.state import at
 from rce.errors import RceError
@@ -117,9 +117,9 @@ class Platform(EffectRunner, RuleBasedStateMachine):
     @rule(name=st.sampled_from(WEST_EAST))
     def a_robot_endpoint_stays_away(self, name: str) -> None:
         if name not in self.connected:
-            plan, stranded = reconcile.endpoint_gone(self.state, name)
+            plan, stranded = sessions.endpoint_gone(self.state, name)
             for robot in stranded:
-                plan += reconcile.robot_left(self.state, robot)
+                plan += sessions.robot_left(self.state, robot)
             self.delivery.add(plan)
 
     @rule(data=st.data())
@@ -175,12 +175,12 @@ class Platform(EffectRunner, RuleBasedStateMachine):
         robot = self.state.robots.get(f"{user}/{tag}")
         if robot is not None and robot.endpoint in self.connected:
             self.endpoints[robot.endpoint].robots.discard(robot.name)
-            self.delivery.add(reconcile.robot_left(self.state, robot.name))
+            self.delivery.add(sessions.robot_left(self.state, robot.name))
 
     @rule()
     def stranded_robots_are_given_up(self) -> None:
-        for robot in reconcile.stranded(self.state):
-            self.delivery.add(reconcile.robot_left(self.state, robot.name))
+        for robot in sessions.stranded(self.state):
+            self.delivery.add(sessions.robot_left(self.state, robot.name))
 
     @rule(data=st.data())
     def a_link_is_lost(self, data: st.DataObject) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from master.graph import catalogue, instances, reconcile
+from master.graph import catalogue, instances, sessions
 from master.graph.changes import undo
 from master.graph.limits import Policy
 from master.graph.records import Ref
@@ -131,7 +131,7 @@ def test_robot_that_leaves_takes_its_items_along() -> None:
     assert {key for key in after if key.kind not in ("process", "link", "tally")} == {
         key for key in only_ann if key.kind not in ("process", "link", "tally")
     }
-    reconcile.robot_left(fleet.state, "ann/r1")
+    sessions.robot_left(fleet.state, "ann/r1")
     assert {each.kind for each in everything(fleet.state).keys() - before.keys()} == {
         *("environment", "instance", "node", "process", "tally")
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from master.graph import reconcile, secrets
+from master.graph import secrets, sessions
 from rce.control.calls.endpoints import PutSecrets, Secret, Sync
 from rce.errors import InvalidRequest, LimitExceeded, NotFound
 from rce.protocol import messages as m
@@ -57,6 +57,6 @@ def test_removed_users_leave_none() -> None:
     fleet = furnished()
     for user in ("ann", "bob"):
         secrets.put(fleet.state, user, "a", "sealed", 0)
-    reconcile.user_gone(fleet.state, "ann")
+    sessions.user_gone(fleet.state, "ann")
     secrets.drop_strays(fleet.state, {"ann"})
     assert len(fleet.state.secrets) == 0

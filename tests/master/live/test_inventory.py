@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from master.execution.readiness import Readiness
-from master.graph import reconcile
+from master.graph import reconcile, sessions
 from master.graph.records import Role, ref
 from master.graph.state import State
 from master.live import inventory
@@ -39,7 +39,7 @@ def test_parts_are_counted_by_state() -> None:
     }
     assert (found["rce_robots"][()], found["rce_interfaces_wanted"][()]) == (2, 7)
     assert found["rce_connections"] == {("up",): 2, ("down",): 0}
-    reconcile.endpoint_gone(fleet.state, "west")
+    sessions.endpoint_gone(fleet.state, "west")
     assert counts(fleet.state)["rce_connections"] == {("up",): 0, ("down",): 2}
 
 

@@ -6,7 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from master.execution.readiness import Readiness
-from master.graph import reconcile
+from master.graph import reconcile, sessions
 from master.graph.records import Environment, Record, Robot, ref
 from master.live.presenter import Presenter
 from rce.api.roles import Principal
@@ -46,9 +46,9 @@ def test_robot_is_connected_while_its_socket_and_its_endpoint_are(gallery: Galle
     view = gallery.presenter.robot(robot)
     assert (view.user, view.robotID, view.endpoint, view.interfaces) == ("ann", "r1", "west", 2)
     assert view.state == "connected"
-    reconcile.socket_moved(state, "ann/r1", False)
+    sessions.socket_moved(state, "ann/r1", False)
     assert gallery.presenter.robot(robot).state == "away"
-    reconcile.socket_moved(state, "ann/r1", True)
+    sessions.socket_moved(state, "ann/r1", True)
     reconcile.left(state, "west")
     assert gallery.presenter.robot(robot).state == "away"
 
@@ -147,7 +147,7 @@ def test_connection_shows_its_sides_in_the_direction_of_its_messages(gallery: Ga
 
 
 def test_connection_is_down_while_a_side_is_gone(gallery: Gallery) -> None:
-    reconcile.endpoint_gone(gallery.state, "west")
+    sessions.endpoint_gone(gallery.state, "west")
     assert gallery.presenter.connection(gallery.state.connections[SIDES]).state == "down"
 
 

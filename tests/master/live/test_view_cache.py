@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from master.execution.readiness import Readiness
-from master.graph import reconcile
+from master.graph import reconcile, sessions
 from master.graph.records import Ref
 from master.live.presenter import Presenter
 from master.live.view_cache import KINDS, ViewCache
@@ -135,7 +135,7 @@ def test_last_member_takes_its_group_with_it(cache: Cache) -> None:
 def test_robot_renews_the_count_of_its_endpoint(cache: Cache) -> None:
     cache.fleet.robot("cid/r1")
     assert cache.take() == ({"robots": {"cid/r1"}, "machines": {"west"}}, {})
-    reconcile.robot_left(cache.fleet.state, "cid/r1")
+    sessions.robot_left(cache.fleet.state, "cid/r1")
     assert cache.take() == ({"machines": {"west"}}, {"robots": {"cid/r1"}})
 
 

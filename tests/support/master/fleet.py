@@ -8,7 +8,7 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from master.graph import reconcile
+from master.graph import reconcile, sessions
 from master.graph.commands import CommandContext, execute
 from master.graph.effects import Outcome, Plan, Send
 from master.graph.limits import UNLIMITED
@@ -48,7 +48,7 @@ class Fleet:
         self, name: str, endpoint: str = "west", session: str = "s", resume: str = "", by: str = ""
     ) -> tuple[Outcome, bool]:
         robot = Robot(name, endpoint, session, Principal(by, "user") if by else None)
-        return reconcile.robot_arrived(self.state, robot, resume, self.ids, self.policy)
+        return sessions.robot_arrived(self.state, robot, resume, self.ids, self.policy)
 
 
 def furnished() -> Fleet:
