@@ -11,11 +11,12 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Collection, Coroutine, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from twisted.logger import Logger
 
 from containers.agents.fleet import FleetEngine
+from containers.agents.placements import Placement
 from containers.data_relay import GATE
 from containers.docker.disks import check_size
 from containers.docker.setup import Setup
@@ -58,24 +59,11 @@ LOG_BYTES = 256 * 1024
 
 
 @dataclass
-class _Placement:
-    """A run of an environment; `settled` is done when its agent serves it, or when it cannot start."""
+class _Placement(Placement):
+    """Placement in a pod, None until Kubernetes has reported it."""
 
-    run: str
     pod: Pod | None = None
     furnishing: bool = False
-    settled: asyncio.Future[None] = field(default_factory=lambda: asyncio.get_running_loop().create_future())
-
-    def settle(self, error: RceError | None = None) -> bool:
-        """Settle the placement, with an error if it failed; return False if it was settled before."""
-        if self.settled.done():
-            return False
-        if error is None:
-            self.settled.set_result(None)
-        else:
-            self.settled.set_exception(error)
-            self.settled.exception()  # nobody may wait for it any more
-        return True
 
 
 class KubernetesEngine(FleetEngine):

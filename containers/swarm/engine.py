@@ -13,11 +13,12 @@ from __future__ import annotations
 import asyncio
 import secrets
 from collections.abc import Callable, Collection, Coroutine, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from twisted.logger import Logger
 
 from containers.agents.fleet import FleetEngine
+from containers.agents.placements import Placement
 from containers.data_relay import GATE
 from containers.docker.daemon import RUN, SIZE
 from containers.docker.events import Event
@@ -44,27 +45,11 @@ RECHECK_DELAY = 3.0  # seconds until the manager knows what an agent knew before
 
 
 @dataclass
-class _Placement:
-    """Placement of a run of an environment.
+class _Placement(Placement):
+    """Placement on a node, empty until Swarm has chosen one."""
 
-    `node` is empty until Swarm has chosen one. `settled` is done when the agent serves the environment or reports that
-    it cannot.
-    """
-
-    run: str
     node: str = ""
     last_lines: Sequence[str] = ()
-    settled: asyncio.Future[None] = field(default_factory=lambda: asyncio.get_running_loop().create_future())
-
-    def settle(self, error: RceError | None = None) -> bool:
-        """Settle the placement, with an error if it failed; return False if it was settled before."""
-        if self.settled.done():
-            return False
-        if error is None:
-            self.settled.set_result(None)
-        else:
-            self.settled.set_exception(error)
-        return True
 
 
 class SwarmEngine(FleetEngine):
