@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import ctypes
 import itertools
+import math
 import os
 import resource
 import signal
@@ -146,18 +147,10 @@ async def build_3d(task: Task, platform: Platform) -> None:
     times = _Times()
     recording = open_recording(Path(task.recording), topic=task.options.scan_topic)
     times.end("opening")
-    last_report = 0.0
-
-    def progress(frames: int) -> None:
-        nonlocal last_report
-        if time.monotonic() - last_report > REPORT_INTERVAL:
-            last_report = time.monotonic()
-            send(Report("mapping", frames, recording.frames, times.done))
-
     send(Report("preparing", 0, recording.frames, times.done))
     async with robot_of(task, platform) as robot:
         await remove_environments(robot, task, task.former)
-        _, figures = await map_with([robot], task.name, [recording], Path(task.out), progress)
+        _, figures = await map_with([robot], task.name, [recording], Path(task.out), _Progress(times, recording.frames))
         times.end("mapping")
     send(Report("finishing", figures.frames, figures.frames, times.done, clean=True))
     log(f"{figures.frames} frames mapped")
@@ -186,14 +179,6 @@ async def build(task: Task, platform: Platform) -> None:
     times = _Times()
     recording = open_recording(Path(task.recording), task.options.scan_topic, task.options.odometry_topic)
     times.end("opening")
-    last_report = 0.0
-
-    def progress(scans: int) -> None:
-        nonlocal last_report
-        if time.monotonic() - last_report > REPORT_INTERVAL:
-            last_report = time.monotonic()
-            send(Report("mapping", scans, recording.scans, times.done))
-
     send(Report("preparing", 0, recording.scans, times.done))
     async with robot_of(task, platform) as robot:
         await remove_environments(robot, task, task.former)
@@ -204,7 +189,7 @@ async def build(task: Task, platform: Platform) -> None:
                     {"mapper": options.mapper, "resolution": options.resolution, "max_range": options.max_range}
                 )
                 times.end("preparing")
-                await mapping.drive(recording, progress)
+                await mapping.drive(recording, _Progress(times, recording.scans))
                 result = await mapping.result()
                 times.end("mapping")
             send(Report("writing", result.scans, result.scans, times.done))
@@ -257,6 +242,20 @@ class _Times:
         self.done[stage] = round(now - self._begin, 3)
         self._begin = now
         log(f"{stage}: {self.done[stage]} s")
+
+
+class _Progress:
+    """Reports how far a task has mapped its recording, at most once in REPORT_INTERVAL."""
+
+    def __init__(self, times: _Times, total: int | None) -> None:
+        self._times = times
+        self._total = total
+        self._last = -math.inf
+
+    def __call__(self, done: int) -> None:
+        if time.monotonic() - self._last > REPORT_INTERVAL:
+            self._last = time.monotonic()
+            send(Report("mapping", done, self._total, self._times.done))
 
 
 async def remove_environments(robot: Robot, task: Task, attempts: Sequence[str]) -> None:
