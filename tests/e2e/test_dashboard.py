@@ -187,7 +187,8 @@ async def test_live_map_and_graph_of_a_mapping_robot(browser: Any, platform: Rea
 async def check_administrator_as_guest(browser: Any, platform: RealPlatform) -> None:
     """Check that an administrator sees the user's map, and that the user sees the guest."""
     async with signed_in(browser, platform, user="admin") as page:
-        await page.get_by_label("everybody's").check()
+        await page.get_by_text("You have no robots or environments now.").wait_for()
+        await page.get_by_label("all users").check()
         await page.get_by_role("link", name="Map").click()
         await page.get_by_label("Environment").select_option(f"{USER}/building")
         await page.get_by_role("button", name="Show").click()
@@ -195,7 +196,7 @@ async def check_administrator_as_guest(browser: Any, platform: RealPlatform) -> 
         await page.reload()  # the URL names the user
         await wait_for_trail(page.locator("canvas.map"), 10)
         await page.get_by_role("link", name="Graph").click()
-        await page.get_by_label("everybody's").check()
+        await page.get_by_label("all users").check()
         await page.get_by_text(re.compile(rf"{USER}/@browser_\w+ \({USER}\)")).first.wait_for()
         await visit(page, f"{platform.url}ui/#/environments/{USER}/building")
         await page.get_by_role("cell", name="rce_mapping mapper").wait_for()

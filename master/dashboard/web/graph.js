@@ -84,8 +84,16 @@ class Graph {
       ? `Choose what to connect ${live.interfaces.get(this.#chosen).interfaceTag} with, or press Escape.`
       : [[live.robots, "robot"], [live.environments, "environment"], [live.interfaces, "interface"], [live.connections, "connection"]]
         .map(([all, name]) => `${all.size} ${name}${all.size === 1 ? "" : "s"}`).join(", ");
-    this.#none.textContent = live.complete && total && !cards.size ? "Nothing fits this filter." : "";
+    this.#none.textContent = live.complete && !cards.size ? this.#whyEmpty(total) : "";
     this.paint();
+  }
+
+  /** Return why nothing is shown; other users than administrators see their first steps instead. */
+  #whyEmpty(total) {
+    if (total) return "Nothing fits this filter.";
+    const { live, me } = this.#app;
+    if (live.user === "*") return "No user has robots or environments now.";
+    return me.may("environment.read", "*") ? "You have no robots or environments now. Check “all users” at the top to see those of others." : "";
   }
 
   /** Add what is near the window to the document, and remove the rest. */

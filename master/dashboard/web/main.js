@@ -108,7 +108,7 @@ function drawBar() {
       const path = pattern.source.replace(/^\^|\(.*|\\|\$$/g, "") || "/";
       return h("a", { href: `#${path}${app.live.user === "*" ? "?everybody=yes" : ""}`, "aria-current": pattern.test(here) && "page" }, title);
     })),
-    everybody && h("label.inline.soft", h("input", { type: "checkbox", id: "everybody" }), "everybody's"),
+    everybody && h("label.inline.soft", h("input", { type: "checkbox", id: "everybody" }), "all users"),
     h("span.who", h(`span.pulse${app.live.connected ? ".on" : ""}`, { role: "img",
       "aria-label": app.live.connected ? "live" : "not connected", title: app.live.connected ? "live" : "not connected" }),
     app.me.may("usage.read") ? h("a", { href: `#/users/${app.me.user}` }, app.me.user) : app.me.user, ` (${app.me.role})`, h("button.small", { id: "leave" }, "Sign out")));
