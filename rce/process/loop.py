@@ -7,6 +7,7 @@ name; main functions pass the reactor to the code that needs it.
 from __future__ import annotations
 
 import asyncio
+import gc
 import signal
 from collections.abc import Callable, Coroutine
 
@@ -50,6 +51,7 @@ def run(main: Main, *, quiet: bool = False) -> int:
     """
     logs.start(quiet=quiet)
     Factory.noisy = False
+    gc.freeze()  # what is loaded stays, so full collections are short, and need not wait until more garbage comes together
     loop = uvloop.new_event_loop()
     asyncio.set_event_loop(loop)
     reactor = install(loop)

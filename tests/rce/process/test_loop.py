@@ -55,6 +55,12 @@ def test_records_of_python_logging_are_logged() -> None:
     assert (event["level"], event["from"], event["message"]) == ("warn", "lib", "odd 7")
 
 
+def test_what_is_loaded_is_left_out_of_garbage_collection() -> None:
+    """A full collection runs when a quarter of what is collected is new, so more garbage comes together otherwise."""
+    ended = run("import gc; print(len(gc.get_objects()) < gc.get_freeze_count() / 4)")
+    assert (ended.returncode, ended.stdout) == (0, "True\n"), ended.stderr
+
+
 async def test_main_cleans_up_after_a_signal() -> None:
     body = """
     try:
