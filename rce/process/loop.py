@@ -51,7 +51,7 @@ def run(main: Main, *, quiet: bool = False) -> int:
     """
     logs.start(quiet=quiet)
     Factory.noisy = False
-    gc.freeze()  # what is loaded stays, so full collections are short, and need not wait until more garbage comes together
+    gc.freeze()  # what is loaded stays: full collections are shorter, and less garbage comes together before the next
     loop = uvloop.new_event_loop()
     asyncio.set_event_loop(loop)
     reactor = install(loop)
