@@ -110,7 +110,7 @@ class Master:
             self._runner, self._lifecycle, self.events, self.feed.view_cache, grace, machine_grace
         )
         self.instance_keeper = InstanceKeeper(self._runner, self._lifecycle, self.limits.of)
-        self.removals = Removals(self.state, self.join_tokens, self.process_tracker, self._lifecycle, tls)
+        self.removals = Removals(self.state, self.join_tokens, self.users, self.process_tracker, self._lifecycle, tls)
 
     async def start(self) -> None:
         """Load what an earlier Master stored, and wait for its processes to join again."""

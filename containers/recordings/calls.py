@@ -17,6 +17,7 @@ from rce.control.calls.recordings import (
     RemoveRecording,
 )
 from rce.control.connection import Handlers
+from rce.control.removed_users import RemovedUsers
 
 
 class RecordingCalls:
@@ -24,6 +25,7 @@ class RecordingCalls:
 
     def __init__(self, store: RecordingStore) -> None:
         self._store = store
+        self._removed = RemovedUsers(store.directory / "removed-users", self._forget)
 
     def add_to(self, handlers: Handlers) -> None:
         """Answer the calls with these handlers."""
@@ -32,6 +34,10 @@ class RecordingCalls:
         handlers.on(RemoveRecording, self._remove)
         handlers.on(AnnounceRecording, self._announce)
         handlers.on(AppendRecording, self._append)
+        self._removed.add_to(handlers)
+
+    async def _forget(self, user: str) -> None:
+        await asyncio.to_thread(self._store.forget, user)
 
     async def _list(self, call: ListRecordings) -> Recordings:
         return Recordings(self._store.of(call.user))

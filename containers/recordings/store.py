@@ -81,6 +81,7 @@ class RecordingStore:
             spare: Bytes of the disk that stay free.
             now: The wall clock.
         """
+        self.directory = directory
         self._records = RecordStore(directory, StoredRecording)
         self._spare = spare
         self._now = now
@@ -187,6 +188,13 @@ class RecordingStore:
         """
         with self._lock:
             self._find(user, id)
+            self._drop(id)
+
+    def forget(self, user: str) -> None:
+        """Remove all recordings of a user who was removed; those that go on end. Blocks."""
+        with self._lock:
+            found = [id for id, stored in self._stored.items() if stored.user == user]
+        for id in found:
             self._drop(id)
 
     # --- used by open recordings --------------------------------------------------------------------------------------

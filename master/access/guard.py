@@ -12,7 +12,7 @@ from collections.abc import Callable
 from twisted.logger import Logger
 
 from master.access.users import Users
-from master.graph import sessions
+from master.graph import reconcile, sessions
 from master.graph.effects import Plan, Send
 from master.graph.records import Ref
 from master.graph.state import State
@@ -154,3 +154,5 @@ class Guard:
         await self._cut_invalid("the API key was revoked")  # keys of others that were made with one of this user
         self._invalidate_caches(user)
         self._apply(sessions.user_gone(self._state, user))
+        self._state.removed_users = await self._users.removals()
+        self._apply(reconcile.announce_removed_users(self._state))

@@ -101,11 +101,17 @@ class Users:
         def drop(connection: sa.Connection) -> int:
             _keep_an_admin(connection, name)
             connection.execute(db.limits.delete().where(db.limits.c.user == name))
+            _note_removal(connection, name)
             return connection.execute(db.users.delete().where(db.users.c.name == name)).rowcount
 
         if not await self._store.run(drop):
             raise _unknown(name)
         self._changed(name)
+
+    async def removals(self) -> dict[str, float]:
+        """Return when users were removed, in seconds since 1970; each is later than those before."""
+        query = sa.select(db.removed_users)
+        return await self._store.read(lambda connection: {row.name: row.time for row in connection.execute(query)})
 
     async def change_role(self, name: str, role: UserRole) -> None:
         """Change a user's role, and remove keys and grants that go beyond the new role.
@@ -220,3 +226,10 @@ def _keep_an_admin(connection: sa.Connection, name: str) -> None:
     admins = list(connection.scalars(sa.select(db.users.c.name).where(db.users.c.role == "admin")))
     if admins == [name]:
         raise InvalidRequest(f"{name} is the last administrator: make another first", field="user")
+
+
+def _note_removal(connection: sa.Connection, name: str) -> None:
+    removed = db.removed_users
+    latest = connection.scalar(sa.select(sa.func.max(removed.c.time))) or 0.0
+    connection.execute(removed.delete().where(removed.c.name == name))
+    connection.execute(removed.insert(), {"name": name, "time": max(time.time(), latest + 0.001)})

@@ -12,7 +12,7 @@ from master.graph.changes import (
 )
 from master.graph.effects import MarkReady, Plan, Send
 from master.graph.placement import most_free_slots, place
-from master.graph.records import Environment, Process, Ref, user_of
+from master.graph.records import Environment, Process, Ref, Role, user_of
 from master.graph.sessions import settle_robots
 from master.graph.state import State, at
 from master.graph.translation import interface_spec, node_spec, parameter_spec, recorder_spec
@@ -25,8 +25,10 @@ from master.graph.wiring import (
 )
 from rce.control.calls.endpoints import PutSecrets, Secret, Sync
 from rce.control.calls.environments import KeepEnvironments, SetRelays
-from rce.control.calls.joining import Hello, SetRemovedMachines
+from rce.control.calls.joining import Hello, SetRemovedMachines, SetRemovedUsers
 from rce.errors import NoCapacity, Unavailable
+
+KEEPERS: tuple[Role, ...] = ("container", "service")  # roles of processes that keep things of users
 
 
 def process_of(state: State, hello: Hello) -> Process:
@@ -78,6 +80,8 @@ def joined(state: State, process: Process, hello: Hello, ids: Ids) -> Plan:
     state.expected.discard(process.name)
     if state.removed_machines and process.role in ("robot", "container"):  # those that accept data links
         plan.append([_removed_machines(state, process.name)])
+    if state.removed_users and process.role in KEEPERS:
+        plan.append([_removed_users(state, process.name)])
     if process.role == "container":
         plan += _machine_joined(state, process, hello, ids)
         return plan + resettle(state, ids) + _announce_relays(state, process, relays)
@@ -104,6 +108,16 @@ def announce_removals(state: State) -> Plan:
     """Tell all connected processes that accept data links which machines were removed."""
     processes = [*state.processes.by("robot"), *state.processes.by("container")]
     return [[_removed_machines(state, each.name)] for each in processes if each.name in state.joined]
+
+
+def announce_removed_users(state: State) -> Plan:
+    """Tell all connected processes that keep things of users which users were removed."""
+    processes = [each for role in KEEPERS for each in state.processes.by(role)]
+    return [[_removed_users(state, each.name)] for each in processes if each.name in state.joined]
+
+
+def _removed_users(state: State, process: str) -> Send:
+    return Send(process, SetRemovedUsers(state.removed_users), Ref("removed", "users"))
 
 
 def _removed_machines(state: State, process: str) -> Send:

@@ -230,6 +230,7 @@ class State:
         self.expected: set[str] = set()  # processes that lost it, within their grace period
         self.away: set[str] = set()  # robots without a socket, within their grace period
         self.removed_machines: dict[str, float] = {}  # when machines were removed, in seconds since 1970
+        self.removed_users: dict[str, float] = {}  # when users were removed
 
     def tables(self) -> list[Table[Any]]:
         """Return all tables, in the order of their dependencies."""

@@ -9,7 +9,7 @@ import sqlalchemy as sa
 
 from rce.errors import InvalidRequest
 
-HEAD = "0006"  # the newest revision
+HEAD = "0007"  # the newest revision
 REVISIONS = "alembic_version"  # the table that has the revision of the database
 SCRIPTS = Path(__file__).with_name("migrations")
 

@@ -87,6 +87,13 @@ removed_machines = sa.Table(
     sa.Column("name", sa.String(600), primary_key=True),
     sa.Column("time", sa.Float, nullable=False),
 )
+# When users were removed, in seconds since 1970: processes remove what they keep of them.
+removed_users = sa.Table(
+    "removed_users",
+    tables,
+    sa.Column("name", sa.String(64), primary_key=True),
+    sa.Column("time", sa.Float, nullable=False),
+)
 # Rows are added, and removed when they are too old; none is changed.
 audit = sa.Table(
     "audit",

@@ -267,6 +267,14 @@ class Repository:
 
         await self._remove_files(await self._write(remove))
 
+    async def forget(self, user: str) -> None:
+        """Remove all entries of a user who was removed, and the user from the readers of others."""
+
+        def forget(connection: Connection) -> list[str]:
+            return writing.forget_user(connection, user)
+
+        await self._remove_files(await self._write(forget))
+
     async def remove_version(self, reader: Reader, kind: Kind, uid: str, number: int) -> None:
         """Remove an old version of an entry of the reader; raises as `change`."""
 

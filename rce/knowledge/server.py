@@ -15,6 +15,7 @@ from rce.api.knowledge import PREFIX
 from rce.control.calls.knowledge import AnswerKnowledge
 from rce.control.calls.services import InvalidateAuthentication
 from rce.control.connection import Handlers
+from rce.control.removed_users import RemovedUsers
 from rce.knowledge import openapi
 from rce.knowledge.archive import Archive
 from rce.knowledge.environments import Environments
@@ -72,6 +73,7 @@ class KnowledgeService:
         self._reporting: asyncio.Task[None] | None = None
         self.authenticator = Authenticator(master)
         self.repository = Repository(directory, limits.repository, Texts())
+        self._removed = RemovedUsers(directory / "removed-users", self.repository.forget)
         self.queries = Queries(self.repository, limits.queries)
         self.environments = Environments(self.repository, self.queries)
         application = web.Application(
@@ -101,6 +103,7 @@ class KnowledgeService:
         handlers = Handlers()
         handlers.do(InvalidateAuthentication, lambda call: self.authenticator.invalidate(call.user))
         handlers.on(AnswerKnowledge, self.environments.answer)
+        self._removed.add_to(handlers)
         handlers.serve_metrics("knowledge-service")
         return handlers
 

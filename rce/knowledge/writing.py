@@ -169,6 +169,24 @@ def remove(connection: Connection, row: Row) -> list[str]:
     return _forget(connection, digests)
 
 
+def forget_user(connection: Connection, user: str) -> list[str]:
+    """Remove a user's entries and right to read others; return the digests of files that nothing refers to any more.
+
+    What is noted of changes must not be shown to a later user of the same name.
+    """
+    unused: list[str] = []
+    for row in connection.execute("SELECT * FROM entries WHERE author = ?", (user,)).fetchall():
+        note(connection, row, "removed", user)
+        unused += remove(connection, row)
+    connection.execute("DELETE FROM readers WHERE user = ?", (user,))
+    connection.execute("UPDATE changes SET author = '' WHERE author = ?", (user,))
+    noted = connection.execute("SELECT number, readers FROM changes WHERE readers LIKE ?", (f'%"{user}"%',)).fetchall()
+    for number, readers in noted:
+        others = [each for each in json.loads(readers) if each != user]
+        connection.execute("UPDATE changes SET readers = ? WHERE number = ?", (json.dumps(others), number))
+    return unused
+
+
 def remove_version(connection: Connection, row: Row, number: int) -> list[str]:
     """Remove an old version; return the digests of files that nothing refers to any more.
 

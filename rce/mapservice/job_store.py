@@ -18,6 +18,7 @@ from rce.api.map_jobs import FINAL_STATES, Job
 from rce.errors import NotFound
 from rce.services.record_store import RecordStore
 
+NOBODY = ""  # owner of the jobs of removed users
 RECORDING, RESULTS = "recording", "results"  # in the directory of a job
 
 log = Logger()
@@ -120,6 +121,11 @@ class JobStore:
             log.error("cannot store the state of job {name}: {error}", name=name, error=str(error))
             return False
         return True
+
+    def disown(self, name: str) -> None:
+        """Take a job away from its user, who was removed."""
+        self._jobs[name] = replace(self._jobs[name], user=NOBODY)
+        self._records.put(name, self._jobs[name])
 
     def update_in_memory(self, name: str, **fields: Any) -> None:
         """Change fields of a job that are not needed after a restart."""

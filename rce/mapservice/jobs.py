@@ -26,7 +26,7 @@ from rce.errors import InvalidRequest, LimitExceeded, NoCapacity, NotFound, RceE
 from rce.mapservice.fairness import FairQueue
 from rce.mapservice.inspection import InspectionQueue, Inspector, collect, recording_in
 from rce.mapservice.job_program import Platform, Report, Task
-from rce.mapservice.job_store import JobStore, StoredJob
+from rce.mapservice.job_store import NOBODY, JobStore, StoredJob
 from rce.mapservice.uploads import Uploads
 from rce.process.metrics import Family, Timing, gauge_family
 from rce.services.disk import service_disk_full
@@ -119,6 +119,8 @@ class Jobs:
     def start(self) -> None:
         """Resume the jobs that an earlier process of the service has left."""
         for name, stored in self._store.items():
+            if stored.user == NOBODY:
+                self._in_background(self._remove_ended(name))
             if stored.job.state == "cancelling":
                 self._in_background(self._resume_cancellation(name))
             elif stored.job.state in FINAL_STATES:
@@ -218,6 +220,20 @@ class Jobs:
         """
         if self.get(user, name).state not in FINAL_STATES:
             raise InvalidRequest(f"job {name} is not over: cancel it first", field="job")
+        await self._store.remove(name)
+
+    async def forget(self, user: str) -> None:
+        """Cancel and remove all jobs of a user who was removed; a later user of the same name never sees them."""
+        for name, stored in self._store.items():
+            if stored.user == user:
+                self.cancel(user, name)
+                self._store.disown(name)
+                self._in_background(self._remove_ended(name))
+
+    async def _remove_ended(self, name: str) -> None:
+        """Remove a job of nobody when it is over."""
+        async for _ in self.watch(NOBODY, name):
+            pass
         await self._store.remove(name)
 
     def file(self, user: str, name: str, file: str) -> Path:

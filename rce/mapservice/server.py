@@ -14,6 +14,7 @@ from twisted.logger import Logger
 from rce.api.map_jobs import PREFIX
 from rce.control.calls.services import InvalidateAuthentication
 from rce.control.connection import Handlers
+from rce.control.removed_users import RemovedUsers
 from rce.mapservice import openapi
 from rce.mapservice.job_store import JobStore
 from rce.mapservice.jobs import JobLimits, Jobs, Runner
@@ -69,6 +70,7 @@ class MapService:
         self.uploads = Uploads(directory / "uploads", limits.uploads, store.size)
         self.jobs = Jobs(store, self.uploads, runner, self.authenticator, limits.jobs, entry, trust)
         self._store = store
+        self._removed = RemovedUsers(directory / "removed-users", self._forget)
         application = web.Application(
             middlewares=[audit_middleware(self.authenticator, PREFIX, ACTIONS), problems], client_max_size=MAX_BODY
         )
@@ -95,8 +97,13 @@ class MapService:
         """Return the handlers for the Master's calls."""
         handlers = Handlers()
         handlers.do(InvalidateAuthentication, lambda call: self.authenticator.invalidate(call.user))
+        self._removed.add_to(handlers)
         handlers.serve_metrics("map-service", self.jobs.families)
         return handlers
+
+    async def _forget(self, user: str) -> None:
+        await self.jobs.forget(user)
+        await self.uploads.forget(user)
 
     async def _sweep(self) -> None:
         while True:

@@ -233,6 +233,10 @@ class Uploads:
             await asyncio.wait({writer})
         await self._drop(upload)
 
+    async def forget(self, user: str) -> None:
+        """Remove all uploads of a user who was removed."""
+        await asyncio.gather(*(self.remove(user, upload.id) for upload in self.of(user)))
+
     async def _drop(self, upload: str) -> None:
         self._stored.pop(upload, None)
         await asyncio.to_thread(shutil.rmtree, self._store.path(upload), True)

@@ -45,6 +45,15 @@ class SetRemovedMachines(Call[Nothing], frozen=True):
     machines: dict[str, float]
 
 
+class SetRemovedUsers(Call[Nothing], frozen=True):
+    """Set when users were removed, by the Master's clock: a process removes what it keeps of them, once.
+
+    A later user of the same name must not inherit it.
+    """
+
+    users: dict[str, float]
+
+
 class JoinToken(Struct, frozen=True):
     """One-time join token of the process of this name."""
 

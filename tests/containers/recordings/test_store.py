@@ -131,3 +131,14 @@ def test_announced_upload_counts_in_the_quota(store: RecordingStore) -> None:
     store.announce("ann", "a.mcap", 80, "", RecordingQuota(100))
     with pytest.raises(LimitExceeded):
         store.announce("ann", "b.mcap", 80, "", RecordingQuota(100))
+
+
+def test_recordings_of_a_removed_user_are_removed_and_those_that_go_on_end(store: RecordingStore) -> None:
+    record(store, WHOLE)
+    going_on = store.begin("ann/brain", "box", ANY)
+    kept = store.begin("bob/brain", "box", ANY)
+    store.forget("ann")
+    assert store.of("ann") == []
+    with pytest.raises(NotFound):
+        going_on.write(MAGIC)
+    kept.write(MAGIC)

@@ -21,6 +21,7 @@ from master.graph.state import State
 from master.storage.store import Store
 from rce.api.roles import Principal
 from rce.control.calls.call import Call
+from rce.control.calls.joining import SetRemovedUsers
 from rce.control.calls.robots import DropRobot
 from rce.control.calls.services import InvalidateAuthentication
 from rce.errors import InvalidRequest, NotFound, Unauthorized
@@ -209,3 +210,21 @@ async def test_checks_go_on_after_a_database_failure(place: Place, monkeypatch: 
     monkeypatch.setattr(place.guard, "check_all", fails)
     with pytest.raises(asyncio.CancelledError):
         await place.guard.follow()
+
+
+async def test_processes_are_told_who_was_removed(place: Place) -> None:
+    place.state.processes.put(Process("m1", "container", "1"))
+    place.state.joined.add("m1")
+    await place.guard.remove_user("ann")
+    told = {
+        step.to: step.call.users
+        for plan in place.plans
+        for steps in plan
+        for step in steps
+        if isinstance(step, Send) and isinstance(step.call, SetRemovedUsers)
+    }
+    assert told.keys() == {"maps", "m1"}
+    first = told["maps"]["ann"]
+    await place.users.add("ann", "secret")
+    await place.users.remove("ann")
+    assert (await place.users.removals())["ann"] > first

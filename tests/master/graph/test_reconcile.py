@@ -8,6 +8,7 @@ from master.graph import reconcile, sessions
 from master.graph.records import Role
 from rce.control.calls.endpoints import AddRoute, CloseLink, OpenLink, RemoveRoute, Sync
 from rce.control.calls.environments import KeepEnvironments, SetRelays, StartEnvironment
+from rce.control.calls.joining import SetRemovedUsers
 from rce.protocol import messages as m
 from tests.support.master.fleet import Fleet, calls, everything, furnished, interface, wired
 
@@ -117,3 +118,14 @@ def test_machines_get_the_addresses_of_all_relays() -> None:
     reconcile.left(fleet.state, "m3")
     plan = fleet.join("m3", "container", "2", host="h3", relays={"h3": "m3:1"})
     assert (calls(plan, "m1"), calls(plan, "m3")[-1]) == ([], SetRelays(["m2:1", "m3:1"]))
+
+
+def test_process_that_keeps_things_of_users_is_told_who_was_removed() -> None:
+    fleet = furnished()
+    fleet.state.removed_users = {"eve": 1.0}
+    told = SetRemovedUsers({"eve": 1.0})
+    assert told in calls(fleet.join("maps", "service"), "maps")
+    assert told in calls(fleet.join("m9", "container"), "m9")
+    assert told not in calls(fleet.join("east", "robot"), "east")
+    plan = reconcile.announce_removed_users(fleet.state)
+    assert (calls(plan, "maps"), calls(plan, "m9"), calls(plan, "east")) == ([told], [told], [])

@@ -10,6 +10,7 @@ import pytest
 
 from rce.api.knowledge import EntryChange, Location
 from rce.errors import AlreadyExists, Forbidden, NotFound, Unavailable
+from rce.knowledge.changes import Subscription
 from rce.knowledge.messages import Reading
 from rce.knowledge.names import graph_of
 from rce.knowledge.records import Reader
@@ -108,3 +109,19 @@ async def test_change_of_the_description_keeps_a_text_that_comes_meanwhile(
     assert (await repository.text(ANN, "object", "cup.blue")).text == BED
     graph = graph_of("object", "cup.blue")
     assert b"bed1" in (await repository.triples([graph]))[graph]
+
+
+async def test_later_user_of_the_same_name_inherits_nothing(repository: Repository) -> None:
+    await repository.add("ann", new_entry())
+    await repository.add("bob", new_entry(id="shared"))
+    await repository.change(BOB, "object", "cup.shared", EntryChange(shared=["ann", "eve"]))
+    changes, _ = await repository.changes(ANN, Subscription(), 0)
+    assert {each.uid for each in changes} == {"cup.blue", "cup.shared"}
+    await repository.forget("ann")
+    for uid in ("cup.blue", "cup.shared"):
+        with pytest.raises(NotFound):
+            await repository.entry(ANN, "object", uid)
+    assert (await repository.changes(ANN, Subscription(), 0))[0] == []
+    assert (await repository.entry(BOB, "object", "cup.shared")).shared == ["eve"]
+    assert [each.uid for each in (await repository.changes(Reader("eve"), Subscription(), 0))[0]] == ["cup.shared"]
+    await repository.add("ann", new_entry())

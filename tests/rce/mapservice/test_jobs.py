@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import functools
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -334,3 +335,29 @@ def test_job_starts_again_if_its_end_was_not_stored(bench: Bench, monkeypatch: p
     assert Path(bench.runner.task(job.id).recording).exists()
     bench.finish(job)
     assert bench.job(job).state == "done"
+
+
+@pytest.mark.parametrize("restart", [False, True])
+def test_jobs_and_uploads_of_a_removed_user_are_removed(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, restart: bool
+) -> None:
+    async def at_once(function: Callable[..., None], *arguments: object) -> None:
+        function(*arguments)
+
+    monkeypatch.setattr(asyncio, "to_thread", at_once)
+    over, running_job, queued = (bench.submit("ann") for _ in range(3))
+    bench.finish(over)
+    unused, other = bench.uploads.path(bench.upload("ann")), bench.submit("bob")
+    assert bench.job(running_job).state == "running"
+    bench.loop.begin(bench.jobs.forget("ann"))
+    bench.loop.begin(bench.uploads.forget("ann"))
+    assert bench.jobs.of("ann") == []
+    assert bench.uploads.of("ann") == []
+    if restart:
+        bench.die()
+        bench.start()
+    bench.loop.settle()
+    for job in (over, running_job, queued):
+        assert not (bench.directory / "jobs" / job.id).exists()
+    assert not unused.exists()
+    assert [job.id for job in bench.jobs.of("bob")] == [other.id]
