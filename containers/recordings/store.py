@@ -20,6 +20,7 @@ MAGIC = b"\x89MCAP0\r\n"
 SUFFIX = ".mcap"
 MAX_FILES = 1000  # of one user on one machine
 MAX_NAME = 60  # characters of a tag in the name of a file
+ABANDONED = 24 * 3600.0  # seconds without data after which an upload is removed
 SPARE = 1_000_000_000  # bytes of the disk that stay free
 
 
@@ -134,6 +135,7 @@ class RecordingStore:
         if length < 1:
             raise InvalidRequest(f"{name} is empty", field="Upload-Length")
         stored = StoredRecording(user, name, "uploading", self._now(), length=length, fingerprint=fingerprint[:128])
+        self._drop_abandoned()
         with self._lock:
             self._check(user, length, quota)
         return self._info(self._add(stored))
@@ -175,8 +177,10 @@ class RecordingStore:
         Raises:
             NotFound: The user has no such recording.
         """
-        self._find(user, id)
-        with self.path(id).open("rb") as file:
+        with self._lock:
+            self._find(user, id)
+            file = self.path(id).open("rb")
+        with file:
             file.seek(offset)
             return file.read(min(length, PIECE))
 
@@ -215,6 +219,17 @@ class RecordingStore:
                 self._set_state(id, "complete" if _has_end(self.path(id)) else "cut off")
 
     # ------------------------------------------------------------------------------------------------------------------
+
+    def _drop_abandoned(self) -> None:
+        """Remove the uploads to which nothing was appended for long: they take the room that they have announced."""
+        with self._lock:
+            uploads = [id for id, stored in self._stored.items() if stored.state == "uploading"]
+            old = [id for id in uploads if self._now() - self._last_change(id) > ABANDONED]
+        for id in old:
+            self._drop(id)
+
+    def _last_change(self, id: str) -> float:
+        return max(self._stored[id].created, self.path(id).stat().st_mtime)
 
     def _set_state(self, id: str, state: RecordingState) -> None:
         self._stored[id] = replace(self._stored[id], state=state)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,10 @@ def ros_form(value: ParameterValue) -> RosValue:
     return yaml_text(value)
 
 
+# Characters that YAML does not allow in a file, and line breaks of YAML that are none of JSON (YAML 1.1, section 5).
+_NOT_IN_YAML = re.compile("[\x7f-\x9f\u2028\u2029\ufeff\ufffe\uffff]")
+
+
 def yaml_text(value: Any) -> str:
     """Return a value as YAML with every string quoted, so that it is not read as a bool or a number."""
     if isinstance(value, list):
@@ -49,7 +54,7 @@ def yaml_text(value: Any) -> str:
         return f"{{{', '.join(f'{yaml_text(key)}: {yaml_text(item)}' for key, item in value.items())}}}"
     if isinstance(value, float) and not math.isfinite(value):
         return ".nan" if math.isnan(value) else ".inf" if value > 0 else "-.inf"
-    return json.dumps(value, ensure_ascii=False)
+    return _NOT_IN_YAML.sub(lambda found: f"\\u{ord(found[0]):04x}", json.dumps(value, ensure_ascii=False))
 
 
 class Parameters:

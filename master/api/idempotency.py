@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 from collections import OrderedDict
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from master.api.request import Answer, Call, Handler
@@ -15,6 +16,7 @@ from rce.errors import RceError
 from rce.web.problems import KeyReused, status_of
 
 HEADER = "Idempotency-Key"
+UPLOAD_HEADERS = ("Upload-Length", "Upload-Metadata")
 LIFETIME = 6 * 3600.0  # seconds
 MAX_KEYS = 500  # of one credential; the oldest is evicted
 
@@ -26,9 +28,13 @@ class _Entry(NamedTuple):
 
 
 class IdempotencyCache:
-    """Answers by the credential and the key of the request."""
+    """Answers by the credential and the key of the request.
 
-    def __init__(self) -> None:
+    `removals` has when users were removed: a later user of the same name gets no answer of the former one.
+    """
+
+    def __init__(self, removals: Callable[[], Mapping[str, float]] = dict) -> None:
+        self._removals = removals
         self._entries: dict[str, OrderedDict[str, _Entry]] = {}
 
     async def answer(self, call: Call, handler: Handler) -> Answer:
@@ -48,7 +54,8 @@ class IdempotencyCache:
         assert call.principal is not None
         now = asyncio.get_running_loop().time()
         self._evict(now - LIFETIME)
-        entries = self._entries.setdefault(f"{call.user} {call.principal.key}", OrderedDict())
+        credential = f"{call.user} {self._removals().get(call.user, 0.0)} {call.principal.key}"
+        entries = self._entries.setdefault(credential, OrderedDict())
         present, fingerprint = entries.get(key), _fingerprint(call)
         if present is None:
             task = asyncio.ensure_future(handler(call))
@@ -74,4 +81,6 @@ class IdempotencyCache:
 
 
 def _fingerprint(call: Call) -> bytes:
-    return hashlib.sha256(b"\0".join([call.method.encode(), call.target.encode(), call.content])).digest()
+    """Return a digest of what a request asks for; headers of tus name and measure an upload."""
+    asked = [call.method, call.target, *(f"{name}={call.header(name)}" for name in UPLOAD_HEADERS)]
+    return hashlib.sha256(b"\0".join([*(each.encode() for each in asked), call.content])).digest()

@@ -139,6 +139,8 @@ class PackagesApi:
         call.audit.operation, call.audit.owner, call.audit.names = "package.push", announced.user, [announced.name]
         contents = await upload.check()
         await self._depot.store(upload)
+        if announced.time <= self._master.state.removed_users.get(announced.user, 0.0):
+            raise Unauthorized("the user who announced the upload was removed")
         self._check_quota(announced, 0)
         version = Version(contents.digest, contents.size, contents.packages, 0)
         self._depot.keep(upload)

@@ -30,7 +30,7 @@ from rce.control.calls.recordings import (
     RecordingInfo,
     RemoveRecording,
 )
-from rce.errors import LimitExceeded, NotFound, RceError, TimedOut, Unavailable
+from rce.errors import LimitExceeded, NotFound, RceError, TimedOut, Unauthorized, Unavailable
 from rce.web import tus
 from rce.web.requests import accept_body, body_pieces
 
@@ -107,21 +107,30 @@ class RecordingsApi:
         user = authorize(call, "recording.read", call.query(OwnerQuery).user)
         view = await self._find(call, user)
 
+        revoked: list[str] = []
+
         async def read(offset: int, length: int) -> bytes:
+            _check_credentials(revoked)
             piece = ReadRecording(user, view.recording, offset, min(length, PIECE))
             return (await self._ask(view.machine, piece, PIECE_TIMEOUT)).data
 
-        return Answer(Download(view.name, view.size, read, lambda: self._transfer(user)))
+        return Answer(Download(view.name, view.size, read, lambda: self._transfer(call, user, revoked)))
 
     @contextmanager
-    def _transfer(self, user: str) -> Iterator[None]:
-        """Count a transfer of a user's recording while it lasts; raise LimitExceeded if there are too many."""
+    def _transfer(self, call: Call, user: str, revoked: list[str]) -> Iterator[None]:
+        """Count a transfer of a user's recording while it lasts; raise LimitExceeded if there are too many.
+
+        When the credentials of the call are revoked meanwhile, `revoked` gets the reason.
+        """
         if self._transfers[user] >= TRANSFERS:
             raise LimitExceeded(f"{user} has {TRANSFERS} transfers under way: wait for one to end", limit=TRANSFERS)
         self._transfers[user] += 1
+        assert call.principal is not None  # the routes are not public
+        release = self._master.guard.hold(call.principal, revoked.append)
         try:
             yield
         finally:
+            release()
             self._transfers[user] -= 1
 
     # --- uploads ------------------------------------------------------------------------------------------------------
@@ -157,9 +166,11 @@ class RecordingsApi:
         tus.check_chunk(call.request.content_type)
         offset = tus.number(call.request.headers.get("Upload-Offset"), "Upload-Offset")
         view = await self._find(call, user)
-        with self._transfer(user):
+        revoked: list[str] = []
+        with self._transfer(call, user, revoked):
             await accept_body(call.request)
             async for data in _pieces(call.request):
+                _check_credentials(revoked)
                 change = AppendRecording(user, view.recording, offset, data)
                 view = _view(user, view.machine, await self._ask(view.machine, change, PIECE_TIMEOUT))
                 offset = view.size
@@ -201,6 +212,11 @@ async def _pieces(request: web.BaseRequest) -> AsyncIterator[bytes]:
         pass  # what was received is kept
     if kept:
         yield bytes(kept)
+
+
+def _check_credentials(revoked: list[str]) -> None:
+    if revoked:
+        raise Unauthorized(f"the transfer ends: {revoked[0]}")
 
 
 def _view(user: str, machine: str, info: RecordingInfo) -> RecordingView:

@@ -32,7 +32,7 @@ from master.storage.depot import Depot
 
 def make_api(master: Master, depot: Depot, inviter: Inviter | None = None) -> Api:
     """Return the API of this Master; without an inviter no machines can be invited."""
-    api = Api(master.users, master.audit)
+    api = Api(master.users, master.audit, lambda: master.state.removed_users)
     families = (
         *(UsersApi, KeysApi, AuditApi, RobotsApi, EnvironmentsApi, RecordersApi, RecordingsApi),
         *(InterfacesApi, RosApi, JobsApi, ServicesApi),

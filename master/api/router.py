@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import re
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import parse_qs, unquote
@@ -60,11 +60,11 @@ class Route(NamedTuple):
 class Api:
     """Routes below PREFIX, and some beside it."""
 
-    def __init__(self, users: Users, audit: Audit) -> None:
+    def __init__(self, users: Users, audit: Audit, removals: Callable[[], Mapping[str, float]] = dict) -> None:
         self.routes: list[Route] = []
         self.on_stop: list[Callable[[], Awaitable[None]]] = []
         self._authenticator = Authenticator(users, audit)
-        self._idempotency = IdempotencyCache()
+        self._idempotency = IdempotencyCache(removals)
         self._patterns: list[tuple[re.Pattern[str], Route]] = []
         self._mounted: dict[str, RawHandler] = {}
 

@@ -14,8 +14,10 @@ import hashlib
 import os
 import shutil
 import tempfile
+import time
 from pathlib import Path
 
+import msgspec
 from msgspec import Struct
 from twisted.logger import Logger
 
@@ -39,6 +41,7 @@ class AnnouncedUpload(Struct, frozen=True):
     name: str
     digest: str
     size: int
+    time: float = msgspec.field(default_factory=time.time)  # when it was checked
 
 
 class Upload:

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import hashlib
 import zipfile
 import zlib
@@ -119,8 +120,12 @@ class Archive:
         try:
             with await asyncio.to_thread(open_archive, received.path) as archive:
                 return await self._restore(reader, archive)
-        except (zipfile.BadZipFile, zlib.error, EOFError) as error:
+        except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
             raise InvalidRequest(f"this is not an archive of a repository: {error}") from None
+        except OSError as error:
+            if error.errno != errno.EINVAL:
+                raise
+            raise InvalidRequest("this is not an archive of a repository: its directory is damaged") from None
         finally:
             contents.discard(received)
 

@@ -91,7 +91,7 @@ def _conditions(wanted: Search) -> tuple[list[str], dict[str, object]]:
     if wanted.prefix:
         conditions.append("e.uid >= :prefix AND e.uid < :prefix || char(1114111)")
         parameters["prefix"] = wanted.prefix.lower().replace(" ", "")
-    words = [word.replace('"', "") for word in wanted.text.split()]
+    words = [word.replace('"', "") for word in wanted.text.replace("\0", " ").split()]
     if any(words):
         conditions.append("e.id IN (SELECT rowid FROM words WHERE words MATCH :match)")
         parameters["match"] = " ".join(f'"{word}"*' for word in words if word)

@@ -20,7 +20,7 @@ Text = Annotated[str, Meta(min_length=1)]
 Tag = Annotated[str, Meta(extra_json_schema={"pattern": f"^{TAG.pattern}$", "maxLength": MAX_TAG})]
 TagOrNone = Annotated[str, Meta(extra_json_schema={"pattern": f"^({TAG.pattern})?$", "maxLength": MAX_TAG})]
 InterfaceTag = Annotated[str, Meta(extra_json_schema={"pattern": f"^{TAG.pattern}/{TAG.pattern}$"})]
-TypeText = Annotated[str, Meta(extra_json_schema={"pattern": f"^{TYPE.pattern}$"})]
+TypeText = Annotated[str, Meta(max_length=MAX_TAG, extra_json_schema={"pattern": f"^{TYPE.pattern}$"})]
 
 
 def check_tag(tag: str, what: str) -> str:
@@ -104,7 +104,7 @@ def parse_type(text: str) -> TypeName:
     Raises:
         InvalidRequest: The text is not the name of a type.
     """
-    match = TYPE.fullmatch(text)
+    match = TYPE.fullmatch(text) if len(text) <= MAX_TAG else None
     if not match:
         raise InvalidRequest(f"className {text[:80]!r} is not a ROS type: write it as pkg/Name", field="className")
     return TypeName(match[1], match[3])

@@ -14,7 +14,7 @@ from rce.bag.playback import PlaybackState, Status
 from rce.errors import InvalidRequest
 from rce.protocol.blobs import BinaryFrame, Buffer
 
-Id = int
+Id = Annotated[int, Meta(ge=0, le=2**32 - 1)]  # it is sent back as 32 bits
 Many = Meta(max_length=10_000)  # items of one message
 MESSAGE, SERVICE, PLAYBACK = 1, 2, 3  # opcodes of clients
 MESSAGE_DATA, TIME, SERVICE_RESPONSE, ASSET, PLAYBACK_STATE = 1, 2, 3, 4, 5  # opcodes of the server

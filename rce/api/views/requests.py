@@ -15,7 +15,7 @@ from rce.protocol.messages import (
     ParameterValue,
     Qos,
 )
-from rce.protocol.messages.commands import Amount, Seconds, Topics
+from rce.protocol.messages.commands import Address, Amount, Seconds, Topics
 from rce.protocol.names import InterfaceTag, Tag, TagOrNone, Text, TypeText
 
 
@@ -65,7 +65,7 @@ class NewInterface(Struct, frozen=True, forbid_unknown_fields=True):
     interfaceTag: Tag
     interfaceType: InterfaceType
     className: TypeText
-    addr: str = ""
+    addr: Address = ""
     qos: Qos = Qos()
     format: Format = "png"
     delivery: Delivery = Delivery()

@@ -17,6 +17,7 @@ Amount = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Name = Annotated[str, Meta(min_length=1, max_length=255)]
 Short = Annotated[str, Meta(max_length=255)]
 # In Python, `$` alone also matches before a newline at the end.
+Address = Annotated[str, Meta(max_length=255, pattern=r"^[^\x00]*$")]
 VariableName = Annotated[str, Meta(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$(?!\n)", max_length=255)]
 VariableOrNone = Annotated[str, Meta(pattern=r"^([A-Za-z_][A-Za-z0-9_]*)?$(?!\n)", max_length=255)]
 SecretName = Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]*$(?!\n)", max_length=255)]
@@ -206,7 +207,7 @@ class AddInterface(Struct, frozen=True):
     interfaceTag: str
     interfaceType: str
     className: Short
-    addr: Short = ""
+    addr: Address = ""
     qos: Qos = Qos()
     format: Format = "png"
     delivery: Delivery = Delivery()
@@ -259,7 +260,7 @@ class DeleteParameter(Struct, frozen=True):
     nodeTag: str = ""
 
 
-TopicName = Annotated[str, Meta(min_length=1, max_length=255, pattern=r"^[^\x00]*$")]
+TopicName = Annotated[str, Meta(min_length=1, max_length=255, pattern=r"^[^\x00\s]*$(?!\n)")]
 Topics = Annotated[list[TopicName], Meta(max_length=100)]
 Seconds = Annotated[float, Meta(ge=0, le=1e9)]
 

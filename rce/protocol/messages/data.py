@@ -37,4 +37,4 @@ class DataMessage(Struct, frozen=True, omit_defaults=True):
     status: GoalStatus = ""
     ifLost: Literal["leave", "cancel"] = "leave"
     stream: Annotated[str, Meta(max_length=MAX_STREAM)] = ""
-    number: int = 0
+    number: Annotated[int, Meta(ge=0)] = 0

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -142,3 +144,40 @@ def test_recordings_of_a_removed_user_are_removed_and_those_that_go_on_end(store
     with pytest.raises(NotFound):
         going_on.write(MAGIC)
     kept.write(MAGIC)
+
+
+def test_upload_to_which_nothing_is_appended_is_removed_after_a_day(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would take the room that it announced from others for ever."""
+    free = module.SPARE + 1000
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(free, 0, free))  # type: ignore[attr-defined]
+    now = time.time()
+    store = RecordingStore(tmp_path, now=lambda: now)
+    store.announce("ann", "a.mcap", 900, "", ANY)
+    with pytest.raises(DiskFull):
+        store.announce("bob", "b.mcap", 900, "", ANY)
+    now += module.ABANDONED + 1
+    store.announce("bob", "b.mcap", 900, "", ANY)
+    assert store.of("ann") == []
+
+
+def test_recording_is_not_removed_while_it_is_opened_to_be_read(
+    store: RecordingStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    id, path = record(store, WHOLE), store.path
+    removals: list[threading.Thread] = []
+
+    def path_while_removed(id: str) -> Path:
+        found = path(id)
+        if not removals:
+            removals.append(threading.Thread(target=store.remove, args=("ann", id)))
+            removals[0].start()
+            removals[0].join(0.05)  # it waits until the file is open
+        return found
+
+    monkeypatch.setattr(store, "path", path_while_removed)
+    assert store.read("ann", id, 8, 7) == b"content"
+    removals[0].join()
+    with pytest.raises(NotFound):
+        store.read("ann", id, 8, 7)

@@ -20,6 +20,7 @@ VALUES: dict[str, ParameterValue] = {
     "counts": [1, 2],
     "ratios": [1.0, 2.5],
     "words": ["1", "null"],
+    "characters": ["\ufffe", "a\x85b\u2028c\u2029d", "\ufeff", "\x9f", "\U0001f600"],
     "deep.name": 1,
 }
 

@@ -67,6 +67,14 @@ async def test_key_is_for_one_request() -> None:
     assert handler.calls == 1
 
 
+async def test_later_user_of_the_same_name_gets_no_answer_of_the_former_one() -> None:
+    removals: dict[str, float] = {}
+    cache, handler = IdempotencyCache(lambda: removals), Handler()
+    assert (await cache.answer(post(), handler)).status == 201
+    removals["ann"] = 1.0
+    assert [(await cache.answer(post(), handler)).status for _ in range(2)] == [202, 202]
+
+
 async def test_key_is_of_one_credential() -> None:
     cache, handler = IdempotencyCache(), Handler()
     for principal in (ANN, Principal("bob", "user"), Principal("ann", "user", "k1"), Principal("ann", "user", "k2")):

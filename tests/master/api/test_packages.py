@@ -122,6 +122,17 @@ async def test_upload_ticket_is_valid_once(platform: PackagePlatform) -> None:
     assert platform.stored() == {hashlib.sha256(content).hexdigest()}
 
 
+async def test_upload_that_a_removed_user_announced_is_refused(platform: PackagePlatform) -> None:
+    content = packed(platform)
+    token = client.bearer(await announce(platform, content))
+    master = platform.master
+    await master.guard.remove_user("ann")
+    await master.users.add("ann", PASSWORD)
+    assert (await platform.raw("PUT", "/api/v1/uploads", content, token))[0] == 401
+    assert platform.stored() == set()
+    assert await names(platform, "ann") == set()
+
+
 async def test_digest_alone_does_not_give_an_archive(platform: PackagePlatform) -> None:
     contents = await platform.do("ann", lambda packages: packages.push("tool", platform.entries()))
     body = {"name": "mine", "digest": contents.digest, "size": contents.size}

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import base64
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -130,3 +132,30 @@ async def test_upload_goes_to_the_first_machine_with_room(
     full._spare = 10**18
     _, _, headers = await ask(served, "POST", "/recordings", **announcement())
     assert headers["Location"].startswith("/api/v1/recordings/m1/")
+
+
+async def test_upload_ends_when_its_credentials_are_revoked(served: Served, store: RecordingStore) -> None:
+    _, _, headers = await ask(served, "POST", "/recordings", **announcement())
+    place, begin = headers["Location"], 2 * PIECE
+
+    async def body() -> AsyncIterator[bytes]:
+        yield CONTENT[:begin]
+        while not store.of("ann")[0].size:  # noqa: ASYNC110
+            await asyncio.sleep(0.001)
+        await served.master.guard.change_password("ann", "another long password")
+        yield CONTENT[begin:]
+
+    async with (
+        aiohttp.ClientSession(served.url, headers=basic("ann", PASSWORD)) as session,
+        session.patch(place, data=body(), headers={**CHUNK, "Upload-Offset": "0"}) as answer,
+    ):
+        assert answer.status == 401
+    assert store.of("ann")[0].state == "uploading"
+
+
+async def test_key_of_an_announcement_is_for_one_file(served: Served, store: RecordingStore) -> None:
+    key = {"Idempotency-Key": "k"}
+    assert [(await ask(served, "POST", "/recordings", **announcement(), **key))[0] for _ in range(2)] == [201, 201]
+    assert len(store.of("ann")) == 1
+    assert (await ask(served, "POST", "/recordings", **announcement(length=10), **key))[0] == 409
+    assert (await ask(served, "POST", "/recordings", **announcement("other.mcap"), **key))[0] == 409

@@ -185,3 +185,15 @@ async def test_reader_has_one_export_at_a_time_and_none_on_a_full_disk(
     assert (await service.request("GET", "/archive")).status == 503
     monkeypatch.undo()
     assert (await service.request("GET", "/archive")).status == 200
+
+
+@pytest.mark.parametrize(
+    ("offset", "value"),
+    [(6, 64), (8, 32), (46, 255)],  # version needed, patched data, place of the member
+)
+async def test_archive_with_a_damaged_directory_is_refused(service: Service, offset: int, value: int) -> None:
+    content = bytearray(await exported(service))
+    directory = content.index(b"PK\1\2")
+    content[directory + (offset if offset < 46 else 45)] = value
+    answer = await service.request("POST", "/archive", data=bytes(content))
+    assert answer.status == 400, await answer.text()

@@ -44,6 +44,8 @@ async def test_words_of_labels_names_and_descriptions_are_found(filled: Reposito
     for text in ("blue", "BLUE cup", "espr", "cup1"):
         assert await found(filled, text=text) == ["cup.blue"], text
     assert await found(filled, text='green" OR "') == []
+    assert await found(filled, text="\0") == await found(filled)
+    assert await found(filled, text="blue\0cup") == ["cup.blue"]
     assert await found(filled, text="espresso bed") == []
 
 

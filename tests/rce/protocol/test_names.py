@@ -28,7 +28,8 @@ def test_all_spellings_of_a_type_are_equal(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "String", "/String", "a/", "a/b/c", "a/action/", "a/msg/", "a/msg/B/c", "a/B\n", "1a/B"]
+    "text",
+    ["", "String", "/String", "a/", "a/b/c", "a/action/", "a/msg/", "a/msg/B/c", "a/B\n", "1a/B", "a/" + "B" * 254],
 )
 def test_malformed_types_are_refused(text: str) -> None:
     with pytest.raises(InvalidRequest) as raised:

@@ -49,7 +49,15 @@ def test_binary_message_that_is_malformed_is_refused(payload: bytes) -> None:
         messages.decode_binary(payload)
 
 
-@pytest.mark.parametrize("payload", [b"", b"{}", b'{"op":"dance"}', b'{"op":"subscribe"}', b"[" * 100_000, b"\xff"])
+@pytest.mark.parametrize(
+    "payload",
+    [
+        *(b"", b"{}", b'{"op":"dance"}', b'{"op":"subscribe"}', b"[" * 100_000, b"\xff"),
+        b'{"op":"subscribe","subscriptions":[{"id":4294967296,"channelId":1}]}',
+        b'{"op":"subscribe","subscriptions":[{"id":-1,"channelId":1}]}',
+        b'{"op":"fetchAsset","uri":"package://a/b","requestId":4294967296}',
+    ],
+)
 def test_text_that_is_no_message_is_refused(payload: bytes) -> None:
     with pytest.raises(InvalidRequest, match="Foxglove protocol"):
         messages.decode(payload)

@@ -39,6 +39,8 @@ def test_defaults_apply_and_unknown_keys_are_ignored() -> None:
         (m.AddNode, '{"containerTag":"a","nodeTag":"b","pkg":"c","exe":"d","args":"x\\u0000"}', "args"),
         (m.AddNode, json.dumps({"containerTag": "a", "nodeTag": "b", "pkg": "c", "exe": "d", "args": "x" * 32_769}), "args"),
         (m.AddInterface, '{"endpointTag":"a","interfaceTag":"b","interfaceType":"c","className":"d","qos":{"depth":-1}}', "qos.depth"),
+        (m.AddInterface, '{"endpointTag":"a","interfaceTag":"b","interfaceType":"c","className":"d","addr":"/a\\u0000"}', "addr"),
+        (m.AddRecorder, '{"containerTag":"a","recorderTag":"b","topics":["/a b"]}', "topics[0]"),
         (m.SetParameter, '{"containerTag":"a","name":"","value":1}', "name"),
         (m.SetParameter, '{"containerTag":"a","name":"a\\u0000b","value":1}', "name"),
         (m.SetParameter, json.dumps({"containerTag": "a", "name": "n" * 256, "value": 1}), "name"),
