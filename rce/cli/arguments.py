@@ -69,12 +69,17 @@ OF_USER_OR_ALL = argument(
 )
 ENVIRONMENT = argument("environment", completion="environment", metavar="ENV", help="its containerTag")
 
-_USER = argument("--user", default=DEV_USER, help="(default: %(default)s)")
+_CONTEXT = argument(
+    "--context", completion="context", default="", metavar="NAME", help="a platform you are signed in to"
+)
+_USER = argument(
+    "--user", default="", metavar="NAME", help=f"(default: as you are signed in, else {DEV_USER} on this machine)"
+)
 _PASSWORD = argument("--password", default=None, help="safer: set RCE_PASSWORD or RCE_KEY in the environment")
 
 SIGNED_IN = PlatformOptions(
     (
-        argument("--context", completion="context", default="", metavar="NAME", help="a platform you are signed in to"),
+        _CONTEXT,
         argument("--url", default="", help="entry of a platform, http://host:9000/, with RCE_KEY or RCE_PASSWORD"),
         argument("--user", default="", metavar="NAME", help="your user name there, with --url"),
     ),
@@ -84,6 +89,7 @@ SIGNED_IN = PlatformOptions(
 
 RUNNING = PlatformOptions(
     (
+        _CONTEXT,
         argument("--url", default="", help=f"its entry (default: the current context, else {LOCAL_URL})"),
         _USER,
         _PASSWORD,

@@ -12,12 +12,14 @@ import os
 import secrets
 from pathlib import Path
 from typing import NamedTuple
+from urllib.parse import urlsplit
 
 import msgspec
 from msgspec import Struct
 
 from rce.cli.arguments import DEV_USER, LOCAL_URL
 from rce.errors import MALFORMED, InvalidRequest, NotFound, Unauthorized
+from rce.net.loopback import is_loopback
 
 SIGN_IN = "sign in with `rce login URL`, or name the entry with --url and set RCE_KEY or RCE_PASSWORD"
 
@@ -122,10 +124,15 @@ def _access_at(url: str, user: str) -> Access:
         return Access(url, user, None, key)
     if password:
         raise Unauthorized("RCE_PASSWORD is set without a user: give --user or set RCE_USER", field="user")
-    for context in load().contexts.values():
-        if context.url.rstrip("/") == url.rstrip("/") and user in ("", context.user):
-            return Access(url, context.user, None, context.key)
-    raise Unauthorized(f"no credentials for {url}: {SIGN_IN}")
+    for context in _contexts_at(url, user):
+        return Access(url, context.user, None, context.key)
+    raise Unauthorized(f"no credentials {f'of user {user} ' if user else ''}for {url}: {SIGN_IN}")
+
+
+def _contexts_at(url: str, user: str) -> list[Context]:
+    """Return the contexts of a platform, of a user if one is given."""
+    found = [each for each in load().contexts.values() if each.url.rstrip("/") == url.rstrip("/")]
+    return [each for each in found if user in ("", each.user)]
 
 
 def running_platform(args: argparse.Namespace) -> Access:
@@ -133,13 +140,23 @@ def running_platform(args: argparse.Namespace) -> Access:
 
     RCE_URL and RCE_USER stand for the options. Without a URL and credentials it is the platform that the user is signed
     in to, else one of development on this machine.
+
+    Raises:
+        Unauthorized: There are no credentials for the platform, or a password without a user.
+        NotFound: There is no context of this name.
     """
+    if context := getattr(args, "context", ""):
+        return access(context=context)
     url = args.url or os.environ.get("RCE_URL", "")
-    user = os.environ.get("RCE_USER") or DEV_USER if args.user == DEV_USER else args.user
+    user = args.user or os.environ.get("RCE_USER", "")
     password = args.password or os.environ.get("RCE_PASSWORD")
     key = None if password else os.environ.get("RCE_KEY")
-    if password is None and key is None and user == DEV_USER:
+    local = is_loopback(urlsplit(url or LOCAL_URL).hostname or "")
+    if key or (password and (user or local)):
+        return Access(url or LOCAL_URL, user or DEV_USER, password, key)
+    if not password and user in ("", DEV_USER):
         if not url and (os.environ.get("RCE_CONTEXT") or load().current):
             return access()
-        password = DEV_USER
-    return Access(url or LOCAL_URL, user, password, key)
+        if local and not _contexts_at(url, user):
+            return Access(url or LOCAL_URL, DEV_USER, DEV_USER, None)
+    return _access_at(url or LOCAL_URL, user)

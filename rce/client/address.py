@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-import ipaddress
 import logging
 import socket
 import ssl
@@ -33,6 +32,7 @@ from rce.errors import (
     Unauthorized,
     Unavailable,
 )
+from rce.net.loopback import is_loopback
 from rce.protocol.assembler import AssemblyLimits
 from rce.protocol.blobs import PART
 from rce.protocol.messages import CURRENT_VERSION, FEATURES
@@ -126,7 +126,7 @@ class Address:
             ) from None
 
     def _get(self, entry: str, url: str) -> bytes:
-        proxy = urllib.request.ProxyHandler({} if _is_loopback(url) else None)
+        proxy = urllib.request.ProxyHandler({} if _is_local(url) else None)
         opener = urllib.request.build_opener(proxy, urllib.request.HTTPSHandler(context=self.ssl))
         try:
             with opener.open(url, timeout=OPEN_TIMEOUT) as response:
@@ -171,7 +171,7 @@ class Address:
                 uri,
                 ssl=(self.ssl or True) if parts.scheme == "wss" else None,
                 subprotocols=subprotocols,
-                proxy=None if _is_loopback(endpoint) else True,
+                proxy=None if _is_local(endpoint) else True,
                 compression=None,
                 open_timeout=OPEN_TIMEOUT,
                 max_size=AssemblyLimits().message * 2,
@@ -207,7 +207,7 @@ class Address:
         parts = urlsplit(endpoint)
         uri = urlunsplit((parts.scheme, parts.netloc, parts.path or "/", urlencode(query), ""))
         try:
-            sock = None if not _is_loopback(endpoint) and has_proxy(uri) else await dial(uri, OPEN_TIMEOUT)
+            sock = None if not _is_local(endpoint) and has_proxy(uri) else await dial(uri, OPEN_TIMEOUT)
             connection = await connect(
                 uri,
                 ssl=(self.ssl or True) if parts.scheme == "wss" else None,
@@ -242,12 +242,8 @@ def password_digest(password: str) -> str:
     return hashlib.sha256(password.encode()).hexdigest()
 
 
-def _is_loopback(url: str) -> bool:
-    host = urlsplit(url).hostname or ""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
+def _is_local(url: str) -> bool:
+    return is_loopback(urlsplit(url).hostname or "")
 
 
 def _error_of_status(status: int, reason: str) -> RceError:

@@ -16,11 +16,11 @@ import logging
 import re
 import ssl
 from collections.abc import Callable, Mapping
-from ipaddress import ip_address
 from pathlib import Path
 from typing import Any, cast
 
 from rce.errors import InvalidRequest
+from rce.net.loopback import is_loopback
 
 CA, CERTIFICATE, KEY = "ca.pem", "cert.pem", "key.pem"  # the files of a machine's directory
 
@@ -138,7 +138,7 @@ def public_tls_context(certificate: str, private_key: str = "") -> ssl.SSLContex
 
 def is_exposed(host: str, tls: Tls | None) -> bool:
     """Return True if traffic to `host` is neither encrypted nor local; the caller then logs PLAINTEXT_WARNING."""
-    return tls is None and not _is_loopback(host)
+    return tls is None and not is_loopback(host)
 
 
 def listening_address(description: str) -> str:
@@ -147,10 +147,3 @@ def listening_address(description: str) -> str:
         return "localhost"
     found = _INTERFACE.search(description)
     return re.sub(r"\\(.)", r"\1", found[1]) if found else ""
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return host == "localhost" or ip_address(host).is_loopback
-    except ValueError:
-        return False

@@ -14,7 +14,6 @@ import secrets
 import signal
 import sys
 from collections.abc import Awaitable, Callable, Iterable
-from ipaddress import ip_address
 from pathlib import Path
 from typing import IO, Annotated, Literal
 
@@ -22,6 +21,7 @@ from msgspec import Meta, Struct
 
 from rce.errors import InvalidRequest
 from rce.net.listener import bind
+from rce.net.loopback import is_loopback
 from rce.process import programs
 from rce.process.ready import Ready
 from rce.process.supervisor import ManagedProcess
@@ -111,7 +111,7 @@ def check_isolation(settings: Settings) -> None:
     Raises:
         InvalidRequest: Users from elsewhere could run programs as this user, or any user as root.
     """
-    if settings.dev and not _is_loopback(settings.host):
+    if settings.dev and not is_loopback(settings.host):
         raise InvalidRequest(
             f"--dev creates users whose passwords everybody knows, so it serves this machine only, and {settings.host} "
             "is not a loopback address: leave out --host, or --dev",
@@ -125,7 +125,7 @@ def check_isolation(settings: Settings) -> None:
             "docker, or --allow-root, as in a container of your own",
             field="allow_root",
         )
-    if settings.allow_unisolated or _is_loopback(settings.host):
+    if settings.allow_unisolated or is_loopback(settings.host):
         return
     raise InvalidRequest(
         f"the process engine runs users' programs as this user ({_user()}), so it serves this machine only, and "
@@ -139,13 +139,6 @@ def isolation(engine: str) -> str:
     if engine == "process":
         return f"the process engine does not isolate: nodes of all users run as {_user()} on this machine"
     return f"the {engine} engine isolates: each environment is a container without network and privileges"
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return host == "localhost" or ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def _user() -> str:

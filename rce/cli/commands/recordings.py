@@ -12,6 +12,7 @@ from rce.cli import output
 from rce.cli.arguments import ENVIRONMENT, JSON, OF_USER, argument
 from rce.cli.command import Command, Group
 from rce.cli.session import ConsoleSession
+from rce.errors import AlreadyExists
 
 if TYPE_CHECKING:
     from rce.client.recordings import RecordingsClient
@@ -80,6 +81,8 @@ def _bag_get(session: ConsoleSession, args: argparse.Namespace) -> None:
     client = _client(session)
     found = client.get(args.recording, args.of)
     path = args.out or Path(found.name)
+    if path.exists():
+        raise AlreadyExists(f"{path} exists: give another file with --out, or remove it", field="out")
     client.fetch(args.recording, path, args.of)
     print(f"{output.size_text(path.stat().st_size)} in {path}")
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import NamedTuple
+
+from msgspec.structs import replace
 
 from rce.api import views
 from rce.cli import output
@@ -12,6 +15,7 @@ from rce.cli.command import Command, Group, Lazy
 from rce.cli.commands.data import list_ros_services
 from rce.cli.session import ConsoleSession
 from rce.errors import InvalidRequest
+from rce.protocol.messages import Qos
 
 GROUP = Group(
     "service",
@@ -36,6 +40,32 @@ INSTANCES: output.Columns[views.InstanceView] = {
     "state": lambda each: each.state if each.current else f"{each.state}, outdated",
     "robots": lambda each: each.robots,
 }
+
+
+class Port(NamedTuple):
+    """Topic, ROS service or action of a service, and what it is for robots."""
+
+    kind: str
+    name: str
+    port: views.OfferedPort
+
+
+PORTS: output.Columns[Port] = {
+    "robots": lambda each: each.kind,
+    "name": lambda each: each.name,
+    "type": lambda each: each.port.type,
+    "address": lambda each: each.port.address or each.name,
+    "qos": lambda each: each.port.qos if each.port.qos != Qos() else "",
+}
+
+
+def _ports(service: views.NewOffer) -> list[Port]:
+    kinds = {"send": service.takes, "receive": service.gives, "call": service.services, "send goals": service.actions}
+    return [
+        Port(kind, name, views.OfferedPort(port) if isinstance(port, str) else port)
+        for kind, ports in kinds.items()
+        for name, port in ports.items()
+    ]
 
 
 def reference(offer: views.OfferView) -> str:
@@ -67,7 +97,10 @@ def _show(session: ConsoleSession, args: argparse.Namespace) -> None:
     if args.json:
         output.print_record(offer, as_json=True)
         return
-    output.print_record(offer.service)
+    output.print_record(replace(offer.service, takes={}, gives={}, services={}, actions={}))
+    if ports := _ports(offer.service):
+        print()
+        output.print_table(ports, PORTS)
     for user, uses in sorted(offer.uses.items()):
         print(f"used by {user}: {uses} times")
     if offer.instances:

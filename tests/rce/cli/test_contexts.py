@@ -42,6 +42,9 @@ SIGNED_IN_HOME = Access(HOME.url, "ann", None, "rce_home")
 SIGNED_IN_WORK = Access(WORK.url, "bob", None, "rce_work")
 
 
+OTHER_PORT = "http://127.0.0.1:9001/"
+
+
 @pytest.fixture
 def two_contexts(no_context: Path) -> Path:
     contexts.save(Contexts("home", {"home": HOME, "work": WORK}))
@@ -123,7 +126,7 @@ def test_options_come_before_variables_before_contexts(
 
 @pytest.mark.parametrize("options", [{"url": "http://other/"}, {"url": "https://work:9000/", "user": "ann"}])
 def test_key_of_another_platform_or_user_is_not_used(options: dict[str, str], two_contexts: Path) -> None:
-    with pytest.raises(Unauthorized, match="no credentials for"):
+    with pytest.raises(Unauthorized, match=r"no credentials (of user ann )?for"):
         contexts.access(**options)
 
 
@@ -137,19 +140,20 @@ def test_password_without_a_user_is_refused(two_contexts: Path, monkeypatch: pyt
     ("given", "variables", "expected"),
     [
         ({}, {}, SIGNED_IN_HOME),
-        ({"url": "http://a/"}, {}, Access("http://a/", DEV_USER, DEV_USER, None)),
-        ({"user": "eve"}, {}, Access(LOCAL_URL, "eve", None, None)),
+        ({"url": OTHER_PORT}, {}, Access(OTHER_PORT, DEV_USER, DEV_USER, None)),
+        ({"url": HOME.url}, {}, SIGNED_IN_HOME),
+        ({"context": "work"}, {"RCE_KEY": "rce_k"}, SIGNED_IN_WORK),
         ({"password": "pw"}, {"RCE_KEY": "rce_k"}, Access(LOCAL_URL, DEV_USER, "pw", None)),
         ({}, {"RCE_KEY": "rce_k"}, Access(LOCAL_URL, DEV_USER, None, "rce_k")),
         ({"user": "eve"}, {"RCE_PASSWORD": "pw"}, Access(LOCAL_URL, "eve", "pw", None)),
-        ({}, {"RCE_URL": "http://a/"}, Access("http://a/", DEV_USER, DEV_USER, None)),
+        ({}, {"RCE_URL": OTHER_PORT}, Access(OTHER_PORT, DEV_USER, DEV_USER, None)),
         ({}, {"RCE_URL": "http://a/", "RCE_KEY": "rce_k"}, Access("http://a/", DEV_USER, None, "rce_k")),
         (
             {},
             {"RCE_URL": "http://a/", "RCE_USER": "eve", "RCE_PASSWORD": "pw"},
             Access("http://a/", "eve", "pw", None),
         ),
-        ({"url": "http://b/"}, {"RCE_URL": "http://a/"}, Access("http://b/", DEV_USER, DEV_USER, None)),
+        ({"url": OTHER_PORT}, {"RCE_URL": "http://a/"}, Access(OTHER_PORT, DEV_USER, DEV_USER, None)),
         ({"user": "eve"}, {"RCE_USER": "bob", "RCE_PASSWORD": "pw"}, Access(LOCAL_URL, "eve", "pw", None)),
         ({}, {"RCE_CONTEXT": "work"}, SIGNED_IN_WORK),
     ],
@@ -162,10 +166,31 @@ def test_running_platform_is_the_current_context_unless_options_say_otherwise(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     set_variables(monkeypatch, variables)
-    args = argparse.Namespace(**{"url": "", "user": DEV_USER, "password": None} | given)
+    args = argparse.Namespace(**{"url": "", "user": "", "password": None} | given)
     assert contexts.running_platform(args) == expected
 
 
+@pytest.mark.parametrize(
+    ("given", "variables", "reason"),
+    [
+        ({"url": "http://a/"}, {}, "no credentials for http://a/"),
+        ({"url": "http://a/"}, {"RCE_PASSWORD": "pw"}, "give --user or set RCE_USER"),
+        ({"user": "eve"}, {}, "no credentials of user eve"),
+    ],
+)
+def test_running_platform_elsewhere_is_not_asked_with_credentials_of_development(
+    given: dict[str, str],
+    variables: dict[str, str],
+    reason: str,
+    two_contexts: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Wrong passwords would count towards the delay of the next login."""
+    set_variables(monkeypatch, variables)
+    with pytest.raises(Unauthorized, match=reason):
+        contexts.running_platform(argparse.Namespace(**{"url": "", "user": "", "password": None} | given))
+
+
 def test_running_platform_without_a_context_is_one_of_development(no_context: Path) -> None:
-    args = argparse.Namespace(url="", user=DEV_USER, password=None)
+    args = argparse.Namespace(url="", user="", password=None)
     assert contexts.running_platform(args) == Access(LOCAL_URL, DEV_USER, DEV_USER, None)

@@ -36,7 +36,9 @@ async def test_package_uses_the_current_context_unless_given_an_address(
     monkeypatch.delenv("RCE_PASSWORD")
     assert await rce("package", "list", "--json") == SUCCESS
     assert capsys.readouterr().out.splitlines()[-1] == "[]"
-    assert await rce("package", "list", "--url", served.url) == FAILURE
+    for option in (("--url", served.url), ("--context", "home")):
+        assert await rce("package", "list", *option) == SUCCESS
+    assert await rce("package", "list", "--url", served.url, "--user", "bob") == FAILURE
 
 
 class FakePackages:
@@ -143,7 +145,7 @@ def test_user_without_credentials_is_told_how_to_give_them(
     no_context: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(["package", "list", "--user", "eve"]) == FAILURE
-    assert "no credentials for user eve" in capsys.readouterr().err
+    assert "no credentials of user eve" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
