@@ -76,7 +76,7 @@ def own(state: State, user: str, name: str) -> Offer:
 def publish(state: State, user: str, wanted: views.NewOffer, ids: Ids) -> Offer:
     """Put a service into the catalogue, in place of the one that the user offers under this name.
 
-    Instances that run go on as they were, take no more robots if they are shared, and are stopped when they are idle.
+    Instances that run go on as they were, take no more robots, and are stopped when no robot uses them.
 
     Raises:
         InvalidRequest: The declaration is wrong; the error says where.

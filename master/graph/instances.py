@@ -27,7 +27,7 @@ from master.graph.state import State
 from master.graph.translation import interface_spec, node_spec, parameter_spec
 from master.graph.wiring import Ids, activate, interface_ref
 from rce.control.calls.endpoints import Bind, PutParameter, StartNode
-from rce.errors import AlreadyExists, InvalidName, InvalidRequest, LimitExceeded, NoCapacity, NotFound
+from rce.errors import AlreadyExists, InvalidName, InvalidRequest, LimitExceeded, NoCapacity, NotFound, Unavailable
 from rce.protocol.messages import UsedInterface, UsedService
 from rce.protocol.names import MAX_TAG
 
@@ -56,6 +56,7 @@ def own(state: State, user: str, tag: str, offer: Offer, policy: Policy, ids: Id
 
     Raises:
         AlreadyExists: The tag is in use by something else, or the instance by another robot.
+        Unavailable: The instance runs the offer as it was before.
         RceError: The user may not have that environment, or no machine has room.
     """
     name = f"{user}/{tag}"
@@ -70,6 +71,12 @@ def own(state: State, user: str, tag: str, offer: Offer, policy: Policy, ids: Id
     if used := state.uses.by(name):
         raise AlreadyExists(
             f"{tag} is in use by robot {used[0].robot.partition('/')[2]}: give another containerTag",
+            field="containerTag",
+        )
+    if instance.revision != offer.revision:
+        raise Unavailable(
+            f"{tag} runs {name_of(offer)} as it was before it was published again, and is stopped now: try again in "
+            "some seconds, or give another containerTag",
             field="containerTag",
         )
     return Chosen(environment, Outcome([], needs=_contents(state, name)))
@@ -314,16 +321,17 @@ def missing(state: State, offer: Offer) -> int:
 def idle(state: State, empty_since: Mapping[str, float], now: float) -> list[Environment]:
     """Return the environments of instances to stop: those without robots for the idle time, down to the lower bound.
 
-    An instance of an offer that was removed or published again is not counted for the bound.
+    An instance of an offer that was removed or published again is stopped as soon as it has no robots.
     """
     found: list[Environment] = []
     spare = {offer.name: len(instances_of(state, offer)) - offer.least for offer in state.offers}
     for instance in state.instances:
         offer, since = state.offers.get(instance.offer), empty_since.get(instance.environment)
         environment = state.environments.get(instance.environment)
-        if environment is None or since is None or now - since < (offer.idle if offer else 0):
+        current = offer is not None and instance.revision == offer.revision
+        if environment is None or since is None or now - since < (offer.idle if offer is not None and current else 0):
             continue
-        if offer is not None and offer.is_shared and instance.revision == offer.revision:
+        if offer is not None and offer.is_shared and current:
             if spare[offer.name] <= 0:
                 continue
             spare[offer.name] -= 1

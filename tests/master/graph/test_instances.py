@@ -11,7 +11,7 @@ from master.graph.limits import Policy
 from master.graph.records import Ref
 from rce.control.calls.endpoints import Bind, StartNode, StopNode
 from rce.control.calls.environments import StartEnvironment
-from rce.errors import AlreadyExists, InvalidRequest, LimitExceeded, NoCapacity, NotFound
+from rce.errors import AlreadyExists, InvalidRequest, LimitExceeded, NoCapacity, NotFound, Unavailable
 from rce.protocol import messages as m
 from tests.support.master.fleet import calls, everything
 from tests.support.master.offers import declared, offering
@@ -202,6 +202,20 @@ def test_instance_without_robot_is_taken_over_by_the_first() -> None:
     assert {type(call) for call in calls(outcome.plan, "west")} == {Bind}
 
 
+def test_instance_of_an_older_declaration_is_not_taken_over_and_ends_without_robots() -> None:
+    """It lacks what the new declaration has, and the robot would be told otherwise."""
+    fleet, _ = offering(robots=1, most=1)
+    fleet.do("bob", USE, robot="r1")
+    catalogue.publish(fleet.state, "ann", declared(robots=1, most=1), fleet.ids)
+    fleet.do("bob", m.LeaveService("parrot"), robot="r1")
+    with pytest.raises(Unavailable, match="before it was published again"):
+        fleet.do("bob", USE, robot="r1")
+    (outdated,) = instances.idle(fleet.state, {"bob/parrot": 0.0}, 0.0)
+    instances.stop(fleet.state, [outdated])
+    fleet.do("bob", USE, robot="r1")
+    assert fleet.state.instances["bob/parrot"].revision == fleet.state.offers["ann/parrot"].revision
+
+
 def test_shared_service_needs_a_robot() -> None:
     fleet, _ = offering()
     with pytest.raises(InvalidRequest):
@@ -249,14 +263,14 @@ def test_instances_without_robots_are_idle_down_to_the_lower_bound() -> None:
     assert [each.environment for each in fleet.state.instances] == ["ann/parrot_2"]
 
 
-def test_instance_of_an_older_declaration_takes_no_more_robots_and_ends_when_idle() -> None:
+def test_shared_instance_of_an_older_declaration_takes_no_more_robots_and_ends_with_the_last() -> None:
     fleet, _ = offering(least=1)
     fleet.do("bob", USE, robot="r1")
     catalogue.publish(fleet.state, "ann", declared(least=1), fleet.ids)
     fleet.do("ann", USE, robot="r1")
     assert fleet.state.uses["ann/r1/parrot"].environment == "ann/parrot_2"
     fleet.do("bob", m.LeaveService("parrot"), robot="r1")
-    assert [each.name for each in instances.idle(fleet.state, {"ann/parrot_1": 0.0}, 10.0)] == ["ann/parrot_1"]
+    assert [each.name for each in instances.idle(fleet.state, {"ann/parrot_1": 0.0}, 0.0)] == ["ann/parrot_1"]
 
 
 def test_uses_are_counted_by_user() -> None:
