@@ -80,6 +80,7 @@ job.submit          -      own    -      own    own      -
 secret.read         -      -      own    own    own      own
 secret.set          -      -      -      own    own      own
 secret.remove       -      -      -      own    own      own
+secret.use          -      own    -      own    own      own
 knowledge.read      own    own    own    own    own      all
 knowledge.write     -      own    -      own    own      all
 machine.read        -      -      -      -      all      all
@@ -201,6 +202,8 @@ def check_command(principal: Principal, state: State, user: str, command: m.Comm
     """
     operation = COMMANDS[type(command)]
     check(principal, operation, user)
+    if isinstance(command, m.CreateContainer) and command.containerData.secrets:
+        check(principal, "secret.use", user)  # nodes of the environment read them
     if not principal.scopes.tied:
         return
     match command:

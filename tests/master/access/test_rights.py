@@ -136,6 +136,17 @@ def test_tied_key_has_all_rights_within_its_scopes() -> None:
         check_command(TIED, state, "ann", command)
 
 
+def test_secrets_are_used_by_untied_keys_of_their_user_only() -> None:
+    """A node of the environment may tell whoever started it."""
+    command = m.CreateContainer("e1", m.ContainerData(secrets={"database": "URL"}))
+    check_command(Principal("ann", "robot", "k"), State(), "ann", command)
+    with pytest.raises(Forbidden, match=r"secret\.use"):
+        check_command(TIED, State(), "ann", command)
+    with pytest.raises(NotFound):
+        check_command(Principal("olga", "operator"), State(), "ann", command)
+    check_command(Principal("olga", "operator"), State(), "ann", m.CreateContainer("e1"))
+
+
 def test_scopes_of_robot_and_environments_are_independent() -> None:
     state = furnished(hidden=True)
     check_command(Principal("ann", "robot", scopes=Scopes("r1")), state, "ann", m.CreateContainer("e3"))

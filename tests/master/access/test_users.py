@@ -103,7 +103,9 @@ async def test_removed_user_cannot_authenticate(users: Users, store: Store) -> N
     for secret in (digest("secret"), key):
         with pytest.raises(Unauthorized):
             await users.check("ann", secret)
-    assert await contents(store) == "[]"
+    removed = await users.removals()
+    assert removed.keys() == {"ann"}
+    assert await contents(store) == str(list(removed.items())), "nothing else is left"
 
 
 # --- roles ------------------------------------------------------------------------------------------------------------
