@@ -19,7 +19,10 @@ from master.storage.store import Store
 from rce.api.roles import ASSIGNABLE_ROLES, Principal, UserRole
 from rce.api.views import UserView
 from rce.errors import AlreadyExists, InvalidRequest, NotFound, Unauthorized
+from rce.net.certificates import MACHINE_DAYS
 from rce.protocol.names import check_tag
+
+DAY = 86_400.0
 
 
 class Standing(Struct, frozen=True):
@@ -229,7 +232,8 @@ def _keep_an_admin(connection: sa.Connection, name: str) -> None:
 
 
 def _note_removal(connection: sa.Connection, name: str) -> None:
-    removed = db.removed_users
+    removed, now = db.removed_users, time.time()
     latest = connection.scalar(sa.select(sa.func.max(removed.c.time))) or 0.0
-    connection.execute(removed.delete().where(removed.c.name == name))
-    connection.execute(removed.insert(), {"name": name, "time": max(time.time(), latest + 0.001)})
+    forgotten = removed.c.time < now - MACHINE_DAYS * DAY  # a machine that was away since then cannot join any more
+    connection.execute(removed.delete().where(sa.or_(removed.c.name == name, forgotten)))
+    connection.execute(removed.insert(), {"name": name, "time": max(now, latest + 0.001)})

@@ -17,7 +17,7 @@ from rce import __version__
 from rce.bench.hollow import Hollow, done
 from rce.control.calls.call import Nothing
 from rce.control.calls.environments import KeepEnvironments, SetRelays, StartEnvironment, StopEnvironment
-from rce.control.calls.joining import Hello, SetRemovedMachines, Welcome
+from rce.control.calls.joining import Hello, SetRemovedMachines, SetRemovedUsers, Welcome
 from rce.control.calls.robots import Execute, Login
 from rce.control.client import ControlClient
 from rce.control.connection import Handlers
@@ -76,7 +76,7 @@ class Machine:
         handlers.on(StartEnvironment, self._start)
         handlers.on(StopEnvironment, self._stop)
         handlers.on(KeepEnvironments, self._keep)
-        for kind in (SetRelays, SetRemovedMachines):
+        for kind in (SetRelays, SetRemovedMachines, SetRemovedUsers):
             handlers.on(kind, done)
         self._task_set = HollowProcess(fleet, self._hello, fleet.tokens[self.name], handlers)
         self.endpoint = HollowProcess(
