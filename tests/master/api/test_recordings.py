@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import threading
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -159,3 +160,25 @@ async def test_key_of_an_announcement_is_for_one_file(served: Served, store: Rec
     assert len(store.of("ann")) == 1
     assert (await ask(served, "POST", "/recordings", **announcement(length=10), **key))[0] == 409
     assert (await ask(served, "POST", "/recordings", **announcement("other.mcap"), **key))[0] == 409
+
+
+async def test_download_breaks_off_when_its_credentials_are_revoked(
+    served: Served, store: RecordingStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    id, revoked, read = recorded(store, CONTENT), threading.Event(), store.read
+
+    def wait_and_read(user: str, id: str, offset: int, length: int) -> bytes:
+        if offset:
+            revoked.wait(10)
+        return read(user, id, offset, length)
+
+    monkeypatch.setattr(store, "read", wait_and_read)
+    async with (
+        aiohttp.ClientSession(served.url, headers=basic("ann", PASSWORD)) as session,
+        session.get(f"/api/v1/recordings/m1/{id}/file") as answer,
+    ):
+        await answer.content.readexactly(PIECE)
+        await served.master.guard.change_password("ann", "another long password")
+        revoked.set()
+        with pytest.raises(aiohttp.ClientPayloadError):
+            await answer.read()
