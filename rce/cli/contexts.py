@@ -17,6 +17,7 @@ from urllib.parse import urlsplit
 import msgspec
 from msgspec import Struct
 
+from rce.api.entries import entries
 from rce.cli.arguments import DEV_USER, LOCAL_URL
 from rce.errors import MALFORMED, InvalidRequest, NotFound, Unauthorized
 from rce.net.loopback import is_loopback
@@ -142,6 +143,7 @@ def running_platform(args: argparse.Namespace) -> Access:
     in to, else one of development on this machine.
 
     Raises:
+        InvalidRequest: The URL is malformed.
         Unauthorized: There are no credentials for the platform, or a password without a user.
         NotFound: There is no context of this name.
     """
@@ -151,7 +153,7 @@ def running_platform(args: argparse.Namespace) -> Access:
     user = args.user or os.environ.get("RCE_USER", "")
     password = args.password or os.environ.get("RCE_PASSWORD")
     key = None if password else os.environ.get("RCE_KEY")
-    local = is_loopback(urlsplit(url or LOCAL_URL).hostname or "")
+    local = all(is_loopback(urlsplit(each).hostname or "") for each in entries(url or LOCAL_URL))
     if key or (password and (user or local)):
         return Access(url or LOCAL_URL, user or DEV_USER, password, key)
     if not password and user in ("", DEV_USER):

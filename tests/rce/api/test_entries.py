@@ -17,3 +17,9 @@ def test_entries_are_separated_by_commas() -> None:
 def test_other_texts_are_refused(urls: str) -> None:
     with pytest.raises(InvalidRequest, match="must begin with http:// or https://"):
         entries(urls)
+
+
+@pytest.mark.parametrize("urls", ["http://", "http://[::1", "http://a:99999/", "http://a:x/", "http://a:0/"])
+def test_url_without_a_valid_address_is_refused(urls: str) -> None:
+    with pytest.raises(InvalidRequest, match="write http://HOST:PORT/"):
+        entries(urls)
