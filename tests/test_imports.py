@@ -95,7 +95,7 @@ LAYERS: dict[str, set[str]] = {
     "rce/video/": {"rce.errors"},
     "rce/web/": {"rce.errors", "rce.net", "rce.api", "rce.process"},
     "rce/services/": {"rce.choices", "rce.errors", "rce.control", "rce.net", "rce.process", "rce.web"},
-    "rce/api/": {"rce.errors", "rce.protocol", "rce.control.calls"},
+    "rce/api/": {"rce.errors", "rce.protocol", "rce.control.calls", "rce.net.loopback"},
 }
 PURE = "master/graph/"
 IMPURE = {"asyncio", "twisted", "sqlalchemy", "aiohttp", "socket", "threading", "subprocess"}

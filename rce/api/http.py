@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import base64
 import http.client
-import ipaddress
 import random
 import socket
 import ssl
@@ -26,6 +25,7 @@ from msgspec import Struct
 
 from rce.api.entries import entries
 from rce.errors import MALFORMED, ErrorInfo, RceError, Unavailable
+from rce.net.loopback import is_loopback
 
 TIMEOUT = 60.0  # seconds without a byte
 # With several Masters:
@@ -75,7 +75,7 @@ class EntryClient:
         """
         self._urls = deque(each if each.endswith("/") else each + "/" for each in entries(url))
         self._headers = headers
-        proxy = urllib.request.ProxyHandler({} if direct or all(map(is_loopback, self._urls)) else None)
+        proxy = urllib.request.ProxyHandler({} if direct or all(map(is_local, self._urls)) else None)
         self._opener = urllib.request.build_opener(proxy, urllib.request.HTTPSHandler(context=context), _NoRedirect())
 
     @property
@@ -173,13 +173,9 @@ def error_of_response(status: int, media_type: str, body: bytes) -> RceError:
     return Unavailable(f"HTTP status {status}: {text or 'no reason given'}; is this the entry of a platform?")
 
 
-def is_loopback(url: str) -> bool:
+def is_local(url: str) -> bool:
     """Return True if the URL's host is this machine."""
-    host = urlsplit(url).hostname or ""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
+    return is_loopback(urlsplit(url).hostname or "")
 
 
 def reason_of(error: Exception) -> str:

@@ -20,7 +20,7 @@ from websockets.exceptions import InvalidHandshake, InvalidStatus, InvalidURI
 from websockets.typing import Subprotocol
 
 from rce.api.entries import entries
-from rce.api.http import reason_of
+from rce.api.http import is_local, reason_of
 from rce.client.dialing import dial, has_proxy
 from rce.errors import (
     MALFORMED,
@@ -32,7 +32,6 @@ from rce.errors import (
     Unauthorized,
     Unavailable,
 )
-from rce.net.loopback import is_loopback
 from rce.protocol.assembler import AssemblyLimits
 from rce.protocol.blobs import PART
 from rce.protocol.messages import CURRENT_VERSION, FEATURES
@@ -126,7 +125,7 @@ class Address:
             ) from None
 
     def _get(self, entry: str, url: str) -> bytes:
-        proxy = urllib.request.ProxyHandler({} if _is_local(url) else None)
+        proxy = urllib.request.ProxyHandler({} if is_local(url) else None)
         opener = urllib.request.build_opener(proxy, urllib.request.HTTPSHandler(context=self.ssl))
         try:
             with opener.open(url, timeout=OPEN_TIMEOUT) as response:
@@ -171,7 +170,7 @@ class Address:
                 uri,
                 ssl=(self.ssl or True) if parts.scheme == "wss" else None,
                 subprotocols=subprotocols,
-                proxy=None if _is_local(endpoint) else True,
+                proxy=None if is_local(endpoint) else True,
                 compression=None,
                 open_timeout=OPEN_TIMEOUT,
                 max_size=AssemblyLimits().message * 2,
@@ -207,7 +206,7 @@ class Address:
         parts = urlsplit(endpoint)
         uri = urlunsplit((parts.scheme, parts.netloc, parts.path or "/", urlencode(query), ""))
         try:
-            sock = None if not _is_local(endpoint) and has_proxy(uri) else await dial(uri, OPEN_TIMEOUT)
+            sock = None if not is_local(endpoint) and has_proxy(uri) else await dial(uri, OPEN_TIMEOUT)
             connection = await connect(
                 uri,
                 ssl=(self.ssl or True) if parts.scheme == "wss" else None,
@@ -240,10 +239,6 @@ class Address:
 def password_digest(password: str) -> str:
     """Return what is sent in place of a password."""
     return hashlib.sha256(password.encode()).hexdigest()
-
-
-def _is_local(url: str) -> bool:
-    return is_loopback(urlsplit(url).hostname or "")
 
 
 def _error_of_status(status: int, reason: str) -> RceError:

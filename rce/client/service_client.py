@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 import msgspec
 
 from rce.api.entries import entries
-from rce.api.http import Problem
+from rce.api.http import Problem, reason_of
 from rce.errors import MALFORMED, ErrorInfo, InvalidRequest, NotFound, RceError, Unavailable
 
 TIMEOUT = 60.0
@@ -82,7 +82,7 @@ class ServiceClient:
                 response = connection.getresponse()
                 answer = Answer(response.status, response.headers, response.read())
         except (OSError, http.client.HTTPException) as error:
-            raise Unavailable(f"cannot reach {self._base}: {error or type(error).__name__}") from None
+            raise Unavailable(f"cannot reach {self._base}: {reason_of(error) or type(error).__name__}") from None
         if answer.status >= 300:
             raise self.error(answer)
         return answer
@@ -119,7 +119,7 @@ class ServiceClient:
             response = connection.getresponse()
             response.read()
         except (OSError, http.client.HTTPException) as error:
-            raise Unavailable(f"cannot reach {base}: {error or type(error).__name__}") from None
+            raise Unavailable(f"cannot reach {base}: {reason_of(error) or type(error).__name__}") from None
         finally:
             connection.close()
         location = response.headers.get("Location", "")

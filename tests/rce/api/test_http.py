@@ -10,7 +10,7 @@ import pytest
 from aiohttp import web
 
 from rce.api import http
-from rce.api.http import EntryClient, Problem, basic, bearer, error_of_response, is_loopback
+from rce.api.http import EntryClient, Problem, basic, bearer, error_of_response, is_local
 from rce.errors import InvalidRequest, NotFound, RceError, Unavailable
 
 PROBLEM = b'{"title":"Not Found","status":404,"detail":"no such robot","code":"not_found","fields":{"robot":"a"}}'
@@ -107,7 +107,7 @@ def test_unknown_code_is_a_plain_error() -> None:
     ],
 )
 def test_loopback_urls(url: str, expected: bool) -> None:
-    assert is_loopback(url) is expected
+    assert is_local(url) is expected
 
 
 # --- several Masters --------------------------------------------------------------------------------------------------
