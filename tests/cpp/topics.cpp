@@ -41,9 +41,10 @@ void callbackGetsEachMessageOnceInOrder(World& world) {
   rce::InterfaceOptions options;
   options.depth = 100;
   b.subscriber("in", STRING, [&](const Value& message) {
-    received.push_back(message["data"]);
-    if (received.back() == "99") done.set();
-    if (received.back() == "50") throw std::runtime_error("the next message must be delivered all the same");
+    const std::string data = message["data"];
+    received.push_back(data);
+    if (data == "50") throw std::runtime_error("the next message must be delivered all the same");
+    if (data == "99") done.set();  // last: the locals of the test may end then
   }, options);
   auto events = b.events();
   auto publisher = a.publisher("out", STRING, rce::to(b.robotID() + "/in"));
@@ -76,9 +77,13 @@ void smallMessageOvertakesLargeOne(World& world) {
   std::vector<std::string> order;
   Signal& done = world.signal();
   const auto note = [&](const std::string& word) {
-    const std::lock_guard<std::mutex> lock(mutex);
-    order.push_back(word);
-    if (order.size() == 2) done.set();
+    std::size_t count = 0;
+    {
+      const std::lock_guard<std::mutex> lock(mutex);
+      order.push_back(word);
+      count = order.size();
+    }
+    if (count == 2) done.set();
   };
   rce::InterfaceOptions raw;
   raw.raw = true;
