@@ -25,7 +25,8 @@ class RecordingCalls:
 
     def __init__(self, store: RecordingStore) -> None:
         self._store = store
-        self._removed = RemovedUsers(store.directory / "removed-users", self._forget)
+        file = store.directory.with_name(f"{store.directory.name}.removed-users")  # all within are recordings
+        self._removed = RemovedUsers(file, self._forget)
 
     def add_to(self, handlers: Handlers) -> None:
         """Answer the calls with these handlers."""

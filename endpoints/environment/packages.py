@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rce.errors import InvalidName, NotFound
+from rce.protocol.names import MAX_TAG
 from rce.spelling import did_you_mean
 
 SHIPPED = Path(__file__).parents[2] / "containers" / "nodes"
 """Packages that come with RCE; their nodes may import `rce`."""
 
-NAME_MAX = 255  # bytes of the name of a file
 _PACKAGE = re.compile(r"[A-Za-z][A-Za-z0-9_-]*", re.ASCII)
 _PYTHON = re.compile(rb"#! ?/\S*/python3?(\.\d+)?\s*$")
 """First line of a Python program; it may name the Python of another machine, so this machine's is used instead."""
@@ -127,7 +127,7 @@ class Packages:
 
 
 def _check(rule: re.Pattern[str], name: str, what: str) -> None:
-    if len(name) > NAME_MAX or not rule.fullmatch(name):
+    if len(name) > MAX_TAG or not rule.fullmatch(name):
         raise InvalidName(
             f"{what} {name[:80]!r} is not a valid name of a {'package' if what == 'pkg' else 'file'}", field=what
         )

@@ -6,23 +6,14 @@ import math
 
 from msgspec.structs import replace
 
-from master.graph.changes import (
-    remove_environment,
-    start,
-)
+from master.graph.changes import remove_environment, start
 from master.graph.effects import MarkReady, Plan, Send
 from master.graph.placement import most_free_slots, place
 from master.graph.records import Environment, Process, Ref, Role, user_of
 from master.graph.sessions import settle_robots
 from master.graph.state import State, at
 from master.graph.translation import interface_spec, node_spec, parameter_spec, recorder_spec
-from master.graph.wiring import (
-    Ids,
-    bring_up,
-    link_spec,
-    routes_of,
-    take_down,
-)
+from master.graph.wiring import Ids, bring_up, link_spec, routes_of, take_down
 from rce.control.calls.endpoints import PutSecrets, Secret, Sync
 from rce.control.calls.environments import KeepEnvironments, SetRelays
 from rce.control.calls.joining import Hello, SetRemovedMachines, SetRemovedUsers

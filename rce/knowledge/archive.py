@@ -120,6 +120,7 @@ class Archive:
         try:
             with await asyncio.to_thread(open_archive, received.path) as archive:
                 return await self._restore(reader, archive)
+        # The last two are raised for members of a later version of ZIP, and for encrypted ones.
         except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
             raise InvalidRequest(f"this is not an archive of a repository: {error}") from None
         except OSError as error:

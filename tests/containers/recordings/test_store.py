@@ -150,8 +150,8 @@ def test_upload_to_which_nothing_is_appended_is_removed_after_a_day(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It would take the room that it announced from others for ever."""
-    free = module.SPARE + 1000
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(free, 0, free))  # type: ignore[attr-defined]
+    usage = shutil.disk_usage(tmp_path)._replace(free=module.SPARE + 1000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
     now = time.time()
     store = RecordingStore(tmp_path, now=lambda: now)
     store.announce("ann", "a.mcap", 900, "", ANY)

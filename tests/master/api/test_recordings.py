@@ -14,7 +14,7 @@ import pytest
 
 from containers.recordings.store import MAGIC, RecordingStore
 from rce.api.http import basic
-from rce.control.calls.recordings import PIECE
+from rce.control.calls.recordings import PIECE, RecordingInfo
 from rce.errors import Unavailable
 from tests.support.master.recordings import keep_recordings, recorded
 from tests.support.master.served import PASSWORD, Served
@@ -135,14 +135,22 @@ async def test_upload_goes_to_the_first_machine_with_room(
     assert headers["Location"].startswith("/api/v1/recordings/m1/")
 
 
-async def test_upload_ends_when_its_credentials_are_revoked(served: Served, store: RecordingStore) -> None:
+async def test_upload_ends_when_its_credentials_are_revoked(
+    served: Served, store: RecordingStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loop, begun, append = asyncio.get_running_loop(), asyncio.Event(), store.append
+
+    def note_and_append(user: str, id: str, offset: int, data: bytes) -> RecordingInfo:
+        loop.call_soon_threadsafe(begun.set)
+        return append(user, id, offset, data)
+
+    monkeypatch.setattr(store, "append", note_and_append)
     _, _, headers = await ask(served, "POST", "/recordings", **announcement())
     place, begin = headers["Location"], 2 * PIECE
 
     async def body() -> AsyncIterator[bytes]:
         yield CONTENT[:begin]
-        while not store.of("ann")[0].size:  # noqa: ASYNC110
-            await asyncio.sleep(0.001)
+        await begun.wait()
         await served.master.guard.change_password("ann", "another long password")
         yield CONTENT[begin:]
 
