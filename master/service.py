@@ -110,12 +110,13 @@ class Master:
             self._runner, self._lifecycle, self.events, self.feed.view_cache, grace, machine_grace
         )
         self.instance_keeper = InstanceKeeper(self._runner, self._lifecycle, self.limits.of)
-        self.removals = Removals(self.state, self.join_tokens, self.users, self.process_tracker, self._lifecycle, tls)
+        self.removals = Removals(self.state, self.join_tokens, self.process_tracker, self._lifecycle, tls)
 
     async def start(self) -> None:
         """Load what an earlier Master stored, and wait for its processes to join again."""
         await self._store.load(self.state)
         await self.removals.read()
+        await self.guard.read_removals()
         await self.join_tokens.keep_environments({environment.name for environment in self.state.environments})
         await self.limits.open()
         self._runner.keep(asyncio.create_task(self.limits.follow()))

@@ -76,8 +76,9 @@ class Guard:
                 log.warn("credentials could not be checked: {error}", error=str(error))
 
     async def check_all(self) -> None:
-        """Close what is open by invalid credentials, and store when keys were used."""
+        """Close what is open by invalid credentials, pass on who was removed, and store when keys were used."""
         await self._users.keys.note_use()
+        await self.read_removals()
         await self._cut_invalid("the credentials are not valid any more")
 
     async def _cut_invalid(self, reason: str) -> None:
@@ -154,5 +155,11 @@ class Guard:
         await self._cut_invalid("the API key was revoked")  # keys of others that were made with one of this user
         self._invalidate_caches(user)
         self._apply(sessions.user_gone(self._state, user))
-        self._state.removed_users = await self._users.removals()
-        self._apply(reconcile.announce_removed_users(self._state))
+        await self.read_removals()
+
+    async def read_removals(self) -> None:
+        """Tell the processes that keep things of users who was removed, also by a command beside the Master."""
+        removed = await self._users.removals()
+        if removed != self._state.removed_users:
+            self._state.removed_users = removed
+            self._apply(reconcile.announce_removed_users(self._state))

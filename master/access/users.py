@@ -104,8 +104,10 @@ class Users:
         def drop(connection: sa.Connection) -> int:
             _keep_an_admin(connection, name)
             connection.execute(db.limits.delete().where(db.limits.c.user == name))
-            _note_removal(connection, name)
-            return connection.execute(db.users.delete().where(db.users.c.name == name)).rowcount
+            found = connection.execute(db.users.delete().where(db.users.c.name == name)).rowcount
+            if found:
+                _note_removal(connection, name)
+            return found
 
         if not await self._store.run(drop):
             raise _unknown(name)

@@ -1,8 +1,4 @@
-"""Removals of machines and of users.
-
-The processes of a removed machine are disconnected, and all others refuse its certificate. Processes that keep things
-of users remove those of a removed user.
-"""
+"""Removals of machines: their processes are disconnected, and all others refuse their certificates."""
 
 from __future__ import annotations
 
@@ -11,7 +7,6 @@ import asyncio
 from twisted.logger import Logger
 
 from master.access.join_tokens import JoinTokens
-from master.access.users import Users
 from master.execution.lifecycle import Lifecycle
 from master.execution.process_tracker import ProcessTracker
 from master.graph import reconcile
@@ -25,21 +20,14 @@ log = Logger()
 
 
 class Removals:
-    """Carries out removals, also those that a command with `--config` makes in the database beside the Master."""
+    """Carries out removals, also those that `rce machine --config` makes in the database beside the Master."""
 
     def __init__(
-        self,
-        state: State,
-        join_tokens: JoinTokens,
-        users: Users,
-        tracker: ProcessTracker,
-        lifecycle: Lifecycle,
-        tls: Tls | None,
+        self, state: State, join_tokens: JoinTokens, tracker: ProcessTracker, lifecycle: Lifecycle, tls: Tls | None
     ) -> None:
         """Prepare; `tls` are the certificates of the Master."""
         self._state = state
         self._join_tokens = join_tokens
-        self._users = users
         self._tracker = tracker
         self._lifecycle = lifecycle
         self._tls = tls
@@ -74,14 +62,10 @@ class Removals:
                 await self._tracker.evict(name)
 
     async def read(self) -> None:
-        """Have all processes refuse removed machines, as this one does, and remove what they keep of removed users."""
+        """Refuse the certificates of removed machines here, and have all processes refuse them."""
         removed = await self._join_tokens.removals()
         if removed != self._state.removed_machines:
             self._state.removed_machines = removed
             if self._tls is not None:
                 self._tls.set_removed(removed)
             self._lifecycle.apply(reconcile.announce_removals(self._state))
-        removed_users = await self._users.removals()
-        if removed_users != self._state.removed_users:
-            self._state.removed_users = removed_users
-            self._lifecycle.apply(reconcile.announce_removed_users(self._state))

@@ -328,13 +328,13 @@ def idle(state: State, empty_since: Mapping[str, float], now: float) -> list[Env
     for instance in state.instances:
         offer, since = state.offers.get(instance.offer), empty_since.get(instance.environment)
         environment = state.environments.get(instance.environment)
-        current = offer is not None and instance.revision == offer.revision
-        if environment is None or since is None or now - since < (offer.idle if offer is not None and current else 0):
+        current = offer if offer is not None and offer.revision == instance.revision else None
+        if environment is None or since is None or now - since < (current.idle if current is not None else 0):
             continue
-        if offer is not None and offer.is_shared and current:
-            if spare[offer.name] <= 0:
+        if current is not None and current.is_shared:
+            if spare[current.name] <= 0:
                 continue
-            spare[offer.name] -= 1
+            spare[current.name] -= 1
         found.append(environment)
     return found
 

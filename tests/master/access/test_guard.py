@@ -226,5 +226,12 @@ async def test_processes_are_told_who_was_removed(place: Place) -> None:
     assert told.keys() == {"maps", "m1"}
     first = told["maps"]["ann"]
     await place.users.add("ann", "secret")
-    await place.users.remove("ann")
-    assert (await place.users.removals())["ann"] > first
+    await place.users.remove("ann")  # by another process
+    await place.guard.check_all()
+    assert place.state.removed_users["ann"] > first
+
+
+async def test_removal_of_a_user_who_does_not_exist_is_not_noted(place: Place) -> None:
+    with pytest.raises(NotFound):
+        await place.guard.remove_user("nobody")
+    assert await place.users.removals() == {}
