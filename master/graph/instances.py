@@ -87,11 +87,17 @@ def shared(state: State, user: str, robot: str, offer: Offer, limits_of: LimitsO
 
     Raises:
         InvalidRequest: There is no robot to take part.
+        AlreadyExists: The robot uses the service under another tag.
         LimitExceeded: The user has as many robots there as may be.
         NoCapacity: All instances are full.
     """
     if not robot:
         raise InvalidRequest(f"{name_of(offer)} is shared: say which robot shall use it", field="robot")
+    for use in state.uses.by(robot):
+        if use.offer == offer.name:  # what a robot has in a shared instance is named after the robot
+            raise AlreadyExists(
+                f"{robot.partition('/')[2]} uses {name_of(offer)} already, with containerTag {use.tag}", field="service"
+            )
     mine = sum(user_of(use.robot) == user for use in state.uses.by(offer.name))
     if offer.most_per_user and mine >= offer.most_per_user:
         raise LimitExceeded(

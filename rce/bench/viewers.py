@@ -25,8 +25,8 @@ from rce.errors import InvalidRequest
 
 SETTLING = 2.0  # seconds for which viewers watch before the loop is measured
 ENDING = 30.0  # seconds until a program is killed that should end
-# Cameras and viewers have machines of their own, so they yield the processor of this one to the platform.
-ELSEWHERE = ("nice", "-n", "19")
+# Cameras and viewers of real life have machines of their own, so they run here only while the platform does not.
+ELSEWHERE = ("chrt", "--idle", "0")
 
 
 class Phase(Struct, frozen=True):

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import AsyncIterator
 
 import pytest
@@ -38,11 +37,10 @@ def cases(request: pytest.FixtureRequest) -> int:
 @pytest.fixture(scope="session")
 async def target(tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Config) -> AsyncIterator[Target]:
     """Master, Robot endpoint, map service, knowledge service and a bystander, each a process."""
+    long = pytestconfig.getoption("--cases", CASES) != CASES
     made = Target(tmp_path_factory.mktemp("fuzz"))
     try:
-        await made.start()
-        if pytestconfig.getoption("--cases", CASES) != CASES:
-            os.nice(19)  # an attacker of real life computes on a machine of its own, not on the platform's
+        await made.start(apart=long)
         yield made
     finally:
         await made.stop()

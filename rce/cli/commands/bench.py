@@ -91,7 +91,7 @@ COMMANDS = (
             argument("--rates", default="0", help="images a second, in turn; 0: all (default: %(default)s)"),
             argument("--format", default="jpeg", help="format of the images (default: %(default)s)"),
             argument("--codec", default="", help="codec in place of a format"),
-            argument("--samples", type=int, default=300, help="of each phase (default: %(default)s)"),
+            argument("--samples", type=int, default=1000, help="of each phase (default: %(default)s)"),
             FIGURES_JSON,
         ),
         platform=RUNNING_OR_OWN,

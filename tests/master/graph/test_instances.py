@@ -89,6 +89,14 @@ def test_robot_that_asks_again_gets_the_same_answer() -> None:
     assert everything(fleet.state) == before
 
 
+def test_robot_uses_a_shared_service_under_one_tag() -> None:
+    fleet, _ = offering()
+    fleet.do("bob", USE, robot="r1")
+    with pytest.raises(AlreadyExists, match="r1 uses parrot already, with containerTag parrot"):
+        fleet.do("bob", replace(USE, containerTag="other"), robot="r1")
+    fleet.do("ann", replace(USE, containerTag="other"), robot="r1")
+
+
 def test_connections_count_for_the_user_of_the_robot_and_the_instance_for_the_publisher() -> None:
     fleet, _ = offering()
     fleet.do("bob", USE, robot="r1")
