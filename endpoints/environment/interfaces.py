@@ -21,6 +21,7 @@ from endpoints.environment.shared_topics import SharedTopics
 from rce.control.calls.endpoints import InterfaceSpec
 from rce.errors import InvalidRequest, RceError
 from rce.net.budget import MB, Budget
+from rce.spelling import with_article
 
 log = Logger()
 QUEUES = 128 * MB  # bytes of all messages of an environment that wait
@@ -71,10 +72,10 @@ class RosInterface(Interface):
         try:
             return await self._ros.run(create)
         except (InvalidTopicNameException, InvalidServiceNameException, ValueError, _rclpy.RCLError) as error:
-            reason = " ".join(str(error).split())
-            raise InvalidRequest(
-                f"interface {self.spec.tag}: ROS rejects addr {self.spec.addr!r}: {reason}", field="addr"
-            ) from None
+            problem = f"ROS rejects addr {self.spec.addr!r}: {' '.join(str(error).split())}"
+            if not self.spec.addr:
+                problem = f"{with_article(self.spec.kind)} needs addr, its topic, service or action, as in /camera"
+            raise InvalidRequest(f"interface {self.spec.tag}: {problem}", field="addr") from None
 
     def _report_once(self, error: RceError) -> None:
         """Log and report an error, unless the same text was reported before."""

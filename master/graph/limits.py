@@ -20,6 +20,8 @@ from rce.api import egress, quantities
 from rce.api.egress import Egress
 from rce.api.views import UsageView
 from rce.errors import InvalidRequest, LimitExceeded
+from rce.protocol.slots import LEAST_PIDS
+from rce.spelling import did_you_mean
 
 Number = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Cores = Annotated[float, Meta(ge=0)]
@@ -79,6 +81,7 @@ def granted(policy: Policy, options: EnvironmentOptions) -> EnvironmentOptions:
 
     Raises:
         LimitExceeded: A value is above its maximum; the error has the numbers.
+        InvalidRequest: An environment cannot run with so few processes.
     """
     _check_image(policy, options.image)
     _check("size", options.size, policy.size)
@@ -89,6 +92,11 @@ def granted(policy: Policy, options: EnvironmentOptions) -> EnvironmentOptions:
         name: _grant(name, getattr(options, name), getattr(policy, name), getattr(policy, f"default_{name}"))
         for name in _AMOUNTS
     }
+    if 0 < got["pids"] < LEAST_PIDS:
+        raise InvalidRequest(
+            f"pids {got['pids']}: an environment needs at least {LEAST_PIDS} processes and threads, and more for its nodes",
+            field="containerData.pids",
+        )
     rates = IoRates(
         _grant("io.read", options.io.read, policy.io, policy.default_io),
         _grant("io.write", options.io.write, policy.io, policy.default_io),
@@ -181,14 +189,26 @@ def changes(wanted: dict[str, Any]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name, value in wanted.items():
         if name not in NAMES:
-            raise InvalidRequest(f"there is no limit {name[:80]!r}; there are {', '.join(NAMES)}", field=name[:80])
+            hint = did_you_mean(name, NAMES) or f"there are {', '.join(NAMES)}"
+            raise InvalidRequest(f"there is no limit {name[:80]!r}: {hint}", field=name[:80])
         try:
             meant = _value(name, value) if isinstance(value, str) else value
             found[name] = UNSET if value == "" else msgspec.convert(meant, NAMES[name], strict=isinstance(meant, bool))
-        except (msgspec.ValidationError, ValueError) as error:
-            reason = f"write {egress.WORDS}" if name == "egress" else error
-            raise InvalidRequest(f"{name}={str(value)[:80]}: {reason}", field=name) from None
+        except (msgspec.ValidationError, ValueError):
+            raise InvalidRequest(f"{name}={str(value)[:80]}: write {_form(name)}", field=name) from None
     return found
+
+
+def _form(name: str) -> str:
+    """Return how the value of a limit is written."""
+    if name == "egress":
+        return egress.WORDS
+    if name == "images":
+        return "names of images with commas between them"
+    kind = NAMES[name]
+    number = "number" if kind in (Cores | None, SomeCores | None) else "whole number"
+    least = " above 0" if kind in (Some | None, SomeCores | None) else ""
+    return f"a {number}{least}, also with a unit as in 2k or 512MiB, or {NO_LIMIT} for no limit"
 
 
 def _value(name: str, text: str) -> Any:

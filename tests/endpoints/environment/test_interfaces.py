@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import msgspec
 import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
@@ -68,6 +69,15 @@ async def test_name_that_ros_rejects_is_invalid_request(interface: Plain, error:
         await interface.create(fail)
     assert got.value.info.field == "addr"
     assert "\n" not in str(got.value)
+
+
+async def test_missing_name_is_invalid_request() -> None:
+    def fail() -> Waitable:
+        raise InvalidTopicNameException("", "must not be empty", 0)
+
+    plain = Plain(msgspec.structs.replace(SPEC, addr=""), InstantRos().context(lambda *_: None))
+    with pytest.raises(InvalidRequest, match="interface tag: a PublisherInterface needs addr, its topic"):
+        await plain.create(fail)
 
 
 async def test_other_errors_are_passed_on(interface: Plain) -> None:

@@ -26,7 +26,7 @@ GB = 10**9
         ("size", Policy(size=2), EnvironmentOptions(size=3), (3, 2)),
         ("cpu", Policy(cpu=1.5), EnvironmentOptions(cpu=1.6), (1.6, 1.5)),
         ("memory", Policy(memory=GB), EnvironmentOptions(memory=GB + 1), (GB + 1, GB)),
-        ("pids", Policy(pids=10), EnvironmentOptions(pids=11), (11, 10)),
+        ("pids", Policy(pids=100), EnvironmentOptions(pids=101), (101, 100)),
         ("disk", Policy(disk=GB), EnvironmentOptions(disk=2 * GB), (2 * GB, GB)),
         ("bandwidth", Policy(bandwidth=100), EnvironmentOptions(bandwidth=101), (101, 100)),
         ("io.read", Policy(io=100), EnvironmentOptions(io=IoRates(read=101)), (101, 100)),
@@ -43,6 +43,14 @@ def test_options_above_a_limit_are_refused(
     assert (raised.value.info.fields["asked"], raised.value.info.fields["limit"]) == numbers
     assert all(f"{number:g}" in str(raised.value) or str(number) in str(raised.value) for number in numbers)
     assert granted(UNLIMITED, options) == options
+
+
+@pytest.mark.parametrize(("policy", "asked"), [(UNLIMITED, 31), (Policy(pids=31), 0), (Policy(default_pids=1), 0)])
+def test_environment_gets_as_many_processes_as_it_needs_itself(policy: Policy, asked: int) -> None:
+    with pytest.raises(InvalidRequest, match="at least 32 processes and threads") as raised:
+        granted(policy, EnvironmentOptions(pids=asked))
+    assert raised.value.field == "containerData.pids"
+    assert granted(UNLIMITED, EnvironmentOptions(pids=32)).pids == 32
 
 
 def test_defaults_fill_in_missing_options() -> None:

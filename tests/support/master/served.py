@@ -63,6 +63,7 @@ class Peer:
 
     def __init__(self, served: Served, hello: Hello) -> None:
         self.address = "memory"
+        self.fell_silent = False
         self.lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.calls: list[Call[Any]] = []
         self.refuse: dict[type[Call[Any]], RceError] = {}
