@@ -7,7 +7,7 @@ text files in `definitions` (the public interfaces of ROS 2 Kilted).
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from functools import cache
+from functools import cache, partial
 from importlib.resources import files
 from typing import NamedTuple
 
@@ -47,7 +47,7 @@ class TypeRegistry:
 
     def __init__(self) -> None:
         self._added: dict[str, Definition] = {}
-        self._codecs = _CodecCache(self._definition)
+        self._codecs = _CodecCache(partial(_definition, self._added))
 
     def add(self, definitions: Mapping[str, str]) -> None:
         """Add types, all of them or, in case of an error, none.
@@ -113,7 +113,7 @@ class TypeRegistry:
         while rest:
             each = rest.pop()
             if each not in found:
-                found[each] = self._definition(each)
+                found[each] = _definition(self._added, each)
                 rest += (field.type.base for field in found[each] if field.type.nested)
         return found
 
@@ -127,9 +127,6 @@ class TypeRegistry:
     def _codec(self, name: str, image_format: ImageFormat, dialect: Dialect) -> Codec:
         codecs = _common_codecs() if name in common_definitions() else self._codecs
         return codecs.get(name, "json" if dialect in ("rosbridge", "cbor") else image_format, dialect)
-
-    def _definition(self, name: str) -> Definition:
-        return _find(name, common_definitions() if name in common_definitions() else self._added)
 
 
 class _CodecCache:
@@ -162,6 +159,10 @@ def _added(name: str, lookup: Lookup) -> Iterator[tuple[str, Definition]]:
             definition = lookup(each)
             rest += (field.type.base for field in definition if field.type.nested)
             yield each, definition
+
+
+def _definition(added: Mapping[str, Definition], name: str) -> Definition:
+    return _find(name, common_definitions() if name in common_definitions() else added)
 
 
 def _find(name: str, definitions: Mapping[str, Definition]) -> Definition:

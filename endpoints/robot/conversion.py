@@ -145,6 +145,10 @@ class Outgoing:
         return found
 
 
+def _ignore(*_: object) -> None:
+    pass
+
+
 class ToRobot:
     """Messages to a robot by one interface, which are converted by the workers before they enter the robot's queue.
 
@@ -197,10 +201,11 @@ class ToRobot:
             self._queue.resume()
 
     def close(self) -> None:
-        """Drop all messages."""
+        """Drop all messages, for good."""
         self._queue.clear()
         if self._cancel is not None:
             self._cancel()
+        self._converted = self._failed = _ignore  # these have the interface, which has this
 
     def _begin(self, outgoing: Outgoing) -> bool:
         if outgoing.codec.decodes_fast(outgoing.message.payload):

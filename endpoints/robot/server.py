@@ -92,6 +92,10 @@ class ClientSocket(WebSocketServerProtocol):
         """Count the connection no longer."""
         self._pending.end()
         super().connection_lost(exc)
+        # All of these have this socket, and would wait for the garbage collector together with it.
+        self._client = self._writer = None
+        self._flight = Flight(lambda: None)
+        self.is_closed = self.waiter = None  # type: ignore[assignment]  # futures of Autobahn
 
     # --- handshake ----------------------------------------------------------------------------------------------------
 

@@ -42,17 +42,17 @@ class Budget:
         self.used = 0
         self._limit = limit
         self._spare = spare
-        self._levels: tuple[Budget, ...] = (self, *parent._levels) if parent is not None else (self,)
+        self._above: tuple[Budget, ...] = (parent, *parent._above) if parent is not None else ()
         self._holders: set[Holder] = set()
 
     @property
     def full(self) -> bool:
         """True if this budget, or one that it is a part of, is used up."""
-        return any(level.used >= level._limit for level in self._levels)
+        return any(level.used >= level._limit for level in (self, *self._above))
 
     def charge(self, holder: Holder, amount: int) -> None:
         """Add to the bytes of a queue, whose `charged` includes `amount` already; a negative amount frees bytes."""
-        for level in self._levels:
+        for level in (self, *self._above):
             level.used += amount
             if holder.charged:
                 level._holders.add(holder)
@@ -62,7 +62,7 @@ class Budget:
     def shrink(self) -> set[Holder]:
         """Make the largest queues of every budget that is exceeded drop messages; return the queues that did."""
         shrunk: set[Holder] = set()
-        for level in self._levels:
+        for level in (self, *self._above):
             if level.used > level._limit:
                 shrunk |= level._drop()
         return shrunk

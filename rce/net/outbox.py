@@ -127,6 +127,10 @@ class _Queue(Generic[P]):
         self.drained = None
 
 
+def _closed(_: object) -> bool:
+    return False
+
+
 class Outbox(Generic[P]):
     """Queues of all sources of one stream.
 
@@ -212,7 +216,7 @@ class Outbox(Generic[P]):
             queue.end_current()
 
     def clear(self) -> None:
-        """Drop all messages and stop writing, because the stream is gone."""
+        """Drop all messages and stop writing for good, because the stream is gone."""
         for queue in self._queues.values():
             queue.end_current()
             queue.discard()
@@ -220,6 +224,7 @@ class Outbox(Generic[P]):
         for turns in self._turns:
             turns.clear()
         self._open = False
+        self._write = _closed  # what writes the pieces often has the outbox, and both together would wait for the GC
 
     def pause(self) -> None:
         """Stop writing to the stream."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import weakref
 from typing import Any, cast
 
 import pytest
@@ -14,7 +15,7 @@ from endpoints.robot.streams import Streams
 from rce.control.client import ControlClient
 from rce.protocol import messages as m
 from tests.support.endpoints.platforms import Platform, pair
-from tests.support.endpoints.raw_robot import USER, dm, status
+from tests.support.endpoints.raw_robot import USER, dm, eventually, status
 from tests.support.hand_turned import HandTurnedLoop
 
 
@@ -135,3 +136,17 @@ async def test_unknown_key_of_a_command_is_refused_unless_the_robot_is_one_of_th
     assert "nodeTga: there is no such key: did you mean nodeTag?" in (await new.receive())["error"]["message"]
     await old.send(command)
     assert "nodeTga" not in (await old.receive())["data"]
+
+
+async def test_ended_session_and_its_socket_are_freed_at_once(platform: Platform) -> None:
+    """What waits for the garbage collector stops all robots of the process when it is collected."""
+    a, _ = await pair(platform, features="ack")
+    await a.data("out", {"data": "hi"})
+    session = weakref.ref(platform.endpoint.sessions[f"{USER}/a"])
+    socket, interface = weakref.ref(session().socket), weakref.ref(session().interfaces["out"])
+    gc.disable()
+    try:
+        await a.socket.close()
+        await eventually(lambda: session() is socket() is interface() is None)
+    finally:
+        gc.enable()
