@@ -94,7 +94,7 @@ def granted(policy: Policy, options: EnvironmentOptions) -> EnvironmentOptions:
     }
     if 0 < got["pids"] < LEAST_PIDS:
         raise InvalidRequest(
-            f"pids {got['pids']}: an environment needs at least {LEAST_PIDS} processes and threads, and more for its nodes",
+            f"pids {got['pids']}: an environment needs at least {LEAST_PIDS} processes and threads, its nodes more",
             field="containerData.pids",
         )
     rates = IoRates(
