@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import msgspec
 from aiohttp import web
 from aiohttp.typedefs import Handler
 
@@ -88,10 +87,10 @@ def routes(rest: Rest) -> list[Route]:
 
 def document(table: list[Route]) -> dict[str, Any]:
     """Return the OpenAPI 3.1 document."""
-    query = {"type": "apiKey", "in": "query", "name": "key", "description": "an API key"}
-    schemes = {"key": openapi.KEY, "password": openapi.PASSWORD, "query": query}
     description = "Action recipes, objects and environments that robots share: OWL texts with files, in versions."
-    return openapi.document("RCE knowledge service", description, map(_operation, table), schemes, schemes)
+    return openapi.document(
+        "RCE knowledge service", description, map(_operation, table), openapi.SCHEMES, openapi.SCHEMES
+    )
 
 
 def _operation(route: Route) -> openapi.Operation:
@@ -109,12 +108,6 @@ def _operation(route: Route) -> openapi.Operation:
 
 def add(application: web.Application, table: list[Route]) -> None:
     """Add the routes, and the document that describes them."""
-    text = msgspec.json.format(msgspec.json.encode(document(table)), indent=1)
-
-    async def describe(_: web.Request) -> web.Response:
-        return web.Response(body=text, content_type="application/json")
-
     for route in table:
         application.router.add_route(route.method, PREFIX + route.path, route.handler)
-    for path in ("", "/", "/openapi.json"):
-        application.router.add_get(PREFIX + path, describe)
+    openapi.serve(application, PREFIX, document(table))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from typing import Any, NamedTuple
 
-import msgspec
 from aiohttp import web
 from aiohttp.typedefs import Handler
 
@@ -80,13 +79,11 @@ def routes(rest: Rest) -> list[Route]:
 
 def document(table: list[Route]) -> dict[str, Any]:
     """Return the OpenAPI 3.1 document."""
-    query = {"type": "apiKey", "in": "query", "name": "key", "description": "an API key"}
-    schemes = {"key": openapi.KEY, "password": openapi.PASSWORD, "query": query}
     description = (
         "Recordings in, maps out. Files are uploaded with tus 1.0 (https://tus.io); a job makes a "
         "map of them in an environment of its user. The same operations are offered in SOAP 1.1."
     )
-    return openapi.document("RCE map service", description, map(_operation, table), schemes, schemes)
+    return openapi.document("RCE map service", description, map(_operation, table), openapi.SCHEMES, openapi.SCHEMES)
 
 
 def _operation(route: Route) -> openapi.Operation:
@@ -122,12 +119,6 @@ def add(application: web.Application, table: list[Route], check: Callable[[web.R
             request.transport.write(b"HTTP/1.1 100 Continue\r\n\r\n")
         return None
 
-    text = msgspec.json.format(msgspec.json.encode(document(table)), indent=1)
-
-    async def describe(_: web.Request) -> web.Response:
-        return web.Response(body=text, content_type="application/json")
-
     for route in table:
         application.router.add_route(route.method, PREFIX + route.path, route.handler, expect_handler=expect)
-    for path in ("", "/", "/openapi.json"):
-        application.router.add_get(PREFIX + path, describe)
+    openapi.serve(application, PREFIX, document(table))

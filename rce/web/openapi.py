@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, get_origin
 
 import msgspec
+from aiohttp import web
 
 import rce
 from rce.api.http import PROBLEM, Problem
@@ -18,6 +19,9 @@ BYTES = "application/octet-stream"
 JSON = "application/json"
 KEY: dict[str, Any] = {"type": "http", "scheme": "bearer", "description": "an API key"}
 PASSWORD: dict[str, Any] = {"type": "http", "scheme": "basic", "description": "user and password, or API key"}
+QUERY: dict[str, Any] = {"type": "apiKey", "in": "query", "name": "key", "description": "an API key"}
+SCHEMES = {"key": KEY, "password": PASSWORD, "query": QUERY}
+"""Ways to log in to a service beside the Master."""
 
 
 class Parameter(NamedTuple):
@@ -84,6 +88,17 @@ def document(
         "components": {"schemas": components, "securitySchemes": schemes},
         "security": [{name: []} for name in default],
     }
+
+
+def serve(application: web.Application, prefix: str, document: dict[str, Any]) -> None:
+    """Answer requests for a document, below a path and at that path itself."""
+    text = msgspec.json.format(msgspec.json.encode(document), indent=1)
+
+    async def describe(_: web.Request) -> web.Response:
+        return web.Response(body=text, content_type=JSON)
+
+    for path in ("", "/", "/openapi.json"):
+        application.router.add_get(prefix + path, describe)
 
 
 def path_parameters(
