@@ -80,12 +80,10 @@ class Soak:
             await lasting.add_node("echo", PACKAGE, "echo", args="in:string", namespace=LASTING)
             await self._talk(host, LASTING)
             began = time.monotonic()
-            sampling = asyncio.create_task(self._sample(observer, began))
-            try:
+            async with asyncio.TaskGroup() as group:  # what cannot be sampled ends the visits
+                sampling = group.create_task(self._sample(observer, began))
                 await self._receive(began, seconds, rate)
-            finally:
                 sampling.cancel()
-                await asyncio.gather(sampling, return_exceptions=True)
         return self._summary(observer, began)
 
     def _summary(self, observer: Observer, began: float) -> Result:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import mmap
 import os
+import shutil
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import cast
@@ -92,6 +94,27 @@ def test_processes_are_sampled_by_name(program: subprocess.Popen[bytes], tmp_pat
     assert observer.series["data"].figures["database"] == [100, 100]
     assert observer.restarts == []
     assert set(metrics.asked) == {"metrics"}
+
+
+def test_directories_may_be_removed_while_files_are_counted(tmp_path: Path) -> None:
+    """Those of environments are, all the time."""
+    observer = Observer(tmp_path, cast(EntryClient, FakeMetrics()), "ann/brain")
+    over = threading.Event()
+
+    def come_and_go() -> None:
+        while not over.is_set():
+            (tmp_path / "environments" / "brain" / "logs").mkdir(parents=True)
+            shutil.rmtree(tmp_path / "environments")
+
+    coming = threading.Thread(target=come_and_go)
+    coming.start()
+    try:
+        for number in range(300):
+            observer.sample(float(number))
+    finally:
+        over.set()
+        coming.join()
+    assert len(observer.series["data"].times) == 300
 
 
 def test_pages_of_files_are_not_a_process_own_memory(tmp_path: Path) -> None:

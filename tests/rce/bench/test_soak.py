@@ -115,6 +115,32 @@ async def test_samples_are_reported_while_the_soak_runs(monkeypatch: pytest.Monk
     assert reported[0].seconds > 0
 
 
+async def test_failure_to_sample_ends_the_soak(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Host(FakeRobot):
+        async def __aenter__(self) -> Host:
+            return self
+
+        async def __aexit__(self, *_: object) -> None:
+            return
+
+        def environment(self, tag: str) -> Host:
+            return self
+
+        async def add_node(self, *words: str, **more: str) -> None:
+            self.log.append(("node", *words))
+
+    class BrokenObserver(FakeObserver):
+        def sample(self, time: float) -> None:
+            raise OSError("no such directory")
+
+    monkeypatch.setattr(soak, "INTERVAL", 0.0)
+    made = Soak("http://x/", "u", "p", lambda _: None)
+    monkeypatch.setattr(made, "robot", Host)
+    with pytest.raises(ExceptionGroup) as raised:
+        await asyncio.wait_for(made.run(cast(Observer, BrokenObserver()), 3600.0, 0.001), 20)
+    assert raised.group_contains(OSError, match="no such directory")
+
+
 def result() -> Result:
     flat, growing = Series(), Series()
     for number in range(10):
