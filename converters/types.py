@@ -47,7 +47,7 @@ class TypeRegistry:
 
     def __init__(self) -> None:
         self._added: dict[str, Definition] = {}
-        self._codecs = _CodecCache(partial(_definition, self._added))
+        self._codecs = _CodecCache(partial(_definition, self._added))  # a method would make a reference cycle
 
     def add(self, definitions: Mapping[str, str]) -> None:
         """Add types, all of them or, in case of an error, none.

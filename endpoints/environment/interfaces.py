@@ -74,7 +74,7 @@ class RosInterface(Interface):
         except (InvalidTopicNameException, InvalidServiceNameException, ValueError, _rclpy.RCLError) as error:
             problem = f"ROS rejects addr {self.spec.addr!r}: {' '.join(str(error).split())}"
             if not self.spec.addr:
-                problem = f"{with_article(self.spec.kind)} needs addr, its topic, service or action, as in /camera"
+                problem = f"{with_article(self.spec.kind)} needs addr: a topic, service or action, such as /camera"
             raise InvalidRequest(f"interface {self.spec.tag}: {problem}", field="addr") from None
 
     def _report_once(self, error: RceError) -> None:

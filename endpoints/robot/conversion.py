@@ -205,7 +205,7 @@ class ToRobot:
         self._queue.clear()
         if self._cancel is not None:
             self._cancel()
-        self._converted = self._failed = _ignore  # these have the interface, which has this
+        self._converted = self._failed = _ignore  # break the reference cycle with the interface
 
     def _begin(self, outgoing: Outgoing) -> bool:
         if outgoing.codec.decodes_fast(outgoing.message.payload):

@@ -89,13 +89,11 @@ class ClientSocket(WebSocketServerProtocol):
         self._pending_pong: bytes | None = None  # payload of a ping that came while the write buffer was full
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Count the connection no longer."""
+        """Count the connection no longer, and break the reference cycles of this socket: it is freed at once."""
         self._pending.end()
         super().connection_lost(exc)
-        # All of these have this socket, and would wait for the garbage collector together with it.
-        self._client = self._writer = None
-        self._flight = Flight(lambda: None)
-        self.is_closed = self.waiter = None  # type: ignore[assignment]  # futures of Autobahn
+        self._client = None
+        del self.is_closed, self.waiter  # futures of Autobahn
 
     # --- handshake ----------------------------------------------------------------------------------------------------
 

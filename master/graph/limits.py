@@ -81,7 +81,7 @@ def granted(policy: Policy, options: EnvironmentOptions) -> EnvironmentOptions:
 
     Raises:
         LimitExceeded: A value is above its maximum; the error has the numbers.
-        InvalidRequest: An environment cannot run with so few processes.
+        InvalidRequest: The number of processes is less than an environment itself needs.
     """
     _check_image(policy, options.image)
     _check("size", options.size, policy.size)
@@ -94,7 +94,7 @@ def granted(policy: Policy, options: EnvironmentOptions) -> EnvironmentOptions:
     }
     if 0 < got["pids"] < LEAST_PIDS:
         raise InvalidRequest(
-            f"pids {got['pids']}: an environment needs at least {LEAST_PIDS} processes and threads, its nodes more",
+            f"pids {got['pids']}: an environment needs at least {LEAST_PIDS} processes and threads, more with nodes",
             field="containerData.pids",
         )
     rates = IoRates(

@@ -118,7 +118,7 @@ class Observer:
                     "tasks": self._tasks(path),
                 }
                 self.series.setdefault(name, Series()).add(time, **taken)
-        # `rglob` fails if a directory is removed meanwhile, as those of environments are.
+        # Not `rglob`, which fails if a directory is removed meanwhile, as those of environments are.
         files = [Path(root, name) for root, below, names in os.walk(self._directory) for name in (*below, *names)]
         database = sum(_size(path) for path in files if path.name.startswith("master.db"))
         self.series.setdefault("data", Series()).add(time, database=database, files=len(files))

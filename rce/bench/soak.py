@@ -80,7 +80,7 @@ class Soak:
             await lasting.add_node("echo", PACKAGE, "echo", args="in:string", namespace=LASTING)
             await self._talk(host, LASTING)
             began = time.monotonic()
-            async with asyncio.TaskGroup() as group:  # what cannot be sampled ends the visits
+            async with asyncio.TaskGroup() as group:  # an error of the sampler ends the run
                 sampling = group.create_task(self._sample(observer, began))
                 await self._receive(began, seconds, rate)
                 sampling.cancel()

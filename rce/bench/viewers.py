@@ -25,7 +25,7 @@ from rce.errors import InvalidRequest
 
 SETTLING = 2.0  # seconds for which viewers watch before the loop is measured
 ENDING = 30.0  # seconds until a program is killed that should end
-# Cameras and viewers of real life have machines of their own, so they run here only while the platform does not.
+# Cameras and viewers run on other machines in real life, so here they run only while the platform does not.
 ELSEWHERE = ("chrt", "--idle", "0")
 
 

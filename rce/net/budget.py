@@ -42,6 +42,7 @@ class Budget:
         self.used = 0
         self._limit = limit
         self._spare = spare
+        # Without this budget itself: with such a reference cycle it would wait for the garbage collector.
         self._above: tuple[Budget, ...] = (parent, *parent._above) if parent is not None else ()
         self._holders: set[Holder] = set()
 

@@ -224,7 +224,7 @@ class Outbox(Generic[P]):
         for turns in self._turns:
             turns.clear()
         self._open = False
-        self._write = _closed  # what writes the pieces often has the outbox, and both together would wait for the GC
+        self._write = _closed  # break the reference cycle with the owner, whose method this usually is
 
     def pause(self) -> None:
         """Stop writing to the stream."""

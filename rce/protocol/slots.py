@@ -7,4 +7,4 @@ MB = 1024 * 1024
 CORES = 1.0
 MEMORY = 1024 * MB  # bytes
 PIDS = 512  # processes and threads
-LEAST_PIDS = 32  # an environment without nodes has 17 threads
+LEAST_PIDS = 32  # of an environment of any size: it has 17 threads without nodes

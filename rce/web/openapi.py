@@ -21,7 +21,7 @@ KEY: dict[str, Any] = {"type": "http", "scheme": "bearer", "description": "an AP
 PASSWORD: dict[str, Any] = {"type": "http", "scheme": "basic", "description": "user and password, or API key"}
 QUERY: dict[str, Any] = {"type": "apiKey", "in": "query", "name": "key", "description": "an API key"}
 SCHEMES = {"key": KEY, "password": PASSWORD, "query": QUERY}
-"""Ways to log in to a service beside the Master."""
+"""Security schemes of the map service and the knowledge service."""
 
 
 class Parameter(NamedTuple):
@@ -90,9 +90,9 @@ def document(
     }
 
 
-def serve(application: web.Application, prefix: str, document: dict[str, Any]) -> None:
-    """Answer requests for a document, below a path and at that path itself."""
-    text = msgspec.json.format(msgspec.json.encode(document), indent=1)
+def serve(application: web.Application, prefix: str, content: dict[str, Any]) -> None:
+    """Serve a document at `prefix` and at `prefix/openapi.json`."""
+    text = msgspec.json.format(msgspec.json.encode(content), indent=1)
 
     async def describe(_: web.Request) -> web.Response:
         return web.Response(body=text, content_type=JSON)

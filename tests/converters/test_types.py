@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import json
+import weakref
 
 import msgspec
 import pytest
@@ -163,3 +165,15 @@ def test_recipe_makes_the_same_codec_elsewhere() -> None:
     sent = msgspec.msgpack.decode(msgspec.msgpack.encode(codec.recipe), type=Recipe)
     assert TypeRegistry.codec_of(sent).encode(Wire(False, b"{}", {})) == codec.encode(Wire(False, b"{}", {}))
     assert registry.message(parse_type("std_msgs/String")).recipe == Recipe("std_msgs/msg/String", "png")
+
+
+def test_registry_is_freed_without_the_garbage_collector() -> None:
+    registry = registry_with(Inner=INNER)
+    registry.message(parse_type("demo/Inner"))
+    codecs = weakref.ref(registry._codecs)
+    gc.disable()
+    try:
+        del registry
+        assert codecs() is None
+    finally:
+        gc.enable()

@@ -23,7 +23,7 @@ from tests.support.client_cases import CPP, expected
 from tests.support.e2e.real_platform import USER, RealPlatform
 from tests.support.paths import TESTS
 
-pytestmark = pytest.mark.timeout(900)  # the first test compiles, for more than five minutes on a slow machine
+pytestmark = pytest.mark.timeout(900)  # the first test compiles, which takes more than five minutes on a slow machine
 
 STRING = "std_msgs/String"
 TIMEOUT = 240  # seconds; a limit that only ends what hangs

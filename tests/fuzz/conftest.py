@@ -1,6 +1,6 @@
 """Number of cases, seed, and the attacked processes.
 
-`pytest tests/fuzz --cases 1000000 --fuzz-seed 7` runs a million cases in place of the usual number.
+`pytest tests/fuzz --cases 1000000 --fuzz-seed 7` runs a million cases in place of the usual number, as root.
 """
 
 from __future__ import annotations

@@ -76,7 +76,7 @@ async def test_missing_name_is_invalid_request() -> None:
         raise InvalidTopicNameException("", "must not be empty", 0)
 
     plain = Plain(msgspec.structs.replace(SPEC, addr=""), InstantRos().context(lambda *_: None))
-    with pytest.raises(InvalidRequest, match="interface tag: a PublisherInterface needs addr, its topic"):
+    with pytest.raises(InvalidRequest, match="interface tag: a PublisherInterface needs addr: a topic"):
         await plain.create(fail)
 
 

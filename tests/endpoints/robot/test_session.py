@@ -139,7 +139,7 @@ async def test_unknown_key_of_a_command_is_refused_unless_the_robot_is_one_of_th
 
 
 async def test_ended_session_and_its_socket_are_freed_at_once(platform: Platform) -> None:
-    """What waits for the garbage collector stops all robots of the process when it is collected."""
+    """Leave nothing to the garbage collector, which stops all robots of the process while it runs."""
     a, _ = await pair(platform, features="ack")
     await a.data("out", {"data": "hi"})
     session = weakref.ref(platform.endpoint.sessions[f"{USER}/a"])

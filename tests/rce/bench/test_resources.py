@@ -97,7 +97,7 @@ def test_processes_are_sampled_by_name(program: subprocess.Popen[bytes], tmp_pat
 
 
 def test_directories_may_be_removed_while_files_are_counted(tmp_path: Path) -> None:
-    """Those of environments are, all the time."""
+    """Sample while directories come and go, as those of environments do."""
     observer = Observer(tmp_path, cast(EntryClient, FakeMetrics()), "ann/brain")
     over = threading.Event()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Iterator
 
 import pytest
@@ -159,3 +160,10 @@ def test_search_for_largest_queue_is_rare(user: Budget, monkeypatch: pytest.Monk
     for number in range(10_000):
         robot.put(interfaces[number % 10], "", 10)
     assert searches <= (10_000 * 10 - LIMIT) / (LIMIT / SLACK) + 1
+
+
+def test_budget_is_freed_without_the_garbage_collector(user: Budget) -> None:
+    interface = Budget(LIMIT, user)
+    freed = weakref.ref(interface)
+    del interface
+    assert freed() is None

@@ -26,7 +26,7 @@ KNOWLEDGE_TOKEN = "knowledge-token"
 NAMES = {"robot": "fuzz-robot", "container": "fuzz-machine", "service": "map-service"}
 MAX_MEMORY = 1024**3  # bytes of each process; a quiet Robot endpoint takes 70 MB
 SETTLE = 3.0  # seconds in which the bystander is measured without an attack
-SETTLE_APART = 20.0  # the same where its 99th percentile counts
+SETTLE_APART = 20.0  # the same with `apart`, where its 99th percentile counts
 BAD_LEVELS = ("error", "critical")
 
 
@@ -53,8 +53,8 @@ class Target:
         """Start all processes, and measure the bystander without an attack.
 
         Args:
-            apart: Attackers yield the processor to the platform, which yields it to the bystander, as if these had
-                machines of their own; needs root.
+            apart: Run attackers only while the platform does not run, and the bystander before all others, as if
+                they were on other machines. This needs root.
         """
         allowed = ",".join(f"{role}:{NAMES[role]}:{token}" for role, token in TOKENS.items())
         allowed += f",service:{SERVICE}:{KNOWLEDGE_TOKEN}"
