@@ -81,15 +81,16 @@ class LaserOdometry:
             The match, or None if the pose comes from the wheels or the last motion alone.
         """
         predictions = self._motion.predict(scan)
-        found = self._local.match(points, predictions, self._motion.spread(scan)) if points is not None else None
+        spread, cost = self._motion.spread(scan), self._motion.cost
+        found = self._local.match(points, predictions, spread, cost) if points is not None else None
         before, predicted = self.pose, predictions[0]
         pose = found.pose if found else predicted
         # The wheels give the length of the step, the laser the turn.
         length = before.to(pose if scan.odometry is None else predicted)
         self.wheel_pose = self.wheel_pose @ length._replace(theta=before.to(pose).theta)
-        reliable = found is None or found.unambiguous
-        self._motion.update(scan, pose, reliable, found.covariance if found else None)
-        if points is not None:
+        fits = found is not None or not self._local.contains(pose)  # a scan that contradicts the map is not kept
+        self._motion.update(scan, pose, found.unambiguous if found else fits, found.covariance if found else None)
+        if points is not None and fits:
             self._keep(points)
         return found
 

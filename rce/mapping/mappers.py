@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from rce.mapping.particles.mapper import ParticleMapper
-from rce.mapping.pose_graph.mapper import GraphMapper
+from rce.mapping.pose_graph.hypotheses import HypothesisMapper
 
-AnyMapper = GraphMapper | ParticleMapper
-MAPPERS: dict[str, type[GraphMapper] | type[ParticleMapper]] = {"graph": GraphMapper, "particle": ParticleMapper}
+AnyMapper = HypothesisMapper | ParticleMapper
+MAPPERS: dict[str, type[HypothesisMapper] | type[ParticleMapper]] = {
+    "graph": HypothesisMapper,
+    "particle": ParticleMapper,
+}

@@ -12,6 +12,7 @@ from rce.mapping.geometry import ORIGIN, Pose
 from rce.mapping.odometry_scale import OdometryScale
 from rce.mapping.scans import Scan
 from rce.mapping.state import Reader, State, optional
+from rce.mapping.steps import Steps
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +57,7 @@ class Motion:
         self._last = ORIGIN  # motion between the last two scans, so far as it is known
         self._wheels: tuple[Pose, Pose] | None = None  # last odometry, and the pose of the robot then
         self._scale = OdometryScale()
+        self._steps = Steps()  # of scans whose motion nothing predicts
 
     def predict(self, scan: Scan) -> list[Pose]:
         """Return the predicted poses of the robot at a scan, the most trusted first."""
@@ -80,6 +82,10 @@ class Motion:
         way = math.dist(self._wheels[0][:2], scan.odometry[:2])
         return math.hypot(SETTINGS.wheel_noise, SETTINGS.wheel_slip * way)
 
+    def cost(self, pose: Pose) -> float:
+        """Return the penalty, in mean likelihood of a scan, of a pose to which nothing predicts the motion."""
+        return self._steps.cost(self.pose.to(pose))
+
     def _is_unpredictable(self, scan: Scan) -> bool:
         """Return whether nothing predicts the motion of the robot.
 
@@ -102,6 +108,7 @@ class Motion:
             "last": optional(self._last),
             "wheels": np.array(self._wheels or [], np.float64).reshape(-1, 3),
             "scale": self._scale.state(),
+            "steps": self._steps.state(),
         }
 
     def restore(self, saved: Reader) -> None:
@@ -115,6 +122,7 @@ class Motion:
         self.pose, self._last = saved.optional("pose") or ORIGIN, saved.optional("last") or ORIGIN
         self._stamp = stamps[0] if stamps else None
         self._scale.restore(saved.part("scale"))
+        self._steps.restore(saved.part("steps"))
         self._wheels = (wheels[0], wheels[1]) if len(wheels) == 2 else None
 
     def update(
@@ -128,6 +136,8 @@ class Motion:
             reliable: Whether the motion to this pose predicts the next one.
             covariance: (3, 3) of x, y, theta of a pose that was matched, map frame; None if it was not.
         """
+        if covariance is not None and self._stamp is not None and self._is_unpredictable(scan):
+            self._steps.add(self.pose.to(pose))
         if reliable:
             self._last = ORIGIN if self._stamp is None else self.pose.to(pose)
         self._steady = self._stamp is None or self._follows_soon(scan)

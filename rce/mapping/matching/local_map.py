@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
 from collections.abc import Callable, Iterable
@@ -13,7 +14,7 @@ from rce.mapping.geometry import Points, Pose
 from rce.mapping.grid import GridMap, OccupancyGrid
 from rce.mapping.matching.fields import Field, square_around
 from rce.mapping.matching.scan_matching import Match, Window, match
-from rce.mapping.matching.wide_search import match_wide
+from rce.mapping.matching.wide_search import Candidate, search_wide
 from rce.mapping.state import Reader, State, optional
 
 
@@ -122,30 +123,56 @@ class LocalMap:
         if self._field is not None:
             self._field.add(points)
 
-    def match(self, points: Points, predictions: list[Pose], spread: float) -> Match | None:
-        """Match a scan with the map.
+    def contains(self, pose: Pose) -> bool:
+        """Return whether a pose lies in the map."""
+        return self._field is not None and self._field.contains(pose)
+
+    def candidates(
+        self,
+        points: Points,
+        predictions: list[Pose],
+        spread: float,
+        step_cost: Callable[[Pose], float] = lambda pose: 0.0,
+    ) -> list[Candidate]:
+        """Return the places where a scan fits, the best first; several only if nothing predicts the motion.
 
         Args:
             points: (n, 2), metres, frame of the robot.
             predictions: Poses in the map frame, the most trusted first.
             spread: Metres by which the first prediction is usually off; infinite if the motion is unknown.
+            step_cost: Returns the penalty of a pose if the motion is unknown; see `search_wide`.
 
         Returns:
-            The match, or None while the map is empty or no prediction lies in it.
+            The places; none while the map is empty, no prediction lies in it, or the scan contradicts it everywhere.
         """
         field = self._field
-        if field is None:
-            return None
-        inside = [prediction for prediction in predictions if field.contains(prediction)]
-        if not inside:
-            return None
+        inside = [prediction for prediction in predictions if field is not None and field.contains(prediction)]
+        if field is None or not inside:
+            return []
         if math.isinf(spread):
-            return match_wide(field, self._free_space(), points, inside)
+            return search_wide(field, self._free_space(), points, inside, step_cost)
         found = match(field, points, inside, SETTINGS.near, spread)
-        if found.score >= SETTINGS.min_score:
-            return found
-        far = match(field, points, inside, SETTINGS.far)
-        return max(found, far, key=lambda candidate: candidate.score)
+        if found.score < SETTINGS.min_score:
+            far = match(field, points, inside, SETTINGS.far)
+            found = max(found, far, key=lambda candidate: candidate.score)
+        return [Candidate(found, found.score)]
+
+    def match(
+        self,
+        points: Points,
+        predictions: list[Pose],
+        spread: float,
+        step_cost: Callable[[Pose], float] = lambda pose: 0.0,
+    ) -> Match | None:
+        """Return the best of the `candidates`, or None if there are none."""
+        found = self.candidates(points, predictions, spread, step_cost)
+        return found[0].match if found else None
+
+    def copy(self, around: Callable[[Pose], Iterable[tuple[int, Points, Points]]]) -> LocalMap:
+        """Return a map that has the same walls, and takes further ones by itself from `around`."""
+        other = copy.copy(self)
+        other._around, other._field, other.places = around, copy.deepcopy(self._field), set(self.places)
+        return other
 
     def _free_space(self) -> OccupancyGrid:
         """Return the free space around the robot. It is rendered for each scan that needs it: these are few."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,7 @@ class WideSearchSettings:
         coarse_turn: Radians of a step of the coarse search.
         coarse_points: Points that the coarse search scores.
         modes: Best places of the coarse search that are refined.
+        fits: Best refined places that are fitted.
         mode_steps: Coarse steps around a mode that belong to it.
         mode_turns: Coarse turns around a mode that belong to it.
         fine_stride: Cells of a step of the fine search around a mode.
@@ -35,11 +37,14 @@ class WideSearchSettings:
         fine_turn: Radians of a turn of the fine search.
         wall: Likelihood (0..255) from which on a point is on a wall: that at 0.2 m from one.
         free: Percent below which a cell is free.
+        occupied: Percent from which on a beam cannot pass a cell.
+        margin: Metres at both ends of a beam that may lie in a wall.
         move_cost: Penalty for leaving the predictions, per square metre. Small: the predictions only help to choose.
         turn_cost: Penalty for leaving the predictions, per square radian.
         same: Metres; fits that are closer to each other count as one place.
         same_turn: Radians; the same for the heading.
         rival: Likelihood by which a place has to be behind the best one to be ruled out.
+        least: Value of a place below which the scan contradicts the map there: the laser was tilted, or is blocked.
     """
 
     reach: float = 3.5
@@ -47,56 +52,92 @@ class WideSearchSettings:
     coarse: int = 4
     coarse_turn: float = math.radians(2)
     coarse_points: int = 75
-    modes: int = 12
+    modes: int = 40
+    fits: int = 12
     mode_steps: int = 2
     mode_turns: int = 4
     fine_stride: int = 2
-    fine_steps: int = 1
+    fine_steps: int = 2
     fine_turns: int = 2
     fine_turn: float = math.radians(0.75)
     wall: int = 32
     free: int = 45
+    occupied: int = 70
+    margin: float = 0.4
     move_cost: float = 0.03
     turn_cost: float = 0.02
     same: float = 0.4
     same_turn: float = math.radians(8)
     rival: float = 0.15
+    least: float = -0.3
 
 
 SETTINGS = WideSearchSettings()
 
 
-def match_wide(field: Field, free: OccupancyGrid, points: Points, predictions: list[Pose]) -> Match:
-    """Return the pose at which points fit best, anywhere around the last prediction.
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """Place where the robot may be.
+
+    Attributes:
+        match: The match there.
+        value: Mean likelihood of the scan's points, 0..1, less penalties: the higher, the likelier is the place.
+    """
+
+    match: Match
+    value: float
+
+
+def search_wide(
+    field: Field, free: OccupancyGrid, points: Points, predictions: list[Pose], step_cost: Callable[[Pose], float]
+) -> list[Candidate]:
+    """Return the poses where points fit best, anywhere around the last prediction; the best first, none if none fits.
 
     Multi-resolution correlative matching (Olson, Real-Time Correlative Scan Matching, 2009), except that not one but
     the best places of the coarse level are refined, fitted and compared: in a building many places look alike on a
-    coarse grid. Places where points lie in free space count less. The covariance covers the places that are nearly as
-    likely: in a corridor it reaches along it.
+    coarse grid. Places where points lie in free space count less. The covariance of
+    each covers the places that are nearly as likely: in a corridor it reaches along it.
 
     Args:
         field: Walls around the robot.
         free: Occupancy grid of the same walls, which knows free space.
         points: (n, 2), metres, frame of the robot.
         predictions: Poses in the map frame, the most trusted first.
+        step_cost: Returns the penalty of a pose for the step to it, in mean likelihood.
     """
     cells = points / field.resolution
     thinned = every_nth(cells, scan_matching.SETTINGS.search_points)
+
+    def value(match: Match) -> float:
+        """Return the likelihood, less the share of contradictions, less the cost of the motion."""
+        leaving = min(
+            scan_matching.SETTINGS.later_penalty * i + _cost(prediction, match.pose)
+            for i, prediction in enumerate(predictions)
+        )
+        contradiction = _contradiction(field, free, match.pose, thinned * field.resolution)
+        return match.score - contradiction - leaving - step_cost(match.pose)
+
     centres = [field.pose_to_cells(prediction) for prediction in predictions]
-    # Candidates: the predictions and the refined modes of the coarse search.
-    starts = [*centres, *(_refine(field, thinned, mode) for mode in _modes(field, thinned, centres[-1]))]
+    refined = [_refine(field, thinned, mode) for mode in _modes(field, thinned, centres[-1])]
+    refined.sort(key=value, reverse=True)
+    starts = [*centres, *(field.pose_to_cells(match.pose) for match in refined[: SETTINGS.fits])]
     found = [fit(field, cells, thinned, start, start) for start in starts]
-    # Value: likelihood, less the share of points in free space, less the cost of leaving the predictions.
-    later_penalty = scan_matching.SETTINGS.later_penalty
-    values = [
-        match.score
-        - _contradiction(field, free, match.pose.transform(thinned * field.resolution))
-        - min(later_penalty * i + _cost(prediction, match.pose) for i, prediction in enumerate(predictions))
-        for match in found
-    ]
-    best = found[int(np.argmax(values))]
-    spread = _rival_covariance(best, found, max(values) - np.array(values))
-    return Match(best.pose, best.score, best.covariance + spread, unambiguous=not spread.any())
+    return _distinct(found, np.array([value(match) for match in found]))
+
+
+def _distinct(found: list[Match], values: NDArray[np.float64]) -> list[Candidate]:
+    """Return the places that are not much less likely than the best one, each once; the best first."""
+    distinct: list[Candidate] = []
+    least = max(SETTINGS.least, values.max() - SETTINGS.rival)
+    for number in np.argsort(-values):
+        match, value = found[number], float(values[number])
+        if value <= least:
+            break
+        if all(other.match.pose.to(match.pose).exceeds(SETTINGS.same, SETTINGS.same_turn) for other in distinct):
+            spread = _rival_covariance(match, found, np.abs(value - values))
+            covered = Match(match.pose, match.score, match.covariance + spread, unambiguous=not spread.any())
+            distinct.append(Candidate(covered, value))
+    return distinct
 
 
 def _modes(field: Field, thinned: Points, centre: Pose) -> list[Pose]:
@@ -130,17 +171,28 @@ def _max_pool(likelihood: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.ascontiguousarray(blocks.max(axis=1).max(axis=2))
 
 
-def _refine(field: Field, thinned: Points, mode: Pose) -> Pose:
-    """Return the best pose of a fine lattice around a mode; in cells."""
+def _refine(field: Field, thinned: Points, mode: Pose) -> Match:
+    """Return the best pose of a fine lattice around a mode (cells), in metres; its covariance is not known."""
     stride, steps, turns = SETTINGS.fine_stride, SETTINGS.fine_steps, SETTINGS.fine_turns
-    x, y, theta, _ = correlate(field.likelihood, thinned, *mode, stride, steps, turns, SETTINGS.fine_turn, 0.0, 0.0)
-    return Pose(x, y, theta)
+    x, y, theta, score = correlate(field.likelihood, thinned, *mode, stride, steps, turns, SETTINGS.fine_turn, 0.0, 0.0)
+    return Match(field.pose_from_cells(Pose(x, y, theta)), score, np.zeros((3, 3)))
 
 
-def _contradiction(field: Field, free: OccupancyGrid, points: Points) -> float:
-    """Return the share of points (n, 2), metres, map frame, that lie in free space."""
-    seen = free.at(points)
-    return float(((seen >= 0) & (seen < SETTINGS.free) & (field.at(points) <= SETTINGS.wall)).mean())
+def _contradiction(field: Field, free: OccupancyGrid, pose: Pose, points: Points) -> float:
+    """Return the share of beams that end in free space or pass a wall.
+
+    Args:
+        field: Walls.
+        free: Occupancy grid of the same walls.
+        pose: Pose of the robot, map frame.
+        points: (n, 2) ends of the beams, metres, frame of the robot.
+    """
+    ends = pose.transform(points)
+    seen = free.at(ends)
+    in_free = (seen >= 0) & (seen < SETTINGS.free) & (field.at(ends) <= SETTINGS.wall)
+    cells = (np.concatenate([ends, [pose[:2]]]) - (free.x, free.y)) / free.resolution
+    passing = passes_wall(free.cells, cells[-1], cells[:-1], SETTINGS.margin / free.resolution, SETTINGS.occupied)
+    return float((in_free | passing).mean())
 
 
 def _cost(prediction: Pose, pose: Pose) -> float:
@@ -153,9 +205,9 @@ def _rival_covariance(best: Match, found: list[Match], behind: NDArray[np.float6
     """Return the covariance (3, 3) of the other places that the robot may be at.
 
     Args:
-        best: The best match.
+        best: The match that is taken.
         found: All matches.
-        behind: (n,) by how much the value of each match is below that of the best.
+        behind: (n,) by how much the value of each match differs from that of the match that is taken.
     """
     spread, seen = np.zeros((3, 3)), [best.pose]
     for number in np.argsort(behind):
@@ -211,3 +263,32 @@ def correlations(
                 scores[a] += field[row : row + side, column : column + side]
     scores /= 255.0 * count
     return scores
+
+
+@compiled("boolean[::1](int8[:,::1], float64[::1], float64[:,::1], float64, int64)")
+def passes_wall(
+    cells: NDArray[np.int8], sensor: NDArray[np.float64], ends: NDArray[np.float64], margin: float, occupied: int
+) -> NDArray[np.bool_]:
+    """Return for each beam (n,) whether it passes a wall on the way to its end.
+
+    Args:
+        cells: (height, width) occupancy in percent, -1 unknown. Row and column are the whole parts of y and x.
+        sensor: x, y, cells.
+        ends: (n, 2) x, y of the ends of the beams, cells.
+        margin: Cells at both ends of a beam that may lie in a wall.
+        occupied: Percent from which on a cell is a wall.
+    """
+    height, width = cells.shape
+    found = np.zeros(ends.shape[0], np.bool_)
+    for i in range(ends.shape[0]):
+        x, y = sensor[0], sensor[1]
+        dx, dy = ends[i, 0] - x, ends[i, 1] - y
+        length = math.hypot(dx, dy)
+        way = margin
+        while way < length - margin:
+            column, row = math.floor(x + dx * way / length), math.floor(y + dy * way / length)
+            if 0 <= column < width and 0 <= row < height and cells[row, column] >= occupied:
+                found[i] = True
+                break
+            way += 0.5
+    return found

@@ -123,6 +123,14 @@ class PoseGraph:
         self._lengths[number] = {}
         return number
 
+    def copy(self) -> PoseGraph:
+        """Return a graph with the same nodes and edges. Scans are shared, since they do not change."""
+        other = PoseGraph()
+        other.nodes = {number: Node(node.pose, list(node.sweeps)) for number, node in self.nodes.items()}
+        other.edges = list(self.edges)
+        other._lengths = {number: dict(lengths) for number, lengths in self._lengths.items()}
+        return other
+
     def poses(self) -> Matrix:
         """Return (nodes, 3) x, y, theta of all nodes by number, map frame."""
         return np.array([node.pose for node in self.nodes.values()]).reshape(-1, 3)

@@ -112,6 +112,12 @@ class LoopFinder:
         self._graph = graph
         self._pending: list[Candidate] = []
 
+    def copy(self, graph: PoseGraph) -> LoopFinder:
+        """Return a finder with the same pending candidates, for a copy of its graph."""
+        other = LoopFinder(graph)
+        other._pending = list(self._pending)
+        return other
+
     def state(self) -> State:
         """Return the pending candidates as arrays to save."""
         return edges_state([candidate.edge() for candidate in self._pending])

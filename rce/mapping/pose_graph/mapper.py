@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from rce.mapping.history import History
 from rce.mapping.mapper import MIN_POINTS, UNMATCHED_COVARIANCE, Estimate, MapperSettings
 from rce.mapping.matching import local_map
 from rce.mapping.matching.local_map import LocalMap
+from rce.mapping.matching.wide_search import Candidate
 from rce.mapping.motion import Motion
 from rce.mapping.pose_graph.graph import Edge, PoseGraph, Sweep, information_matrix
 from rce.mapping.pose_graph.loops import LoopFinder
@@ -82,23 +84,44 @@ class GraphMapper:
 
     def add(self, scan: Scan) -> Estimate:
         """Map the next scan. One that is not newer than those before is answered but not mapped."""
+        return self.place(scan, next(iter(self.candidates(scan)), None))
+
+    def candidates(self, scan: Scan) -> list[Candidate]:
+        """Return the places where the robot may be at the next scan, the best first; none if it cannot be matched."""
+        points = scan.points(self.settings.max_range)
+        if not scan.stamp > self._stamp or len(points) < MIN_POINTS:
+            return []
+        motion = self._motion
+        return self._local.candidates(points, motion.predict(scan), motion.spread(scan), motion.cost)
+
+    def place(self, scan: Scan, candidate: Candidate | None) -> Estimate:
+        """Map the next scan at one of its candidates; None if it has none."""
         if not scan.stamp > self._stamp:
             return self._answer_late(scan)
         self._stamp = scan.stamp
         points = scan.points(self.settings.max_range)
-        predictions = self._motion.predict(scan)
-        usable = len(points) >= MIN_POINTS
-        found = self._local.match(points, predictions, self._motion.spread(scan)) if usable else None
-        reliable = found is None or found.unambiguous
-        pose = found.pose if found else predictions[0]
+        found = candidate.match if candidate else None
+        pose = found.pose if found else self._motion.predict(scan)[0]
+        fits = found is not None or not self._local.contains(pose)  # a scan that contradicts the map is not kept
+        reliable = found.unambiguous if found else fits
         covariance = found.covariance if found else UNMATCHED_COVARIANCE
         self._motion.update(scan, pose, reliable, found.covariance if found else None)
-        closed = self._keep(pose, points, covariance, reliable) if usable else None
+        closed = self._keep(pose, points, covariance, reliable) if fits and len(points) >= MIN_POINTS else None
         reference = self._graph.nodes[self._reference].pose
         self._history.append(scan.stamp, self._reference, reference.to(pose))
         if closed is not None:
             self._close_loops(closed)
         return Estimate(scan.stamp, self._motion.pose, covariance, found is not None)
+
+    def copy(self) -> GraphMapper:
+        """Return a mapper with the same map, which goes on by itself."""
+        other = copy.copy(self)
+        other._graph = self._graph.copy()
+        other._loops = self._loops.copy(other._graph)
+        other._local = self._local.copy(other._scans_around)
+        other._motion, other._history = copy.deepcopy((self._motion, self._history))
+        other._grid = None
+        return other
 
     def grid(self) -> OccupancyGrid:
         """Return the current map."""
@@ -108,6 +131,11 @@ class GraphMapper:
                 for sweep in node.sweeps:
                     self._grid.insert(*sweep.seen_from(node.pose))
         return self._grid.render()
+
+    @property
+    def pose(self) -> Pose:
+        """Pose of the robot at the last scan, map frame."""
+        return self._motion.pose
 
     @property
     def graph(self) -> PoseGraph:

@@ -14,12 +14,13 @@ import pytest
 
 from rce.errors import InvalidRequest
 from rce.mapping.evaluation.simulation.evaluation import alignment
-from rce.mapping.evaluation.trials import Odometry, error_of, read_relations, with_odometry
+from rce.mapping.evaluation.trials import Odometry, error_of, read_relations, relations_of, with_odometry
 from rce.mapping.evaluation.trials.endless import back_and_forth
 from rce.mapping.files.outputs import trajectory_text
 from rce.mapping.files.recordings import open_recording
 from rce.mapping.mapper import Mapper, MapperSettings
 from rce.mapping.particles.mapper import ParticleMapper
+from rce.mapping.pose_graph.hypotheses import HypothesisMapper
 from rce.mapping.pose_graph.mapper import GraphMapper
 
 pytestmark = pytest.mark.slow  # maps recordings of whole buildings
@@ -108,6 +109,15 @@ def test_large_loops_are_closed(data: Path, name: str, odometry: Odometry, limit
     truth = np.array([scan.odometry for scan in scans])[:, :2]
     found = mapper.trajectory()[:, 1:3]
     assert np.hypot(*(alignment(found, truth).transform(found) - truth).T).mean() < limit
+
+
+@pytest.mark.parametrize("name", ["aces", "csail", "orebro"])
+def test_loops_are_closed_without_odometry(data: Path, name: str) -> None:
+    """The logs have a scan a metre, and many steps fit at several places."""
+    scans, mapper = list(open_recording(data / "corrected" / f"{name}-corrected.log.gz")), HypothesisMapper()
+    for scan in with_odometry(scans, Odometry(none=True)):
+        mapper.add(scan)
+    assert error_of(mapper.trajectory(), relations_of(scans)["loop"]).translation < 0.5
 
 
 def test_all_corrected_logs_are_read_completely(data: Path) -> None:

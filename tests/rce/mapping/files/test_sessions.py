@@ -91,7 +91,12 @@ def test_missing_or_invalid_array_is_rejected(simulation: Simulation, tmp_path: 
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("reference", 10_000), ("history/nodes", 10_000), ("graph/edges/ends", -2), ("graph/points/lengths", 7)],
+    [
+        ("paths/0/reference", 10_000),
+        ("paths/0/history/nodes", 10_000),
+        ("paths/0/graph/edges/ends", -2),
+        ("paths/0/graph/points/lengths", 7),
+    ],
 )
 def test_indices_out_of_range_are_rejected(simulation: Simulation, tmp_path: Path, key: str, value: int) -> None:
     path = tmp_path / "session.npz"
@@ -116,7 +121,7 @@ def test_files_of_other_formats_are_rejected(simulation: Simulation, tmp_path: P
     about = arrays["about"].copy()
     about[1] = "99"
     np.savez(path, **{**arrays, "about": about})
-    with pytest.raises(InvalidRequest, match="version 99; this program supports version 2"):
+    with pytest.raises(InvalidRequest, match="version 99; this program supports version 3"):
         resume_session(path)
     np.savez(path, about=np.array([{}], object))
     with pytest.raises(InvalidRequest, match="session"):

@@ -40,6 +40,7 @@ def off(found: Pose, truth: Pose) -> float:
 
 def test_nothing_is_matched_with_an_empty_map() -> None:
     assert empty().match(points_at(PLACE), [ORIGIN], 0.1) is None
+    assert not empty().contains(ORIGIN)
 
 
 def test_scan_near_the_prediction_is_matched() -> None:
@@ -61,6 +62,37 @@ def test_larger_window_is_searched_if_the_motion_is_larger_than_predicted(motion
     found = filled().match(points_at(PLACE @ motion), [ORIGIN], spread)
     assert found is not None
     assert off(found.pose, motion) < 0.05
+
+
+def test_several_places_are_candidates_if_the_motion_is_unknown() -> None:
+    x = np.arange(-15.0, 15.0, 0.05)
+    corridor = np.concatenate([np.stack([x, np.full(len(x), side)], axis=1) for side in (-1.0, 1.0)])
+    local = LocalMap(lambda _: iter([(0, SENSOR, corridor)] * 5), 20.0)
+    local.rebuild(ORIGIN)
+    part = corridor[np.abs(corridor[:, 0]) < 8.0]
+    assert len(local.candidates(part, [ORIGIN], 0.1)) == 1
+    places = local.candidates(part, [ORIGIN], math.inf, lambda pose: 0.2 * abs(abs(pose.x) - 2.0))
+    assert len(places) > 1
+    assert abs(places[0].match.pose.x) == pytest.approx(2.0, abs=0.2)
+
+
+def test_scan_that_contradicts_the_map_has_no_place() -> None:
+    points, ranges = points_at(PLACE), np.random.default_rng(0).uniform(0.3, 3.0, 360)
+    rain = points / np.hypot(*points.T)[:, None] * ranges[:, None]
+    local = filled()
+    assert local.contains(ORIGIN)
+    assert local.candidates(rain, [ORIGIN], math.inf) == []
+
+
+def test_copied_map_takes_scans_by_itself() -> None:
+    local = filled()
+    other = local.copy(around)
+    other.add(9, points_at(PLACE @ Pose(1.0, 0.0, 0.0)))
+    assert (local.places, other.places) == ({3, 4}, {3, 4, 9})
+    first, second = (each.match(points_at(PLACE @ NEAR), [ORIGIN], 0.1) for each in (local, filled()))
+    assert first is not None
+    assert second is not None
+    assert (first.pose, first.score) == (second.pose, second.score), "the walls are those of before"
 
 
 def test_map_has_the_places_of_its_scans() -> None:

@@ -92,6 +92,17 @@ def test_points_around_a_node_are_in_its_frame() -> None:
     np.testing.assert_allclose(points, [[-1.0, 1.0], [0.0, 1.0], [1.0, 1.0]])
 
 
+def test_copied_graph_grows_and_moves_by_itself() -> None:
+    graph = chain(3)
+    other = graph.copy()
+    other.add_edges([Edge(2, other.add_node(Pose(3.0, 0.0, 0.0)), STEP, PRECISE)])
+    other.nodes[1].pose = Pose(1.0, 5.0, 0.0)
+    other.nodes[0].sweeps.clear()
+    assert (len(graph.nodes), len(graph.edges), graph.nodes[1].pose.y, len(graph.nodes[0].sweeps)) == (3, 2, 0.0, 1)
+    assert list(other.distances(0, 9.0)) == [0, 1, 2, 3]
+    assert list(graph.distances(0, 9.0)) == [0, 1, 2]
+
+
 def test_restored_graph_is_the_same() -> None:
     graph, other = chain(4), PoseGraph()
     graph.nodes[1].sweeps.append(Sweep(np.array([[0.1, 0.2]]), np.empty((0, 2), np.float32)))

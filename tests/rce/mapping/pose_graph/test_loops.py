@@ -47,6 +47,17 @@ def test_place_is_recognised_once_enough_closures_agree(offset: Pose) -> None:
         assert edge.motion == pytest.approx(truth, abs=0.03)
 
 
+def test_copied_finder_has_the_pending_closures() -> None:
+    places = [Pose(x, y, 0.3) for x, y in ROOM]
+    graph = graph_of(places, Pose(0.1, 0.0, 0.0), apartment())
+    finder, numbers = LoopFinder(graph), list(graph.nodes)[len(places) :]
+    for number in numbers[: SETTINGS.confirmed - 1]:
+        assert not finder.search(number)
+    last = numbers[SETTINGS.confirmed - 1]
+    assert len(finder.copy(graph.copy()).search(last)) == SETTINGS.confirmed
+    assert len(finder.search(last)) == SETTINGS.confirmed, "the copy has taken nothing from it"
+
+
 def test_corridor_without_ends_is_ambiguous() -> None:
     walls = np.array([[[-500.0, y], [500.0, y]] for y in (-1.0, 1.0)])
     places = [Pose(0.9 * i, 0.0, 0.0) for i in range(5)]

@@ -103,6 +103,40 @@ def test_invalid_odometry_is_tolerated(simulation: Simulation, odometry: Pose | 
     assert evaluate(mapper.grid(), mapper.trajectory(), part).translation < 0.03
 
 
+def sparse(simulation: Simulation) -> list[Scan]:
+    """Return every fifth scan, a minute apart and without odometry: nothing predicts the motion."""
+    return [
+        dataclasses.replace(scan, stamp=60.0 * number, odometry=None)
+        for number, scan in enumerate(simulation.records[:150:5])
+    ]
+
+
+def test_scan_that_contradicts_the_map_is_not_kept(simulation: Simulation) -> None:
+    """For two scans the laser sees nothing but rain."""
+    scans = sparse(simulation)
+    mapper, undisturbed = mapped(scans[:20]), mapped(scans)
+    before = mapper.grid().cells.copy()
+    for scan in scans[20:22]:
+        rain = np.random.default_rng(0).uniform(0.3, 3.0, len(scan.ranges)).astype(np.float32)
+        answer = mapper.add(dataclasses.replace(scan, ranges=rain))
+        assert (answer.matched, answer.accepted) == (False, True)
+    np.testing.assert_array_equal(mapper.grid().cells, before)
+    for scan in scans[22:]:
+        assert mapper.add(scan).matched
+    off = mapper.trajectory()[-1, 1:3] - undisturbed.trajectory()[-1, 1:3]
+    assert np.hypot(*off) < 0.05
+
+
+def test_copy_continues_exactly_and_by_itself(simulation: Simulation) -> None:
+    scans = sparse(simulation)
+    mapper = mapped(scans[:15])
+    before, copied = mapper.trajectory(), mapper.copy()
+    found = [copied.add(scan).pose for scan in scans[15:]]
+    np.testing.assert_array_equal(mapper.trajectory(), before)
+    assert found == [mapper.add(scan).pose for scan in scans[15:]]
+    np.testing.assert_array_equal(copied.grid().cells, mapper.grid().cells)
+
+
 def test_scan_with_invalid_angles_is_not_matched(simulation: Simulation) -> None:
     mapper = mapped(simulation.records[:5])
     assert not mapper.add(dataclasses.replace(simulation.records[5], angle_increment=math.nan)).matched
