@@ -88,9 +88,10 @@ class LaserOdometry:
         # The wheels give the length of the step, the laser the turn.
         length = before.to(pose if scan.odometry is None else predicted)
         self.wheel_pose = self.wheel_pose @ length._replace(theta=before.to(pose).theta)
-        fits = found is not None or not self._local.contains(pose)  # a scan that contradicts the map is not kept
-        self._motion.update(scan, pose, found.unambiguous if found else fits, found.covariance if found else None)
-        if points is not None and fits:
+        contradicts = points is not None and found is None and self._local.contains(pose)  # such a scan is not kept
+        reliable = found.unambiguous if found else not contradicts
+        self._motion.update(scan, pose, reliable, found.covariance if found else None)
+        if points is not None and not contradicts:
             self._keep(points)
         return found
 

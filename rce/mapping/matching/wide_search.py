@@ -94,9 +94,9 @@ def search_wide(
     """Return the poses where points fit best, anywhere around the last prediction; the best first, none if none fits.
 
     Multi-resolution correlative matching (Olson, Real-Time Correlative Scan Matching, 2009), except that not one but
-    the best places of the coarse level are refined, fitted and compared: in a building many places look alike on a
-    coarse grid. Places where points lie in free space count less. The covariance of
-    each covers the places that are nearly as likely: in a corridor it reaches along it.
+    the best places of the coarse level are refined, rated, fitted and compared: in a building many places look alike on
+    a coarse grid. Beams that end in free space or pass a wall count against a place. The covariance of each place
+    covers those that are nearly as likely: in a corridor it reaches along it.
 
     Args:
         field: Walls around the robot.

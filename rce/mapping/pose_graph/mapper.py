@@ -102,11 +102,12 @@ class GraphMapper:
         points = scan.points(self.settings.max_range)
         found = candidate.match if candidate else None
         pose = found.pose if found else self._motion.predict(scan)[0]
-        fits = found is not None or not self._local.contains(pose)  # a scan that contradicts the map is not kept
-        reliable = found.unambiguous if found else fits
+        usable = len(points) >= MIN_POINTS
+        contradicts = usable and found is None and self._local.contains(pose)  # such a scan is not kept
+        reliable = found.unambiguous if found else not contradicts
         covariance = found.covariance if found else UNMATCHED_COVARIANCE
         self._motion.update(scan, pose, reliable, found.covariance if found else None)
-        closed = self._keep(pose, points, covariance, reliable) if fits and len(points) >= MIN_POINTS else None
+        closed = self._keep(pose, points, covariance, reliable) if usable and not contradicts else None
         reference = self._graph.nodes[self._reference].pose
         self._history.append(scan.stamp, self._reference, reference.to(pose))
         if closed is not None:
