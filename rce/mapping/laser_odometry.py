@@ -81,7 +81,7 @@ class LaserOdometry:
             The match, or None if the pose comes from the wheels or the last motion alone.
         """
         predictions = self._motion.predict(scan)
-        spread, cost = self._motion.spread(scan), self._motion.cost
+        spread, cost = self._motion.spread(scan), self._motion.step_cost
         found = self._local.match(points, predictions, spread, cost) if points is not None else None
         before, predicted = self.pose, predictions[0]
         pose = found.pose if found else predicted

@@ -82,7 +82,7 @@ class Motion:
         way = math.dist(self._wheels[0][:2], scan.odometry[:2])
         return math.hypot(SETTINGS.wheel_noise, SETTINGS.wheel_slip * way)
 
-    def cost(self, pose: Pose) -> float:
+    def step_cost(self, pose: Pose) -> float:
         """Return the penalty, in mean likelihood of a scan, of a pose to which nothing predicts the motion."""
         return self._steps.cost(self.pose.to(pose))
 

@@ -108,21 +108,20 @@ def search_wide(
     cells = points / field.resolution
     thinned = every_nth(cells, scan_matching.SETTINGS.search_points)
 
-    def value(match: Match) -> float:
+    def value(pose: Pose, score: float) -> float:
         """Return the likelihood, less the share of contradictions, less the cost of the motion."""
         leaving = min(
-            scan_matching.SETTINGS.later_penalty * i + _cost(prediction, match.pose)
+            scan_matching.SETTINGS.later_penalty * i + _cost(prediction, pose)
             for i, prediction in enumerate(predictions)
         )
-        contradiction = _contradiction(field, free, match.pose, thinned * field.resolution)
-        return match.score - contradiction - leaving - step_cost(match.pose)
+        return score - _contradiction(field, free, pose, thinned * field.resolution) - leaving - step_cost(pose)
 
     centres = [field.pose_to_cells(prediction) for prediction in predictions]
     refined = [_refine(field, thinned, mode) for mode in _modes(field, thinned, centres[-1])]
-    refined.sort(key=value, reverse=True)
-    starts = [*centres, *(field.pose_to_cells(match.pose) for match in refined[: SETTINGS.fits])]
+    refined.sort(key=lambda place: value(*place), reverse=True)
+    starts = [*centres, *(field.pose_to_cells(pose) for pose, _ in refined[: SETTINGS.fits])]
     found = [fit(field, cells, thinned, start, start) for start in starts]
-    return _distinct(found, np.array([value(match) for match in found]))
+    return _distinct(found, np.array([value(match.pose, match.score) for match in found]))
 
 
 def _distinct(found: list[Match], values: NDArray[np.float64]) -> list[Candidate]:
@@ -171,11 +170,11 @@ def _max_pool(likelihood: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.ascontiguousarray(blocks.max(axis=1).max(axis=2))
 
 
-def _refine(field: Field, thinned: Points, mode: Pose) -> Match:
-    """Return the best pose of a fine lattice around a mode (cells), in metres; its covariance is not known."""
+def _refine(field: Field, thinned: Points, mode: Pose) -> tuple[Pose, float]:
+    """Return the best pose of a fine lattice around a mode (cells), map frame, and its score."""
     stride, steps, turns = SETTINGS.fine_stride, SETTINGS.fine_steps, SETTINGS.fine_turns
     x, y, theta, score = correlate(field.likelihood, thinned, *mode, stride, steps, turns, SETTINGS.fine_turn, 0.0, 0.0)
-    return Match(field.pose_from_cells(Pose(x, y, theta)), score, np.zeros((3, 3)))
+    return field.pose_from_cells(Pose(x, y, theta)), score
 
 
 def _contradiction(field: Field, free: OccupancyGrid, pose: Pose, points: Points) -> float:

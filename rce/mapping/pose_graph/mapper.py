@@ -92,7 +92,7 @@ class GraphMapper:
         if not scan.stamp > self._stamp or len(points) < MIN_POINTS:
             return []
         motion = self._motion
-        return self._local.candidates(points, motion.predict(scan), motion.spread(scan), motion.cost)
+        return self._local.candidates(points, motion.predict(scan), motion.spread(scan), motion.step_cost)
 
     def place(self, scan: Scan, candidate: Candidate | None) -> Estimate:
         """Map the next scan at one of its candidates; None if it has none."""
