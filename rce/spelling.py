@@ -5,12 +5,16 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+MAX_WORD = 80  # characters of a misspelt name: the names of the platform are shorter
+
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """Return `did you mean NAME?` with the known name nearest to a word; empty if none is near.
 
     Of several that are as near, it is the one of the most similar length.
     """
+    if len(word) > MAX_WORD:
+        return ""
     names = {name.casefold(): name for name in known}
     matcher = difflib.SequenceMatcher(b=word.casefold())
 
@@ -32,7 +36,7 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-def unknown(what: str, name: str, known: Iterable[str], most: int = 80) -> str:
+def unknown(what: str, name: str, known: Iterable[str], most: int = MAX_WORD) -> str:
     """Return the message for an unknown name: `there is no environment 'brian': did you mean brain?`."""
     hint = did_you_mean(name[:most], known)
     return f"there is no {what} {name[:most]!r}" + (f": {hint}" if hint else "")

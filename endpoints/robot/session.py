@@ -29,6 +29,7 @@ from rce.process import logs
 from rce.process.metrics import errors
 from rce.protocol import messages as m
 from rce.protocol.blobs import PART, BinaryFrame, Buffer, TextFrame
+from rce.protocol.value_count import check_value_count
 
 Piece = Sequence[Buffer | BinaryFrame | TextFrame]
 """WebSocket messages that are written together: text as a buffer or TextFrame, binary messages as BinaryFrame."""
@@ -256,7 +257,7 @@ class RobotSession:
 
         Raises:
             InvalidRequest: An item is malformed; the items before it are executed.
-            LimitExceeded: Too many commands are in progress; no item is executed.
+            LimitExceeded: The frame has too many values, or too many commands are in progress; no item is executed.
         """
         size = len(memoryview(frame.data))
         room = MAX_COMMANDS - sum(count for count, _ in self._commands.values())
@@ -265,6 +266,7 @@ class RobotSession:
                 f"more than {MAX_COMMANDS} commands or {MAX_COMMAND_SIZE} bytes of commands would be in progress: "
                 "wait until some complete"
             )
+        check_value_count(frame.data, "the frame")
         items: list[tuple[str, m.Command]] = []
         complete = False
         try:

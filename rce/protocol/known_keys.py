@@ -56,9 +56,7 @@ def _type_of(kind: type) -> inspect.Type:
 
 def _unknown(kind: inspect.Type, value: Any, path: str) -> Iterator[tuple[str, str, list[str]]]:
     """Yield the unknown keys, each with the path of its object and the keys that this may have."""
-    if isinstance(kind, inspect.UnionType):
-        structs = [each for each in kind.types if isinstance(each, inspect.StructType)]
-        kind = structs[0] if len(structs) == 1 else kind
+    kind = _object_of(kind)
     if isinstance(kind, inspect.StructType) and isinstance(value, dict):
         fields = {field.encode_name: field.type for field in kind.fields}
         for key, item in value.items():
@@ -66,6 +64,22 @@ def _unknown(kind: inspect.Type, value: Any, path: str) -> Iterator[tuple[str, s
                 yield from _unknown(fields[key], item, f"{path}.{key}")
             elif key != kind.tag_field:
                 yield path, key, list(fields)
-    elif isinstance(kind, inspect.ListType) and isinstance(value, list):
+    elif isinstance(kind, inspect.ListType) and isinstance(value, list) and _has_objects(kind.item_type):
         for index, item in enumerate(value):
             yield from _unknown(kind.item_type, item, f"{path}[{index}]")
+
+
+def _object_of(kind: inspect.Type) -> inspect.Type:
+    """Return the type of the object in a union of one object with other types; any other type as it is."""
+    structs = (
+        [each for each in kind.types if isinstance(each, inspect.StructType)]
+        if isinstance(kind, inspect.UnionType)
+        else []
+    )
+    return structs[0] if len(structs) == 1 else kind
+
+
+def _has_objects(kind: inspect.Type) -> bool:
+    """Return True if there are objects in values of a type whose keys are known."""
+    kind = _object_of(kind)
+    return isinstance(kind, inspect.StructType) or (isinstance(kind, inspect.ListType) and _has_objects(kind.item_type))

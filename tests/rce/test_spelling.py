@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import difflib
+
 import pytest
 
 from rce.spelling import counted, did_you_mean, unknown, with_article
@@ -13,6 +15,12 @@ from rce.spelling import counted, did_you_mean, unknown, with_article
 )
 def test_nearest_name_is_suggested(word: str, suggestion: str) -> None:
     assert did_you_mean(word, ["memory", "LaserScan", "cpu"]) == suggestion
+
+
+def test_word_longer_than_any_name_is_not_compared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A word of 1 MB took a third of a second."""
+    monkeypatch.setattr(difflib, "SequenceMatcher", None)
+    assert did_you_mean("m" * 81, ["memory"]) == ""
 
 
 def test_name_of_the_same_length_is_nearer() -> None:

@@ -13,6 +13,7 @@ from msgspec import Meta, Struct
 from rce.bag.playback import PlaybackState, Status
 from rce.errors import InvalidRequest
 from rce.protocol.blobs import BinaryFrame, Buffer
+from rce.protocol.value_count import check_value_count
 
 Id = Annotated[int, Meta(ge=0, le=2**32 - 1)]  # it is sent back as 32 bits
 Many = Meta(max_length=10_000)  # items of one message
@@ -154,7 +155,13 @@ _decoder: msgspec.json.Decoder[AnyMessage] = msgspec.json.Decoder(AnyMessage)
 
 
 def decode(payload: bytes) -> AnyMessage:
-    """Decode a text message; raises InvalidRequest."""
+    """Decode a text message.
+
+    Raises:
+        InvalidRequest: It is none of the protocol.
+        LimitExceeded: It has too many values.
+    """
+    check_value_count(payload, "the message")
     try:
         return _decoder.decode(payload)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:

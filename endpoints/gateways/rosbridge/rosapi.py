@@ -16,6 +16,7 @@ from rce.control.calls.robots import Sort
 from rce.control.calls.watching import RosAction, RosGraph, RosName, RosNode
 from rce.errors import MALFORMED, InvalidRequest, NotFound, RceError
 from rce.protocol.names import TypeName, parse_type
+from rce.protocol.value_count import check_value_count
 
 PREFIX = "/rosapi/"
 Arguments = dict[str, Any]
@@ -62,6 +63,7 @@ class Rosapi:
             RceError: The call failed.
         """
         name = service.removeprefix(PREFIX)
+        check_value_count(args, service)
         try:
             values = msgspec.json.decode(args or b"{}")
         except MALFORMED as error:
@@ -107,6 +109,7 @@ class Rosapi:
 
     async def _set_param(self, args: Arguments) -> Answer:
         text = _text(args, "value")
+        check_value_count(text.encode(), "the value")
         try:
             value = msgspec.json.decode(text)
         except MALFORMED:

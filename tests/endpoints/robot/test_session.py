@@ -104,8 +104,13 @@ async def test_commands_in_progress_are_limited(platform: Platform) -> None:
     await a.send({"type": "CN", "id": 2, "data": {"x": "y" * 5_000_000}})
     answer = await a.receive()
     assert (answer["id"], answer["error"]["code"]) == (2, "limit_exceeded")
-    await a.send({"type": "CN", "id": 3, "data": {}})
-    assert (await a.receive())["id"] == 3
+    value = {"containerTag": "c", "name": "n", "value": [0] * 10_001}
+    await a.send({"type": "CN", "id": 3, "data": {"setParam": [value]}})
+    answer = await a.receive()
+    assert answer["id"] == 3
+    assert answer["error"]["message"] == "the frame has more than 10000 values: divide it"
+    await a.send({"type": "CN", "id": 4, "data": {}})
+    assert (await a.receive())["id"] == 4
 
 
 def test_commands_in_progress_are_cancelled_when_the_session_ends(hand: HandTurnedLoop) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -10,7 +11,7 @@ from msgspec import UNSET, Struct, UnsetType
 
 from rce.errors import InvalidRequest
 from rce.protocol import messages as m
-from rce.protocol.known_keys import check_keys
+from rce.protocol.known_keys import check_keys, unknown_keys
 
 
 class Outer(Struct):
@@ -47,6 +48,18 @@ def test_unknown_key_is_refused_with_the_nearest_one(kind: type, value: Any, fie
 )
 def test_what_has_no_unknown_key_is_left_to_the_decoder(text: str) -> None:
     check_keys(m.CreateContainer, text.encode("latin-1"), "data")
+
+
+def test_list_without_objects_is_not_searched() -> None:
+    """Half a million of items that are not decoded yet took 0.8 s."""
+
+    class Unsearchable(list[Any]):
+        def __iter__(self) -> Iterator[Any]:
+            raise AssertionError
+
+    listed = Unsearchable([1])
+    assert not list(unknown_keys(m.ConfigureComponents, {"addNodes": listed}))
+    assert not list(unknown_keys(m.CreateContainer, {"containerData": {"packages": listed}}))
 
 
 def test_values_of_parameters_may_have_any_keys() -> None:

@@ -10,7 +10,7 @@ import pytest
 from endpoints.gateways.foxglove import messages
 from endpoints.gateways.foxglove.messages import ServiceRequest
 from rce.bag.playback import PlaybackState
-from rce.errors import InvalidRequest
+from rce.errors import InvalidRequest, LimitExceeded
 
 
 def test_messages_of_clients_are_views_of_what_was_received() -> None:
@@ -61,3 +61,9 @@ def test_binary_message_that_is_malformed_is_refused(payload: bytes) -> None:
 def test_text_that_is_no_message_is_refused(payload: bytes) -> None:
     with pytest.raises(InvalidRequest, match="Foxglove protocol"):
         messages.decode(payload)
+
+
+def test_text_with_too_many_values_is_refused() -> None:
+    names = ",".join(['"x"'] * 10_002)
+    with pytest.raises(LimitExceeded, match="the message has more than 10000 values"):
+        messages.decode(f'{{"op":"getParameters","parameterNames":[{names}]}}'.encode())

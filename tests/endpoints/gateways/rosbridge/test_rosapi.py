@@ -10,7 +10,7 @@ import pytest
 
 from endpoints.gateways.rosbridge.rosapi import Rosapi
 from rce.control.calls.watching import RosAction, RosGraph, RosName, RosNode
-from rce.errors import InvalidRequest, NotFound
+from rce.errors import InvalidRequest, LimitExceeded, NotFound
 from tests.support.endpoints.fake_guest import FakeGuest
 
 GRAPH = RosGraph(
@@ -127,6 +127,12 @@ async def test_unknown_services_and_bad_arguments_are_refused() -> None:
 async def test_malformed_arguments_are_refused(args: bytes) -> None:
     with pytest.raises(InvalidRequest):
         await Rosapi(FakeGuest(GRAPH).as_guest()).call("/rosapi/topic_type", args)
+
+
+@pytest.mark.parametrize("args", [{"name": "/n:rate", "value": [0] * 10_001}, {"value": str([0] * 10_001)}])
+async def test_arguments_with_too_many_values_are_refused(args: Any) -> None:
+    with pytest.raises(LimitExceeded, match="more than 10000 values"):
+        await call("set_param", args)
 
 
 async def test_topic_with_a_type_that_nobody_can_parse_is_passed_over() -> None:
