@@ -124,7 +124,9 @@ def learn(
         ndt.learn(tiles, tables[k], hits, ratio)
 
 
-@compiled("float64(float32[:,:,:,::1], int32[:,::1], float64[:,::1], float64, float64, float64, int64, float64)")
+@compiled(
+    "float64(float32[:,:,:,::1], int32[:,::1], float64[:,::1], float64, float64, float64, int64, float64, float64)"
+)
 def log_likelihood(
     tiles: NDArray[np.float32],
     table: NDArray[np.int32],
@@ -134,8 +136,9 @@ def log_likelihood(
     theta: float,
     ratio: int,
     variance: float,
+    least: float,
 ) -> float:
-    """Return the sum over the points of the logarithm of their likelihood.
+    """Return the sum over the points of the logarithm of their likelihood, or less than `least` if it is less.
 
     The likelihood of a point is that of the NDT score (Biber and Strasser, 2003), mixed with a constant for outliers.
     Across a wall its variance is that of the measurement and that of the wall itself, and the density is normalised: a
@@ -150,6 +153,7 @@ def log_likelihood(
         theta: Pose of the robot.
         ratio: Fine cells along a coarse one.
         variance: Variance of a single measurement, square fine cells.
+        least: Sum below which the exact one does not matter. No point adds to the sum, so the rest is skipped.
     """
     height, width = table.shape[0] << ndt.SHIFT, table.shape[1] << ndt.SHIFT
     c, s = math.cos(theta), math.sin(theta)
@@ -179,12 +183,14 @@ def log_likelihood(
                 likelihood += share * math.sqrt(variance / (variance + thick)) * math.exp(-0.5 * squared)
         # Mixture with the outliers; the points count as independent.
         total += math.log(OUTLIER + (1.0 - OUTLIER) * likelihood)
+        if total < least:
+            break
     return total
 
 
 @compiled(
     "Tuple((float64, float64, float64, float64))(float32[:,:,:,::1], int32[:,::1], float64[:,::1], float64[::1], "
-    "int64, float64)"
+    "int64, float64, float64)"
 )
 def search_lattice(
     tiles: NDArray[np.float32],
@@ -193,8 +199,11 @@ def search_lattice(
     centre: NDArray[np.float64],
     ratio: int,
     variance: float,
+    least: float,
 ) -> tuple[float, float, float, float]:
     """Return the likeliest pose on a lattice around a pose, one position a coarse cell, and the log-likelihood there.
+
+    If no pose is likelier than `least`, it returns the centre and `least`.
 
     Args:
         tiles: Tiles of all maps.
@@ -203,14 +212,15 @@ def search_lattice(
         centre: (3,) centre of the lattice.
         ratio: Fine cells along a coarse one.
         variance: Variance of a single measurement, square fine cells.
+        least: Log-likelihood of a pose that counts.
     """
-    best, best_x, best_y, best_theta = -1e30, centre[0], centre[1], centre[2]
+    best, best_x, best_y, best_theta = least, centre[0], centre[1], centre[2]
     for a in range(-TURNS, TURNS + 1):
         theta = centre[2] + a * TURN
         for v in range(-STEPS, STEPS + 1):
             for u in range(-STEPS, STEPS + 1):
                 x, y = centre[0] + u * ratio, centre[1] + v * ratio
-                found = log_likelihood(tiles, table, points, x, y, theta, ratio, variance)
+                found = log_likelihood(tiles, table, points, x, y, theta, ratio, variance, best)
                 if found > best:
                     best, best_x, best_y, best_theta = found, x, y, theta
     return best_x, best_y, best_theta, best
@@ -273,16 +283,17 @@ def match(
             ndt.PULL,
         )
         x, y, theta = found[k, 0], found[k, 1], found[k, 2]
-        found[k, 9] = log_likelihood(tiles, table, points, x, y, theta, ratio, variance)
+        found[k, 9] = log_likelihood(tiles, table, points, x, y, theta, ratio, variance, -math.inf)
         found[k, 10] = 0.0
         # Look for a jump with few points. The lattice is coarse, so half of the required difference suffices here.
-        here = log_likelihood(tiles, table, few, x, y, theta, ratio, variance)
-        x, y, theta, there = search_lattice(tiles, table, few, e, ratio, variance)
-        if share * (there - here) <= 0.5 * jump:
+        here = log_likelihood(tiles, table, few, x, y, theta, ratio, variance, -math.inf)
+        least = here + 0.5 * jump / share
+        x, y, theta, there = search_lattice(tiles, table, few, e, ratio, variance, least)
+        if there <= least:
             continue
         # Fit from the best pose of the lattice, and decide with all points.
         other = ndt.align(tiles, table, points, x, y, theta, x, y, theta, ratio, variance, iterations, ndt.PULL)
-        likelihood = log_likelihood(tiles, table, points, other[0], other[1], other[2], ratio, variance)
+        likelihood = log_likelihood(tiles, table, points, other[0], other[1], other[2], ratio, variance, -math.inf)
         if likelihood > found[k, 9] + jump:
             found[k, :9] = other
             found[k, 9], found[k, 10] = likelihood, 1.0

@@ -42,8 +42,8 @@ class ParticleMapperSettings:
     step_turn: float = 0.25
     draw: float = 0.4
     draw_turn: float = 0.2
-    spread: float = 0.03
-    turn_spread: float = math.radians(0.5)
+    spread: float = 0.015
+    turn_spread: float = math.radians(0.25)
     lost_spread: float = 0.5
     lost_turn_spread: float = math.radians(15)
     doubt: float = 0.3

@@ -49,8 +49,8 @@ def known() -> Maps:
     return maps
 
 
-def likelihood(maps: Maps, pose: Pose, points: Points) -> float:
-    return kernels.log_likelihood(maps.tiles, maps.tables[0], points, *pose, RATIO, VARIANCE)
+def likelihood(maps: Maps, pose: Pose, points: Points, least: float = -math.inf) -> float:
+    return kernels.log_likelihood(maps.tiles, maps.tables[0], points, *pose, RATIO, VARIANCE, least)
 
 
 def test_tiles_are_given_where_points_lie() -> None:
@@ -108,6 +108,13 @@ def test_points_on_no_wall_are_outliers(known: Maps) -> None:
     assert likelihood(known, Pose(SIDE, SIDE, 0.0), inside) == pytest.approx(3 * math.log(kernels.OUTLIER))
 
 
+def test_likelihood_below_the_least_is_not_computed_to_the_end(known: Maps) -> None:
+    inside = np.zeros((100, 2))
+    outlier = math.log(kernels.OUTLIER)
+    assert likelihood(known, Pose(SIDE, SIDE, 0.0), inside, 10.5 * outlier) == pytest.approx(11 * outlier)
+    assert likelihood(known, Pose(SIDE, SIDE, 0.0), inside, 100.5 * outlier) == pytest.approx(100 * outlier)
+
+
 def test_thick_wall_explains_less() -> None:
     along = np.arange(-20.0, 20.0, 0.25)
     thin = np.stack([along, np.zeros_like(along)], axis=1)
@@ -121,9 +128,13 @@ def test_thick_wall_explains_less() -> None:
 
 def test_lattice_finds_the_nearest_of_its_poses(known: Maps) -> None:
     centre = np.array([SIDE - 4.0, SIDE + 8.0, 2 * kernels.TURN])
-    x, y, theta, best = kernels.search_lattice(known.tiles, known.tables[0], room(), centre, RATIO, VARIANCE)
-    assert (x, y, theta) == pytest.approx((SIDE, SIDE, 0.0))
-    assert best == pytest.approx(likelihood(known, Pose(SIDE, SIDE, 0.0), room()))
+    expected = likelihood(known, Pose(SIDE, SIDE, 0.0), room())
+
+    def search(least: float) -> tuple[float, ...]:
+        return kernels.search_lattice(known.tiles, known.tables[0], room(), centre, RATIO, VARIANCE, least)
+
+    assert search(-math.inf) == pytest.approx((SIDE, SIDE, 0.0, expected))
+    assert search(expected + 1.0) == (*centre, expected + 1.0), "no pose is likelier"
 
 
 def matched(maps: Maps, start: Pose, expected: Pose, jump: float) -> NDArray[np.float64]:
