@@ -63,9 +63,8 @@ def decode(path: Path, content: Any, kind: type[S]) -> S:
 
 def _hint(content: Any, kind: type[Struct]) -> str:
     """Return the nearest known key to the first unknown one, in parentheses; empty if none is near."""
-    hints = (
-        f" ({path}: {hint})" for path, key, known in unknown_keys(kind, content) if (hint := did_you_mean(key, known))
-    )
+    unknown = unknown_keys(kind, msgspec.json.encode(content))
+    hints = (f" ({path}: {hint})" for path, key, known in unknown if (hint := did_you_mean(key, known)))
     return next(hints, "")
 
 

@@ -36,7 +36,7 @@ Piece = Sequence[Buffer | BinaryFrame | TextFrame]
 
 CONTROL = b""  # source of statuses and errors in the outbox
 MAX_COMMANDS = 1000  # of one robot that are in progress
-MAX_COMMAND_SIZE = 4 * 1024 * 1024  # bytes of all these commands
+MAX_COMMAND_SIZE = 1024 * 1024  # bytes of all these commands
 MAX_TRIES = 3
 MAX_MESSAGE = 64 * 1024 * 1024  # bytes
 MAX_SHOWN = 20  # interfaces in a summary of dropped messages

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+import asyncio
+from typing import Any, ClassVar
 
 from twisted.internet.defer import Deferred
 from twisted.python.failure import Failure
@@ -17,21 +18,59 @@ class BaseBroker(pb.Broker):
 
     Attributes:
         heard: Something was received since this was set to False.
+        slice: Number of messages that are handled before others, such as robots, get a turn.
     """
 
     heard = False
+    slice: ClassVar[int] = 4
 
     def connectionMade(self) -> None:
         """Begin to decode."""
         self._decoder = Decoder(MAX_MESSAGE, MAX_ITEMS)
+        self._ended = False
+        self._paused: asyncio.TimerHandle | None = None
         super().connectionMade()  # type: ignore[no-untyped-call]  # Twisted's, as are those below
+
+    def connectionLost(self, reason: Failure) -> None:  # type: ignore[override]  # Twisted always passes it
+        """Handle no more messages."""
+        self._ended = True
+        if self._paused is not None:
+            self._paused.cancel()
+        super().connectionLost(reason)  # type: ignore[no-untyped-call]
+
+    # --- receiving ----------------------------------------------------------------------------------------------------
 
     def dataReceived(self, data: bytes) -> None:
         """Note and handle received bytes."""
+        if self._ended:
+            return
         self.heard = True
         self._decoder.feed(data)
-        while (message := self._decoder.next()) is not INCOMPLETE:
+        if self._paused is None:
+            self._handle_messages()
+
+    def _handle_messages(self) -> None:
+        """Handle messages, and pause after a slice of them."""
+        for _ in range(self.slice):
+            message = self._decoder.next()
+            if message is INCOMPLETE:
+                return
             self.callExpressionReceived(message)  # type: ignore[no-untyped-call]
+        self._pause(0.0)
+
+    def _pause(self, seconds: float) -> None:
+        transport: Any = self.transport
+        transport.pauseProducing()
+        self._paused = asyncio.get_running_loop().call_later(seconds, self._resume)
+
+    def _resume(self) -> None:
+        self._paused = None
+        self._handle_messages()
+        if self._paused is None and not self._ended:
+            transport: Any = self.transport
+            transport.resumeProducing()
+
+    # --- messages -----------------------------------------------------------------------------------------------------
 
     def serialize(self, object: Any, *more: Any, **options: Any) -> Any:
         """Return the form of a value for the line; Twisted takes long for those of which calls and answers consist."""

@@ -8,7 +8,7 @@ send. Received messages are handled in slices, so that a burst of one peer does 
 from __future__ import annotations
 
 import asyncio
-from typing import Any
+from typing import Any, ClassVar
 
 from twisted.logger import Logger
 from twisted.python.failure import Failure
@@ -24,8 +24,6 @@ from rce.process.logs import RateLimitedLogger
 MAX_UNJOINED_BYTES = 4 * 1024 * 1024  # the Hello of a Robot endpoint names all of its robots
 MAX_UNJOINED_ITEMS = 100  # strings, numbers and lists; each page of a Hello is one item
 JOIN_TIMEOUT = 20.0  # seconds until a peer asks to join
-# Limit for all peers:
-SLICE = 32  # messages that are handled before other connections get a turn
 
 # Types of values that peers may send, besides bytes and numbers. They join with a reference to the receiver of calls.
 _PLAIN = frozenset({b"None", b"boolean", b"list", b"tuple", b"unicode"})
@@ -41,27 +39,23 @@ class Broker(BaseBroker):
     """Broker of one connection. `rce.control.server` calls `admit` once the peer has joined."""
 
     joined = False
+    slice: ClassVar[int] = 32
 
     def connectionMade(self) -> None:
         """Start the timeout for joining."""
         disable_nagle(self.transport)
         self._budget: Budget | None = None
         self._next_ping = 0.0  # when a ping is free again
-        self._ended = False
-        self._paused: asyncio.TimerHandle | None = None
         self._timer = asyncio.get_running_loop().call_later(JOIN_TIMEOUT, self._join_timed_out)
         super().connectionMade()
         self._decoder.max_bytes, self._decoder.max_items = MAX_UNJOINED_BYTES, MAX_UNJOINED_ITEMS
 
     def connectionLost(self, reason: Failure) -> None:  # type: ignore[override]  # Twisted always passes it
         """Stop the timers."""
-        self._ended = True
         self._timer.cancel()
-        if self._paused is not None:
-            self._paused.cancel()
         if self._budget is not None:
             self._budget.connections -= 1
-        super().connectionLost(reason)  # type: ignore[no-untyped-call]  # Twisted's, as are those below
+        super().connectionLost(reason)
 
     def stop_timeout(self) -> None:
         """Stop the timeout of a peer that has asked to join; when many do, it may be long until all are answered."""
@@ -77,17 +71,9 @@ class Broker(BaseBroker):
 
     # --- receiving ----------------------------------------------------------------------------------------------------
 
-    def dataReceived(self, data: bytes) -> None:
-        """Handle received bytes within the limits."""
-        if self._ended:
-            return
-        self.heard = True
-        self._decoder.feed(data)
-        if self._paused is None:
-            self._handle_messages()
-
     def _handle_messages(self) -> None:
-        for _ in range(SLICE):
+        """Handle messages within the limits, and pause after a slice of them."""
+        for _ in range(self.slice):
             try:
                 message = self._decoder.next()
                 if message is INCOMPLETE:
@@ -125,18 +111,6 @@ class Broker(BaseBroker):
             return False
         self._next_ping = now + 1
         return True
-
-    def _pause(self, seconds: float) -> None:
-        transport: Any = self.transport
-        transport.pauseProducing()
-        self._paused = asyncio.get_running_loop().call_later(seconds, self._resume)
-
-    def _resume(self) -> None:
-        self._paused = None
-        self._handle_messages()
-        if self._paused is None and not self._ended:
-            transport: Any = self.transport
-            transport.resumeProducing()
 
     def expressionReceived(self, sexp: Any) -> None:
         """Handle a message.

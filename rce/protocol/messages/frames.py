@@ -32,7 +32,7 @@ _frame = msgspec.json.Decoder(Frame)
 _decoders: dict[type[Any], msgspec.json.Decoder[Any]] = {}
 
 
-MAX_LENIENT, MAX_TOKENS = 1024 * 1024, 20_000  # bytes, and tokens, of a frame: some 20 ms of the event loop
+MAX_LENIENT, MAX_TOKENS = 256 * 1024, 5_000  # bytes, and tokens, of a frame: some 5 ms of the event loop
 # Everything up to a token that Python's json module writes for a float but that is not JSON, and the token. It matches
 # at every place, so that the time is linear, and once for each token.
 _TO_TOKEN = re.compile(

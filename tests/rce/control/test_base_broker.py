@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 import pytest
+from twisted.internet.error import ConnectionDone
+from twisted.internet.testing import StringTransport
+from twisted.python.failure import Failure
 from twisted.spread import pb
 
 from rce.control.base_broker import BaseBroker
@@ -19,3 +23,39 @@ def test_values_are_those_of_twisted(value: Any) -> None:
     line = ours.serialize(value)
     assert line == twisted.serialize(value)  # type: ignore[no-untyped-call]
     assert ours.unserialize(line) == twisted.unserialize(line) == value  # type: ignore[no-untyped-call]
+
+
+def burst(number: int) -> tuple[BaseBroker, list[Any], bytes]:
+    """Return a broker, the messages that it has handled, and the bytes of some messages for it."""
+    broker, sender = BaseBroker(), BaseBroker()
+    handled: list[Any] = []
+    broker.makeConnection(StringTransport())
+    broker.callExpressionReceived = handled.append  # type: ignore[method-assign]
+    sender.makeConnection(line := StringTransport())
+    line.clear()
+    for request in range(number):
+        sender.sendCall(b"answer", request, b"")  # type: ignore[no-untyped-call]
+    return broker, handled, line.value()
+
+
+async def test_burst_is_handled_in_slices() -> None:
+    """Between two slices the event loop serves others, such as robots."""
+    broker, handled, data = burst(10)
+    broker.dataReceived(data)
+    seen = {len(handled)}
+    assert broker.transport.producerState == "paused"
+    while len(handled) < 10:
+        await asyncio.sleep(0)
+        seen.add(len(handled))
+    assert seen == {4, 8, 10}
+    assert broker.transport.producerState == "producing"
+
+
+async def test_messages_of_a_lost_connection_are_not_handled() -> None:
+    broker, handled, data = burst(10)
+    broker.dataReceived(data)
+    broker.connectionLost(Failure(ConnectionDone()))
+    broker.dataReceived(data)
+    for _ in range(5):
+        await asyncio.sleep(0)
+    assert len(handled) == 4
