@@ -6,11 +6,14 @@ import asyncio
 from typing import Any, ClassVar
 
 from twisted.internet.defer import Deferred
+from twisted.logger import Logger
 from twisted.python.failure import Failure
 from twisted.spread import pb
 
 from rce.control.decoder import INCOMPLETE, Decoder
 from rce.control.limits import MAX_ITEMS, MAX_MESSAGE
+
+log = Logger()
 
 
 class BaseBroker(pb.Broker):
@@ -65,9 +68,14 @@ class BaseBroker(pb.Broker):
 
     def _resume(self) -> None:
         self._paused = None
-        self._handle_messages()
+        transport: Any = self.transport
+        try:
+            self._handle_messages()
+        except Exception:  # noqa: BLE001  # Perspective Broker raises many types for malformed messages
+            log.failure("malformed data on a control connection, which is closed")  # as by what `dataReceived` raises
+            transport.abortConnection()
+            return
         if self._paused is None and not self._ended:
-            transport: Any = self.transport
             transport.resumeProducing()
 
     # --- messages -----------------------------------------------------------------------------------------------------

@@ -8,10 +8,12 @@ from typing import Any
 import pytest
 from twisted.internet.error import ConnectionDone
 from twisted.internet.testing import StringTransport
+from twisted.logger import LogEvent
 from twisted.python.failure import Failure
 from twisted.spread import pb
 
 from rce.control.base_broker import BaseBroker
+from rce.control.decoder import MalformedMessage
 
 
 @pytest.mark.parametrize(
@@ -59,3 +61,14 @@ async def test_messages_of_a_lost_connection_are_not_handled() -> None:
     for _ in range(5):
         await asyncio.sleep(0)
     assert len(handled) == 4
+
+
+async def test_connection_with_a_malformed_message_in_a_later_slice_is_closed(failures: list[LogEvent]) -> None:
+    broker, handled, data = burst(6)
+    broker.dataReceived(data + b"\x00\xff")
+    for _ in range(5):
+        await asyncio.sleep(0)
+    assert broker.transport.disconnecting
+    assert len(handled) == 6
+    assert [type(event["log_failure"].value) for event in failures] == [MalformedMessage]
+    failures.clear()
