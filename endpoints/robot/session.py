@@ -29,7 +29,7 @@ from rce.process import logs
 from rce.process.metrics import errors
 from rce.protocol import messages as m
 from rce.protocol.blobs import PART, BinaryFrame, Buffer, TextFrame
-from rce.protocol.value_count import check_value_count
+from rce.value_count import check_value_count
 
 Piece = Sequence[Buffer | BinaryFrame | TextFrame]
 """WebSocket messages that are written together: text as a buffer or TextFrame, binary messages as BinaryFrame."""

@@ -14,6 +14,7 @@ from rce.errors import InternalError, InvalidRequest, NotFound, RceError
 from rce.services.auditing import FAILED
 from rce.services.cors import by_key
 from rce.services.disk import service_disk_full
+from rce.value_count import check_value_count
 from rce.web.problems import HttpError, problem_response
 from rce.web.requests import check_encoding, check_same_site
 
@@ -83,7 +84,9 @@ def decode(body: bytes, kind: type[T], *, strict: bool = True) -> T:
 
     Raises:
         InvalidRequest: It is malformed; `field` is the path of the value at fault (`options.resolution`).
+        LimitExceeded: It has too many values.
     """
+    check_value_count(body, "the body")
     try:
         return msgspec.json.decode(body, type=kind, strict=strict)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:

@@ -13,7 +13,7 @@ from msgspec import Meta, Struct
 from rce.bag.playback import PlaybackState, Status
 from rce.errors import InvalidRequest
 from rce.protocol.blobs import BinaryFrame, Buffer
-from rce.protocol.value_count import check_value_count
+from rce.value_count import check_value_count
 
 Id = Annotated[int, Meta(ge=0, le=2**32 - 1)]  # it is sent back as 32 bits
 Many = Meta(max_length=10_000)  # items of one message

@@ -16,7 +16,7 @@ from rce.control.calls.robots import Sort
 from rce.control.calls.watching import RosAction, RosGraph, RosName, RosNode
 from rce.errors import MALFORMED, InvalidRequest, NotFound, RceError
 from rce.protocol.names import TypeName, parse_type
-from rce.protocol.value_count import check_value_count
+from rce.value_count import check_value_count
 
 PREFIX = "/rosapi/"
 Arguments = dict[str, Any]

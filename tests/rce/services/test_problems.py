@@ -15,7 +15,7 @@ from aiohttp.test_utils import make_mocked_request
 from msgspec import Struct
 from twisted.logger import LogEvent
 
-from rce.errors import InvalidRequest, NotFound
+from rce.errors import InvalidRequest, LimitExceeded, NotFound
 from rce.services.auditing import FAILED
 from rce.services.problems import convert, decode, problems
 from tests.support.map_service import Service
@@ -101,6 +101,12 @@ def test_error_names_the_value_at_fault(body: bytes, field: str) -> None:
         decode(body, Wanted)
     assert wrong.value.field == field
     assert str(wrong.value).startswith(f"{field}: " if field else "")
+
+
+def test_body_with_too_many_values_is_refused() -> None:
+    """Two million strings instead of at most 64 took 1.4 s."""
+    with pytest.raises(LimitExceeded, match="the body has more than 10000 values"):
+        decode(b'{"sizes": [' + b",".join([b"0"] * 10_002) + b"]}", Wanted)
 
 
 def test_numbers_may_be_text_in_other_forms_than_json() -> None:

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from rce.errors import LimitExceeded
-from rce.protocol.value_count import check_value_count
+from rce.value_count import check_value_count
 
 MOST = 10
 
