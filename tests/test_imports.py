@@ -94,7 +94,15 @@ LAYERS: dict[str, set[str]] = {
     "rce/codecs/": {"rce.errors", "rce.protocol", "rce.video"},
     "rce/video/": {"rce.errors"},
     "rce/web/": {"rce.errors", "rce.net", "rce.api", "rce.process"},
-    "rce/services/": {"rce.choices", "rce.errors", "rce.control", "rce.net", "rce.process", "rce.web"},
+    "rce/services/": {
+        "rce.choices",
+        "rce.errors",
+        "rce.control",
+        "rce.net",
+        "rce.process",
+        "rce.value_count",
+        "rce.web",
+    },
     "rce/api/": {"rce.errors", "rce.protocol", "rce.control.calls", "rce.net.loopback"},
 }
 PURE = "master/graph/"
