@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any, Literal
 
 import msgspec
@@ -12,6 +13,11 @@ from rce.protocol.messages import Decimation
 from rce.protocol.messages.commands import FieldPath
 
 MAX_ID = 1000  # bytes
+LARGE = (
+    1024 * 1024
+)  # bytes of an operation whose content is not searched for errors, which would take some milliseconds
+HEAD, TAIL = 4096, 2048  # bytes before and after a large content, in which the other fields are
+_content = re.compile(rb'"(msg|args|values)"[ \t\n\r]*:[ \t\n\r]*(?=\{)')
 Id = Raw | UnsetType
 """Any JSON value of at most MAX_ID bytes; it is returned as it came."""
 Compression = Literal["none", "png", "cbor", "cbor-raw"]
@@ -204,10 +210,30 @@ def decode(payload: bytes | bytearray | memoryview) -> AnyOperation:
         InvalidRequest: It is no operation of rosbridge, lacks a field, or has too long an id.
     """
     try:
-        operation = _decoder.decode(payload)
+        operation = (_decode_large(payload) if len(payload) > LARGE else None) or _decoder.decode(payload)
         return operation if isinstance(operation.id, UnsetType) else _with_own_id(operation, operation.id)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InvalidRequest(f"the message is not an operation of rosbridge: {str(error)[:300]}") from None
+
+
+def _decode_large(payload: bytes | bytearray | memoryview) -> AnyOperation | None:
+    """Decode an operation without its content, which is checked when it is converted; None for an unusual one."""
+    text = bytes(payload)
+    found = _content.search(text, 0, HEAD)
+    end = len(text)
+    for _ in range(2):  # of the operation, of its content
+        end = text.rfind(b"}", max(0, len(text) - TAIL), end)
+    if found is None or end < found.end():
+        return None
+    name = found[1].decode()
+    try:
+        operation = _decoder.decode(text[: found.end()] + b"null" + text[end + 1 :])
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return None
+    if bytes(getattr(operation, name, b"")) != b"null":
+        return None
+    content: dict[str, Any] = {name: Raw(memoryview(text)[found.end() : end + 1])}
+    return msgspec.structs.replace(operation, **content)
 
 
 def _with_own_id(operation: AnyOperation, id: Raw) -> AnyOperation:

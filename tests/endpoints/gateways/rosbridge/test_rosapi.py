@@ -129,7 +129,7 @@ async def test_malformed_arguments_are_refused(args: bytes) -> None:
         await Rosapi(FakeGuest(GRAPH).as_guest()).call("/rosapi/topic_type", args)
 
 
-@pytest.mark.parametrize("args", [{"name": "/n:rate", "value": [0] * 10_001}, {"value": str([0] * 10_001)}])
+@pytest.mark.parametrize("args", [{"value": [0] * 10_002}, {"name": "n", "value": str([0] * 10_002)}])
 async def test_arguments_with_too_many_values_are_refused(args: Any) -> None:
     with pytest.raises(LimitExceeded, match="more than 10000 values"):
         await call("set_param", args)
