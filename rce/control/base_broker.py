@@ -6,6 +6,7 @@ import asyncio
 from typing import Any, ClassVar
 
 from twisted.internet.defer import Deferred
+from twisted.internet.protocol import connectionDone
 from twisted.logger import Logger
 from twisted.python.failure import Failure
 from twisted.spread import pb
@@ -21,11 +22,11 @@ class BaseBroker(pb.Broker):
 
     Attributes:
         heard: Something was received since this was set to False.
-        slice: Number of messages that are handled before others, such as robots, get a turn.
+        slice_size: Number of messages that are handled before others, such as robots, get a turn.
     """
 
     heard = False
-    slice: ClassVar[int] = 4
+    slice_size: ClassVar[int] = 4
 
     def connectionMade(self) -> None:
         """Begin to decode."""
@@ -34,7 +35,7 @@ class BaseBroker(pb.Broker):
         self._paused: asyncio.TimerHandle | None = None
         super().connectionMade()  # type: ignore[no-untyped-call]  # Twisted's, as are those below
 
-    def connectionLost(self, reason: Failure) -> None:  # type: ignore[override]  # Twisted always passes it
+    def connectionLost(self, reason: Failure = connectionDone) -> None:
         """Handle no more messages."""
         self._ended = True
         if self._paused is not None:
@@ -54,7 +55,7 @@ class BaseBroker(pb.Broker):
 
     def _handle_messages(self) -> None:
         """Handle messages, and pause after a slice of them."""
-        for _ in range(self.slice):
+        for _ in range(self.slice_size):
             message = self._decoder.next()
             if message is INCOMPLETE:
                 return

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 from typing import Any, ClassVar
 
+from twisted.internet.protocol import connectionDone
 from twisted.logger import Logger
 from twisted.python.failure import Failure
 from twisted.spread import pb
@@ -39,7 +40,7 @@ class Broker(BaseBroker):
     """Broker of one connection. `rce.control.server` calls `admit` once the peer has joined."""
 
     joined = False
-    slice: ClassVar[int] = 32
+    slice_size: ClassVar[int] = 32
 
     def connectionMade(self) -> None:
         """Start the timeout for joining."""
@@ -50,7 +51,7 @@ class Broker(BaseBroker):
         super().connectionMade()
         self._decoder.max_bytes, self._decoder.max_items = MAX_UNJOINED_BYTES, MAX_UNJOINED_ITEMS
 
-    def connectionLost(self, reason: Failure) -> None:  # type: ignore[override]  # Twisted always passes it
+    def connectionLost(self, reason: Failure = connectionDone) -> None:
         """Stop the timers."""
         self._timer.cancel()
         if self._budget is not None:
@@ -73,7 +74,7 @@ class Broker(BaseBroker):
 
     def _handle_messages(self) -> None:
         """Handle messages within the limits, and pause after a slice of them."""
-        for _ in range(self.slice):
+        for _ in range(self.slice_size):
             try:
                 message = self._decoder.next()
                 if message is INCOMPLETE:

@@ -11,12 +11,11 @@ from msgspec import UNSET, Raw, Struct, UnsetType
 from rce.errors import InvalidRequest
 from rce.protocol.messages import Decimation
 from rce.protocol.messages.commands import FieldPath
+from rce.protocol.messages.large import find_content
 
 MAX_ID = 1000  # bytes
-LARGE = (
-    1024 * 1024
-)  # bytes of an operation whose content is not searched for errors, which would take some milliseconds
-HEAD, TAIL = 4096, 2048  # bytes before and after a large content, in which the other fields are
+# Bytes of an operation above which the event loop does not search its content for errors, which takes milliseconds.
+LARGE = 1024 * 1024
 _content = re.compile(rb'"(msg|args|values)"[ \t\n\r]*:[ \t\n\r]*(?=\{)')
 Id = Raw | UnsetType
 """Any JSON value of at most MAX_ID bytes; it is returned as it came."""
@@ -219,20 +218,17 @@ def decode(payload: bytes | bytearray | memoryview) -> AnyOperation:
 def _decode_large(payload: bytes | bytearray | memoryview) -> AnyOperation | None:
     """Decode an operation without its content, which is checked when it is converted; None for an unusual one."""
     text = bytes(payload)
-    found = _content.search(text, 0, HEAD)
-    end = len(text)
-    for _ in range(2):  # of the operation, of its content
-        end = text.rfind(b"}", max(0, len(text) - TAIL), end)
-    if found is None or end < found.end():
+    found = find_content(text, _content, 1)
+    if found is None:
         return None
-    name = found[1].decode()
+    name = found.key[1].decode()
     try:
-        operation = _decoder.decode(text[: found.end()] + b"null" + text[end + 1 :])
+        operation = _decoder.decode(text[: found.start] + b"null" + text[found.end :])
     except (msgspec.DecodeError, UnicodeDecodeError):
         return None
     if bytes(getattr(operation, name, b"")) != b"null":
         return None
-    content: dict[str, Any] = {name: Raw(memoryview(text)[found.end() : end + 1])}
+    content: dict[str, Any] = {name: Raw(memoryview(text)[found.start : found.end])}
     return msgspec.structs.replace(operation, **content)
 
 

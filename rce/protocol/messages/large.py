@@ -28,21 +28,50 @@ class LargeMessage(NamedTuple):
     message: DataMessage
 
 
+class Content(NamedTuple):
+    """Place of an object in JSON.
+
+    Attributes:
+        key: Match of its key.
+        start: Its first byte.
+        end: The byte after its last one.
+    """
+
+    key: re.Match[bytes]
+    start: int
+    end: int
+
+
+def find_content(payload: bytes, key: re.Pattern[bytes], around: int) -> Content | None:
+    """Find a large object in JSON by its key, without a search through the object.
+
+    Args:
+        payload: The JSON.
+        key: Pattern of the key, up to the brace of the object.
+        around: Number of objects around the large one, which end behind it.
+
+    Returns:
+        The place, which may be wrong if the JSON is unusual: decode the rest to check it. None if there is none.
+    """
+    found = key.search(payload, 0, HEAD)
+    end = len(payload)
+    for _ in range(around + 1):
+        end = payload.rfind(b"}", max(0, len(payload) - TAIL), end)
+    return None if found is None or end < found.end() else Content(found, found.end(), end + 1)
+
+
 def split_large(payload: bytes) -> LargeMessage | None:
     """Return the data message of a text frame, whose content is not checked and has no references to blobs.
 
     Returns:
         None for all other frames, and for unusual ones: decode them as a whole.
     """
-    key = _key.search(payload, 0, HEAD)
-    end = len(payload)
-    for _ in range(3):  # of the frame, of its data, of the content
-        end = payload.rfind(b"}", max(0, len(payload) - TAIL), end)
-    if key is None or end < key.end() or (b"*" in payload and b'*"' in payload):  # one byte is found ten times as fast
+    found = find_content(payload, _key, 2)  # the frame and its data are around it
+    if found is None or (b"*" in payload and b'*"' in payload):  # one byte is found ten times as fast
         return None
-    content = memoryview(payload)[key.end() : end + 1]
+    content = memoryview(payload)[found.start : found.end]
     try:
-        frame = decode_frame(payload[: key.end()] + b"null" + payload[end + 1 :])
+        frame = decode_frame(payload[: found.start] + b"null" + payload[found.end :])
         message = decode_as(DataMessage, frame.data, "data")
     except RceError:
         return None

@@ -188,7 +188,7 @@ async def test_calls_of_an_environment_wait_while_its_user_has_used_the_budget(
     await asyncio.gather(*calls[:10])
     for _ in range(3):  # a round trip of another peer: whatever the environment has sent meanwhile, waits
         assert await other.call(StopNode("n")) == Nothing()
-    assert 10 <= sum(each.done() for each in calls) <= 20 + broker.Broker.slice
+    assert 10 <= sum(each.done() for each in calls) <= 20 + broker.Broker.slice_size
     server.close()
     await asyncio.wait_for(client.lost, TIMEOUT)
     await asyncio.gather(*calls, return_exceptions=True)
