@@ -8,8 +8,8 @@ from functools import partial
 from endpoints.gateways.foxglove.client import FoxgloveClient
 from endpoints.gateways.graphs import Graphs
 from endpoints.gateways.rosbridge.client import RosbridgeClient
+from endpoints.robot.client import Choose
 from endpoints.robot.endpoint import RobotEndpoint
-from endpoints.robot.server import Choose
 
 
 def gateways(endpoint: RobotEndpoint) -> Mapping[str, Choose]:

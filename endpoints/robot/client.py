@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 from msgspec import Struct
@@ -60,6 +61,10 @@ class Client(Protocol):
 
     def proceed(self) -> None:
         """Send messages again."""
+
+
+Choose = Callable[[str], Client]
+"""Returns the client for the path of a request."""
 
 
 class RobotClient:

@@ -15,8 +15,8 @@ from rce.protocol import messages as m
 from rce.protocol.assembler import Assembler, AssemblyLimits, AssemblyResult
 from rce.protocol.blobs import Buffer
 
-LARGE = 1024 * 1024  # bytes of a text frame that is decoded as a whole in a few milliseconds
-MAX_OTHER = 8 * LARGE  # bytes of a text frame that must be decoded as a whole
+LARGE = 256 * 1024  # bytes of a text frame whose content is left to its converter where possible
+MAX_OTHER = 4 * LARGE  # bytes of a text frame that must be decoded as a whole: a few milliseconds of the event loop
 
 Handle = Callable[[RobotSession, m.DataMessage, dict[str, Buffer]], asyncio.Task[None] | None]
 

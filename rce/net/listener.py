@@ -18,7 +18,7 @@ TLS_TIMEOUT = 20.0  # seconds for a TLS handshake
 # Connections that wait to be accepted. All processes and robots of a platform return at once after a restart of the
 # Master: with the usual 50 or 128, most of them would wait for the retransmissions of TCP. Linux permits so many.
 BACKLOG = 4096
-BATCH = 100  # connections that are accepted at a stretch
+BATCH = 2  # connections that are accepted in a pass of the event loop: with their logins they take a millisecond
 PAUSE = 1.0  # seconds without accepting after the system refused to, as a rule for lack of file descriptors
 
 log = logging.getLogger(__name__)

@@ -20,21 +20,26 @@ log = logging.getLogger(__name__)
 
 
 class PendingLogin:
-    """A connection that counts for its address until `end`."""
+    """A connection that counts for its address until `end`.
+
+    Attributes:
+        place: What counts as one address; empty for this machine.
+    """
 
     def __init__(self, counts: Counter[str], place: str) -> None:
+        self.place = place
         self._counts = counts
-        self._place = place
+        self._counted = bool(place)
         if place:
             counts[place] += 1
 
     def end(self) -> None:
         """Count it no longer: the client has logged in, or the connection is closed. Again has no effect."""
-        place, self._place = self._place, ""
-        if place:
-            self._counts[place] -= 1
-            if not self._counts[place]:
-                del self._counts[place]
+        if self._counted:
+            self._counted = False
+            self._counts[self.place] -= 1
+            if not self._counts[self.place]:
+                del self._counts[self.place]
 
 
 class PendingLogins:

@@ -19,6 +19,7 @@ from rce.protocol.messages.frames import Frame, decode_as, decode_frame
 
 HEAD, TAIL = 4096, 2048  # bytes before and after the content, in which the other keys are
 _key = re.compile(rb'"msg"[ \t\n\r]*:[ \t\n\r]*(?=\{)')
+_reference = re.compile(rb'\*"[ \t\n\r]*:')  # end of a key whose value is the id of a blob
 
 
 class LargeMessage(NamedTuple):
@@ -67,7 +68,7 @@ def split_large(payload: bytes) -> LargeMessage | None:
         None for all other frames, and for unusual ones: decode them as a whole.
     """
     found = find_content(payload, _key, 2)  # the frame and its data are around it
-    if found is None or (b"*" in payload and b'*"' in payload):  # one byte is found ten times as fast
+    if found is None or (b"*" in payload and _reference.search(payload)):  # one byte is found fast
         return None
     content = memoryview(payload)[found.start : found.end]
     try:

@@ -13,9 +13,9 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 
 from endpoints.robot.client import RobotClient
+from endpoints.robot.client_socket import ClientSocket
 from endpoints.robot.endpoint import LoginResult
 from endpoints.robot.handshake import LoginRequest
-from endpoints.robot.server import ClientSocket
 from master.access.throttle import Throttle
 from rce.net.pending_logins import PendingLogin
 from tests.support.endpoints.platforms import Platform

@@ -1,13 +1,10 @@
-"""Robots' sockets: limits, back-pressure, liveness checks and TLS."""
+"""Listening for robots: bounds on sockets without a login, and TLS."""
 
 from __future__ import annotations
 
 import asyncio
-import json
 import ssl
-from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from websockets.asyncio.client import connect
@@ -19,125 +16,8 @@ from rce.net.certificates import Authority
 from rce.net.tls import CA, CERTIFICATE, KEY, public_tls_context
 from tests.support.certificates import certify
 from tests.support.dripping import drip
-from tests.support.endpoints.platforms import Platform, pair
-from tests.support.endpoints.raw_robot import PASSWORD, USER, Robot, dm, eventually
-
-
-async def test_oversized_message_closes_socket_with_reason(make_platform: Any) -> None:
-    platform = await make_platform(message=100_000)
-    a = await platform.robot("a")
-    await a.send("x" * 100_001)
-    code, reason = await a.closed()
-    assert code == 1009
-    assert "100000" in reason
-
-
-async def test_too_many_bad_messages_close_socket_with_reason(make_platform: Any) -> None:
-    platform = await make_platform(bad_messages=3)
-    a, b = await pair(platform, features="ack,events")
-    await a.send({"type": "CX", "data": {"disconnect": [{"tagA": "b/in", "tagB": "a/out"}]}})
-    await a.receive()
-    for _ in range(5):
-        await a.data("out", {"data": "to nobody"})
-        assert (await a.receive())["error"]["code"] == "not_connected", "not counted as a bad message"
-    await a.send("{", "{", "{", "{")
-    code, reason = await a.closed()
-    assert code == 1008
-    assert "3 bad messages" in reason
-    await b.receive()
-    await b.expect_silence()
-
-
-@pytest.mark.slow
-async def test_reading_pauses_while_robot_does_not_take_its_errors(make_platform: Any) -> None:
-    platform = await make_platform(bad_messages=0)
-    a = await platform.robot("a")
-    a.socket.transport.pause_reading()
-    session = platform.endpoint.sessions[f"{USER}/a"]
-    junk = "[" * 1000
-
-    async def flood() -> None:
-        while True:
-            await a.send(junk)
-
-    flooding = asyncio.create_task(flood())
-    await eventually(lambda: session.outbox.backlog(b"") >= 8 and bool(session.socket._pauses))
-    for _ in range(50):
-        await asyncio.sleep(0)
-    assert session.outbox.backlog(b"") < 50
-    flooding.cancel()
-    a.socket.transport.abort()
-
-
-async def test_reading_pauses_until_all_who_asked_for_it_have_room(platform: Platform) -> None:
-    await platform.robot("a")
-    socket: Any = platform.endpoint.sessions[f"{USER}/a"].socket
-    first, second = (asyncio.get_running_loop().create_future() for _ in range(2))
-    socket.pause_reading(first)
-    socket.pause_reading(second)
-    first.set_result(None)
-    await asyncio.sleep(0)
-    assert not socket.transport.is_reading()
-    second.set_result(None)
-    await asyncio.sleep(0)
-    assert socket.transport.is_reading()
-
-
-async def test_only_last_ping_is_answered_while_write_buffer_is_full(platform: Platform) -> None:
-    """Else answers would pile up for a robot that does not read."""
-    a = await platform.robot("a")
-    session = platform.endpoint.sessions[f"{USER}/a"]
-    socket: Any = session.socket
-    socket.pause_writing()
-    answers: list[Any] = [await a.socket.ping() for _ in range(5)]
-    await a.send("?")
-    await eventually(lambda: session.outbox.backlog(b"") == 1)  # so the pings before it were processed
-    sent: Any = await a.socket.ping()
-    await eventually(lambda: socket._pending_pong not in (None, b""))
-    assert not any(answer.done() for answer in [*answers, sent])
-    socket.resume_writing()
-    async with asyncio.timeout(20):
-        await sent
-    assert (await a.receive())["type"] == "ER"
-
-
-async def test_many_small_fragments_are_joined(platform: Platform) -> None:
-    a, b = await pair(platform)
-    socket: Any = platform.endpoint.sessions[f"{USER}/a"].socket
-    frame = json.dumps({"type": "DM", "data": dm("out", {"data": "x" * 3000})["data"]})
-
-    async def pieces() -> AsyncIterator[str]:
-        for letter in frame[:-1]:
-            yield letter
-            yield ""
-        await eventually(lambda: b"".join(socket.message_data or ()) == frame[:-1].encode())
-        assert len(socket.message_data) < 3
-        yield frame[-1]
-
-    await a.socket.send(pieces())
-    assert await b.receive() == dm("in", {"data": "x" * 3000})
-
-
-async def test_silent_robot_is_disconnected(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "TICK", 0.05)
-    robot = await platform.robot("a")
-    session = platform.endpoint.sessions[f"{USER}/a"]
-    robot.socket.transport.pause_reading()
-    await eventually(lambda: session.socket is None)
-    robot.socket.transport.abort()
-
-
-async def test_robot_that_answers_pings_stays_connected(platform: Platform) -> None:
-    robot = await platform.robot("a")
-    socket: Any = platform.endpoint.sessions[f"{USER}/a"].socket
-    for _ in range(3):
-        socket._data_received = False
-        socket._check_liveness()  # sends a ping
-        assert socket._silent_ticks == 1
-        await eventually(lambda: socket._data_received)
-        socket._check_liveness()
-        assert socket._silent_ticks == 0
-    await robot.expect_silence()
+from tests.support.endpoints.platforms import Platform
+from tests.support.endpoints.raw_robot import PASSWORD, USER, Robot, eventually
 
 
 async def test_dripping_handshake_is_cut_off(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,6 +7,7 @@ import errno
 import socket
 import ssl
 from collections.abc import AsyncIterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +66,20 @@ class Client:
 
 async def connect(port: int) -> Client:
     return Client(*await asyncio.open_connection("127.0.0.1", port))
+
+
+async def test_connections_that_come_at_once_are_accepted_in_small_batches(
+    listener: Listener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pending_logins, "MAX_PENDING", 100)
+    connections = [socket.create_connection(("127.0.0.1", listener.port)) for _ in range(9)]
+    accepted = [0]
+    while accepted[-1] < len(connections):
+        await asyncio.sleep(0)
+        accepted.append(len(listener.pending))
+    assert max(after - before for before, after in pairwise(accepted)) <= 2
+    for connection in connections:
+        connection.close()
 
 
 async def test_connections_without_login_are_bounded(listener: Listener) -> None:

@@ -48,6 +48,7 @@ class Target:
         self.memory: dict[str, int] = {}
         self._read: dict[str, int] = {}
         self._bystander: asyncio.subprocess.Process | None = None
+        self._mover: asyncio.Task[None] | None = None
 
     async def start(self, *, apart: bool) -> None:
         """Start all processes, and measure the bystander without an attack.
@@ -86,10 +87,11 @@ class Target:
         first, *others = sorted(os.sched_getaffinity(0))
         running = {program: process.pid for program, process in self.processes._running.items()}
         endpoint = running.pop("endpoints.robot")
-        here = [os.getpid(), *running.values()]
-        for pid, cores in [*((pid, {first}) for pid in here), (endpoint, others), (bystander, others)]:
-            for thread in psutil.Process(pid).threads():
-                os.sched_setaffinity(thread.id, cores)
+        for pid in (os.getpid(), *running.values()):
+            _use_cores(pid, {first})
+        _use_cores(endpoint, set(others))
+        _use_cores(bystander, set(others))
+        self._mover = asyncio.create_task(_keep_children_on(endpoint, {first}))
 
     async def _start_maps(self) -> str:
         words = ("--data-dir", str(self.directory / "maps"), "--master", self.control, "--port", "0")
@@ -104,6 +106,8 @@ class Target:
         return f"http://127.0.0.1:{port_of(announced.url)}"
 
     async def stop(self) -> None:
+        if self._mover is not None:
+            self._mover.cancel()
         if self._bystander is not None:
             with suppress(ProcessLookupError):
                 self._bystander.kill()
@@ -144,6 +148,21 @@ class Target:
         line = await asyncio.wait_for(process.stdout.readline(), 60)
         assert line, "the bystander's robots were disconnected, or it failed"
         return msgspec.json.decode(line, type=Figures)
+
+
+def _use_cores(pid: int, cores: set[int]) -> None:
+    for thread in psutil.Process(pid).threads():
+        with suppress(ProcessLookupError):
+            os.sched_setaffinity(thread.id, cores)
+
+
+async def _keep_children_on(pid: int, cores: set[int]) -> None:
+    """Run the children of a process, which inherit its cores, on other cores."""
+    while True:
+        for child in psutil.Process(pid).children():
+            if set(child.cpu_affinity()) != cores:
+                _use_cores(child.pid, cores)
+        await asyncio.sleep(0.1)
 
 
 def port_of(url: str) -> int:

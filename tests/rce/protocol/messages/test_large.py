@@ -80,6 +80,7 @@ def test_usual_messages_are_split(payload: bytes) -> None:
         b'{"type":"CN","data":{"setParam":[{"containerTag":"a","name":"b","value":{"msg":{}}}]}}',
         b'{"type":"DM","data":{"iTag":"a","type":"b/C","msgID":"nil","msg*":"' + b"0" * 32 + b'"}}',
         b'{"type":"DM","data":{"iTag":"a","type":"b/C","msgID":"nil","msg":{"pixels*":"' + b"0" * 32 + b'"}}}',
+        b'{"type":"DM","data":{"iTag":"a","type":"b/C","msgID":"nil","msg":{"pixels*" : "' + b"0" * 32 + b'"}}}',
         b'{"type":"DM","data":{"iTag":"a","type":"b/C","msgID":"nil","msg":[1]}}',
         b'{"type":"DM","data":{"iTag":"a","type":"b/C","msgID":"nil"},"msg":{"x":1}}',
         b"}}}",
@@ -88,6 +89,13 @@ def test_usual_messages_are_split(payload: bytes) -> None:
 )
 def test_other_frames_are_not_split(payload: bytes) -> None:
     assert split_large(payload) is None
+
+
+def test_text_that_ends_with_an_asterisk_is_no_reference_to_a_blob() -> None:
+    payload = b'{"type":"DM","data":{"iTag":"a","type":"b/C","msgID":"nil","msg":{"x":["all *","*"]}}}'
+    large = split_large(payload)
+    assert large is not None
+    assert bytes(large.message.msg) == b'{"x":["all *","*"]}'  # type: ignore[arg-type]  # it is set
 
 
 def test_content_that_is_no_json_is_left_to_the_converter() -> None:
