@@ -145,6 +145,13 @@ async def test_two_robots(platform: RealPlatform) -> None:
         assert await lander.output() == [f"the rover is at x = {number * 0.5:.1f}" for number in range(5)]
 
 
+async def test_action(platform: RealPlatform) -> None:
+    async with example("action.py", platform.url) as program:
+        *feedback, result, stopped, canceled = await program.output()
+    assert feedback[-1] == "so far: [0, 1, 1, 2, 3, 5]"
+    assert (result, stopped, canceled) == ("succeeded: [0, 1, 1, 2, 3, 5]", "the worker stops", "canceled")
+
+
 async def test_board(platform: RealPlatform, tmp_path: Path) -> None:
     compiler = shutil.which("cc")
     if compiler is None:

@@ -10,28 +10,22 @@ import tempfile
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import msgspec
 
 from rce.api.client import ApiClient
-from rce.bench import channels, overtake, payloads, report, start, viewers
+from rce.bench import channels, overtake, payloads, report, start
 from rce.bench.nodes import Place
 from rce.bench.routes import ROUTES
 from rce.bench.run import take
-from rce.bench.viewer_program import Task
 from rce.cli.arguments import DEV_USER, ENGINES
 from rce.cli.commands.bench import QUICK_SAMPLES, QUICK_SIZES
+from rce.cli.lazy.bench_options import check_names, coroutine_command
 from rce.cli.platform import own_platform, platform
 from rce.cli.session import ConsoleSession
 from rce.client import Robot
 from rce.client.address import Address
 from rce.errors import InvalidRequest
-
-if TYPE_CHECKING:
-    pass
-
-from rce.cli.lazy.bench_options import check_names, coroutine_command
 
 
 @coroutine_command
@@ -67,6 +61,9 @@ async def measure_overtake(args: argparse.Namespace) -> None:
 @coroutine_command
 async def measure_viewers(args: argparse.Namespace) -> None:
     """Measure a control loop beside many viewers of one camera."""
+    from rce.bench import viewers  # needs the extra `bench`
+    from rce.bench.viewer_program import Task
+
     try:
         rates = tuple(float(each) for each in args.rates.split(","))
     except ValueError:

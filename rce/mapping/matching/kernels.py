@@ -7,8 +7,10 @@ x]. Coordinates are in cells: the centre of cell (row, column) is at (column, ro
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable
+from functools import cache
 from typing import TypeVar, cast
 
 import numba
@@ -19,6 +21,13 @@ SATURATED = 250  # likelihood (0..255) of a cell from which on another hit in it
 
 F = TypeVar("F", bound=Callable[..., object])
 
+log = logging.getLogger(__name__)
+
+
+@cache
+def _announce_compilation() -> None:
+    log.warning("compiling numerical kernels; this takes up to a minute, once on this machine")
+
 
 def compiled(signature: str) -> Callable[[F], F]:
     """Return a decorator that compiles a function at once for this signature.
@@ -28,7 +37,10 @@ def compiled(signature: str) -> Callable[[F], F]:
 
     def decorate(function: F) -> F:
         try:
-            return cast(F, numba.njit(signature, cache=True, nogil=True)(function))
+            made = numba.njit(signature, cache=True, nogil=True)(function)
+            if made.stats.cache_misses:
+                _announce_compilation()
+            return cast(F, made)
         except RuntimeError as error:
             if "cannot cache" not in str(error):
                 raise

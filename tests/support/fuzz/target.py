@@ -15,6 +15,7 @@ import psutil
 
 from rce.api.client import ApiClient
 from rce.api.views import CreatedKey, NewKey, NewUser
+from rce.bench.cores import set_apart
 from rce.control.calls.knowledge import SERVICE
 from tests.support.endpoints.platforms import Processes
 from tests.support.endpoints.raw_robot import USER as ATTACKER
@@ -79,19 +80,11 @@ class Target:
     def _set_apart(self, bystander: int) -> None:
         """Run attackers only while the platform does not run, and the bystander before all others.
 
-        The Robot endpoint has a core that it shares with the bystander alone: a kernel that preempts at its ticks lets
-        it wait up to 4 ms while others run.
+        The Robot endpoint has a core that it shares with the bystander alone.
         """
         os.sched_setscheduler(bystander, os.SCHED_RR, os.sched_param(1))
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-        first, *others = sorted(os.sched_getaffinity(0))
-        running = {program: process.pid for program, process in self.processes._running.items()}
-        endpoint = running.pop("endpoints.robot")
-        for pid in (os.getpid(), *running.values()):
-            _use_cores(pid, {first})
-        _use_cores(endpoint, set(others))
-        _use_cores(bystander, set(others))
-        self._mover = asyncio.create_task(_keep_children_on(endpoint, {first}))
+        self._mover = asyncio.create_task(_set_apart({bystander, self.processes._running["endpoints.robot"].pid}))
 
     async def _start_maps(self) -> str:
         words = ("--data-dir", str(self.directory / "maps"), "--master", self.control, "--port", "0")
@@ -150,18 +143,10 @@ class Target:
         return msgspec.json.decode(line, type=Figures)
 
 
-def _use_cores(pid: int, cores: set[int]) -> None:
-    for thread in psutil.Process(pid).threads():
-        with suppress(ProcessLookupError):
-            os.sched_setaffinity(thread.id, cores)
-
-
-async def _keep_children_on(pid: int, cores: set[int]) -> None:
-    """Run the children of a process, which inherit its cores, on other cores."""
+async def _set_apart(pids: set[int]) -> None:
+    """Let these processes have cores of their own; workers of the Robot endpoint begin with its cores."""
     while True:
-        for child in psutil.Process(pid).children():
-            if set(child.cpu_affinity()) != cores:
-                _use_cores(child.pid, cores)
+        set_apart(lambda process: process.pid in pids)
         await asyncio.sleep(0.1)
 
 

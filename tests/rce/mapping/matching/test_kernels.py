@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import math
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from rce.mapping.matching.kernels import SATURATED, correlate, stamp_hits, trace_rays
+from tests.support.paths import ROOT
 
 HIT, MISS, LIMIT = 10, 3, 100
 
@@ -126,3 +131,20 @@ def test_points_outside_of_the_field_count_as_nothing() -> None:
     field = np.full((20, 20), 255, np.uint8)
     points = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, -100.0], [1.0, 1.0]])
     assert correlate(field, points, 10.0, 10.0, 0.0, 1, 0, 0, 0.0, 0.0, 0.0)[3] == 0.5
+
+
+def test_compilation_is_announced_once_and_its_result_is_kept(tmp_path: Path) -> None:
+    (tmp_path / "two_kernels.py").write_text(
+        "from rce.mapping.matching.kernels import compiled\n"
+        "@compiled('int64(int64)')\ndef one(x): return x + 1\n"
+        "@compiled('int64(int64)')\ndef two(x): return x + 2\n"
+    )
+    variables = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
+
+    def announcements() -> int:
+        words = [sys.executable, "-c", "import two_kernels"]
+        done = subprocess.run(words, env=variables, cwd=ROOT, capture_output=True, text=True, check=True, timeout=120)
+        return done.stderr.count("compiling numerical kernels")
+
+    assert announcements() == 1
+    assert announcements() == 0
