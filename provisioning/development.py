@@ -73,6 +73,7 @@ CPP_HEADERS = {  # of the C++ client
     "libboost-dev": "boost/beast.hpp",
     "libssl-dev": "openssl/ssl.h",
     "nlohmann-json3-dev": "nlohmann/json.hpp",
+    "libsimdjson-dev": "simdjson.h",
 }
 KERNELS_OF_TESTS = (
     *("rce.planning.planner", "rce.mapping3d.pipeline"),

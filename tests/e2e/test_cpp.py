@@ -27,7 +27,7 @@ pytestmark = pytest.mark.timeout(900)  # the first test compiles, which takes mo
 
 STRING = "std_msgs/String"
 TIMEOUT = 240  # seconds; a limit that only ends what hangs
-HEADERS = ("boost/beast.hpp", "openssl/ssl.h", "nlohmann/json.hpp")
+HEADERS = ("boost/beast.hpp", "openssl/ssl.h", "nlohmann/json.hpp", "simdjson.h")
 COMPILER, SANITIZERS = os.environ.get("RCE_TEST_CXX", "g++"), os.environ.get("RCE_TEST_SANITIZERS", "")
 
 
@@ -95,6 +95,10 @@ async def output_of(*words: object, **environ: str) -> str:
 async def test_client_contract(programs: Path, platform: RealPlatform) -> None:
     out = await output_of(programs / "contract", platform.url, "cpp")
     assert set(out.splitlines()) == expected(CPP)
+
+
+async def test_json_is_read_and_written_as_nlohmann_does(programs: Path) -> None:
+    assert "values are equal" in await output_of(programs / "json")
 
 
 async def test_robot_reconnects_many_times(programs: Path, platform: RealPlatform) -> None:

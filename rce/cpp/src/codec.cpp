@@ -5,6 +5,8 @@
 #include <limits>
 #include <random>
 
+#include "json.hpp"
+
 namespace rce::detail {
 namespace {
 
@@ -146,7 +148,7 @@ std::string freshId() {
 
 std::string encode(const Value& frame) {
   try {
-    return frame.dump();
+    return writeJson(frame);
   } catch (const Value::exception& error) {
     raise({"invalid_request", std::string("the value cannot be sent as JSON: ") + error.what()});
   }
@@ -163,7 +165,7 @@ Encoded encodeMessage(Value data, Value msg) {
 }
 
 Value decode(std::string_view text) {
-  Value frame = Value::parse(text, nullptr, false);
+  Value frame = parseJson(text);
   if (!frame.is_object() || !frame.contains("data")) {
     raise({"invalid_request", "the server sent a frame that is not a JSON object with data"});
   }
