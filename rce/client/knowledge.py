@@ -5,7 +5,6 @@ Only the standard library and msgspec are needed.
 
 from __future__ import annotations
 
-import http.client
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -29,10 +28,8 @@ from rce.api.knowledge import (
     Usage,
     Version,
 )
-from rce.client.service_client import Answer, ServiceClient
-from rce.errors import Unavailable
+from rce.client.service_client import ServiceClient
 
-PIECE = 1024 * 1024
 JSON = {"Content-Type": "application/json"}
 BINARY = {"Content-Type": "application/octet-stream"}
 
@@ -125,7 +122,7 @@ class KnowledgeClient(ServiceClient):
 
     def fetch_file(self, kind: Kind, uid: str, name: str, path: Path, version: int | None = None) -> None:
         """Download a file of a version; it is written under a temporary name and then renamed."""
-        self._download(_file(kind, uid, name) + _version(version), path)
+        self.download(_file(kind, uid, name) + _version(version), path)
 
     def remove_file(self, kind: Kind, uid: str, name: str) -> Entry:
         """Remove a file from the newest version; old versions keep it."""
@@ -155,48 +152,17 @@ class KnowledgeClient(ServiceClient):
             after: Number of a change, to begin with those after it. Without it only new changes come.
         """
         wanted = {"kind": kind, "uid": uid, "prefix": prefix, "class": cls, "after": after}
-        with self.connected() as connection:
-            connection.request("GET", f"{PREFIX}/changes?{_query(wanted)}", headers=self.headers)
-            response = connection.getresponse()
-            if response.status != 200:
-                raise self.error(Answer(response.status, response.headers, response.read()))
-            while line := response.readline():
-                if line.startswith(b"data: "):
-                    yield msgspec.json.decode(line[6:], type=Change)
+        return self.events(f"/changes?{_query(wanted)}", Change)
 
     def export(self, path: Path) -> None:
         """Download all entries that you may read, with all versions and files, as one archive."""
-        self._download("/archive", path)
+        self.download("/archive", path)
 
     def restore(self, path: Path) -> Imported:
         """Add the entries of an archive; those whose uids exist stay as they are."""
         with path.open("rb") as file:
             headers = {"Content-Type": "application/zip", "Content-Length": str(path.stat().st_size)}
             return self.value(self.ask("POST", "/archive", file, headers), Imported)
-
-    def _download(self, resource: str, path: Path) -> None:
-        draft = path.with_name(f".{path.name}.part")
-        try:
-            with draft.open("wb") as out:
-                for piece in self._pieces(resource):
-                    out.write(piece)
-            draft.rename(path)
-        finally:
-            draft.unlink(missing_ok=True)
-
-    def _pieces(self, resource: str) -> Iterator[bytes]:
-        with self.connected() as connection:
-            try:
-                connection.request("GET", PREFIX + resource, headers=self.headers)
-                response = connection.getresponse()
-                if response.status != 200:
-                    raise self.error(Answer(response.status, response.headers, response.read()))
-                while piece := response.read(PIECE):
-                    yield piece
-                if response.length:
-                    raise Unavailable(f"the connection was cut off: {response.length} bytes are missing; try again")
-            except (OSError, http.client.HTTPException) as error:
-                raise Unavailable(f"cannot reach {self._base}: {error or type(error).__name__}") from None
 
 
 def _path(kind: Kind, uid: str) -> str:

@@ -5,7 +5,6 @@ Only the standard library and msgspec are needed.
 
 from __future__ import annotations
 
-import http.client
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,9 +14,7 @@ import msgspec
 from rce.api.map_jobs import FINAL_STATES, PREFIX, Job, JobRequest, MapOptions, Plan, PlanRequest, Upload
 from rce.client.service_client import Answer
 from rce.client.tus import MAX_DELAY, TusClient, wait_before_retry
-from rce.errors import Unavailable
-
-CHUNK = 8 * 1024 * 1024
+from rce.errors import TimedOut, Unavailable
 
 
 class MapServiceClient(TusClient):
@@ -77,23 +74,13 @@ class MapServiceClient(TusClient):
         deadline = time.monotonic() + self.patience
         while True:
             try:
-                for current in self._events(job):
+                for current in self.events(f"/jobs/{job}/events", Job):
                     deadline = time.monotonic() + self.patience
                     yield current
                     if current.state in FINAL_STATES:
                         return
-            except (OSError, http.client.HTTPException, Unavailable) as error:
+            except (Unavailable, TimedOut) as error:
                 wait_before_retry(deadline, MAX_DELAY / 5, error)
-
-    def _events(self, job: str) -> Iterator[Job]:
-        with self.connected() as connection:
-            connection.request("GET", f"{PREFIX}/jobs/{job}/events", headers=self.headers)
-            response = connection.getresponse()
-            if response.status != 200:
-                raise self.error(Answer(response.status, response.headers, response.read()))
-            while line := response.readline():
-                if line.startswith(b"data: "):
-                    yield msgspec.json.decode(line[6:], type=Job)
 
     def fetch(self, job: str, name: str, file: Path) -> None:
         """Download a result.
@@ -103,16 +90,7 @@ class MapServiceClient(TusClient):
             name: Name of the result, as in `Job.files`.
             file: Path to store it under. It is written under a temporary name and then renamed.
         """
-        draft = file.with_name(f".{file.name}.part")
-        with self.connected() as connection:
-            connection.request("GET", f"{PREFIX}/jobs/{job}/files/{name}", headers=self.headers)
-            response = connection.getresponse()
-            if response.status != 200:
-                raise self.error(Answer(response.status, response.headers, response.read()))
-            with draft.open("wb") as out:
-                while chunk := response.read(CHUNK):
-                    out.write(chunk)
-        draft.rename(file)
+        self.download(f"/jobs/{job}/files/{name}", file)
 
     # --- uploads -----------------------------------------------------------------------------------------------------
 

@@ -14,7 +14,6 @@ from rce.client.service_client import Answer
 from rce.client.tus import TusClient
 
 PAGE = 1000
-CHUNK = 1024 * 1024
 
 
 class RecordingsClient(TusClient):
@@ -76,17 +75,11 @@ class RecordingsClient(TusClient):
         begin = draft.stat().st_size if draft.exists() else 0
         size = self.get(recording, user).size
         if begin < size:
-            headers = self.headers | {"Range": f"bytes={begin}-{size - 1}"}
-            path = f"{self.prefix}{self.uploads_path}/{recording}/file?user={user}"
-            with self.connected() as connection:
-                connection.request("GET", path, headers=headers)
-                response = connection.getresponse()
-                if response.status != 206:
-                    raise self.error(Answer(response.status, response.headers, response.read()))
-                with draft.open("ab") as out:
-                    while chunk := response.read(CHUNK):
-                        out.write(chunk)
-                        progress(out.tell())
+            path = f"{self.uploads_path}/{recording}/file?user={user}"
+            with draft.open("ab") as out:
+                for piece in self.pieces(path, {"Range": f"bytes={begin}-{size - 1}"}, status=206):
+                    out.write(piece)
+                    progress(out.tell())
         draft.touch()
         draft.rename(file)
 

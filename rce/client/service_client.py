@@ -6,7 +6,8 @@ import base64
 import contextlib
 import http.client
 import ssl as tls
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import IO, ClassVar, NamedTuple, TypeVar
 from urllib.parse import urlsplit
 
@@ -14,9 +15,11 @@ import msgspec
 
 from rce.api.entries import entries
 from rce.api.http import Problem, reason_of
-from rce.errors import MALFORMED, ErrorInfo, InvalidRequest, NotFound, RceError, Unavailable
+from rce.errors import MALFORMED, ErrorInfo, InvalidRequest, NotFound, RceError, TimedOut, Unavailable
 
 TIMEOUT = 60.0
+PIECE = 1024 * 1024  # bytes of a response that are read at once
+DATA = b"data: "  # before the content of a server-sent event
 
 T = TypeVar("T")
 
@@ -82,10 +85,62 @@ class ServiceClient:
                 response = connection.getresponse()
                 answer = Answer(response.status, response.headers, response.read())
         except (OSError, http.client.HTTPException) as error:
-            raise Unavailable(f"cannot reach {self._base}: {reason_of(error) or type(error).__name__}") from None
+            raise _unreachable(self._base, error) from None
         if answer.status >= 300:
             raise self.error(answer)
         return answer
+
+    def pieces(self, path: str, headers: Mapping[str, str] | None = None, status: int = 200) -> Iterator[bytes]:
+        """Yield the body of a GET in pieces.
+
+        Args:
+            path: Path below the prefix.
+            headers: Headers beside those of each request.
+            status: Expected status.
+
+        Raises:
+            Unavailable: The service cannot be reached, or the connection was cut off.
+            TimedOut: Nothing came for TIMEOUT seconds.
+            RceError: The error that a response of another status describes.
+        """
+        with self._response(path, headers or {}, status) as response:
+            while piece := response.read(PIECE):
+                yield piece
+            if response.length:
+                raise Unavailable(f"the connection was cut off: {response.length} bytes are missing; try again")
+
+    def events(self, path: str, kind: type[T]) -> Iterator[T]:
+        """Yield the server-sent events of a path, until the connection ends; raises as `pieces`."""
+        with self._response(path, {}, 200) as response:
+            while line := response.readline():
+                if line.startswith(DATA):
+                    yield msgspec.json.decode(line[len(DATA) :], type=kind)
+
+    def download(self, path: str, file: Path) -> None:
+        """Store the body of a GET in a file, under a temporary name until it is complete; raises as `pieces`."""
+        draft = file.with_name(f".{file.name}.part")
+        try:
+            with draft.open("wb") as out:
+                for piece in self.pieces(path):
+                    out.write(piece)
+            draft.rename(file)
+        finally:
+            draft.unlink(missing_ok=True)
+
+    @contextlib.contextmanager
+    def _response(self, path: str, headers: Mapping[str, str], status: int) -> Iterator[http.client.HTTPResponse]:
+        """Give the response to a GET, whose body is not read yet."""
+        try:
+            with self.connected() as connection:
+                connection.request("GET", self.prefix + path, headers={**self.headers, **headers})
+                response = connection.getresponse()
+                if response.status != status:
+                    raise self.error(Answer(response.status, response.headers, response.read()))
+                yield response
+        except TimeoutError:
+            raise TimedOut(f"{self._base} sent nothing for {TIMEOUT:g} s") from None
+        except (OSError, http.client.HTTPException) as error:
+            raise _unreachable(self._base, error) from None
 
     @contextlib.contextmanager
     def connected(self) -> Iterator[http.client.HTTPConnection]:
@@ -119,7 +174,7 @@ class ServiceClient:
             response = connection.getresponse()
             response.read()
         except (OSError, http.client.HTTPException) as error:
-            raise Unavailable(f"cannot reach {base}: {reason_of(error) or type(error).__name__}") from None
+            raise _unreachable(base, error) from None
         finally:
             connection.close()
         location = response.headers.get("Location", "")
@@ -143,3 +198,7 @@ class ServiceClient:
         except MALFORMED:
             return Unavailable(f"the {self._title} answered with HTTP status {answer.status}")
         return RceError.from_info(ErrorInfo(problem.code, problem.detail, "", problem.field, problem.fields))
+
+
+def _unreachable(url: str, error: Exception) -> Unavailable:
+    return Unavailable(f"cannot reach {url}: {reason_of(error) or type(error).__name__}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import http.client
 import sys
 import time
 from functools import partial
@@ -17,7 +16,7 @@ from rce.cli.contexts import running_platform
 from rce.cli.output import Columns, local_time, print_record, print_table, size_text, to_json
 from rce.cli.session import ConsoleSession
 from rce.client.knowledge import KnowledgeClient
-from rce.errors import AlreadyExists, InvalidRequest, NotFound, Unavailable
+from rce.errors import AlreadyExists, InvalidRequest, NotFound, TimedOut, Unavailable
 
 RETRY_DELAY = 1.0  # seconds until a subscription connects anew
 MAP_FILES = (".pgm", ".yaml", ".png", ".txt", ".ply", ".pcd", ".db", ".npz", ".json", ".bt", ".obj", ".glb")
@@ -148,9 +147,10 @@ def subscribe(session: ConsoleSession, args: argparse.Namespace) -> None:
             for change in service.changes(kind=args.kind, uid=args.uid, prefix=args.prefix, cls=args.cls, after=after):
                 after = change.number
                 print(msgspec.json.encode(change).decode(), flush=True)
-        except (OSError, http.client.HTTPException, Unavailable) as error:
-            if not isinstance(error, TimeoutError):
-                print(f"the connection broke and is opened anew: {error}", file=sys.stderr)
+        except TimedOut:  # there was no change
+            continue
+        except Unavailable as error:
+            print(f"the connection broke and is opened anew: {error}", file=sys.stderr)
         time.sleep(RETRY_DELAY)
 
 
