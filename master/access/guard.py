@@ -6,7 +6,6 @@ keys that expire, are found by a periodic check.
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable
 
 from twisted.logger import Logger
@@ -16,7 +15,7 @@ from master.graph import reconcile, sessions
 from master.graph.effects import Plan, Send
 from master.graph.records import Ref
 from master.graph.state import State
-from master.storage.store import FAILURES
+from master.storage.periodic import repeat
 from rce.api.roles import ASSIGNABLE_ROLES, Principal, UserRole
 from rce.api.views import KeyView
 from rce.control.calls.services import InvalidateAuthentication
@@ -68,12 +67,7 @@ class Guard:
 
     async def follow(self) -> None:
         """Check all credentials periodically, until cancelled."""
-        while True:
-            await asyncio.sleep(REFRESH)
-            try:
-                await self.check_all()
-            except FAILURES as error:
-                log.warn("credentials could not be checked: {error}", error=str(error))
+        await repeat(REFRESH, self.check_all, "credentials could not be checked")
 
     async def check_all(self) -> None:
         """Close what is open by invalid credentials, pass on who was removed, and store when keys were used."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from typing import Any
 
 import msgspec
@@ -12,7 +11,8 @@ from twisted.logger import Logger
 
 from master.graph.limits import Policy, with_changes
 from master.storage import tables as db
-from master.storage.store import FAILURES, Store
+from master.storage.periodic import repeat
+from master.storage.store import Store
 
 PLATFORM = ""  # as user: the limits of everybody without own ones
 REFRESH = 3.0  # seconds until changes by other processes (`rce user limits`) are seen
@@ -36,12 +36,7 @@ class UserLimits:
 
     async def follow(self) -> None:
         """Load changes by other processes periodically, until cancelled."""
-        while True:
-            await asyncio.sleep(REFRESH)
-            try:
-                await self._load()
-            except FAILURES as error:
-                log.warn("the limits of users could not be loaded: {error}", error=str(error))
+        await repeat(REFRESH, self._load, "the limits of users could not be loaded")
 
     def of(self, user: str) -> Policy:
         """Return the limits of a user."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-
 from twisted.logger import Logger
 
 from master.access.join_tokens import JoinTokens
@@ -11,7 +9,7 @@ from master.execution.lifecycle import Lifecycle
 from master.execution.process_tracker import ProcessTracker
 from master.graph import reconcile
 from master.graph.state import State, at
-from master.storage.store import FAILURES
+from master.storage.periodic import repeat
 from rce.net.tls import Tls
 
 INTERVAL = 3.0  # seconds between checks
@@ -43,12 +41,7 @@ class Removals:
 
     async def follow(self) -> None:
         """Look for removals, until cancelled."""
-        while True:
-            await asyncio.sleep(INTERVAL)
-            try:
-                await self.check()
-            except FAILURES as error:
-                log.warn("credentials of processes could not be checked: {error}", error=str(error))
+        await repeat(INTERVAL, self.check, "credentials of processes could not be checked")
 
     async def check(self) -> None:
         """Act on removals that are new."""

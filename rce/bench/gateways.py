@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import defaultdict
-from collections.abc import Sized
+from collections.abc import Awaitable, Callable, Sized
 from contextlib import suppress
 from typing import Any
 
@@ -105,17 +105,11 @@ async def channel_echo(client: FoxgloveClient, topic: str) -> Sample:
     """Return the sample function that publishes on `topic` and waits for the answer on `topic`_back."""
     await client.open(topic, f"{topic}_back", CDR.type_name)
 
-    async def sample(size: int) -> float:
-        started = time.perf_counter()
+    async def exchange(size: int) -> Sized:
         await client.publish(CDR.make(size))
-        content = await client.message()
-        seconds = time.perf_counter() - started
-        _check_size(topic, content, size)
-        return seconds
+        return await client.message()
 
-    await retry(lambda timeout: _within(sample, timeout))
-    await client.drain()
-    return sample
+    return await _sample_function(client, topic, exchange)
 
 
 class RosbridgeClient:
@@ -147,12 +141,25 @@ async def topic_echo(client: RosbridgeClient, payload: Payload, topic: str) -> S
     await client.send(op="subscribe", topic=f"{topic}_back", type=payload.type_name)
     await client.send(op="advertise", topic=topic, type=payload.type_name)
 
+    async def exchange(size: int) -> Sized:
+        await client.send(op="publish", topic=topic, msg=payload.make(size))
+        content: Sized = payload.read(await client.message(f"{topic}_back"))
+        return content
+
+    return await _sample_function(client, topic, exchange)
+
+
+async def _sample_function(
+    client: FoxgloveClient | RosbridgeClient, topic: str, exchange: Callable[[int], Awaitable[Sized]]
+) -> Sample:
+    """Return the function that measures an exchange, which returns the content of the answer, once it works."""
+
     async def sample(size: int) -> float:
         started = time.perf_counter()
-        await client.send(op="publish", topic=topic, msg=payload.make(size))
-        content = payload.read(await client.message(f"{topic}_back"))
+        content = await exchange(size)
         seconds = time.perf_counter() - started
-        _check_size(topic, content, size)
+        if len(content) < size:
+            raise ConversionError(f"{topic}: the answer has {len(content)} of {size} bytes")
         return seconds
 
     await retry(lambda timeout: _within(sample, timeout))
@@ -166,11 +173,6 @@ async def _drain(socket: ClientConnection) -> None:
         async with asyncio.timeout(QUIET):
             while True:
                 await socket.recv(decode=False)
-
-
-def _check_size(topic: str, content: Sized, size: int) -> None:
-    if len(content) < size:
-        raise ConversionError(f"{topic}: the answer has {len(content)} of {size} bytes")
 
 
 async def _within(sample: Sample, timeout: float) -> float:  # noqa: ASYNC109  # as `Subscriber.get`

@@ -26,6 +26,7 @@ from tests.support.domains import domain
 from tests.support.e2e.chromium import chromium, open_page, visit
 from tests.support.e2e.real_platform import RCE, USER, RealPlatform
 from tests.support.paths import ROOT
+from tests.support.programs import running
 
 pytestmark = pytest.mark.e2e
 EXAMPLES = ROOT / "docs" / "examples"
@@ -68,20 +69,11 @@ class Program:
 
 @asynccontextmanager
 async def started(*command: str, **variables: str) -> AsyncIterator[Program]:
-    process = await asyncio.create_subprocess_exec(
-        *command,
-        env=os.environ | variables,
-        cwd=ROOT,
-        stdin=asyncio.subprocess.PIPE,
-        stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.STDOUT,
-    )
-    try:
+    pipe = asyncio.subprocess.PIPE
+    async with running(
+        *command, env=os.environ | variables, cwd=ROOT, stdin=pipe, stdout=pipe, stderr=asyncio.subprocess.STDOUT
+    ) as process:
         yield Program(process)
-    finally:
-        if process.returncode is None:
-            process.kill()
-            await process.wait()
 
 
 def example(name: str, *arguments: str, **variables: str) -> AbstractAsyncContextManager[Program]:

@@ -42,6 +42,7 @@ from rce.mapping.scans import Scan
 from tests.support.domains import domain
 from tests.support.e2e.real_platform import USER, RealPlatform, until
 from tests.support.paths import TEST_PACKAGE, TESTS
+from tests.support.programs import running
 
 ROBOTS = ("rover", "lander")
 START_TIMEOUT, STOP_TIMEOUT = 120.0, 60.0  # seconds
@@ -132,13 +133,8 @@ async def fibonacci_server(robot: str) -> AsyncIterator[asyncio.subprocess.Proce
     """Run the action server /fibonacci in the ROS domain of a robot."""
     program = TESTS / "e2e" / "ros" / "Relay" / "scripts" / "fibonacci.py"
     variables = {"ROS_DOMAIN_ID": str(domain(robot)), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    process = await asyncio.create_subprocess_exec(sys.executable, str(program), env=os.environ | variables)
-    try:
+    async with running(sys.executable, str(program), env=os.environ | variables) as process:
         yield process
-    finally:
-        if process.returncode is None:
-            process.kill()
-        await process.wait()
 
 
 class SentGoal(NamedTuple):

@@ -22,6 +22,7 @@ from tests.support.certificates import certify
 from tests.support.client_cases import CPP, expected
 from tests.support.e2e.real_platform import USER, RealPlatform
 from tests.support.paths import TESTS
+from tests.support.programs import output_of as run_program
 
 pytestmark = pytest.mark.timeout(900)  # the first test compiles, which takes more than five minutes on a slow machine
 
@@ -66,23 +67,13 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory / "build"
 
 
-async def run_beside(*words: object, **environ: str) -> tuple[int | None, str, str]:
+async def run_beside(*words: object, **environ: str) -> tuple[int, str, str]:
     """Run a program beside the platform; return its status, its output and its errors."""
-    pipe = asyncio.subprocess.PIPE
     options = {
         "UBSAN_OPTIONS": "halt_on_error=1",
         "TSAN_OPTIONS": f"halt_on_error=1 suppressions={TESTS / 'cpp' / 'tsan.supp'}",
     }
-    process = await asyncio.create_subprocess_exec(
-        *map(str, words), stdout=pipe, stderr=pipe, env={**os.environ, **options, **environ}
-    )
-    try:
-        out, err = await asyncio.wait_for(process.communicate(), TIMEOUT)
-    finally:
-        if process.returncode is None:
-            process.kill()
-            await process.wait()
-    return process.returncode, out.decode(), err.decode()
+    return await run_program(*map(str, words), seconds=TIMEOUT, env={**os.environ, **options, **environ})
 
 
 async def output_of(*words: object, **environ: str) -> str:

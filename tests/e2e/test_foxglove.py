@@ -38,6 +38,7 @@ from tests.support.e2e.foreign_suites import node_modules
 from tests.support.e2e.gateways import Gateway, open_gateway, publish_camera_and_cloud
 from tests.support.e2e.node import node_command
 from tests.support.e2e.real_platform import RealPlatform, until
+from tests.support.programs import running
 
 PROGRAM = "@foxglove/ws-protocol-examples/dist/cjs/ws-protocol-examples/src/index.js"
 WAIT = 60.0  # seconds
@@ -86,16 +87,10 @@ class Example:
 
 
 @asynccontextmanager
-async def running(examples: Path, *words: str) -> AsyncIterator[Example]:
-    process = await asyncio.create_subprocess_exec(
-        *node_command(), str(examples), *words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-    )
-    try:
+async def run_example(examples: Path, *words: str) -> AsyncIterator[Example]:
+    program = *node_command(), str(examples), *words
+    async with running(*program, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:
         yield Example(process)
-    finally:
-        if process.returncode is None:
-            process.kill()
-            await process.wait()
 
 
 @asynccontextmanager
@@ -119,7 +114,7 @@ async def publishing(environment: Environment, topic: str) -> AsyncIterator[None
 @pytest.mark.parametrize("encoding", ["json", "cdr"])
 async def test_publish_client(gateway: Gateway, examples: Path, encoding: str) -> None:
     subscriber = await gateway.environment.subscriber("/chatter", STRING)
-    async with running(examples, "publish-client", "-e", encoding, gateway.foxglove):
+    async with run_example(examples, "publish-client", "-e", encoding, gateway.foxglove):
         assert (await subscriber.get(WAIT))["data"].startswith("hello world")
     await subscriber.close()
 
@@ -171,7 +166,7 @@ async def test_service_client(gateway: Gateway, examples: Path) -> None:
         return {"success": request["data"], "message": "as you like"}
 
     provider = await gateway.environment.service_provider("/set_bool", "std_srvs/SetBool", answer)
-    async with running(examples, "service-client", gateway.foxglove) as example:
+    async with run_example(examples, "service-client", gateway.foxglove) as example:
         output = await example.finish()
     assert "callId: 123" in output
     assert "encoding: 'cdr'" in output
@@ -179,7 +174,7 @@ async def test_service_client(gateway: Gateway, examples: Path) -> None:
 
 
 async def test_param_client(gateway: Gateway, examples: Path) -> None:
-    async with running(examples, "param-client", gateway.foxglove) as example:
+    async with run_example(examples, "param-client", gateway.foxglove) as example:
         await example.expect(r"/example_fibonacci\.use_sim_time', value: false")
         await example.expect(r"parameter updates\n.*/example_fibonacci\.use_sim_time', value: true")
 
@@ -187,7 +182,7 @@ async def test_param_client(gateway: Gateway, examples: Path) -> None:
 async def test_perf_test_client(gateway: Gateway, examples: Path) -> None:
     async with (
         publishing(gateway.environment, "/measured"),
-        running(examples, "perf-test-client", gateway.foxglove) as example,
+        run_example(examples, "perf-test-client", gateway.foxglove) as example,
     ):
         await received(gateway, example, "/measured")
         output = await example.finish(signal.SIGINT)
@@ -199,7 +194,7 @@ async def test_perf_test_client(gateway: Gateway, examples: Path) -> None:
 async def test_mcap_record(gateway: Gateway, examples: Path, tmp_path: Path) -> None:
     file = tmp_path / "record.mcap"
     words = ["mcap-record", "--no-compression", "-o", str(file), gateway.foxglove]
-    async with publishing(gateway.environment, "/recorded"), running(examples, *words) as example:
+    async with publishing(gateway.environment, "/recorded"), run_example(examples, *words) as example:
         await received(gateway, example, "/recorded")
         await example.finish(signal.SIGINT)
     recorded = file.read_bytes()

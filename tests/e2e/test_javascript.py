@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 from tests.support.e2e.chromium import chromium, open_page, visit
-from tests.support.e2e.node import node_command
+from tests.support.e2e.node import run_script
 from tests.support.e2e.real_platform import RealPlatform
 from tests.support.paths import TESTS
 
@@ -13,16 +13,9 @@ RUNNER = TESTS / "js" / "run_in_node.mjs"
 
 
 async def test_client_in_node(platform: RealPlatform) -> None:
-    process = await asyncio.create_subprocess_exec(
-        *node_command(), str(RUNNER), platform.url, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
-    )
-    try:
-        out, err = await asyncio.wait_for(process.communicate(), 120)
-    finally:
-        if process.returncode is None:
-            process.kill()
-    assert process.returncode == 0, err.decode()
-    assert "environment is created used and destroyed" in out.decode()
+    status, out, err = await run_script(str(RUNNER), platform.url, timeout=120)
+    assert status == 0, err
+    assert "environment is created used and destroyed" in out
 
 
 async def test_client_in_a_page(platform: RealPlatform) -> None:

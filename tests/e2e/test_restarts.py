@@ -8,13 +8,14 @@ import re
 import subprocess
 import sys
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import AbstractAsyncContextManager
 from pathlib import Path
 from typing import Any
 
 from tests.support.e2e.consoles import rce, user_environ
 from tests.support.e2e.real_platform import RCE, USER, RealPlatform
 from tests.support.paths import ROOT
+from tests.support.programs import running
 
 WAIT, PATIENCE = 120.0, 20.0  # seconds
 PROGRAM = re.compile(r"```python\n(import asyncio\nfrom rce\.client import Robot\n.*?)```", re.DOTALL)
@@ -39,16 +40,8 @@ FILE = {
 }
 
 
-@asynccontextmanager
-async def started(*words: str) -> AsyncIterator[asyncio.subprocess.Process]:
-    """A program, which is killed at the end if it still runs."""
-    process = await asyncio.create_subprocess_exec(*words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    try:
-        yield process
-    finally:
-        if process.returncode is None:
-            process.kill()
-            await process.wait()
+def started(*words: str) -> AbstractAsyncContextManager[asyncio.subprocess.Process]:
+    return running(*words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
 async def test_first_program_of_the_readme_runs_again_after_it_was_killed(

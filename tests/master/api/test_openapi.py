@@ -13,6 +13,7 @@ from openapi_spec_validator import validate
 
 from tests.support.master.served import Served
 from tests.support.paths import TESTS
+from tests.support.programs import output_of
 
 
 async def test_document_is_valid_and_public(served: Served) -> None:
@@ -57,17 +58,7 @@ async def test_random_requests_are_answered_as_the_document_says(
         # A declaration of a service has so many fields within others that trying them takes longer than all the rest.
         *("--exclude-operation-id", "post_api_v_catalogue"),
     ]
-    process = await asyncio.create_subprocess_exec(
-        *words,
-        cwd=tmp_path,
-        env=os.environ | {"SCHEMATHESIS_HOOKS": "schemathesis_hooks", "PYTHONPATH": str(TESTS / "support" / "master")},
-        stdin=asyncio.subprocess.DEVNULL,
-        stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.STDOUT,
-    )
-    try:
-        output, _ = await asyncio.wait_for(process.communicate(), 400)
-    finally:
-        if process.returncode is None:
-            process.kill()
-    assert process.returncode == 0, output.decode()
+    variables = {"SCHEMATHESIS_HOOKS": "schemathesis_hooks", "PYTHONPATH": str(TESTS / "support" / "master")}
+    nothing = asyncio.subprocess.DEVNULL
+    status, out, err = await output_of(*words, seconds=400, cwd=tmp_path, env=os.environ | variables, stdin=nothing)
+    assert status == 0, out + err

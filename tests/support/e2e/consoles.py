@@ -17,6 +17,7 @@ from collections.abc import AsyncIterator, Iterator, Mapping
 from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 
+from tests.support import programs
 from tests.support.e2e.real_platform import RCE, USER
 
 TIMEOUT = 120.0
@@ -41,15 +42,9 @@ async def rce(*words: str, env: Mapping[str, str], given: str = "", status: int 
         given: Standard input.
         status: The expected exit status; None for any.
     """
-    process = await asyncio.create_subprocess_exec(
-        RCE, *words, env=env, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    )
-    try:
+    pipe = subprocess.PIPE
+    async with programs.running(RCE, *words, env=env, stdin=pipe, stdout=pipe, stderr=pipe) as process:
         out, err = await asyncio.wait_for(process.communicate(given.encode()), TIMEOUT)
-    finally:
-        if process.returncode is None:
-            process.kill()
-            await process.wait()
     report = f"rce {' '.join(words)}: {process.returncode}\n{out.decode()}\n{err.decode()}"
     assert status is None or process.returncode == status, report
     return out.decode() if status == 0 else report
@@ -86,13 +81,8 @@ class RunningCommand:
 @asynccontextmanager
 async def running(*words: str, env: Mapping[str, str]) -> AsyncIterator[RunningCommand]:
     """Run a command of `rce` in the background."""
-    process = await asyncio.create_subprocess_exec(RCE, *words, env=env, stdout=subprocess.PIPE)
-    try:
+    async with programs.running(RCE, *words, env=env, stdout=subprocess.PIPE) as process:
         yield RunningCommand(process)
-    finally:
-        if process.returncode is None:
-            process.kill()
-            await process.wait()
 
 
 class TerminalProcess:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 import re
 import shutil
 import subprocess
 
 import pytest
+
+from tests.support.programs import output_of
 
 
 def node_command() -> list[str]:
@@ -24,13 +25,4 @@ def node_command() -> list[str]:
 
 async def run_script(*words: str, timeout: float) -> tuple[int, str, str]:  # noqa: ASYNC109
     """Run a script in Node.js; return its exit status and what it printed to standard output and error."""
-    pipe = asyncio.subprocess.PIPE
-    process = await asyncio.create_subprocess_exec(*node_command(), *words, stdout=pipe, stderr=pipe)
-    try:
-        out, err = await asyncio.wait_for(process.communicate(), timeout)
-    finally:
-        if process.returncode is None:
-            process.kill()
-            await process.wait()
-    assert process.returncode is not None
-    return process.returncode, out.decode(), err.decode()
+    return await output_of(*node_command(), *words, seconds=timeout)

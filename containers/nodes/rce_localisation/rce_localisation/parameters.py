@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from rce_mapping.parameters import flag, number
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rce_mapping.parameters import declare_fixed, declare_number, flag, number
 from rclpy.node import Node
 
 from rce.mapping.geometry import Pose
@@ -52,11 +51,9 @@ def declare(node: Node) -> None:
     if unknown:
         node.get_logger().warning(f"parameters that have no meaning here: {', '.join(unknown)}")
     for name, (default, low, high, description) in NUMBERS.items():
-        limits = [FloatingPointRange(from_value=low, to_value=high, step=0.0)]
-        about = ParameterDescriptor(description=description, floating_point_range=limits, read_only=True)
-        node.declare_parameter(name, default, about)
+        declare_number(node, name, default, (low, high), description)
     for name, (value, description) in (TEXTS | FLAGS).items():
-        node.declare_parameter(name, value, ParameterDescriptor(description=description, read_only=True))
+        declare_fixed(node, name, value, description)
 
 
 def initial_pose(node: Node) -> Pose | None:

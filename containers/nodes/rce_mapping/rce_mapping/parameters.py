@@ -13,9 +13,9 @@ INTERVAL, UPDATES, MAPPER = "map_update_interval", "map_updates_interval", "mapp
 
 def declare(node: Node, mappers: list[str]) -> None:
     """Declare all parameters. All but the two intervals are read-only; the first mapper is the default."""
-    _text(node, MAPPER, mappers[0], f"Mapper: {', '.join(mappers)}.")
-    _number(node, "resolution", 0.05, (0.01, 0.5), "Size of a cell of the map, metres.")
-    _number(node, "max_range", 30.0, (1.0, 200.0), "Maximum length of the beams that are used, metres.")
+    declare_fixed(node, MAPPER, mappers[0], f"Mapper: {', '.join(mappers)}.")
+    declare_number(node, "resolution", 0.05, (0.01, 0.5), "Size of a cell of the map, metres.")
+    declare_number(node, "max_range", 30.0, (1.0, 200.0), "Maximum length of the beams that are used, metres.")
     _count(
         node,
         "particles",
@@ -30,29 +30,26 @@ def declare(node: Node, mappers: list[str]) -> None:
         (0, 2**31 - 1),
         "Seed of the random numbers of the mapper particle. The same seed gives the same map.",
     )
-    _number(node, INTERVAL, 5.0, (0.1, 3600.0), "Wall time between publications of map and path, seconds.", fixed=False)
-    _number(
+    declare_number(
+        node, INTERVAL, 5.0, (0.1, 3600.0), "Wall time between publications of map and path, seconds.", fixed=False
+    )
+    declare_number(
         node, UPDATES, 1.0, (0.0, 3600.0), "Wall time between messages of map_updates, seconds; 0: none.", fixed=False
     )
-    _number(
+    declare_number(
         node, "odom_timeout", 0.5, (0.0, 60.0), "Wall time that a scan waits for the odometry of its stamp, seconds."
     )
-    node.declare_parameter(
-        "use_odometry", True, ParameterDescriptor(description="Use odometry if there is any.", read_only=True)
-    )
-    node.declare_parameter(
-        "odometry_from_tf",
-        False,
-        ParameterDescriptor(description="Use the odometry in /tf instead of the topic odom.", read_only=True),
-    )
-    _text(node, "map_frame", "map", "Frame of the map, the poses and the path.")
-    _text(node, "odom_frame", "odom", "Frame of the odometry in /tf.")
-    _text(node, "base_frame", "base_link", "Frame of the robot.")
+    declare_fixed(node, "use_odometry", True, "Use odometry if there is any.")
+    declare_fixed(node, "odometry_from_tf", False, "Use the odometry in /tf instead of the topic odom.")
+    declare_fixed(node, "map_frame", "map", "Frame of the map, the poses and the path.")
+    declare_fixed(node, "odom_frame", "odom", "Frame of the odometry in /tf.")
+    declare_fixed(node, "base_frame", "base_link", "Frame of the robot.")
 
 
-def _number(
+def declare_number(
     node: Node, name: str, default: float, bounds: tuple[float, float], description: str, fixed: bool = True
 ) -> None:
+    """Declare a number; `fixed` makes it read-only."""
     low, high = bounds
     limits = [FloatingPointRange(from_value=low, to_value=high, step=0.0)]
     node.declare_parameter(
@@ -67,7 +64,8 @@ def _count(node: Node, name: str, default: int, bounds: tuple[int, int], descrip
     )
 
 
-def _text(node: Node, name: str, default: str, description: str) -> None:
+def declare_fixed(node: Node, name: str, default: str | bool, description: str) -> None:
+    """Declare a text or a flag, which is read-only."""
     node.declare_parameter(name, default, ParameterDescriptor(description=description, read_only=True))
 
 

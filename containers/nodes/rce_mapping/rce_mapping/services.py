@@ -5,6 +5,7 @@ A service is offered only if its type is installed; provisioning builds the type
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -55,14 +56,15 @@ class Services:
 
     def _save_for_nav2(self, request: Any, response: Any) -> Any:
         """Save the map as `map_url`.pgm and .yaml, as map_server reads it; thresholds of 0 mean those of map_server."""
-        response.result = self._try(
-            lambda: self._write(request.map_url, request.occupied_thresh or None, request.free_thresh or None)
+        response.result = succeeds(
+            self._node,
+            lambda: self._write(request.map_url, request.occupied_thresh or None, request.free_thresh or None),
         )
         return response
 
     def _save(self, request: Any, response: Any) -> Any:
         """Save the map as `name`.pgm and .yaml."""
-        saved = self._try(lambda: self._write(request.name.data))
+        saved = succeeds(self._node, lambda: self._write(request.name.data))
         response.result = response.RESULT_SUCCESS if saved else response.RESULT_UNDEFINED_FAILURE
         return response
 
@@ -97,7 +99,7 @@ class Services:
 
     def _serialize(self, request: Any, response: Any) -> Any:
         """Save the whole session: map, poses and everything that is needed to continue."""
-        saved = self._try(lambda: save_session(self._mapper(), file_of(request.filename)))
+        saved = succeeds(self._node, lambda: save_session(self._mapper(), file_of(request.filename)))
         response.result = response.RESULT_SUCCESS if saved else response.RESULT_FAILED_TO_WRITE_FILE
         return response
 
@@ -106,7 +108,7 @@ class Services:
 
         The response of slam_toolbox is empty; errors are logged.
         """
-        self._try(lambda: self._resume(request))
+        succeeds(self._node, lambda: self._resume(request))
         return response
 
     def _resume(self, request: Any) -> None:
@@ -151,14 +153,15 @@ class Services:
     def _write(self, path: str, occupied: float | None = None, free: float | None = None) -> None:
         write_map(file_of(path), self._node.mapper.grid(), occupied, free)
 
-    def _try(self, action: Any) -> bool:
-        """Return whether an action succeeds; log the error if not, since the responses have no field for it."""
-        try:
-            action()
-        except (RceError, OSError) as error:
-            self._node.get_logger().error(str(error))
-            return False
-        return True
+
+def succeeds(node: Node, action: Callable[[], object]) -> bool:
+    """Return whether an action succeeds; log the error if not, since the responses of services have no field for it."""
+    try:
+        action()
+    except (RceError, OSError) as error:
+        node.get_logger().error(str(error))
+        return False
+    return True
 
 
 def file_of(name: str) -> Path:

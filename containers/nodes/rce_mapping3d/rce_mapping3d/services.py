@@ -6,14 +6,12 @@ the environment, in which the node runs.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from rce_mapping.optional import slam_toolbox
-from rce_mapping.services import file_of
+from rce_mapping.services import file_of, succeeds
 from std_srvs.srv import Trigger
 
-from rce.errors import RceError
 from rce.mapping3d.offload.sessions import resume_session, save_session
 from rce.mapping3d.offload.shared_map import SharedMap
 
@@ -50,21 +48,14 @@ class Services:
 
     def _serialize(self, request: Any, response: Any) -> Any:
         """Save the session: key frames, poses, and all that is needed to continue."""
-        saved = self._try(lambda: save_session(self._node.shared, file_of(request.filename)))
+        saved = succeeds(self._node, lambda: save_session(self._node.shared, file_of(request.filename)))
         response.result = response.RESULT_SUCCESS if saved else response.RESULT_FAILED_TO_WRITE_FILE
         return response
 
     def _deserialize(self, request: Any, response: Any) -> Any:
         """Continue a saved session. Robots find themselves on its map as lost ones do. Errors are logged."""
         shared = self._node.shared
-        self._try(lambda: self._node.use(resume_session(file_of(request.filename), shared.robots, shared.sensor)))
+        succeeds(
+            self._node, lambda: self._node.use(resume_session(file_of(request.filename), shared.robots, shared.sensor))
+        )
         return response
-
-    def _try(self, action: Callable[[], object]) -> bool:
-        """Return whether an action succeeds; log the error if not."""
-        try:
-            action()
-        except (RceError, OSError) as error:
-            self._node.get_logger().error(str(error))
-            return False
-        return True

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from rce_mapping.parameters import choice, flag, number, text
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rce_mapping.parameters import choice, declare_fixed, declare_number, flag, number, text
 from rclpy.node import Node
 
 from rce.api.map_jobs import MOTION_MODELS, PLANNERS
@@ -53,11 +52,9 @@ FLAGS = {
 def declare(node: Node) -> None:
     """Declare all parameters; all are read-only."""
     for name, (default, low, high, description) in NUMBERS.items():
-        limits = [FloatingPointRange(from_value=low, to_value=high, step=0.0)]
-        about = ParameterDescriptor(description=description, floating_point_range=limits, read_only=True)
-        node.declare_parameter(name, default, about)
+        declare_number(node, name, default, (low, high), description)
     for name, (value, description) in (TEXTS | FLAGS).items():
-        node.declare_parameter(name, value, ParameterDescriptor(description=description, read_only=True))
+        declare_fixed(node, name, value, description)
 
 
 def settings_of(node: Node) -> PlannerSettings:
