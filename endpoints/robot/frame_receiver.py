@@ -57,7 +57,10 @@ class FrameReceiver:
         """Handle a text message, which is a frame."""
         frame: m.Frame | None = None
         try:
-            large = self._split(payload) if len(payload) > LARGE else None
+            large = m.split_large(payload) if len(payload) > LARGE else None
+            if large is None and len(payload) > MAX_OTHER:
+                frame = m.envelope_of(payload)
+                raise _too_large(len(payload))
             frame = m.decode_frame(payload) if large is None else large.frame
             if large is not None:
                 self._message(frame, large.message, {}, len(payload))
@@ -71,21 +74,6 @@ class FrameReceiver:
             self._reject(error, frame)
         except RecursionError:
             self._reject(InvalidRequest("the message is nested too deeply"), frame)
-
-    def _split(self, payload: bytes) -> m.LargeMessage | None:
-        """Split a large frame if it is an ordinary data message.
-
-        Raises:
-            LimitExceeded: It is not, and would have to be decoded as a whole, which would take too long.
-        """
-        large = m.split_large(payload)
-        if large is None and len(payload) > MAX_OTHER:
-            raise LimitExceeded(
-                f"the text frame has {len(payload)} bytes: only a data message without blobs may have more than "
-                f"{MAX_OTHER}; send the large part as a blob, or divide the frame",
-                bytes=MAX_OTHER,
-            )
-        return large
 
     def binary(self, payload: bytes) -> None:
         """Handle a binary message, which is a blob or a part of one."""
@@ -151,6 +139,14 @@ class FrameReceiver:
         """Send an error to the robot; close the socket after too many of them within a minute."""
         self._session.error(error, frame.id if frame is not None and "ack" in self._session.features else UNSET)
         self._bad.count(error)
+
+
+def _too_large(size: int) -> LimitExceeded:
+    return LimitExceeded(
+        f"the text frame has {size} bytes: only a data message without blobs may have more than {MAX_OTHER}; "
+        "send the large part as a blob, or divide the frame",
+        bytes=MAX_OTHER,
+    )
 
 
 def _of_message(error: RceError, message: m.DataMessage) -> RceError:

@@ -48,6 +48,7 @@ from rce.protocol.messages.frames import FrameId as FrameId
 from rce.protocol.messages.frames import decode_as as decode_as
 from rce.protocol.messages.frames import decode_frame as decode_frame
 from rce.protocol.messages.large import LargeMessage as LargeMessage
+from rce.protocol.messages.large import envelope_of as envelope_of
 from rce.protocol.messages.large import split_large as split_large
 from rce.protocol.messages.status import Ack as Ack
 from rce.protocol.messages.status import ConnectionEvent as ConnectionEvent

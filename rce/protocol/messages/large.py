@@ -19,6 +19,7 @@ from rce.protocol.messages.frames import Frame, decode_as, decode_frame
 
 HEAD, TAIL = 4096, 2048  # bytes before and after the content, in which the other keys are
 _key = re.compile(rb'"msg"[ \t\n\r]*:[ \t\n\r]*(?=\{)')
+_data = re.compile(rb'"data"[ \t\n\r]*:[ \t\n\r]*(?=\{)')
 _reference = re.compile(rb'\*"[ \t\n\r]*:')  # end of a key whose value is the id of a blob
 
 
@@ -79,3 +80,15 @@ def split_large(payload: bytes) -> LargeMessage | None:
     if frame.type != "DM" or message.msg is UNSET or bytes(message.msg) != b"null" or message.blob is not UNSET:
         return None
     return LargeMessage(frame, replace(message, msg=Raw(content)))
+
+
+def envelope_of(payload: bytes) -> Frame | None:
+    """Return a text frame with null in place of its data, to report an error about it; None for an unusual frame."""
+    found = find_content(payload, _data, 1)
+    if found is None:
+        return None
+    try:
+        frame = decode_frame(payload[: found.start] + b"null" + payload[found.end :])
+    except RceError:
+        return None
+    return frame if bytes(frame.data) == b"null" else None

@@ -265,8 +265,9 @@ def test_large_message_with_blobs_is_decoded_as_a_whole(socket: Socket) -> None:
 
 @pytest.mark.parametrize("frame", [{"type": "CN", "data": {}}, dm(msg={"pixels*": BLOB})])
 def test_frame_that_would_take_long_to_decode_is_refused(socket: Socket, frame: dict[str, Any]) -> None:
-    socket.text(frame | {"padding": "x" * MAX_OTHER})
-    ((error, _),) = socket.session.errors
+    socket.text({"id": 5, **frame, "data": {**frame["data"], "padding": "x" * MAX_OTHER}})
+    ((error, frame_id),) = socket.session.errors
+    assert frame_id == 5
     assert isinstance(error, LimitExceeded)
     assert f"{MAX_OTHER}; send the large part as a blob" in str(error)
     assert (socket.handled, socket.session.commands) == ([], [])

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rce.errors import RceError
-from rce.protocol.messages import DataMessage, decode_as, decode_frame, split_large
+from rce.protocol.messages import DataMessage, decode_as, decode_frame, envelope_of, split_large
 
 text = st.text(st.sampled_from('ab{}[]",:\\* é'), max_size=8)
 content = st.recursive(
@@ -89,6 +89,20 @@ def test_usual_messages_are_split(payload: bytes) -> None:
 )
 def test_other_frames_are_not_split(payload: bytes) -> None:
     assert split_large(payload) is None
+
+
+def test_envelope_of_a_large_frame_has_its_id_and_no_data() -> None:
+    payload = json.dumps({"type": "CN", "data": {"x": "y" * 10_000_000}, "id": 7}).encode()
+    frame = envelope_of(payload)
+    assert frame is not None
+    assert (frame.type, frame.id, bytes(frame.data)) == ("CN", 7, b"null")
+
+
+@pytest.mark.parametrize(
+    "frame", [{"type": "CN", "data": 1}, {"data": {"x": {}}, "type": "CN", "y": "z" * 10_000}, {"data": {}}]
+)
+def test_unusual_frame_has_no_envelope(frame: dict[str, Any]) -> None:
+    assert envelope_of(json.dumps(frame).encode()) is None
 
 
 def test_text_that_ends_with_an_asterisk_is_no_reference_to_a_blob() -> None:
