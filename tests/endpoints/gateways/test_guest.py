@@ -90,6 +90,7 @@ async def test_use_that_cannot_be_made_is_reported(platform: Platform) -> None:
         assert (answer["result"], answer["id"]) == (False, "c")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("brain")
 async def test_more_uses_are_begun_at_once_than_a_session_may_have_commands(platform: Platform) -> None:
     async with connect(url(platform)):

@@ -12,7 +12,7 @@ from rce.packages import layout
 from rce.packages.ament_python import install
 from tests.support.ament_package import make_ament_package
 
-pytestmark = pytest.mark.skipif(find_spec("setuptools") is None, reason="needs setuptools")
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(find_spec("setuptools") is None, reason="needs setuptools")]
 
 
 def test_package_is_installed_with_executables_resources_and_data(tmp_path: Path) -> None:

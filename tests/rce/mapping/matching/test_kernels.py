@@ -133,6 +133,7 @@ def test_points_outside_of_the_field_count_as_nothing() -> None:
     assert correlate(field, points, 10.0, 10.0, 0.0, 1, 0, 0, 0.0, 0.0, 0.0)[3] == 0.5
 
 
+@pytest.mark.slow
 def test_compilation_is_announced_once_and_its_result_is_kept(tmp_path: Path) -> None:
     (tmp_path / "two_kernels.py").write_text(
         "from rce.mapping.matching.kernels import compiled\n"
