@@ -11,6 +11,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros]'")
 
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from std_srvs.srv import SetBool
 
@@ -122,12 +123,18 @@ async def test_response_is_sent_again_until_ros_knows_its_reader(pair: Pair, mon
     assert pair.lost.empty()
 
 
-async def test_response_without_reader_is_reported(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_response_without_reader_is_reported(
+    pair: Pair, world: RosWorld, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(ros_services, "PAUSES", (0.01,))
-    monkeypatch.setattr(pair.service, "_sent", lambda answer, header: False)
-    await pair.call(request(True))
+    # Its requests match the server's reader; the responses that it wants do not match the server's writer. It belongs to
+    # the node of the server, so that DDS matches both at once.
+    ros, durable = world.ros, QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+    client = await ros.run(lambda: ros.node.create_client(SetBool, "/raw/flip", qos_profile=durable))
+    await ros.run(lambda: client.call_async(SetBool.Request(data=True)))
     header, _ = await asyncio.wait_for(pair.requests.get(), LIMIT)
     await pair.answer(header, response("nobody reads this"))
     error = await asyncio.wait_for(pair.lost.get(), LIMIT)
     assert isinstance(error, TimedOut)
     assert str(error) == "ROS has not found the client to which /raw/flip should respond"
+    await ros.run(lambda: ros.node.destroy_client(client))
