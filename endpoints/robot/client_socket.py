@@ -65,7 +65,7 @@ class ClientSocket(WebSocketServerProtocol):
         self._turns = turns
         self._choose = choose
         self._pending = pending
-        self._waits = False  # whether the opening request waits for its turn
+        self._request_waits = False  # for its turn
         self._logging_in = False
         self._opened = False
         self._client: Client | None = None
@@ -171,12 +171,12 @@ class ClientSocket(WebSocketServerProtocol):
             self.dropConnection(abort=True)
             return
         self.data += data
-        if not self._logging_in and not self._waits:
-            self._waits = True
+        if not self._logging_in and not self._request_waits:
+            self._request_waits = True
             self._turns.wait(f"@{self._pending.place}", self._read_request)
 
     def _read_request(self) -> None:
-        self._waits = False
+        self._request_waits = False
         if not self._gone:
             self._contain(self._dataReceived, b"")
 

@@ -2,7 +2,7 @@
 
 A robot in a program of its own sends VGA images at 30 Hz to an environment, where nobody sees them at first, then many
 viewers, guests in another program. The robot of this process sends velocity commands all the time, whose round trips
-are measured. It and the Robot endpoint of a platform of the bench have a core of their own, if there are two.
+are measured. It and the Robot endpoint of the bench's own platform have a core of their own, if there are two.
 """
 
 from __future__ import annotations

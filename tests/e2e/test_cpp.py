@@ -22,7 +22,7 @@ from tests.support.certificates import certify
 from tests.support.client_cases import CPP, expected
 from tests.support.e2e.real_platform import USER, RealPlatform
 from tests.support.paths import TESTS
-from tests.support.programs import output_of as run_program
+from tests.support.programs import run_program
 
 pytestmark = pytest.mark.timeout(900)  # the first test compiles, which takes more than five minutes on a slow machine
 

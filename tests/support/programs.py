@@ -25,7 +25,7 @@ async def running(*words: str, **options: Any) -> AsyncIterator[asyncio.subproce
             await process.wait()
 
 
-async def output_of(*words: str, seconds: float, **options: Any) -> tuple[int, str, str]:
+async def run_program(*words: str, seconds: float, **options: Any) -> tuple[int, str, str]:
     """Run a program; return its status, its output and its errors.
 
     Raises:

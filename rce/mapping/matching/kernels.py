@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 
 @cache
 def _announce_compilation() -> None:
-    log.warning("compiling numerical kernels; this takes up to a minute, once on this machine")
+    log.warning("compiling numerical kernels; this takes up to a minute, and the result is kept where possible")
 
 
 def compiled(signature: str) -> Callable[[F], F]:
@@ -44,6 +44,7 @@ def compiled(signature: str) -> Callable[[F], F]:
         except RuntimeError as error:
             if "cannot cache" not in str(error):
                 raise
+            _announce_compilation()
             return cast(F, numba.njit(signature, nogil=True)(function))
 
     return decorate

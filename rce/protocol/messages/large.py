@@ -18,7 +18,7 @@ from rce.protocol.messages.data import DataMessage
 from rce.protocol.messages.frames import Frame, decode_as, decode_frame
 
 HEAD, TAIL = 4096, 2048  # bytes before and after the content, in which the other keys are
-_key = re.compile(rb'"msg"[ \t\n\r]*:[ \t\n\r]*(?=\{)')
+_msg = re.compile(rb'"msg"[ \t\n\r]*:[ \t\n\r]*(?=\{)')
 _data = re.compile(rb'"data"[ \t\n\r]*:[ \t\n\r]*(?=\{)')
 _reference = re.compile(rb'\*"[ \t\n\r]*:')  # end of a key whose value is the id of a blob
 
@@ -68,8 +68,8 @@ def split_large(payload: bytes) -> LargeMessage | None:
     Returns:
         None for all other frames, and for unusual ones: decode them as a whole.
     """
-    found = find_content(payload, _key, 2)  # the frame and its data are around it
-    if found is None or (b"*" in payload and _reference.search(payload)):  # one byte is found fast
+    found = find_content(payload, _msg, 2)  # the frame and its data are around it
+    if found is None or (b"*" in payload and _reference.search(payload)):  # one byte is found faster
         return None
     content = memoryview(payload)[found.start : found.end]
     try:
@@ -83,7 +83,11 @@ def split_large(payload: bytes) -> LargeMessage | None:
 
 
 def envelope_of(payload: bytes) -> Frame | None:
-    """Return a text frame with null in place of its data, to report an error about it; None for an unusual frame."""
+    """Return a text frame with null in place of its data, to report an error about the frame.
+
+    Returns:
+        None for an unusual frame, whose data is not found.
+    """
     found = find_content(payload, _data, 1)
     if found is None:
         return None

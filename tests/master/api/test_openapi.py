@@ -13,7 +13,7 @@ from openapi_spec_validator import validate
 
 from tests.support.master.served import Served
 from tests.support.paths import TESTS
-from tests.support.programs import output_of
+from tests.support.programs import run_program
 
 
 async def test_document_is_valid_and_public(served: Served) -> None:
@@ -60,5 +60,5 @@ async def test_random_requests_are_answered_as_the_document_says(
     ]
     variables = {"SCHEMATHESIS_HOOKS": "schemathesis_hooks", "PYTHONPATH": str(TESTS / "support" / "master")}
     nothing = asyncio.subprocess.DEVNULL
-    status, out, err = await output_of(*words, seconds=400, cwd=tmp_path, env=os.environ | variables, stdin=nothing)
+    status, out, err = await run_program(*words, seconds=400, cwd=tmp_path, env=os.environ | variables, stdin=nothing)
     assert status == 0, out + err

@@ -8,7 +8,7 @@ import subprocess
 
 import pytest
 
-from tests.support.programs import output_of
+from tests.support.programs import run_program
 
 
 def node_command() -> list[str]:
@@ -25,4 +25,4 @@ def node_command() -> list[str]:
 
 async def run_script(*words: str, timeout: float) -> tuple[int, str, str]:  # noqa: ASYNC109
     """Run a script in Node.js; return its exit status and what it printed to standard output and error."""
-    return await output_of(*node_command(), *words, seconds=timeout)
+    return await run_program(*node_command(), *words, seconds=timeout)

@@ -56,7 +56,7 @@ class Services:
 
     def _save_for_nav2(self, request: Any, response: Any) -> Any:
         """Save the map as `map_url`.pgm and .yaml, as map_server reads it; thresholds of 0 mean those of map_server."""
-        response.result = succeeds(
+        response.result = attempt(
             self._node,
             lambda: self._write(request.map_url, request.occupied_thresh or None, request.free_thresh or None),
         )
@@ -64,7 +64,7 @@ class Services:
 
     def _save(self, request: Any, response: Any) -> Any:
         """Save the map as `name`.pgm and .yaml."""
-        saved = succeeds(self._node, lambda: self._write(request.name.data))
+        saved = attempt(self._node, lambda: self._write(request.name.data))
         response.result = response.RESULT_SUCCESS if saved else response.RESULT_UNDEFINED_FAILURE
         return response
 
@@ -99,7 +99,7 @@ class Services:
 
     def _serialize(self, request: Any, response: Any) -> Any:
         """Save the whole session: map, poses and everything that is needed to continue."""
-        saved = succeeds(self._node, lambda: save_session(self._mapper(), file_of(request.filename)))
+        saved = attempt(self._node, lambda: save_session(self._mapper(), file_of(request.filename)))
         response.result = response.RESULT_SUCCESS if saved else response.RESULT_FAILED_TO_WRITE_FILE
         return response
 
@@ -108,7 +108,7 @@ class Services:
 
         The response of slam_toolbox is empty; errors are logged.
         """
-        succeeds(self._node, lambda: self._resume(request))
+        attempt(self._node, lambda: self._resume(request))
         return response
 
     def _resume(self, request: Any) -> None:
@@ -154,7 +154,7 @@ class Services:
         write_map(file_of(path), self._node.mapper.grid(), occupied, free)
 
 
-def succeeds(node: Node, action: Callable[[], object]) -> bool:
+def attempt(node: Node, action: Callable[[], object]) -> bool:
     """Return whether an action succeeds; log the error if not, since the responses of services have no field for it."""
     try:
         action()

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from rce_mapping.optional import slam_toolbox
-from rce_mapping.services import file_of, succeeds
+from rce_mapping.services import attempt, file_of
 from std_srvs.srv import Trigger
 
 from rce.mapping3d.offload.sessions import resume_session, save_session
@@ -48,14 +48,14 @@ class Services:
 
     def _serialize(self, request: Any, response: Any) -> Any:
         """Save the session: key frames, poses, and all that is needed to continue."""
-        saved = succeeds(self._node, lambda: save_session(self._node.shared, file_of(request.filename)))
+        saved = attempt(self._node, lambda: save_session(self._node.shared, file_of(request.filename)))
         response.result = response.RESULT_SUCCESS if saved else response.RESULT_FAILED_TO_WRITE_FILE
         return response
 
     def _deserialize(self, request: Any, response: Any) -> Any:
         """Continue a saved session. Robots find themselves on its map as lost ones do. Errors are logged."""
         shared = self._node.shared
-        succeeds(
+        attempt(
             self._node, lambda: self._node.use(resume_session(file_of(request.filename), shared.robots, shared.sensor))
         )
         return response
