@@ -1,8 +1,8 @@
 """Large data messages, whose envelope is decoded without their content: scanning 10 MB of JSON takes 10 to 80 ms.
 
-The content is found by its key near the begin and by the last braces. It is replaced by null, and what is left is
-decoded as a frame. If that is valid and the content is valid JSON, which its converter checks, the whole is the same
-frame: the result is never another one.
+The content is found by its key near the begin and by the last braces. It is replaced by a mark, and what is left is
+decoded as a frame. If the mark is found where the content belongs and the content is valid JSON, which its converter
+checks, the whole is the same frame: the result is never another one.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from rce.protocol.messages.data import DataMessage
 from rce.protocol.messages.frames import Frame, decode_as, decode_frame
 
 HEAD, TAIL = 4096, 2048  # bytes before and after the content, in which the other keys are
+MARK = b"-0.0"  # any JSON value that the rest of a usual frame does not contain
 _msg = re.compile(rb'"msg"[ \t\n\r]*:[ \t\n\r]*(?=\{)')
 _data = re.compile(rb'"data"[ \t\n\r]*:[ \t\n\r]*(?=\{)')
 _reference = re.compile(rb'\*"[ \t\n\r]*:')  # end of a key whose value is the id of a blob
@@ -62,6 +63,17 @@ def find_content(payload: bytes, key: re.Pattern[bytes], around: int) -> Content
     return None if found is None or end < found.end() else Content(found, found.end(), end + 1)
 
 
+def _decode_rest(payload: bytes, content: Content) -> Frame | None:
+    """Return the frame with the mark in place of the content, or None for an unusual frame."""
+    before, after = payload[: content.start], payload[content.end :]
+    if MARK in before or MARK in after:
+        return None
+    try:
+        return decode_frame(before + MARK + after)
+    except RceError:
+        return None
+
+
 def split_large(payload: bytes) -> LargeMessage | None:
     """Return the data message of a text frame, whose content is not checked and has no references to blobs.
 
@@ -71,28 +83,25 @@ def split_large(payload: bytes) -> LargeMessage | None:
     found = find_content(payload, _msg, 2)  # the frame and its data are around it
     if found is None or (b"*" in payload and _reference.search(payload)):  # one byte is found faster
         return None
-    content = memoryview(payload)[found.start : found.end]
+    frame = _decode_rest(payload, found)
+    if frame is None or frame.type != "DM":
+        return None
     try:
-        frame = decode_frame(payload[: found.start] + b"null" + payload[found.end :])
         message = decode_as(DataMessage, frame.data, "data")
     except RceError:
         return None
-    if frame.type != "DM" or message.msg is UNSET or bytes(message.msg) != b"null" or message.blob is not UNSET:
+    if message.msg is UNSET or bytes(message.msg) != MARK or message.blob is not UNSET:
         return None
+    content = memoryview(payload)[found.start : found.end]
     return LargeMessage(frame, replace(message, msg=Raw(content)))
 
 
 def envelope_of(payload: bytes) -> Frame | None:
-    """Return a text frame with null in place of its data, to report an error about the frame.
+    """Return a text frame with the mark in place of its data, to report an error about the frame.
 
     Returns:
         None for an unusual frame, whose data is not found.
     """
     found = find_content(payload, _data, 1)
-    if found is None:
-        return None
-    try:
-        frame = decode_frame(payload[: found.start] + b"null" + payload[found.end :])
-    except RceError:
-        return None
-    return frame if bytes(frame.data) == b"null" else None
+    frame = None if found is None else _decode_rest(payload, found)
+    return frame if frame is not None and bytes(frame.data) == MARK else None
