@@ -10,13 +10,18 @@
 #include <vector>
 
 using rce::Value;
-using rce::detail::parseJson;
+using rce::detail::PADDING;
 using rce::detail::writeJson;
 
 namespace {
 
 void check(bool holds, const std::string& what) {
   if (!holds) throw std::runtime_error(what);
+}
+
+Value parseJson(std::string text) {
+  text.reserve(text.size() + PADDING);
+  return rce::detail::parseJson({text});
 }
 
 class Values {
@@ -75,16 +80,38 @@ void checkValues() {
   check(writeJson(Value::parse(R"({"b":[1,-2,true,null,""],"a":{}})")) == R"({"a":{},"b":[1,-2,true,null,""]})", "order");
 }
 
+void checkText(const std::string& text) {
+  const Value expected = Value::parse(text, nullptr, false), found = parseJson(text);
+  check(found.is_discarded() == expected.is_discarded(), "accepted or not: " + text);
+  check(found.is_discarded() || found == expected, "text: " + text);
+}
+
+/** Check texts of which a byte is another one, missing or repeated. */
+void checkDamagedTexts() {
+  Values values;
+  std::mt19937_64 random{2};
+  const std::string bytes = "{}[]\",:0-.eEtfn\\u \n\x01\x80z";
+  for (int count = 0; count < 20000; ++count) {
+    std::string text = Value::array({values.any(3), values.any(2)}).dump();
+    const std::size_t place = random() % text.size();
+    if (count % 3 == 0) text[place] = bytes[random() % bytes.size()];
+    else if (count % 3 == 1) text.erase(place, 1);
+    else text.insert(place, 1, text[place]);
+    checkText(text);
+  }
+}
+
 void checkTexts() {
   const std::string nested(2000, '['), closed(2000, ']');
   for (const std::string& text :
        {std::string(), std::string("{"), std::string("[1,]"), std::string("NaN"), std::string("\"\xff\""),
         std::string("\"\\ud800\""), std::string("\"\n\""), std::string("1 2"), std::string("01"), std::string("\0", 1),
         std::string("123456789012345678901234567890"), std::string("1e400"), std::string(" [ 1 , 2 ] "),
-        std::string(R"("\ud83e\udd16\u0000")"), std::string(R"({"a":1,"a":2})"), nested, nested + closed}) {
-    const Value expected = Value::parse(text, nullptr, false), found = parseJson(text);
-    check(found.is_discarded() == expected.is_discarded(), "accepted or not: " + text);
-    check(found.is_discarded() || found == expected, "text: " + text);
+        std::string(R"("\ud83e\udd16\u0000")"), std::string(R"({"a":1,"a":2})"),
+        std::string("{} 1"), std::string("{}}"), std::string("[[]"), std::string(R"( [ "a" , "b\"" ] )"),
+        std::string("[123456789012345678901234567890, \"a\"]"),
+        std::string("[109988641498979230369.091175947673399e-08]"), nested, nested + closed}) {
+    checkText(text);
   }
   try {
     writeJson({{"a", "\xff"}});
@@ -98,5 +125,6 @@ void checkTexts() {
 int main() {
   checkValues();
   checkTexts();
+  checkDamagedTexts();
   std::cout << "all values are equal\n";
 }

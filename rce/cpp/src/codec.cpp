@@ -5,8 +5,6 @@
 #include <limits>
 #include <random>
 
-#include "json.hpp"
-
 namespace rce::detail {
 namespace {
 
@@ -164,7 +162,7 @@ Encoded encodeMessage(Value data, Value msg) {
   return message;
 }
 
-Value decode(std::string_view text) {
+Value decode(PaddedText text) {
   Value frame = parseJson(text);
   if (!frame.is_object() || !frame.contains("data")) {
     raise({"invalid_request", "the server sent a frame that is not a JSON object with data"});

@@ -8,6 +8,7 @@
 #include <string_view>
 #include <vector>
 
+#include "json.hpp"
 #include "rce/errors.hpp"
 
 namespace rce::detail {
@@ -37,7 +38,7 @@ std::string encode(const Value& frame);
 Encoded encodeMessage(Value data, Value msg);
 
 /** Parse a text frame. Throws InvalidRequest if it is not a JSON object. */
-Value decode(std::string_view text);
+Value decode(PaddedText text);
 
 /** The ids of all blobs to which a value refers. */
 std::set<std::string> references(const Value& value);

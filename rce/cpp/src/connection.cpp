@@ -63,7 +63,7 @@ void Connection::refused(unsigned status, std::string reason) {
 void Connection::received(bool isText, const std::uint8_t* data, std::size_t size) {
   if (!listener_) return;
   try {
-    if (isText) handleText({reinterpret_cast<const char*>(data), size});
+    if (isText) handleText({{reinterpret_cast<const char*>(data), size}});
     else assembler_.addBlob(data, size);
   } catch (const Error& error) {
     if (listener_) listener_->frameInvalid(*this, error.info());
@@ -72,7 +72,7 @@ void Connection::received(bool isText, const std::uint8_t* data, std::size_t siz
   }
 }
 
-void Connection::handleText(std::string_view text) {
+void Connection::handleText(PaddedText text) {
   Value frame = decode(text);
   const std::string type = textOf(frame, "type");
   if (!hasSession_) {
@@ -82,7 +82,7 @@ void Connection::handleText(std::string_view text) {
     forget();
     return listener.connectionRefused(*this, {"unavailable", "the first frame of " + endpoint_ + " is not a session status"});
   }
-  if (type == "DM") assembler_.addFrame(std::move(frame["data"]), text);
+  if (type == "DM") assembler_.addFrame(std::move(frame["data"]), text.text);
   else if (type == "ST") listener_->statusReceived(*this, std::move(frame));
   else if (type == "ER") listener_->failureReceived(*this, std::move(frame));
 }

@@ -46,7 +46,7 @@ class Connection : public WebSocket::Listener, public std::enable_shared_from_th
   void received(bool isText, const std::uint8_t* data, std::size_t size) override;
   void written() override;
   void closed(std::string reason) override;
-  void handleText(std::string_view text);
+  void handleText(PaddedText text);
   void pump();
 
   std::string endpoint_;

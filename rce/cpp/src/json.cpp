@@ -13,30 +13,54 @@
 namespace rce::detail {
 namespace {
 
-namespace dom = simdjson::dom;
+namespace ondemand = simdjson::ondemand;
 
-Value valueOf(const dom::element& element) {
-  switch (element.type()) {
-    case dom::element_type::ARRAY: {
-      const dom::array items(element);
+constexpr int DEEPEST = 100;        // level that is read here: deeper ones need much stack
+constexpr std::size_t ROOM = 4096;  // bytes for what follows a text, so that a long one is not moved for it
+
+/** The text of an element. Without escapes it is copied once, from the source. */
+Value stringOf(ondemand::value& element) {
+  std::string_view token = element.raw_json_token();  // up to the next one
+  token = token.substr(1, token.rfind('"') - 1);
+  if (token.find('\\') != std::string_view::npos) return std::string(std::string_view(element.get_string()));
+  element.get_raw_json_string().value();  // takes the element, so that what follows it is checked
+  return std::string(token);
+}
+
+/** Each type is read by its own function: `get_number` of simdjson 3.0 reads floats of many digits wrongly. */
+Value numberOf(ondemand::value& element) {
+  switch (element.get_number_type().value()) {
+    case ondemand::number_type::signed_integer: return element.get_int64().value();
+    case ondemand::number_type::unsigned_integer: return element.get_uint64().value();
+    case ondemand::number_type::floating_point_number: break;
+  }
+  return element.get_double().value();
+}
+
+/** The value of an element. Throws simdjson_error. */
+Value valueOf(ondemand::value element, int depth) {
+  if (depth > DEEPEST) throw simdjson::simdjson_error(simdjson::DEPTH_ERROR);
+  switch (element.type().value()) {
+    case ondemand::json_type::array: {
       Value::array_t array;
-      array.reserve(items.size());
-      for (const dom::element item : items) array.push_back(valueOf(item));
+      for (auto item : element.get_array()) array.push_back(valueOf(item.value(), depth + 1));
       return array;
     }
-    case dom::element_type::OBJECT: {
+    case ondemand::json_type::object: {
       Value::object_t object;
-      for (const auto& [key, item] : dom::object(element)) object.insert_or_assign(std::string(key), valueOf(item));
+      for (auto field : element.get_object()) {
+        std::string key(std::string_view(field.unescaped_key()));
+        object.insert_or_assign(std::move(key), valueOf(field.value(), depth + 1));
+      }
       return object;
     }
-    case dom::element_type::INT64: return std::int64_t(element);
-    case dom::element_type::UINT64: return std::uint64_t(element);
-    case dom::element_type::DOUBLE: return double(element);
-    case dom::element_type::STRING: return std::string(std::string_view(element));
-    case dom::element_type::BOOL: return bool(element);
-    case dom::element_type::NULL_VALUE: break;
+    case ondemand::json_type::number: return numberOf(element);
+    case ondemand::json_type::string: return stringOf(element);
+    case ondemand::json_type::boolean: return bool(element.get_bool());
+    case ondemand::json_type::null:
+      if (element.is_null()) return nullptr;
   }
-  return nullptr;
+  throw simdjson::simdjson_error(simdjson::TAPE_ERROR);
 }
 
 class Writer {
@@ -85,6 +109,7 @@ class Writer {
       out_ += Value(text).dump();  // throws an error that names the byte
       return;
     }
+    out_.reserve(out_.size() + text.size() + ROOM);
     out_ += '"';
     for (std::size_t done = 0; done < text.size();) {
       const std::size_t end = plainUntil(text, done);
@@ -99,11 +124,11 @@ class Writer {
 
   /** The place of the first byte from `start` on that is escaped, or the size of the text. */
   static std::size_t plainUntil(const std::string& text, std::size_t start) {
-    constexpr std::size_t block = 32;  // compilers use vectors for it
+    constexpr std::size_t block = 64;
     for (; start + block <= text.size(); start += block) {
-      bool escaped = false;
-      for (std::size_t i = 0; i < block; ++i) escaped |= isEscaped(text[start + i]);
-      if (escaped) break;
+      std::uint8_t escaped = 0;  // g++ uses vectors for bytes, not for bool
+      for (std::size_t i = 0; i < block; ++i) escaped = static_cast<std::uint8_t>(escaped | isEscaped(text[start + i]));
+      if (escaped != 0) break;
     }
     while (start < text.size() && !isEscaped(text[start])) ++start;
     return start;
@@ -129,11 +154,18 @@ class Writer {
 
 }  // namespace
 
-Value parseJson(std::string_view text) {
-  dom::parser parser;
-  dom::element root;
-  if (parser.parse(text.data(), text.size()).get(root) == simdjson::SUCCESS) return valueOf(root);
-  return Value::parse(text, nullptr, false);  // simdjson refuses integers of more than 64 bits
+Value parseJson(PaddedText padded) {
+  static_assert(PADDING >= simdjson::SIMDJSON_PADDING);
+  const std::string_view text = padded.text;
+  try {
+    ondemand::parser parser;
+    ondemand::document document = parser.iterate(text.data(), text.size(), text.size() + PADDING);
+    Value value = valueOf(document.get_value().value(), 1);
+    if (document.current_location().error() == simdjson::OUT_OF_BOUNDS) return value;  // nothing follows
+  } catch (const simdjson::simdjson_error&) {
+    // not JSON, or with what is not read here: a number at the top, an integer of more than 64 bits, more levels
+  }
+  return Value::parse(text, nullptr, false);
 }
 
 std::string writeJson(const Value& value) {

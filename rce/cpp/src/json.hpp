@@ -8,8 +8,15 @@
 
 namespace rce::detail {
 
+constexpr std::size_t PADDING = 64;
+
+/** Text in a longer buffer: PADDING bytes behind it can be read, too. simdjson reads them, and ignores what they are. */
+struct PaddedText {
+  std::string_view text;
+};
+
 /** Parse JSON. Returns a discarded value for text that is not JSON. */
-Value parseJson(std::string_view text);
+Value parseJson(PaddedText padded);
 
 /** Write JSON, with null for NaN and infinities. Throws Value::exception for text that is not UTF-8. */
 std::string writeJson(const Value& value);

@@ -6,6 +6,7 @@
 #include <boost/beast/websocket/ssl.hpp>
 #include <netinet/tcp.h>
 
+#include "json.hpp"
 #include "stream_opener.hpp"
 
 namespace rce::detail {
@@ -85,6 +86,7 @@ class Socket : public WebSocket, public std::enable_shared_from_this<Socket<Stre
         const auto& reason = self->socket_.reason();
         return std::exchange(self->listener_, nullptr)->closed(reason.reason.empty() ? error.message() : std::string(reason.reason.c_str()));
       }
+      self->buffer_.prepare(PADDING);  // which may move the data
       const auto data = self->buffer_.cdata();
       self->listener_->received(self->socket_.got_text(), static_cast<const std::uint8_t*>(data.data()), data.size());
       self->buffer_.consume(data.size());
